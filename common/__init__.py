@@ -1,0 +1,1 @@
+"""What all processes agree on: configuration, team layout, messages, keys, the bus and the errors."""

@@ -1,0 +1,33 @@
+"""Frozen configuration dataclasses; every field has a docstring with unit and symbol."""
+
+from common.config.farm import (
+    CameraConfig,
+    EnergyConfig,
+    FarmConfig,
+    ObservationConfig,
+    RadioConfig,
+    RelayConfig,
+    RewardConfig,
+    WorldConfig,
+)
+from common.config.learning import AlgorithmConfig, EliteConfig, ExplorationConfig, ReplayConfig
+from common.config.run import EvaluationConfig, LearnerConfig, RolloutConfig, RunConfig
+
+__all__ = [
+    "AlgorithmConfig",
+    "CameraConfig",
+    "EliteConfig",
+    "EnergyConfig",
+    "EvaluationConfig",
+    "ExplorationConfig",
+    "FarmConfig",
+    "LearnerConfig",
+    "ObservationConfig",
+    "RadioConfig",
+    "RelayConfig",
+    "ReplayConfig",
+    "RewardConfig",
+    "RolloutConfig",
+    "RunConfig",
+    "WorldConfig",
+]

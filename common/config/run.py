@@ -1,0 +1,96 @@
+"""One run: the farm, the method, the processes and their budget."""
+
+from dataclasses import dataclass, field
+
+from common.config.checks import positive, within
+from common.config.farm import FarmConfig
+from common.config.learning import AlgorithmConfig, EliteConfig, ExplorationConfig, ReplayConfig
+from common.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class RolloutConfig:
+    """What one worker process does."""
+
+    environments: int = 8
+    """Simulated farms of one worker, stepped as one batch."""
+    chunk_steps: int = 20
+    """Steps of every environment in one chunk of transitions."""
+    spool_chunks: int = 8
+    """Chunks that a worker holds unacknowledged before it stops simulating."""
+    train_farms: int = 20
+    """Training farms: integer seeds 0 .. train_farms - 1 (W26)."""
+    threads: int = 1
+    """Compute threads of one worker."""
+
+    def __post_init__(self) -> None:
+        """Refuse empty batches and chunks."""
+        within(1, 4096, environments=self.environments)
+        within(1, 10_000, chunk_steps=self.chunk_steps)
+        within(1, 1024, spool_chunks=self.spool_chunks)
+        within(1, 1_000_000, train_farms=self.train_farms)
+        within(1, 256, threads=self.threads)
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """What the learner process does beside the method itself."""
+
+    threads: int = 1
+    """Compute threads of the learner."""
+    device: str = "cpu"
+    """Torch device of the engine."""
+    publish_seconds: float = 0.5
+    """Least time between two published parameter versions, s."""
+    checkpoint_seconds: float = 60.0
+    """Time between two checkpoints, s."""
+    keep_checkpoints: int = 2
+    """Newest checkpoints that are kept."""
+
+    def __post_init__(self) -> None:
+        """Refuse times that never come."""
+        within(1, 256, threads=self.threads)
+        within(1, 1000, keep_checkpoints=self.keep_checkpoints)
+        positive(publish_seconds=self.publish_seconds, checkpoint_seconds=self.checkpoint_seconds)
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """The noise-free evaluation at the end of a run."""
+
+    first_farm: int = 1000
+    """First farm seed of the evaluation; training never sees it."""
+    farms: int = 20
+    """Number of evaluation farms."""
+    episodes: int = 1
+    """Episodes on each farm."""
+
+    def __post_init__(self) -> None:
+        """Refuse empty evaluations."""
+        within(0, 2**31, first_farm=self.first_farm)
+        within(1, 100_000, farms=self.farms, episodes=self.episodes)
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that decides a run's outcome."""
+
+    seed: int = 0
+    """Seed of the run: initial weights, batches, farms' order and noise all follow from it."""
+    episodes: int = 2000
+    """Training episodes lambda_max, counted over all environments of all workers."""
+    farm: FarmConfig = field(default_factory=FarmConfig)
+    algorithm: AlgorithmConfig = field(default_factory=AlgorithmConfig)
+    elite: EliteConfig = field(default_factory=EliteConfig)
+    replay: ReplayConfig = field(default_factory=ReplayConfig)
+    exploration: ExplorationConfig = field(default_factory=ExplorationConfig)
+    rollout: RolloutConfig = field(default_factory=RolloutConfig)
+    learner: LearnerConfig = field(default_factory=LearnerConfig)
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse a run that ends before it starts."""
+        within(0, 2**63 - 1, seed=self.seed)
+        within(1, 100_000_000, episodes=self.episodes)
+        if self.evaluation.first_farm < self.rollout.train_farms:
+            raise ConfigError("evaluation.first_farm must lie beyond the training farms, so that they stay unseen.")

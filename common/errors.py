@@ -1,0 +1,78 @@
+"""The one tree of typed errors.
+
+EiaSecError
+├── UsageError                 a user's mistake: one clear sentence, exit code 2
+│   ├── ConfigError            an unknown key, an impossible value
+│   ├── EndpointError          an endpoint that is taken, dead or malformed
+│   ├── RunDirError            a run directory that is missing, in use or of another configuration
+│   └── PolicyError            a policy name or file that cannot be used
+├── ProtocolError              something received that is not what was declared
+│   ├── FrameError             bytes that are not a frame: cut, flipped, oversized
+│   ├── SchemaError            a frame whose fields have the wrong type, shape or range
+│   ├── VersionError           another protocol version or another team layout
+│   └── KeyExpressionError     a key that no declaration covers
+├── CheckpointError            a checkpoint that is cut, flipped or of another layout
+└── BusError                   the bus cannot do what was asked
+    ├── BusClosedError         the session is closed
+    └── ForkedProcessError     a session used in a process that did not open it
+"""
+
+
+class EiaSecError(Exception):
+    """Root of every error that this project raises on purpose."""
+
+
+class UsageError(EiaSecError):
+    """A user's mistake. The message is one sentence; commands print it and exit with code 2."""
+
+
+class ConfigError(UsageError):
+    """A configuration with an unknown key or an impossible value."""
+
+
+class EndpointError(UsageError):
+    """An endpoint that is malformed, already taken, or where nobody answers."""
+
+
+class RunDirError(UsageError):
+    """A run directory that is missing, in use, or belongs to another configuration."""
+
+
+class PolicyError(UsageError):
+    """A policy name that does not exist or a policy file that cannot be used."""
+
+
+class ProtocolError(EiaSecError):
+    """Something received that is not what the protocol declares."""
+
+
+class FrameError(ProtocolError):
+    """Bytes that are not a frame: cut short, bit-flipped, oversized or of another kind."""
+
+
+class SchemaError(ProtocolError):
+    """A whole frame whose fields have the wrong type, shape, range or are not finite."""
+
+
+class VersionError(ProtocolError):
+    """A frame of another protocol version, or for another team layout."""
+
+
+class KeyExpressionError(ProtocolError):
+    """A key that no declaration of the protocol covers."""
+
+
+class CheckpointError(EiaSecError):
+    """A checkpoint that is cut, flipped, or of another layout."""
+
+
+class BusError(EiaSecError):
+    """The bus cannot do what was asked."""
+
+
+class BusClosedError(BusError):
+    """The session is closed."""
+
+
+class ForkedProcessError(BusError):
+    """A session used in a process other than the one that opened it."""

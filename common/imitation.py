@@ -1,0 +1,79 @@
+"""Elite imitation, as far as all processes agree on it: when events fall due, and what one event says.
+
+Everything about event number e follows from e and the configuration, so a coordinator that starts anew continues
+where the learner's count of applied events stands.
+"""
+
+from dataclasses import dataclass
+
+from common.config import EliteConfig
+from common.errors import SchemaError
+from common.team import TeamSpec
+
+
+@dataclass(frozen=True)
+class ImitationSchedule:
+    """The decay of vartheta and the growth of delta, Algorithm 1 with reading A1."""
+
+    config: EliteConfig
+
+    def rate(self, event: int) -> float:
+        """Return vartheta of event number `event` (1 is the first)."""
+        return self.config.rate * self.config.rate_decay ** (event - 1)
+
+    def cycle(self, event: int) -> int:
+        """Return delta in force when event number `event` falls due, episodes."""
+        return max(1, round(self.config.cycle * self.config.cycle_growth ** (event - 1)))
+
+    def due_episode(self, event: int) -> int | None:
+        """Return the episode lambda at which event number `event` falls due, or None when it never does."""
+        if not self.config.enabled:
+            return None
+        episode = 0
+        for number in range(1, event + 1):
+            following = self._next(episode, self.cycle(number))
+            if following is None:
+                return None
+            episode = following
+        return episode
+
+    def _next(self, episode: int, cycle: int) -> int | None:
+        if self.config.rule == "cycle_divides_episode":
+            return (episode // cycle + 1) * cycle
+        return next((candidate for candidate in range(episode + 1, cycle + 1) if cycle % candidate == 0), None)
+
+    def is_due(self, applied: int, episodes: int) -> bool:
+        """Return whether, after `applied` events, the next one is due at `episodes` finished episodes."""
+        due = self.due_episode(applied + 1)
+        return due is not None and episodes >= due
+
+
+@dataclass(frozen=True)
+class ImitationEvent:
+    """One soft-imitation update of all types, eq. (soft).
+
+    Attributes:
+        event: its number; 1 is the first.
+        version: the parameter version that was evaluated.
+        episode: the learner's count of finished episodes when the event fell due.
+        rate: vartheta.
+        elites: for each type, the elite's index inside the type.
+        scores: for each type, omega of each agent, eq. (er).
+    """
+
+    event: int
+    version: int
+    episode: int
+    rate: float
+    elites: tuple[int, ...]
+    scores: tuple[tuple[float, ...], ...]
+
+    def check(self, team: TeamSpec) -> None:
+        """Raise SchemaError unless the event fits the team."""
+        if self.event < 1 or not 0.0 <= self.rate <= 1.0:
+            raise SchemaError(f"imitation event {self.event} with rate {self.rate} cannot be.")
+        if len(self.elites) != len(team.groups) or len(self.scores) != len(team.groups):
+            raise SchemaError("the imitation event is for another number of types.")
+        for group, elite, scores in zip(team.groups, self.elites, self.scores, strict=True):
+            if not 0 <= elite < group.count or len(scores) != group.count:
+                raise SchemaError(f"the imitation event does not fit {group.count} {group.name} agents.")

@@ -1,0 +1,147 @@
+"""The team layout: which types of agent there are and where each agent's numbers lie in a row.
+
+A *row* is what one environment step puts on the wire and into replay: the observations of all agents, one after
+another, then likewise actions and rewards. Types may differ in observation and action size, so a row is ragged
+by type and regular inside one.
+"""
+
+import hashlib
+import itertools
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig
+from common.config.checks import within
+from common.errors import ConfigError, SchemaError
+
+Float32 = NDArray[np.float32]
+
+COMMUNICATION: Final = "communication"
+MONITORING: Final = "monitoring"
+COLLECTION: Final = "collection"
+
+COMMUNICATION_OBSERVATION: Final = 17
+"""Own (x, y); nearest relay, relay centroid, served centroid, farthest served, nearest UAV as (dx, dy, distance)."""
+MONITORING_OBSERVATION: Final = 16
+"""Own (x, y); 3 x 3 VDF; D_VDF (x, y); nearest UAV as (dx, dy, distance)."""
+
+
+@dataclass(frozen=True)
+class GroupSpec:
+    """One type of agent.
+
+    Attributes:
+        name: the type's name, "communication" for instance.
+        count: agents of the type, n_v.
+        observation_size: numbers in one agent's observation.
+        action_size: numbers in one agent's action, each in [-1, 1].
+    """
+
+    name: str
+    count: int
+    observation_size: int
+    action_size: int
+
+    def __post_init__(self) -> None:
+        """Refuse groups that nobody could be a member of."""
+        within(1, 4096, count=self.count)
+        within(1, 65_536, observation_size=self.observation_size, action_size=self.action_size)
+
+
+@dataclass(frozen=True)
+class TeamSpec:
+    """All types of a team, in row order.
+
+    Attributes:
+        groups: the types; a row holds all agents of the first, then all of the second, and so on.
+    """
+
+    groups: tuple[GroupSpec, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse an empty team and two types of one name."""
+        if not self.groups:
+            raise ConfigError("a team needs at least one type of agent.")
+        if len({group.name for group in self.groups}) != len(self.groups):
+            raise ConfigError("two types of agent have the same name.")
+
+    @property
+    def agents(self) -> int:
+        """Number of all agents."""
+        return sum(group.count for group in self.groups)
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers in one row of observations."""
+        return sum(group.count * group.observation_size for group in self.groups)
+
+    @property
+    def action_size(self) -> int:
+        """Numbers in one row of actions."""
+        return sum(group.count * group.action_size for group in self.groups)
+
+    def agent_slices(self) -> tuple[slice, ...]:
+        """Return, for each type, where its agents lie among all agents."""
+        return _slices([group.count for group in self.groups])
+
+    def observation_slices(self) -> tuple[slice, ...]:
+        """Return, for each type, where its observations lie in a row."""
+        return _slices([group.count * group.observation_size for group in self.groups])
+
+    def action_slices(self) -> tuple[slice, ...]:
+        """Return, for each type, where its actions lie in a row."""
+        return _slices([group.count * group.action_size for group in self.groups])
+
+    def split_observations(self, rows: Float32) -> list[Float32]:
+        """Split rows [..., O] into one view [..., n_v, o_v] for each type."""
+        return [
+            rows[..., part].reshape(*rows.shape[:-1], group.count, group.observation_size)
+            for group, part in zip(self.groups, self.observation_slices(), strict=True)
+        ]
+
+    def split_actions(self, rows: Float32) -> list[Float32]:
+        """Split rows [..., A] into one view [..., n_v, a_v] for each type."""
+        return [
+            rows[..., part].reshape(*rows.shape[:-1], group.count, group.action_size)
+            for group, part in zip(self.groups, self.action_slices(), strict=True)
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a plain description for the wire and for files."""
+        return {"groups": [[g.name, g.count, g.observation_size, g.action_size] for g in self.groups]}
+
+    @classmethod
+    def from_dict(cls, data: Any) -> "TeamSpec":
+        """Rebuild a team from `to_dict`; raise SchemaError when it is none."""
+        try:
+            groups = tuple(GroupSpec(str(n), int(c), int(o), int(a)) for n, c, o, a in data["groups"])
+            return cls(groups)
+        except (KeyError, TypeError, ValueError, ConfigError) as error:
+            raise SchemaError(f"not a team description: {error}") from error
+
+    @property
+    def digest(self) -> str:
+        """Sixteen hexadecimal digits that name this layout; equal layouts have equal digests."""
+        text = ";".join(f"{g.name},{g.count},{g.observation_size},{g.action_size}" for g in self.groups)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _slices(sizes: list[int]) -> tuple[slice, ...]:
+    ends = np.cumsum([0, *sizes]).tolist()
+    return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
+
+
+def farm_team(farm: FarmConfig) -> TeamSpec:
+    """Return the team of a farm: communication, monitoring and data collection UAVs, in that order."""
+    per_sensor = 1 if farm.observation.form == "printed" else 3
+    collection = 2 + per_sensor * farm.observation.sensors + 2 + 3
+    return TeamSpec(
+        (
+            GroupSpec(COMMUNICATION, farm.world.communication_uavs, COMMUNICATION_OBSERVATION, 2),
+            GroupSpec(MONITORING, farm.world.monitoring_uavs, MONITORING_OBSERVATION, 2),
+            GroupSpec(COLLECTION, farm.world.collection_uavs, collection, 2),
+        )
+    )

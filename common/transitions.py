@@ -1,0 +1,97 @@
+"""Rows of experience, the same on the wire and in replay.
+
+A trajectory segment of T steps is T + 1 consecutive rows: row t holds the observation before step t and what step
+t did; the last row holds the final observation alone. So each observation is stored once, the next observation of
+row t is row t + 1, and a segment may be cut anywhere, at a chunk's border or at an episode's end.
+"""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import SchemaError
+from common.team import Float32, TeamSpec
+
+TRANSITION: Final = 1
+"""Flag bit: a step follows this row, and the next row is its successor."""
+TERMINATED: Final = 2
+"""Flag bit: the step of this row ended in a terminal state; nothing is bootstrapped from its successor."""
+TRUNCATED: Final = 4
+"""Flag bit: the step of this row was the episode's last by its time limit; its successor is bootstrapped from."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Consecutive rows of one or more segments.
+
+    Attributes:
+        observation: [R, O] float32.
+        action: [R, A] float32 in [-1, 1]; zeros where no step follows.
+        reward: [R, agents] float32; zeros where no step follows.
+        flag: [R] uint8 of TRANSITION, TERMINATED and TRUNCATED.
+    """
+
+    observation: Float32
+    action: Float32
+    reward: Float32
+    flag: NDArray[np.uint8]
+
+    @property
+    def steps(self) -> int:
+        """Environment steps in these rows."""
+        return int(np.count_nonzero(self.flag & TRANSITION))
+
+    def check(self, team: TeamSpec) -> None:
+        """Raise SchemaError unless shapes fit the team, every number is finite and the flags are lawful."""
+        rows = self.flag.shape[0] if self.flag.ndim == 1 else -1
+        wanted = {
+            "observation": (self.observation, (rows, team.observation_size)),
+            "action": (self.action, (rows, team.action_size)),
+            "reward": (self.reward, (rows, team.agents)),
+        }
+        for name, (array, shape) in wanted.items():
+            if array.shape != shape or array.dtype != np.float32:
+                raise SchemaError(f"{name} is {array.dtype}{list(array.shape)}, not float32{list(shape)}.")
+            if not np.isfinite(array).all():
+                raise SchemaError(f"{name} holds a number that is not finite.")
+        if rows < 2 or self.flag.dtype != np.uint8 or (self.flag > 7).any() or self.flag[-1] & TRANSITION:
+            raise SchemaError("the flags are not those of whole segments.")
+        if (np.abs(self.action) > 1.0).any():
+            raise SchemaError("an action lies outside [-1, 1].")
+
+
+@dataclass(frozen=True)
+class EpisodeSummary:
+    """What one finished episode came to.
+
+    Attributes:
+        farm: the farm's seed.
+        episode: the episode's seed.
+        steps: environment steps.
+        reward: [agents] sum of each agent's rewards.
+        aoi: mean AoI over all sensors and steps, units.
+        vdf: mean VDF over all plots and steps, units.
+        collisions: UAV steps spent closer than the collision distance to a UAV of the same plane.
+        boundary: UAV steps that ran against the field's edge.
+        energy_j: energy of all UAVs, J.
+    """
+
+    farm: int
+    episode: int
+    steps: int
+    reward: tuple[float, ...]
+    aoi: float
+    vdf: float
+    collisions: float
+    boundary: float
+    energy_j: float
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """What a worker delivers at once: rows of all its environments, and the episodes that ended in them."""
+
+    rows: Rows
+    episodes: tuple[EpisodeSummary, ...] = field(default=())

@@ -1,0 +1,1 @@
+"""Launching, watching and reporting: the command line and what it starts."""

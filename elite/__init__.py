@@ -1,0 +1,1 @@
+"""The elite coordinator: scores the agents, picks each type's elite and publishes imitation events."""

@@ -1,0 +1,1 @@
+"""Simulated farms and the worker processes that collect experience in them."""
