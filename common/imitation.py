@@ -59,6 +59,7 @@ class ImitationEvent:
         rate: vartheta.
         elites: for each type, the elite's index inside the type.
         scores: for each type, omega of each agent, eq. (er).
+        evaluation_steps: environment steps spent on the evaluation; they count in the run's budget (A3).
     """
 
     event: int
@@ -67,6 +68,7 @@ class ImitationEvent:
     rate: float
     elites: tuple[int, ...]
     scores: tuple[tuple[float, ...], ...]
+    evaluation_steps: int = 0
 
     def check(self, team: TeamSpec) -> None:
         """Raise SchemaError unless the event fits the team."""

@@ -1,4 +1,7 @@
-"""Small range checks that turn an impossible value into one sentence."""
+"""Small range checks that turn an impossible value into one sentence.
+
+Every check is one chain of comparisons, which is false for what is not a number and holds integers of any size.
+"""
 
 import math
 
@@ -8,26 +11,26 @@ from common.errors import ConfigError
 def positive(**values: float) -> None:
     """Raise ConfigError unless every value is finite and above zero."""
     for name, value in values.items():
-        if not (math.isfinite(value) and value > 0):
+        if not 0 < value < math.inf:
             raise ConfigError(f"{name} must be above 0, not {value}.")
 
 
 def not_negative(**values: float) -> None:
     """Raise ConfigError unless every value is finite and at least zero."""
     for name, value in values.items():
-        if not (math.isfinite(value) and value >= 0):
+        if not 0 <= value < math.inf:
             raise ConfigError(f"{name} must be 0 or more, not {value}.")
 
 
 def within(low: float, high: float, **values: float) -> None:
     """Raise ConfigError unless every value lies in the closed interval from low to high."""
     for name, value in values.items():
-        if not (math.isfinite(value) and low <= value <= high):
+        if not low <= value <= high:
             raise ConfigError(f"{name} must be between {low} and {high}, not {value}.")
 
 
 def finite(**values: float) -> None:
     """Raise ConfigError unless every value is finite."""
     for name, value in values.items():
-        if not math.isfinite(value):
+        if not -math.inf < value < math.inf:
             raise ConfigError(f"{name} must be a finite number, not {value}.")

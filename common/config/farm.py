@@ -90,8 +90,9 @@ class WorldConfig:
         if not self.sensor_cycles:
             raise ConfigError("sensor_cycles must name at least one sensor type.")
         for cycle in (*self.sensor_cycles, self.vdf_cycle):
+            within(1, 1_000_000, cycle=cycle)
             steps = cycle / self.step_seconds
-            if cycle <= 0 or abs(steps - round(steps)) > 1e-9 or round(steps) < 1:
+            if abs(steps - round(steps)) > 1e-9 or round(steps) < 1:
                 raise ConfigError(f"a cycle of {cycle} s is not a whole number of steps of {self.step_seconds} s.")
 
     @property

@@ -1,0 +1,52 @@
+# make train   set up, then train EIA-SEC on this machine:  make train ARGS="--preset quick --workers 1"
+# make test    set up, then run every test:                 make test ARGS="tests/common -x"
+# make lint    set up, then ruff and mypy
+# make docs    set up, then write the generated pages of docs/ anew
+# make clean   remove the environment and all caches (runs/ stays)
+#
+# PYTHON    the interpreter that .venv is made from (3.11 or newer)
+# PIP_ARGS  added to every pip install, for instance the index of a CPU-only torch
+
+PYTHON ?= python3
+PIP_ARGS ?=
+ARGS ?=
+
+VENV := .venv
+READY := $(VENV)/.ready
+PIP := $(VENV)/bin/python -m pip --disable-pip-version-check install --quiet -c constraints.txt $(PIP_ARGS)
+
+.PHONY: train test lint docs setup clean
+
+train: $(READY)
+	@$(VENV)/bin/eia-sec train $(ARGS)
+
+test: $(READY)
+	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(VENV)/bin/python -m pytest $(ARGS)
+
+lint: $(READY)
+	@$(VENV)/bin/ruff check .
+	@$(VENV)/bin/ruff format --check .
+	@$(VENV)/bin/mypy
+
+docs: $(READY)
+	@$(VENV)/bin/python -m deploy.docs
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt
+	@command -v "$(PYTHON)" >/dev/null || { \
+	  echo "EIA-SEC needs Python 3.11 or newer, and $(PYTHON) was not found; name one with: make PYTHON=python3.11" >&2; \
+	  exit 2; }
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "EIA-SEC needs Python 3.11 or newer, and $$($(PYTHON) --version) was found;" \
+	       "name another with: make PYTHON=python3.11" >&2; \
+	  exit 2; }
+	@echo "Setting up $(VENV): a few minutes, only this once."
+	@"$(PYTHON)" -m venv $(VENV)
+	@$(PIP) torch==$$(sed -n 's/^torch==//p' constraints.txt) hatchling
+	@$(PIP) --no-build-isolation --editable '.[dev]'
+	@touch $(READY)
+
+clean:
+	rm -rf $(VENV) dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

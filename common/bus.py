@@ -1,0 +1,310 @@
+"""The only module that touches Zenoh.
+
+A `Bus` is one session on one lane. It offers the four deliveries that `common.keys` declares: acknowledged requests,
+latest-wins states, lossy puts, and liveliness tokens. Everything arrives through channels, never through callbacks,
+so that closing the bus ends every waiting thread.
+"""
+
+import json
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Final, Self
+
+import zenoh
+from zenoh import ext
+
+from common.endpoint import Endpoint, Lane
+from common.errors import BusClosedError, BusError, EndpointError, ForkedProcessError
+
+LEASE_MS: Final = 4000
+"""A frozen peer counts as gone after this time."""
+POLL_SECONDS: Final = 0.002
+"""Pause between two looks at a channel while waiting with a time limit."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One received message.
+
+    Attributes:
+        key: the concrete key it came on.
+        payload: the frame.
+        attachment: the envelope's frame, or empty.
+        present: False when a liveliness token vanished.
+    """
+
+    key: str
+    payload: bytes
+    attachment: bytes
+    present: bool = True
+
+
+class Incoming:
+    """A request that waits for its answer."""
+
+    def __init__(self, query: zenoh.Query) -> None:
+        self._query = query
+        self.key = str(query.key_expr)
+        self.payload = query.payload.to_bytes() if query.payload is not None else b""
+        self.attachment = query.attachment.to_bytes() if query.attachment is not None else b""
+
+    def reply(self, payload: bytes) -> None:
+        """Answer; the request is over afterwards. An asker who is gone is no error."""
+        with self._query as query:
+            query.reply(self.key, payload)
+
+    def refuse(self, reason: str) -> None:
+        """Answer with an error text; the request is over afterwards."""
+        with self._query as query:
+            query.reply_err(reason.encode())
+
+
+class Server:
+    """Requests on one key expression, in order of arrival, at most `capacity` of them waiting."""
+
+    def __init__(self, queryable: Any) -> None:
+        self._queryable = queryable
+
+    def poll(self) -> Incoming | None:
+        """Return the next request, or None when there is none now."""
+        query = self._queryable.handler.try_recv()
+        return None if query is None else Incoming(query)
+
+    def __iter__(self) -> Iterator[Incoming]:
+        """Yield requests until the bus is closed."""
+        while True:
+            try:
+                query = self._queryable.handler.recv()
+            except zenoh.ZError:
+                return
+            yield Incoming(query)
+
+
+class Subscription:
+    """Samples of one key expression."""
+
+    def __init__(self, subscriber: Any, misses: Any = None) -> None:
+        self._subscriber = subscriber
+        self._misses = misses
+        self.missed = 0
+
+    def poll(self) -> Sample | None:
+        """Return the next sample, or None when there is none now."""
+        if self._misses is not None:
+            while (miss := self._misses.try_recv()) is not None:
+                self.missed += miss.nb
+        sample = self._subscriber.handler.try_recv()
+        if sample is None:
+            return None
+        attachment = sample.attachment.to_bytes() if sample.attachment is not None else b""
+        present = sample.kind == zenoh.SampleKind.PUT
+        return Sample(str(sample.key_expr), sample.payload.to_bytes(), attachment, present)
+
+    def drain(self) -> Iterator[Sample]:
+        """Yield what has arrived by now."""
+        while (sample := self.poll()) is not None:
+            yield sample
+
+
+class Publisher:
+    """Puts on one key."""
+
+    def __init__(self, publisher: Any) -> None:
+        self._publisher = publisher
+
+    def put(self, payload: bytes, attachment: bytes = b"") -> None:
+        """Publish once."""
+        try:
+            self._publisher.put(payload, attachment=attachment or None)
+        except zenoh.ZError as error:
+            raise BusClosedError(f"the bus is closed: {error}") from error
+
+
+class Bus:
+    """One Zenoh session on one lane; use it as a context manager.
+
+    Raises (every method):
+        ForkedProcessError: in a process other than the one that opened it.
+        BusClosedError: after `close`.
+    """
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._pid = os.getpid()
+        self._closed = threading.Event()
+
+    @classmethod
+    def listen(cls, endpoint: Endpoint, lane: Lane) -> "Bus":
+        """Open a session that others connect to; raise EndpointError when the address is taken or not ours."""
+        try:
+            return cls(zenoh.open(_config("peer", listen=endpoint.locator(lane))))
+        except zenoh.ZError as error:
+            raise EndpointError(
+                f"cannot listen on {endpoint.locator(lane)}: the address is taken or not of this machine."
+            ) from error
+
+    @classmethod
+    def connect(
+        cls, endpoint: Endpoint, lane: Lane, wait: float = 0.0, waiting: Callable[[], bool] = lambda: True
+    ) -> "Bus":
+        """Open a session to a listener or a router.
+
+        Args:
+            endpoint: where it listens.
+            lane: which of its two ports.
+            wait: keep trying for this long, s.
+            waiting: asked between two tries; False gives up at once.
+
+        Raises:
+            EndpointError: when nobody answers there in that time.
+        """
+        deadline = time.monotonic() + wait
+        while True:
+            try:
+                return cls(zenoh.open(_config("client", connect=endpoint.locator(lane))))
+            except zenoh.ZError as error:
+                if time.monotonic() >= deadline or not waiting():
+                    raise EndpointError(f"nobody answers at {endpoint.locator(lane)}.") from error
+                time.sleep(0.2)
+
+    def serve(self, key: str, capacity: int) -> Server:
+        """Take requests on a key expression."""
+        return Server(self._open().declare_queryable(key, zenoh.handlers.FifoChannel(capacity), complete=True))
+
+    def ask(self, key: str, payload: bytes, timeout: float, attachment: bytes = b"") -> bytes | None:
+        """Send a request and wait for its answer.
+
+        Args:
+            key: a concrete key.
+            payload: the request's frame.
+            timeout: s.
+            attachment: the envelope's frame.
+
+        Returns:
+            The answer's frame, or None when nobody serves the key or the time ran out.
+
+        Raises:
+            BusError: when the other side refused with a reason.
+        """
+        session = self._open()
+        try:
+            replies = session.get(
+                key,
+                zenoh.handlers.FifoChannel(4),
+                payload=payload,
+                attachment=attachment or None,
+                timeout=timeout,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+        except zenoh.ZError as error:
+            raise BusClosedError(f"the bus is closed: {error}") from error
+        return self._answer(replies, time.monotonic() + timeout + 1.0)
+
+    def _answer(self, replies: Any, deadline: float) -> bytes | None:
+        pause = 0.0002
+        while time.monotonic() < deadline:
+            if self._closed.is_set():
+                raise BusClosedError("the bus was closed while a request was under way.")
+            try:
+                reply = replies.try_recv()
+            except zenoh.ZError:
+                return None
+            if reply is None:
+                time.sleep(pause)
+                pause = min(pause * 1.5, POLL_SECONDS)
+            elif reply.ok is not None:
+                return bytes(reply.ok.payload.to_bytes())
+            else:
+                text = reply.err.payload.to_bytes().decode(errors="replace")
+                if text.strip().lower() == "timeout":
+                    return None
+                raise BusError(f"refused: {text[:200]}")
+        return None
+
+    def publish(self, key: str) -> Publisher:
+        """Publish lossy puts on a key."""
+        return Publisher(self._open().declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP))
+
+    def subscribe(self, key: str, capacity: int) -> Subscription:
+        """Receive lossy puts; when more than `capacity` wait, the oldest are dropped."""
+        return Subscription(self._open().declare_subscriber(key, zenoh.handlers.RingChannel(capacity)))
+
+    def publish_state(self, key: str) -> Publisher:
+        """Publish a state: the latest value is kept for late joiners, gaps are detected."""
+        return Publisher(
+            ext.declare_advanced_publisher(
+                self._open(),
+                key,
+                cache=ext.CacheConfig(1),
+                sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=1.0),
+                publisher_detection=True,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+        )
+
+    def subscribe_state(self, key: str) -> Subscription:
+        """Receive a state: only the latest value waits; `missed` counts what was overtaken or lost."""
+        subscriber = ext.declare_advanced_subscriber(
+            self._open(),
+            key,
+            zenoh.handlers.RingChannel(1),
+            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+            recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+        )
+        return Subscription(subscriber, subscriber.sample_miss_listener(zenoh.handlers.RingChannel(64)))
+
+    def announce(self, key: str) -> Any:
+        """Declare a liveliness token; it vanishes with the session. Keep the returned object."""
+        return self._open().liveliness().declare_token(key)
+
+    def watch(self, key: str, capacity: int) -> Subscription:
+        """Receive liveliness changes, those of tokens that are already there first."""
+        return Subscription(
+            self._open().liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(capacity), history=True)
+        )
+
+    def close(self) -> None:
+        """Close the session; waiting threads end. Closing twice is no error."""
+        if not self._closed.is_set():
+            self._closed.set()
+            if self._pid == os.getpid():
+                self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub leaves close() without types
+
+    def _open(self) -> zenoh.Session:
+        if self._pid != os.getpid():
+            raise ForkedProcessError("a bus works only in the process that opened it.")
+        if self._closed.is_set():
+            raise BusClosedError("the bus is closed.")
+        return self._session
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _config(mode: str, listen: str | None = None, connect: str | None = None) -> zenoh.Config:
+    config = zenoh.Config()
+    values: dict[str, Any] = {
+        "mode": mode,
+        "listen/endpoints": [listen] if listen else [],
+        "listen/exit_on_failure": True,
+        "connect/endpoints": [connect] if connect else [],
+        "connect/timeout_ms": 1000,
+        "connect/exit_on_failure": True,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/shared_memory/enabled": False,
+    }
+    for key, value in values.items():
+        config.insert_json5(key, json.dumps(value))
+    return config

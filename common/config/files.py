@@ -1,0 +1,159 @@
+"""Configuration as TOML: written, read onto a base, compared and named by a digest.
+
+A section is a nested dataclass, `[farm.world]` for instance; a key is a field. A file may hold any part of the
+configuration: what it leaves out keeps the base's value.
+"""
+
+import dataclasses
+import difflib
+import hashlib
+import json
+import tomllib
+from pathlib import Path
+from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
+
+from common.config.run import RunConfig
+from common.errors import ConfigError
+
+_TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
+
+Value = bool | int | float | str | tuple[int, ...]
+"""What a field that is not a section holds."""
+
+
+def flatten(config: Any) -> dict[str, Value]:
+    """Return every field of a nested configuration dataclass by its dotted key, in the order of declaration."""
+    flat: dict[str, Value] = {}
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            flat.update({f"{field.name}.{key}": inner for key, inner in flatten(value).items()})
+        else:
+            flat[field.name] = value
+    return flat
+
+
+def to_toml(config: RunConfig) -> str:
+    """Return the whole configuration as TOML; `from_toml` gives back an equal one."""
+    sections: dict[str, list[str]] = {"": []}
+    for key, value in flatten(config).items():
+        section, _, name = key.rpartition(".")
+        sections.setdefault(section, []).append(f"{name} = {format_value(value)}")
+    blocks = ["\n".join(([f"[{name}]"] if name else []) + lines) for name, lines in sections.items()]
+    return "\n\n".join(blocks) + "\n"
+
+
+def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
+    """Return the base with the values of a TOML text or file.
+
+    Args:
+        source: TOML text, or the path of a file that holds it.
+        base: what the source leaves out.
+
+    Raises:
+        ConfigError: the file cannot be read, is not TOML, names an unknown key, or gives a key a value of the
+            wrong type or out of range.
+    """
+    text = _read(source) if isinstance(source, Path) else source
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        where = f"{source} is" if isinstance(source, Path) else "this is"
+        raise ConfigError(f"{where} not valid TOML: {str(error).lower().rstrip('.')}.") from error
+    merged: RunConfig = _merge(base, table, "")
+    return merged
+
+
+def differences(a: RunConfig, b: RunConfig) -> list[str]:
+    """Return one line `dotted.key: a -> b` for each field in which two configurations differ."""
+    other = flatten(b)
+    return [
+        f"{key}: {format_value(value)} -> {format_value(other[key])}"
+        for key, value in flatten(a).items()
+        if value != other[key]
+    ]
+
+
+def digest(config: RunConfig) -> str:
+    """Return sixteen hexadecimal digits that name this configuration; equal configurations have equal digests."""
+    return hashlib.sha256(to_toml(config).encode()).hexdigest()[:16]
+
+
+def format_value(value: Value) -> str:
+    """Return a field's value as TOML writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, tuple):
+        return "[" + ", ".join(format_value(item) for item in value) + "]"
+    return repr(value)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise ConfigError(f"the configuration file {path} cannot be read: {reason}.") from error
+
+
+def _merge(base: Any, table: dict[str, Any], prefix: str) -> Any:
+    """Return a copy of a dataclass with the table's values, checked field by field."""
+    hints = get_type_hints(type(base))
+    known = [field.name for field in dataclasses.fields(base)]
+    changes = {}
+    for name, value in table.items():
+        key = prefix + name
+        if name not in known:
+            raise ConfigError(_unknown(key, prefix))
+        current = getattr(base, name)
+        if not dataclasses.is_dataclass(current):
+            changes[name] = _convert(key, value, hints[name])
+        elif isinstance(value, dict):
+            changes[name] = _merge(current, value, key + ".")
+        else:
+            raise ConfigError(f"{key} must be a section [{key}], not {_show(value)}.")
+    try:
+        return dataclasses.replace(base, **changes)
+    except ConfigError as error:
+        raise ConfigError(f"in [{prefix[:-1]}], {error}" if prefix else str(error)) from error
+
+
+def _unknown(key: str, prefix: str) -> str:
+    """Return the sentence for a key that does not exist, with the closest one that does."""
+    keys = flatten(RunConfig())
+    sections = {whole.rpartition(".")[0] for whole in keys} | {whole.split(".")[0] for whole in keys} - {""}
+    name = key.removeprefix(prefix)
+    ending = {whole.rpartition(".")[2]: whole for whole in keys}
+    exact = ending.get(name)
+    close = [exact] if exact else difflib.get_close_matches(key, [*keys, *sections], n=1, cutoff=0.0)
+    return f"unknown configuration key {key}; the closest known one is {close[0]}."
+
+
+def _convert(key: str, value: Any, wanted: Any) -> Value:
+    """Return a TOML value as the field's type, or raise ConfigError."""
+    if get_origin(wanted) is Literal:
+        choices: tuple[Value, ...] = get_args(wanted)
+        if value not in choices or type(value) is not type(choices[0]):
+            raise ConfigError(f"{key} must be one of {', '.join(map(format_value, choices))}, not {_show(value)}.")
+        return choices[choices.index(value)]
+    if get_origin(wanted) is tuple:
+        if not isinstance(value, list) or any(type(item) is not int for item in value):
+            raise ConfigError(f"{key} must be a list of whole numbers, not {_show(value)}.")
+        return tuple(value)
+    if wanted is float and type(value) is int:
+        return float(value)
+    if type(value) is not wanted:
+        raise ConfigError(f"{key} must be {_TYPE_NAMES[wanted]}, not {_show(value)}.")
+    converted: Value = value
+    return converted
+
+
+def _show(value: Any) -> str:
+    """Return a TOML value for an error message, tables and dates included."""
+    if isinstance(value, dict):
+        return "a section"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_show, value)) + "]"
+    return format_value(value) if isinstance(value, bool | int | float | str) else str(value)

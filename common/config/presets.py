@@ -1,0 +1,66 @@
+"""The three presets: the defaults, the paper as printed, and a smoke run.
+
+The paper preset names every printed value of the method, so that tuning the defaults leaves it alone. Where the
+printed thing cannot work at all the correction stays: the signs of W1 and W8, the rule of A1, evaluation on farms
+that training never saw (W26). What the paper does not give (marked "(ours)" in the dataclasses) is the default's.
+"""
+
+from typing import Final
+
+from common.config.farm import EnergyConfig, FarmConfig, ObservationConfig
+from common.config.learning import AlgorithmConfig, EliteConfig, ReplayConfig
+from common.config.run import EvaluationConfig, LearnerConfig, RunConfig
+from common.errors import ConfigError
+
+
+def _paper() -> RunConfig:
+    """Return the paper's Table 2 with the printed forms of W5, W24, A7, A8, A9 and A10."""
+    return RunConfig(
+        episodes=2000,
+        farm=FarmConfig(energy=EnergyConfig(model="printed"), observation=ObservationConfig(form="printed")),
+        algorithm=AlgorithmConfig(
+            discount=0.99,
+            batch=128,
+            actor_rate=1e-4,
+            critic_rate=1e-5,
+            target_rate=0.005,
+            reward_scale=1.0,
+            ensemble=True,
+            ensemble_members=2,
+            mixture_epsilon=0.1,
+            ensemble_loss="mixture",
+            ensemble_gradient=True,
+            ensemble_copy_rate=0.1,
+            bootstrap="local",
+            target_actor=False,
+            actor_objective="local",
+            critic_scope="local",
+        ),
+        elite=EliteConfig(
+            enabled=True, rate=0.1, cycle=10, rate_decay=0.5, cycle_growth=2.0, rule="cycle_divides_episode", farms=1
+        ),
+        replay=ReplayConfig(capacity=2**16, updates_per_step=1.0),
+    )
+
+
+def _quick() -> RunConfig:
+    """Return a run of 32 episodes that shows every process at work and ends in a minute or two on two cores."""
+    return RunConfig(
+        episodes=32,
+        algorithm=AlgorithmConfig(hidden=64),
+        elite=EliteConfig(cycle=8, farms=2),
+        replay=ReplayConfig(capacity=16_384, warmup_steps=2_000, updates_per_step=0.25, slack_steps=2_000),
+        learner=LearnerConfig(checkpoint_seconds=15.0),
+        evaluation=EvaluationConfig(farms=4),
+    )
+
+
+PRESETS: Final[dict[str, RunConfig]] = {"default": RunConfig(), "quick": _quick(), "paper": _paper()}
+"""Every preset by name."""
+
+
+def preset(name: str) -> RunConfig:
+    """Return the preset of that name; raise ConfigError when there is none."""
+    if name not in PRESETS:
+        raise ConfigError(f"there is no preset {name!r}; the presets are {', '.join(PRESETS)}.")
+    return PRESETS[name]

@@ -1,0 +1,81 @@
+"""Where processes meet: one address, two ports.
+
+The control lane uses the port that is given, the bulk lane (transitions) the port after it. A stalled bulk consumer
+delays even urgent messages on the same link, so the lanes never share one.
+"""
+
+import ipaddress
+import re
+import socket
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from common.errors import EndpointError
+
+Lane = Literal["control", "bulk"]
+DEFAULT: Final = "tcp/127.0.0.1:7447"
+
+_FORM: Final = re.compile(r"(tcp|tls)/(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.\-]+):(\d{1,5})")
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A parsed endpoint.
+
+    Attributes:
+        protocol: tcp or tls.
+        host: name or address; IPv6 in brackets.
+        port: port of the control lane; the bulk lane has the next one.
+    """
+
+    protocol: str
+    host: str
+    port: int
+
+    @classmethod
+    def parse(cls, text: str) -> "Endpoint":
+        """Parse "tcp/HOST:PORT"; raise EndpointError with one sentence when it is none."""
+        match = _FORM.fullmatch(text)
+        if match is None or not 1 <= int(match[3]) <= 65_534:
+            raise EndpointError(f"{text!r} is not an endpoint; write tcp/HOST:PORT with a port of 1 to 65534.")
+        return cls(match[1], match[2], int(match[3]))
+
+    def locator(self, lane: Lane) -> str:
+        """Return the Zenoh locator of a lane."""
+        return f"{self.protocol}/{self.host}:{self.port + (lane == 'bulk')}"
+
+    @property
+    def is_loopback(self) -> bool:
+        """Whether only this machine can reach it."""
+        if self.host == "localhost":
+            return True
+        try:
+            return ipaddress.ip_address(self.host.strip("[]")).is_loopback
+        except ValueError:
+            return False
+
+    def require_private(self, insecure: bool) -> None:
+        """Raise EndpointError when listening here would let strangers in without authentication."""
+        if not (self.is_loopback or insecure):
+            raise EndpointError(
+                f"listening on {self} would let anybody who reaches it join the run; add --insecure if that is meant."
+            )
+
+    def __str__(self) -> str:
+        return self.locator("control")
+
+
+def free_endpoint() -> Endpoint:
+    """Return a loopback endpoint whose two ports are free at this moment."""
+    for _ in range(64):
+        with socket.socket() as first:
+            first.bind(("127.0.0.1", 0))
+            port = int(first.getsockname()[1])
+            try:
+                with socket.socket() as second:
+                    second.bind(("127.0.0.1", port + 1))
+            except (OSError, OverflowError):
+                continue
+            if port < 65_534:
+                return Endpoint("tcp", "127.0.0.1", port)
+    raise EndpointError("no two neighbouring loopback ports are free.")

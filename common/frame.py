@@ -1,0 +1,115 @@
+"""The one byte layout of everything on the wire.
+
+    magic 4s | protocol u8 | kind u8 | reserved u16 | header bytes u32 | body bytes u64 | CRC-32 of header and body u32
+    header: msgpack {"fields": {...}, "arrays": [[name, dtype, [shape]], ...]}
+    body:   the arrays, row-major, one after another, without padding
+
+A frame is checked completely, sizes first, before any memory is taken for what it claims to hold.
+"""
+
+import math
+import struct
+import zlib
+from collections.abc import Mapping
+from typing import Any, Final
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import FrameError, SchemaError, VersionError
+
+PROTOCOL: Final = 1
+"""Version of the protocol; it also stands in every key."""
+MAX_FRAME: Final = 256 * 1024 * 1024
+"""Largest frame that is ever looked into, bytes."""
+MAX_HEADER: Final = 4 * 1024 * 1024
+"""Largest msgpack header, bytes."""
+
+_PREFIX: Final = struct.Struct("<4sBBHIQI")
+_MAGIC: Final = b"EIAS"
+_DTYPES: Final = {"<f4": 4, "<f8": 8, "|u1": 1, "<i4": 4, "<i8": 8}
+
+Array = NDArray[Any]
+
+
+def encode(kind: int, fields: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
+    """Return the frame of one message.
+
+    Args:
+        kind: the message type's number, 0..255.
+        fields: msgpack-able values.
+        arrays: float32, float64, uint8, int32 or int64 arrays of any shape.
+
+    Raises:
+        SchemaError: when an array has another dtype.
+    """
+    listing, parts = [], []
+    for name, array in arrays.items():
+        if array.dtype.str not in _DTYPES:
+            raise SchemaError(f"array {name} has dtype {array.dtype}, which the protocol does not carry.")
+        listing.append([name, array.dtype.str, list(array.shape)])
+        parts.append(np.ascontiguousarray(array).data.cast("B") if array.size else b"")
+    header = msgpack.packb({"fields": dict(fields), "arrays": listing})
+    crc = zlib.crc32(header)
+    for part in parts:
+        crc = zlib.crc32(part, crc)
+    body = sum(len(part) for part in parts)
+    return b"".join((_PREFIX.pack(_MAGIC, PROTOCOL, kind, 0, len(header), body, crc), header, *parts))
+
+
+def decode(data: bytes, kind: int) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return fields and arrays of a frame; the arrays are read-only views of the data.
+
+    Raises:
+        FrameError: when the bytes are not a whole frame of this kind.
+        VersionError: when the frame speaks another protocol version.
+        SchemaError: when the header lists arrays that the body cannot hold.
+    """
+    if not _PREFIX.size <= len(data) <= MAX_FRAME:
+        raise FrameError(f"{len(data)} bytes are no frame.")
+    magic, protocol, found, _, header_size, body_size, crc = _PREFIX.unpack_from(data)
+    if magic != _MAGIC:
+        raise FrameError("the bytes do not begin like a frame.")
+    if protocol != PROTOCOL:
+        raise VersionError(f"the frame speaks protocol {protocol}, this process {PROTOCOL}.")
+    if found != kind:
+        raise FrameError(f"the frame is of kind {found}, not {kind}.")
+    if header_size > MAX_HEADER or _PREFIX.size + header_size + body_size != len(data):
+        raise FrameError("the frame's length is not what its prefix says.")
+    view = memoryview(data)
+    if zlib.crc32(view[_PREFIX.size :]) != crc:
+        raise FrameError("the frame's checksum does not fit its content.")
+    fields, listing = _header(data[_PREFIX.size : _PREFIX.size + header_size])
+    return fields, _arrays(data, listing, _PREFIX.size + header_size, body_size)
+
+
+def _header(data: bytes) -> tuple[dict[str, Any], list[Any]]:
+    try:
+        header = msgpack.unpackb(data, strict_map_key=True)
+        fields, listing = header["fields"], header["arrays"]
+    except (ValueError, KeyError, TypeError, msgpack.exceptions.UnpackException, RecursionError) as error:
+        raise FrameError(f"the frame's header is not readable: {error}") from error
+    if not isinstance(fields, dict) or not isinstance(listing, list) or len(listing) > 4096:
+        raise FrameError("the frame's header is not a header.")
+    return fields, listing
+
+
+def _arrays(data: bytes, listing: list[Any], start: int, size: int) -> dict[str, Array]:
+    arrays: dict[str, Array] = {}
+    end = start + size
+    for entry in listing:
+        if not (isinstance(entry, list) and len(entry) == 3 and isinstance(entry[0], str)):
+            raise SchemaError("an array's description is malformed.")
+        name, dtype, shape = entry
+        whole = isinstance(shape, list) and len(shape) <= 8 and all(type(n) is int and 0 <= n < 2**40 for n in shape)
+        if not isinstance(dtype, str) or dtype not in _DTYPES or not whole or name in arrays:
+            raise SchemaError(f"array {name[:40]!r} is described as {str(dtype)[:20]}{str(shape)[:40]}.")
+        count = math.prod(shape)
+        if start + count * _DTYPES[dtype] > end:
+            raise SchemaError(f"array {name[:40]!r} reaches beyond the frame.")
+        arrays[name] = np.frombuffer(data, dtype=dtype, count=count, offset=start).reshape(shape)
+        start += count * _DTYPES[dtype]
+    if start != end:
+        raise SchemaError("the frame holds bytes that no array claims.")
+    return arrays

@@ -1,0 +1,113 @@
+"""Every key expression of the protocol: the whole table, one formatter, one parser.
+
+    eia-sec/v1/{run}/transition/{worker}        request   worker -> learner        ChunkMessage, ChunkAck back
+    eia-sec/v1/{run}/params/actors              state     learner -> everybody     ParametersMessage
+    eia-sec/v1/{run}/ctl/progress               state     learner -> everybody     ProgressMessage
+    eia-sec/v1/{run}/ctl/learner/{verb}         request   anybody -> learner       CommandMessage, an answer back
+    eia-sec/v1/{run}/eval/{worker}              request   coordinator -> worker    EvaluationOrder, result back
+    eia-sec/v1/{run}/imitation/learner          request   coordinator -> learner   ImitationMessage, receipt
+    eia-sec/v1/{run}/imitation/event            state     coordinator -> everybody ImitationMessage
+    eia-sec/v1/{run}/metric/{role}/{name}       lossy     every process            MetricMessage
+    eia-sec/v1/{run}/live/{role}/{name}         token     every process            presence
+
+*request*: acknowledged, resent until answered. *state*: latest wins, late joiners get it. *lossy*: may be dropped, a
+running counter shows the gaps. *token*: Zenoh liveliness.
+"""
+
+import re
+from dataclasses import dataclass
+from typing import Final
+
+from common.errors import ConfigError, KeyExpressionError
+from common.frame import PROTOCOL
+
+ROOT: Final = f"eia-sec/v{PROTOCOL}"
+_SEGMENT: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,62}")
+
+
+@dataclass(frozen=True)
+class KeyFamily:
+    """One shape of key.
+
+    Attributes:
+        plane: first segment after the run: transition, params, ctl, eval, imitation, metric or live.
+        template: the segments after the run, variables in braces.
+        delivery: request, state, lossy or token.
+    """
+
+    plane: str
+    template: str
+    delivery: str
+
+    def key(self, run: str, **variables: str) -> str:
+        """Return the key for a run; raise ConfigError when a name cannot be a key segment."""
+        for name, value in {"run": run, **variables}.items():
+            check_name(value, name)
+        return f"{ROOT}/{run}/{self.template.format(**variables)}"
+
+    def pattern(self, run: str, **variables: str) -> str:
+        """Return the key expression that covers the family in one run, or the part of it that the variables name."""
+        wanted = {name: "*" for name in re.findall(r"{([a-z]+)}", self.template)}
+        for name, value in {"run": run, **variables}.items():
+            check_name(value, name)
+        return f"{ROOT}/{run}/{self.template.format(**{**wanted, **variables})}"
+
+
+TRANSITION: Final = KeyFamily("transition", "transition/{worker}", "request")
+PARAMETERS: Final = KeyFamily("params", "params/actors", "state")
+PROGRESS: Final = KeyFamily("ctl", "ctl/progress", "state")
+COMMAND: Final = KeyFamily("ctl", "ctl/learner/{verb}", "request")
+EVALUATION: Final = KeyFamily("eval", "eval/{worker}", "request")
+IMITATION: Final = KeyFamily("imitation", "imitation/learner", "request")
+IMITATION_EVENT: Final = KeyFamily("imitation", "imitation/event", "state")
+METRIC: Final = KeyFamily("metric", "metric/{role}/{name}", "lossy")
+LIVE: Final = KeyFamily("live", "live/{role}/{name}", "token")
+
+FAMILIES: Final = (
+    TRANSITION,
+    PARAMETERS,
+    PROGRESS,
+    COMMAND,
+    EVALUATION,
+    IMITATION,
+    IMITATION_EVENT,
+    METRIC,
+    LIVE,
+)
+
+
+@dataclass(frozen=True)
+class ParsedKey:
+    """A key taken apart.
+
+    Attributes:
+        family: the declaration that covers it.
+        run: the run's name.
+        variables: the values of the template's variables.
+    """
+
+    family: KeyFamily
+    run: str
+    variables: dict[str, str]
+
+
+def check_name(value: str, what: str) -> str:
+    """Return the value when it can be a key segment; raise ConfigError otherwise."""
+    if not _SEGMENT.fullmatch(value):
+        raise ConfigError(f"{what} {value!r} must be 1 to 63 letters, digits, '.', '_' or '-'.")
+    return value
+
+
+def parse(key: str) -> ParsedKey:
+    """Take a concrete key apart; raise KeyExpressionError for wildcards and for keys of no family."""
+    head, segments = key.split("/")[:2], key.split("/")[2:]
+    if "/".join(head) != ROOT or len(segments) < 3 or not all(_SEGMENT.fullmatch(part) for part in segments):
+        raise KeyExpressionError(f"{key[:120]!r} is not a key of {ROOT}.")
+    run, rest = segments[0], segments[1:]
+    for family in FAMILIES:
+        template = family.template.split("/")
+        if len(template) == len(rest):
+            variables = {t[1:-1]: part for t, part in zip(template, rest, strict=True) if t.startswith("{")}
+            if all(t.startswith("{") or t == part for t, part in zip(template, rest, strict=True)):
+                return ParsedKey(family, run, variables)
+    raise KeyExpressionError(f"{key[:120]!r} belongs to no family of keys.")

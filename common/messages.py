@@ -1,0 +1,313 @@
+"""Every message type of the protocol, one dataclass each; `common.keys` says where each one travels.
+
+A message's scalar fields go into the frame's header, its arrays into the body, by name. Decoding checks every type
+against the dataclass, so a message that exists is a message that fits its declaration.
+"""
+
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common import frame
+from common.errors import SchemaError
+from common.team import Float32
+
+
+class Message:
+    """Base of all messages: a frozen dataclass with a KIND that encodes and decodes itself."""
+
+    KIND: ClassVar[int] = 0
+
+    def encode(self) -> bytes:
+        """Return the message's frame."""
+        scalars: dict[str, Any] = {}
+        arrays: dict[str, frame.Array] = {}
+        for item in fields(self):  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray):
+                arrays[item.name] = value
+            elif isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
+                arrays.update({f"{item.name}.{index}": part for index, part in enumerate(value)})
+            else:
+                scalars[item.name] = value
+        return frame.encode(self.KIND, scalars, arrays)
+
+    @classmethod
+    def decode(cls, data: bytes) -> Self:
+        """Rebuild a message from its frame.
+
+        Raises:
+            FrameError, VersionError: when the bytes are not such a frame.
+            SchemaError: when a field is missing, unknown or of another type.
+        """
+        scalars, arrays = frame.decode(data, cls.KIND)
+        values: dict[str, Any] = {}
+        hints = get_type_hints(cls)
+        for item in fields(cls):  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
+            values[item.name] = _take(item.name, hints[item.name], scalars, arrays)
+        if scalars or arrays:
+            raise SchemaError(f"{cls.__name__} has no field {sorted([*scalars, *arrays])[0][:40]!r}.")
+        return cls(**values)
+
+
+def _take(name: str, kind: Any, scalars: dict[str, Any], arrays: dict[str, frame.Array]) -> Any:
+    if get_origin(kind) is np.ndarray:
+        if name not in arrays:
+            raise SchemaError(f"array {name} is missing.")
+        return _array(name, kind, arrays.pop(name))
+    if get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is np.ndarray:
+        parts: list[frame.Array] = []
+        while f"{name}.{len(parts)}" in arrays:
+            parts.append(_array(name, get_args(kind)[0], arrays.pop(f"{name}.{len(parts)}")))
+        return tuple(parts)
+    if name not in scalars:
+        raise SchemaError(f"field {name} is missing.")
+    return _scalar(name, kind, scalars.pop(name))
+
+
+def _array(name: str, kind: Any, value: frame.Array) -> frame.Array:
+    wanted = np.dtype(get_args(get_args(kind)[1])[0])
+    if value.dtype != wanted:
+        raise SchemaError(f"array {name} is {value.dtype}, not {wanted}.")
+    return value
+
+
+def _scalar(name: str, kind: Any, value: Any) -> Any:
+    if get_origin(kind) is tuple:
+        if not isinstance(value, list):
+            raise SchemaError(f"field {name} is not a list.")
+        return tuple(_scalar(name, get_args(kind)[0], part) for part in value)
+    if get_origin(kind) is dict:
+        if not isinstance(value, dict) or len(value) > 4096:
+            raise SchemaError(f"field {name} is not a map.")
+        return value
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind:
+        raise SchemaError(f"field {name} is {type(value).__name__}, not {kind.__name__}.")
+    if kind is int and not 0 <= value < 2**63:
+        raise SchemaError(f"field {name} is {value}, out of range.")
+    if kind is float and not math.isfinite(value):
+        raise SchemaError(f"field {name} is not finite.")
+    return value
+
+
+@dataclass(frozen=True)
+class Envelope(Message):
+    """Who sent a payload; travels as its attachment.
+
+    Attributes:
+        role: rollout, learner, elite or monitor.
+        name: the process's name inside its role.
+        incarnation: a number that grows with every start of a process of this name.
+        sequence: running number of what this sender sends on this key, from 1.
+        version: parameter version that the sender held.
+    """
+
+    KIND = 1
+    role: str
+    name: str
+    incarnation: int
+    sequence: int
+    version: int = 0
+
+
+@dataclass(frozen=True)
+class ChunkMessage(Message):
+    """Rows of transitions and the episodes that ended in them.
+
+    Attributes:
+        team: digest of the team layout.
+        oldest: sequence number of the oldest chunk that the worker still holds.
+        produced: environment steps that this incarnation has produced up to and with this chunk.
+        observation, action, reward, flag: the rows, see `common.transitions.Rows`.
+        farm, episode, steps: [K] int64 for each finished episode.
+        episode_reward: [K, agents] float32.
+        episode_figures: [K, 5] float64: aoi, vdf, collisions, boundary, energy_j.
+    """
+
+    KIND = 2
+    team: str
+    oldest: int
+    produced: int
+    observation: Float32
+    action: Float32
+    reward: Float32
+    flag: NDArray[np.uint8]
+    farm: NDArray[np.int64]
+    episode: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    episode_reward: Float32
+    episode_figures: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ChunkAck(Message):
+    """The learner's answer to a chunk.
+
+    Attributes:
+        status: accepted, duplicate, gap or refused.
+        expected: the next sequence number that the learner takes from this worker.
+        required_version: parameter version that the worker must hold before its next chunk; 0 asks for none.
+        reason: why it was refused, else empty.
+    """
+
+    KIND = 3
+    status: str
+    expected: int
+    required_version: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class ParametersMessage(Message):
+    """All actors, at one version.
+
+    Attributes:
+        epoch: the learner's fencing epoch; parameters of a lower epoch are never applied.
+        version: grows with every publication.
+        event: number of imitation events that are in these parameters.
+        environment_steps: steps that the learner had accepted.
+        progress: share of the run's episodes that are done, 0..1.
+        team: digest of the team layout.
+        hidden: width of the hidden layers.
+        flat: for each type, [n_v, P_v] float32, see `common.actors`.
+    """
+
+    KIND = 4
+    epoch: int
+    version: int
+    event: int
+    environment_steps: int
+    progress: float
+    team: str
+    hidden: int
+    flat: tuple[Float32, ...]
+
+
+@dataclass(frozen=True)
+class ProgressMessage(Message):
+    """Where the learner stands; small, sent often.
+
+    Attributes:
+        epoch: the learner's fencing epoch.
+        version: newest published parameter version.
+        events: imitation events applied.
+        episodes: training episodes finished.
+        environment_steps: environment steps accepted.
+        updates: update rounds done.
+        state: starting, training, draining or finished.
+    """
+
+    KIND = 5
+    epoch: int
+    version: int
+    events: int
+    episodes: int
+    environment_steps: int
+    updates: int
+    state: str
+
+
+@dataclass(frozen=True)
+class CommandMessage(Message):
+    """A request to the learner; the verb stands in the key: configuration or drain."""
+
+    KIND = 6
+    sender: str
+
+
+@dataclass(frozen=True)
+class ConfigurationMessage(Message):
+    """What a process needs to take part.
+
+    Attributes:
+        epoch: the learner's fencing epoch.
+        toml: the run's configuration.
+        lockstep: whether worker and learner take turns.
+    """
+
+    KIND = 7
+    epoch: int
+    toml: str
+    lockstep: bool
+
+
+@dataclass(frozen=True)
+class ReceiptMessage(Message):
+    """A yes or a no with its reason."""
+
+    KIND = 8
+    done: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class EvaluationOrder(Message):
+    """A request for noise-free episodes.
+
+    Attributes:
+        event: the imitation event that they are for.
+        version: parameter version that the worker must at least hold.
+        farms: farm seeds, one episode on each.
+        episodes: episode seeds.
+    """
+
+    KIND = 9
+    event: int
+    version: int
+    farms: tuple[int, ...]
+    episodes: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class EvaluationResult(Message):
+    """Noise-free episodes, step by step.
+
+    Attributes:
+        event: the imitation event that they are for.
+        version: parameter version that was evaluated.
+        reward: [F, T, agents] float32 step rewards R_v-i.
+    """
+
+    KIND = 10
+    event: int
+    version: int
+    reward: Float32
+
+
+@dataclass(frozen=True)
+class ImitationMessage(Message):
+    """One imitation event, see `common.imitation.ImitationEvent`."""
+
+    KIND = 11
+    event: int
+    version: int
+    episode: int
+    rate: float
+    elites: tuple[int, ...]
+    scores: tuple[tuple[float, ...], ...]
+    evaluation_steps: int
+
+
+@dataclass(frozen=True)
+class MetricMessage(Message):
+    """A lossy report of one process.
+
+    Attributes:
+        counter: grows by one with each report, so that gaps can be seen.
+        host: the machine's name.
+        pid: the process's number.
+        uptime: seconds since start.
+        values: figures by name; numbers, strings, lists and maps of them.
+    """
+
+    KIND = 12
+    counter: int
+    host: str
+    pid: int
+    uptime: float
+    values: dict[str, Any] = field(default_factory=dict)

@@ -1,0 +1,152 @@
+"""A trained policy in one file: all actors of a team, the team they fit, and where they come from.
+
+The file is safetensors: eight bytes with the header's length, a JSON header, then the numbers. Everything that the
+header promises is compared with the team and with the file's size before any array is made. One tensor for each
+type, [n_v, P_v], as 32- or 16-bit floats; all metadata are strings.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from common.actors import ActorBank, parameter_count
+from common.errors import EiaSecError, PolicyError
+from common.team import TeamSpec
+
+FORMAT: Final = "eia-sec policy 1"
+MAX_FILE_BYTES: Final = 256 * 2**20
+MAX_HEADER_BYTES: Final = 64 * 2**10
+MAX_HIDDEN: Final = 65_536
+RESERVED: Final = ("format", "team", "hidden", "digest")
+"""Metadata keys that this module writes itself."""
+_ITEM_BYTES: Final = {"F32": 4, "F16": 2}
+
+
+def save_policy(path: Path, bank: ActorBank, metadata: Mapping[str, str], *, half: bool = False) -> None:
+    """Write a policy; the file appears whole or not at all.
+
+    Args:
+        path: the file; an existing one is replaced.
+        bank: the actors.
+        metadata: provenance, for instance `command`, `seed` and `commit`.
+        half: store 16-bit floats, which halves the file and rounds the parameters to 11 significant bits.
+
+    Raises:
+        PolicyError: a metadata key is reserved, a parameter is too large for 16 bits, or the file cannot be written.
+    """
+    taken = sorted(set(metadata) & set(RESERVED))
+    if taken:
+        raise PolicyError(f"the metadata key {taken[0]!r} of a policy is reserved.")
+    stored = [flat.astype(np.float16) if half else flat for flat in bank.flat]
+    if not all(np.isfinite(flat).all() for flat in stored):
+        raise PolicyError("a parameter of the policy is too large for 16-bit storage.")
+    header = {
+        **metadata,
+        "format": FORMAT,
+        "team": json.dumps(bank.team.to_dict()),
+        "hidden": str(bank.hidden),
+        "digest": _digest(stored),
+    }
+    names = [group.name for group in bank.team.groups]
+    _write(path, save(dict(zip(names, stored, strict=True)), metadata=header))
+
+
+def load_policy(path: Path) -> tuple[ActorBank, dict[str, str]]:
+    """Read a policy.
+
+    Args:
+        path: a file that `save_policy` wrote.
+
+    Returns:
+        The actors, and the metadata that were given when they were saved.
+
+    Raises:
+        PolicyError: the file is missing, cut, altered, oversized or no policy.
+    """
+    data = _read(path)
+    try:
+        header, metadata = _header(data)
+        team, hidden = TeamSpec.from_dict(json.loads(metadata["team"])), int(metadata["hidden"])
+        _compare(header, team, hidden, len(data))
+        tensors = load(data)
+        stored = [tensors[group.name] for group in team.groups]
+        if _digest(stored) != metadata["digest"]:
+            raise PolicyError("its numbers are not those that were saved")
+        bank = ActorBank(team, hidden, tuple(np.ascontiguousarray(flat, dtype=np.float32) for flat in stored))
+    except (EiaSecError, SafetensorError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")
+        raise PolicyError(f"{path} is not a whole policy file: {reason}.") from error
+    return bank, {key: value for key, value in metadata.items() if key not in RESERVED}
+
+
+def _read(path: Path) -> bytes:
+    """Return the file's bytes unless there are more than any policy has."""
+    try:
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if size > MAX_FILE_BYTES:
+                raise PolicyError(f"{path} holds {size:,} bytes, a policy has at most {MAX_FILE_BYTES:,}.")
+            return file.read(size)
+    except OSError as error:
+        raise PolicyError(f"the policy file {path} cannot be read: {error.strerror}.") from error
+
+
+def _header(data: bytes) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the tensors' entries and the metadata of the JSON header."""
+    length = int.from_bytes(data[:8], "little")
+    if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):
+        raise PolicyError("its header is cut or oversized")
+    header = json.loads(data[8 : 8 + length].decode("utf-8"))
+    metadata = header.pop("__metadata__")
+    if metadata.get("format") != FORMAT:
+        raise PolicyError(f"it is not in the format {FORMAT!r}")
+    return header, metadata
+
+
+def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, size: int) -> None:
+    """Raise PolicyError unless the header promises this team's tensors and the file's size fits them."""
+    if not 1 <= hidden <= MAX_HIDDEN or set(header) != {group.name for group in team.groups}:
+        raise PolicyError("its tensors are not those of its team")
+    expected = 0
+    for group in team.groups:
+        entry = header[group.name]
+        shape = [group.count, parameter_count(group.observation_size, hidden, group.action_size)]
+        if entry["dtype"] not in _ITEM_BYTES or entry["shape"] != shape:
+            raise PolicyError(f"its {group.name} actors are {entry['dtype']}{entry['shape']}, not floats {shape}")
+        expected += _ITEM_BYTES[entry["dtype"]] * shape[0] * shape[1]
+    held = max(entry["data_offsets"][1] for entry in header.values())
+    if held != expected or size < expected:
+        raise PolicyError(f"it holds {held:,} bytes of parameters, its team needs {expected:,}")
+
+
+def _digest(stored: Sequence[NDArray[Any]]) -> str:
+    """Return the SHA-256 of the numbers as they are stored."""
+    state = hashlib.sha256()
+    for flat in stored:
+        state.update(np.ascontiguousarray(flat).tobytes())
+    return state.hexdigest()
+
+
+def _write(path: Path, data: bytes) -> None:
+    temporary: str | None = None
+    try:
+        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        raise PolicyError(f"the policy file {path} cannot be written: {error.strerror}.") from error

@@ -1,0 +1,79 @@
+"""A process's own copy of the actors: which parameters it takes, and when it applies an imitation event to them."""
+
+from common.actors import ActorBank, imitate
+from common.errors import VersionError
+from common.imitation import ImitationEvent
+from common.messages import ParametersMessage
+from common.team import TeamSpec
+
+
+class PolicyStore:
+    """The newest actors, never older ones, with every known imitation event in them exactly once.
+
+    Parameters carry the number of events that are already in them. When an event arrives that the copy lacks, it is
+    applied at once; when parameters arrive that were sent before the event was known to the learner, it is applied to
+    them again.
+
+    Attributes:
+        team: the layout that all parameters must have.
+        bank: the actors, or None before the first parameters.
+        epoch: fencing epoch of the learner that sent them.
+        version: their version.
+        event: events that are in them.
+        environment_steps: steps that the learner had accepted when it sent them.
+        progress: share of the run that was done then.
+        stale: messages that were not newer and so were not applied.
+    """
+
+    def __init__(self, team: TeamSpec) -> None:
+        self.team = team
+        self.bank: ActorBank | None = None
+        self.epoch = 0
+        self.version = 0
+        self.event = 0
+        self.environment_steps = 0
+        self.progress = 0.0
+        self.stale = 0
+        self._latest: ImitationEvent | None = None
+
+    def offer_parameters(self, message: ParametersMessage) -> bool:
+        """Take parameters when they are newer; return whether they were taken.
+
+        Raises:
+            VersionError: when they are for another team.
+            SchemaError: when an array does not fit or is not finite.
+        """
+        if message.team != self.team.digest:
+            raise VersionError(f"parameters for team {message.team[:16]} offered to team {self.team.digest}.")
+        if (message.epoch, message.version) <= (self.epoch, self.version):
+            self.stale += 1
+            return False
+        bank = ActorBank(self.team, message.hidden, tuple(flat.copy() for flat in message.flat))
+        if message.epoch != self.epoch:
+            self._latest = None
+        self.bank, self.epoch, self.version, self.event = bank, message.epoch, message.version, message.event
+        self.environment_steps, self.progress = message.environment_steps, message.progress
+        self._apply()
+        return True
+
+    def offer_imitation(self, event: ImitationEvent) -> bool:
+        """Take an imitation event; return whether it changed the copy now.
+
+        Raises:
+            SchemaError: when it does not fit the team.
+        """
+        event.check(self.team)
+        if self._latest is None or event.event > self._latest.event:
+            self._latest = event
+            return self._apply()
+        self.stale += 1
+        return False
+
+    def _apply(self) -> bool:
+        event = self._latest
+        if event is None or self.bank is None or event.event != self.event + 1:
+            return False
+        for flat, elite in zip(self.bank.flat, event.elites, strict=True):
+            imitate(flat, elite, event.rate)
+        self.event = event.event
+        return True

@@ -1,0 +1,125 @@
+"""What every process of a run does alike: find the learner, say that it lives, report, and stop when told."""
+
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from types import FrameType
+from typing import Any, Final
+
+from common import keys
+from common.bus import Bus, Publisher
+from common.endpoint import Endpoint
+from common.errors import BusError
+from common.messages import CommandMessage, ConfigurationMessage, Envelope, MetricMessage
+
+
+SUPERVISOR: Final = "EIA_SEC_SUPERVISOR"
+"""Environment variable with the process number of the supervisor, whose death is a reason to stop."""
+ORPHAN_SECONDS: Final = 0.5
+
+
+class StopSignal:
+    """SIGINT and SIGTERM, and the death of the supervisor, as an event; loops end at a place of their choosing."""
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+
+    def install(self) -> None:
+        """Take over SIGINT and SIGTERM; only the main thread may call it."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+        supervisor = os.environ.get(SUPERVISOR, "")
+        if supervisor.isdecimal():
+            threading.Thread(target=self._watch, args=(int(supervisor),), name="orphan-watch", daemon=True).start()
+
+    def _watch(self, supervisor: int) -> None:
+        while os.getppid() == supervisor:
+            if self.event.wait(ORPHAN_SECONDS):
+                return
+        log("the supervisor is gone; stopping.")
+        self.event.set()
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.event.set()
+
+    def __bool__(self) -> bool:
+        return self.event.is_set()
+
+
+def log(text: str) -> None:
+    """Write one line with the time of day to standard error."""
+    sys.stderr.write(f"{time.strftime('%H:%M:%S')} {text}\n")
+    sys.stderr.flush()
+
+
+class Presence:
+    """A process's liveliness token and its stream of lossy metrics.
+
+    Args:
+        bus: the control lane.
+        run: the run's name.
+        role: rollout, learner or elite.
+        name: the process's name inside its role.
+        incarnation: number of this start.
+    """
+
+    def __init__(self, bus: Bus, run: str, role: str, name: str, incarnation: int) -> None:
+        self._token = bus.announce(keys.LIVE.key(run, role=role, name=name))
+        self._publisher: Publisher = bus.publish(keys.METRIC.key(run, role=role, name=name))
+        self._sender = (role, name, incarnation)
+        self._counter = 0
+        self._started = time.monotonic()
+
+    def report(self, values: dict[str, Any], version: int = 0) -> None:
+        """Publish one metric message."""
+        self._counter += 1
+        uptime = time.monotonic() - self._started
+        message = MetricMessage(self._counter, socket.gethostname(), os.getpid(), uptime, values)
+        envelope = Envelope(*self._sender, sequence=self._counter, version=version)
+        self._publisher.put(message.encode(), envelope.encode())
+
+
+def incarnation() -> int:
+    """Return a number that grows with every start of a process on one machine."""
+    return time.time_ns() // 1000
+
+
+def fetch_configuration(
+    bus: Bus, run: str, sender: str, keep_waiting: Callable[[], bool], patience: float
+) -> ConfigurationMessage | None:
+    """Ask the learner for the run's configuration until it answers.
+
+    Args:
+        bus: the control lane.
+        run: the run's name.
+        sender: who asks, for the learner's log.
+        keep_waiting: asked between two tries; False gives up.
+        patience: seconds after which to say that we are waiting, and again every so often.
+
+    Returns:
+        The answer, or None when `keep_waiting` said no.
+    """
+    key = keys.COMMAND.key(run, verb="configuration")
+    told = time.monotonic()
+    while keep_waiting():
+        try:
+            answer = bus.ask(key, CommandMessage(sender).encode(), timeout=5.0)
+        except BusError as error:
+            log(f"the learner of run {run} refused: {error}")
+            answer = None
+        if answer is not None:
+            return ConfigurationMessage.decode(answer)
+        if time.monotonic() - told > patience:
+            log(f"waiting for a learner of run {run}.")
+            told = time.monotonic()
+        time.sleep(0.2)
+    return None
+
+
+def connect(endpoint: Endpoint, lane: Any, stop: StopSignal, patience: float) -> Bus:
+    """Connect a lane, waiting `patience` seconds for somebody to listen; raise EndpointError when nobody does."""
+    return Bus.connect(endpoint, lane, wait=patience, waiting=lambda: not stop)

@@ -1,0 +1,58 @@
+"""The console command `eia-sec`: one word for the process to start, the rest are its options."""
+
+import importlib
+import sys
+from dataclasses import dataclass
+from typing import Final
+
+from common.errors import UsageError
+from deploy.exit_codes import run_command
+
+
+@dataclass(frozen=True)
+class Command:
+    """One subcommand.
+
+    Attributes:
+        module: the module whose `command(arguments)` does it; imported only when it is asked for.
+        summary: one line for the overview.
+    """
+
+    module: str
+    summary: str
+
+
+COMMANDS: Final = {
+    "train": Command("deploy.commands.train", "train on this machine: learner, coordinator, workers, live view"),
+    "learner": Command("deploy.commands.learner", "start the learner alone"),
+    "rollout": Command("deploy.commands.rollout", "start one rollout worker"),
+    "elite": Command("deploy.commands.elite", "start the elite coordinator"),
+    "evaluate": Command("deploy.commands.evaluate", "fly a policy without noise on farms that training never saw"),
+    "monitor": Command("deploy.commands.monitor", "watch a run live from anywhere, read-only"),
+}
+
+
+def overview() -> str:
+    """Return the text of `eia-sec --help`."""
+    lines = [f"  {name:<10}{command.summary}" for name, command in COMMANDS.items()]
+    return "\n".join(["usage: eia-sec COMMAND [OPTIONS]", "", *lines, "", "eia-sec COMMAND --help shows its options."])
+
+
+def dispatch(arguments: list[str]) -> int:
+    """Run one command line; raise UsageError for a word that is no command."""
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        sys.stdout.write(overview() + "\n")
+        return 0 if arguments else 2
+    command = COMMANDS.get(arguments[0])
+    if command is None:
+        raise UsageError(f"there is no command {arguments[0]!r}; the commands are {', '.join(COMMANDS)}.")
+    return int(importlib.import_module(command.module).command(arguments[1:]) or 0)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    sys.exit(run_command(lambda: dispatch(sys.argv[1:])))
+
+
+if __name__ == "__main__":
+    main()

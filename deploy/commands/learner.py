@@ -1,0 +1,67 @@
+"""`eia-sec learner`: the learner alone, listening itself or behind a router."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from common.config import RunConfig
+from common.endpoint import DEFAULT, Endpoint
+from common.errors import UsageError
+from deploy.options import base_configuration, parse
+from deploy.rundir import RunDirectory
+from learner.service import LearnerOptions, serve
+
+
+@dataclass(frozen=True)
+class LearnerArguments:
+    """Start the learner alone."""
+
+    run: str = "farm"
+    """Name of the run; workers and coordinator give the same."""
+    listen: str | None = None
+    """Endpoint to listen on (control lane; the bulk lane takes the next port). Default: tcp/127.0.0.1:7447."""
+    connect: str | None = None
+    """Endpoint of a router, instead of listening."""
+    insecure: bool = False
+    """Listen on an address that other machines reach, without authentication."""
+    preset: str = "default"
+    """Configuration to begin from: default, paper or quick."""
+    config: Path | None = None
+    """TOML file with values that replace the preset's."""
+    run_dir: Path | None = None
+    """Folder for checkpoints, metrics and the policy; without it nothing is kept."""
+    resume: bool = False
+    """Go on from the newest whole checkpoint in the folder."""
+    lockstep: bool = False
+    """Take turns with exactly one worker, so that the outcome is bit-equal to a run inside one process."""
+    settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Run the learner until it is done; return 0."""
+    defaults = LearnerArguments(settings=base_configuration(arguments))
+    options = parse(LearnerArguments, arguments, "learner", defaults)
+    if options.listen and options.connect:
+        raise UsageError("give --listen or --connect, not both.")
+    if options.resume and options.run_dir is None:
+        raise UsageError("--resume needs --run-dir.")
+    endpoint = Endpoint.parse(options.connect or options.listen or DEFAULT)
+    if not options.connect:
+        endpoint.require_private(options.insecure)
+    if options.run_dir is not None:
+        RunDirectory(options.run_dir).prepare(options.settings, resume=options.resume)
+    serve(
+        LearnerOptions(
+            run=options.run,
+            endpoint=endpoint,
+            listen=not options.connect,
+            run_dir=options.run_dir,
+            resume=options.resume,
+            lockstep=options.lockstep,
+        ),
+        options.settings,
+    )
+    return 0

@@ -1,0 +1,72 @@
+"""`eia-sec monitor`: a plain Zenoh subscriber that shows a run live, read-only."""
+
+import dataclasses
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.live import Live
+
+from common.bus import Bus
+from common.endpoint import DEFAULT, Endpoint
+from common.keys import check_name
+from common.process import StopSignal
+from deploy.fleet import Fleet
+from deploy.options import parse
+from deploy.view import render, summary
+
+
+@dataclass(frozen=True)
+class MonitorArguments:
+    """Watch a run live; nothing is ever published."""
+
+    run: str = "farm"
+    """Name of the run."""
+    connect: str = DEFAULT
+    """Endpoint where the learner or a router listens."""
+    patience: float = 10.0
+    """Seconds to wait for somebody to listen at the endpoint."""
+    json: bool = False
+    """Print one JSON object per refresh instead of the view."""
+    refresh: float = 1.0
+    """Seconds between two refreshes."""
+    seconds: float | None = None
+    """Stop after this time. Default: watch until interrupted."""
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Watch until interrupted or the time is over; return 0."""
+    options = parse(MonitorArguments, arguments, "monitor")
+    check_name(options.run, "run")
+    stop = StopSignal()
+    stop.install()
+    with Bus.connect(Endpoint.parse(options.connect), "control", options.patience, lambda: not stop) as bus:
+        _show(options, Fleet(bus, options.run), stop)
+    return 0
+
+
+def _show(options: MonitorArguments, fleet: Fleet, stop: StopSignal) -> None:
+    console = Console()
+    deadline = time.monotonic() + (options.seconds if options.seconds is not None else float("inf"))
+    plain = options.json or not console.is_terminal
+    live = None if plain else Live(console=console, auto_refresh=False, screen=True)
+    if live is not None:
+        live.start()
+    try:
+        while not stop and time.monotonic() < deadline:
+            stop.event.wait(options.refresh)
+            fleet.update()
+            snapshot = fleet.snapshot()
+            if live is not None:
+                live.update(render(snapshot), refresh=True)
+            elif options.json:
+                sys.stdout.write(json.dumps(dataclasses.asdict(snapshot)) + "\n")
+                sys.stdout.flush()
+            else:
+                console.print(summary(snapshot), highlight=False, soft_wrap=True)
+    finally:
+        if live is not None:
+            live.stop()

@@ -1,0 +1,159 @@
+"""`eia-sec train`: every process of a run on this machine, a live view, and the results at the end."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.live import Live
+
+from common import keys
+from common.bus import Bus
+from common.config import RunConfig
+from common.config.checks import within
+from common.endpoint import Endpoint, free_endpoint
+from common.errors import BusError, ConfigError, EiaSecError, EndpointError
+from common.messages import CommandMessage
+from common.process import StopSignal
+from deploy.fleet import Fleet
+from deploy.options import base_configuration, parse
+from deploy.report import write_report
+from deploy.rundir import RunDirectory
+from deploy.supervisor import Supervisor
+from deploy.view import render, summary
+
+REFRESH_SECONDS = 0.5
+PLAIN_SECONDS = 10.0
+"""Pause between two lines where there is no terminal."""
+DRAIN_SECONDS = 8.0
+RUN = "train"
+
+
+@dataclass(frozen=True)
+class TrainArguments:
+    """Train on this machine: learner, elite coordinator and workers as processes of their own, over loopback."""
+
+    preset: str = "default"
+    """Configuration to begin from: default, paper or quick."""
+    config: Path | None = None
+    """TOML file with values that replace the preset's."""
+    workers: int = 1
+    """Rollout workers."""
+    run_dir: Path | None = None
+    """Folder of the run. Default: runs/ with preset and time."""
+    resume: bool = False
+    """Go on from the newest whole checkpoint in the folder."""
+    lockstep: bool = False
+    """One worker and the learner take turns; the weights are bit-equal to those of a run inside one process."""
+    endpoint: str | None = None
+    """Loopback endpoint of the learner. Default: free ports."""
+    report: bool = True
+    """Evaluate against the heuristics and draw the pictures at the end."""
+    settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Train; return 0 when the run is finished or was stopped by the user, 1 when it failed."""
+    options = parse(TrainArguments, arguments, "train", TrainArguments(settings=base_configuration(arguments)))
+    within(1, 1024, workers=options.workers)
+    if options.lockstep and options.workers != 1:
+        raise ConfigError("--lockstep takes turns with exactly one worker; leave --workers at 1.")
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    directory = RunDirectory(options.run_dir or Path("runs") / f"{options.preset}-{stamp}")
+    directory.prepare(options.settings, resume=options.resume)
+    directory.lock()
+    endpoint = Endpoint.parse(options.endpoint) if options.endpoint else free_endpoint()
+    endpoint.require_private(insecure=False)
+    console = Console(stderr=False)
+    console.print(f"run directory {directory.path}; watch from elsewhere with:", highlight=False)
+    console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}", highlight=False)
+    finished = _Training(options, directory, endpoint, console).run()
+    if finished and options.report:
+        write_report(directory, options.settings, ["eia-sec", "train", *arguments], console)
+    elif not finished:
+        console.print(f"stopped; go on with: eia-sec train --run-dir {directory.path} --resume", highlight=False)
+    return 0
+
+
+class _Training:
+    def __init__(self, options: TrainArguments, directory: RunDirectory, endpoint: Endpoint, console: Console) -> None:
+        self._options, self._directory, self._endpoint, self._console = options, directory, endpoint, console
+        self._stop = StopSignal()
+        self._supervisor = Supervisor(directory.path / "logs")
+        self._told = 0.0
+
+    def run(self) -> bool:
+        """Return whether the run finished; False means that it was stopped."""
+        self._stop.install()
+        try:
+            self._start()
+            with self._connect() as bus:
+                fleet = Fleet(bus, RUN)
+                self._watch(fleet)
+                if self._stop:
+                    self._drain(bus, fleet)
+        finally:
+            self._supervisor.stop()
+        learner = self._supervisor.children["learner"]
+        if learner.given_up:
+            raise EiaSecError(f"the learner did not survive; its last lines were:\n{self._supervisor.tail('learner')}")
+        return not self._stop
+
+    def _start(self) -> None:
+        options, where = self._options, str(self._endpoint)
+        learner = ["learner", "--run", RUN, "--listen", where, "--run-dir", str(self._directory.path)]
+        learner += ["--config", str(self._directory.path / "config.toml")]
+        learner += ["--lockstep"] if options.lockstep else []
+        learner += ["--resume"] if options.resume else []
+        again = [] if options.resume else ["--resume"]
+        self._supervisor.start("learner", learner, options.settings.learner.threads, again)
+        self._supervisor.start("elite", ["elite", "--run", RUN, "--connect", where])
+        for index in range(options.workers):
+            rollout = ["rollout", "--run", RUN, "--connect", where, "--name", str(index)]
+            self._supervisor.start(f"rollout-{index}", rollout, options.settings.rollout.threads)
+
+    def _connect(self) -> Bus:
+        deadline = time.monotonic() + 60.0
+        while True:
+            try:
+                return Bus.connect(self._endpoint, "control", wait=0.5, waiting=lambda: not self._stop)
+            except EndpointError:
+                self._supervisor.watch()
+                if self._supervisor.children["learner"].given_up or self._stop or time.monotonic() > deadline:
+                    self._supervisor.stop()
+                    last = self._supervisor.tail("learner")
+                    raise EndpointError(f"the learner did not start; its last lines were:\n{last}") from None
+
+    def _watch(self, fleet: Fleet) -> None:
+        learner = self._supervisor.children["learner"]
+        if not self._console.is_terminal:
+            while not (self._stop or learner.done or learner.given_up):
+                self._tick(fleet)
+                if time.monotonic() - self._told >= PLAIN_SECONDS:
+                    self._told = time.monotonic()
+                    self._console.print(summary(fleet.snapshot()), highlight=False, soft_wrap=True)
+            return
+        with Live(console=self._console, auto_refresh=False, transient=False) as live:
+            while not (self._stop or learner.done or learner.given_up):
+                self._tick(fleet)
+                live.update(render(fleet.snapshot(tuple(self._supervisor.alarms))), refresh=True)
+
+    def _tick(self, fleet: Fleet) -> None:
+        self._supervisor.watch()
+        fleet.update()
+        self._stop.event.wait(REFRESH_SECONDS)
+
+    def _drain(self, bus: Bus, fleet: Fleet) -> None:
+        self._console.print("draining; a checkpoint is being written ...", highlight=False)
+        learner = self._supervisor.children["learner"]
+        try:
+            bus.ask(keys.COMMAND.key(RUN, verb="drain"), CommandMessage("train").encode(), timeout=3.0)
+        except BusError as error:
+            self._console.print(f"the learner refused to drain: {error}", highlight=False)
+        deadline = time.monotonic() + DRAIN_SECONDS
+        while not learner.done and time.monotonic() < deadline:
+            self._supervisor.watch()
+            time.sleep(0.05)

@@ -1,0 +1,77 @@
+"""How command lines become configurations: preset, then file, then options, each over the one before."""
+
+import contextlib
+import dataclasses
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tyro
+
+from common.config import RunConfig
+from common.config.files import from_toml
+from common.config.presets import PRESETS
+from common.errors import ConfigError, UsageError
+
+T = TypeVar("T")
+
+
+def base_configuration(arguments: Sequence[str], default: str = "default") -> RunConfig:
+    """Return the configuration that `--preset` and `--config` name; the options then act on it.
+
+    Raises:
+        ConfigError: for a preset that does not exist, or a file with a mistake.
+    """
+    preset = _value_of(arguments, "--preset") or default
+    if preset not in PRESETS:
+        raise ConfigError(f"there is no preset {preset!r}; the presets are {', '.join(PRESETS)}.")
+    config = PRESETS[preset]
+    path = _value_of(arguments, "--config")
+    return from_toml(Path(path), config) if path else config
+
+
+def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None = None) -> T:
+    """Parse the options of one command.
+
+    Args:
+        kind: the dataclass of the options.
+        arguments: the command line behind the command's name.
+        name: the command.
+        default: an instance that gives the defaults.
+
+    Raises:
+        ConfigError: for an impossible value.
+        UsageError: for an option that does not exist or a value of the wrong type.
+    """
+    complaint = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(kind, args=list(arguments), prog=f"eia-sec {name}", default=default)
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            raise
+        raise UsageError(f"{_sentence(complaint.getvalue())} (eia-sec {name} --help lists the options)") from None
+
+
+def _sentence(box: str) -> str:
+    """Return tyro's complaint, which it draws in a box, as one line."""
+    lines = [line.strip("│ ") for line in box.splitlines() if line.startswith("│")]
+    reason = next((line for line in lines if line), "the command line cannot be used")
+    close = next((line.split()[0] for line in lines[1:] if line.startswith("--")), None)
+    meant = f"; perhaps you meant {close}" if close and reason.startswith("Unrecognized") else ""
+    return reason.rstrip(".") + meant
+
+
+def with_seed(config: RunConfig, **values: Any) -> RunConfig:
+    """Return the configuration with those top-level values that are not None."""
+    return dataclasses.replace(config, **{name: value for name, value in values.items() if value is not None})
+
+
+def _value_of(arguments: Sequence[str], option: str) -> str | None:
+    for index, word in enumerate(arguments):
+        if word == option and index + 1 < len(arguments):
+            return arguments[index + 1]
+        if word.startswith(option + "="):
+            return word.split("=", 1)[1]
+    return None

@@ -1,0 +1,67 @@
+"""What a finished run leaves behind: curves.png, trajectories.png, evaluation.json and a table on unseen farms."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from common.config import RunConfig
+from common.policy_file import load_policy
+from deploy.figures import comparison_table, curves, trajectories
+from deploy.rundir import METRICS, POLICY, RunDirectory
+from rollout.evaluation import Evaluation, evaluate, record
+from rollout.policies import HEURISTICS, ActorPolicy, policy_of
+
+TRAINED = "EIA-SEC (this run)"
+
+
+def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[str], console: Console) -> None:
+    """Evaluate the run's policy and every heuristic on farms that training never saw, and draw the pictures.
+
+    Args:
+        directory: the run directory, which holds metrics.jsonl and policy.safetensors.
+        config: the run.
+        command: the command line that made it, for the record.
+        console: where the table goes.
+    """
+    path = directory.path
+    first = config.evaluation.first_farm
+    farms = range(first, first + config.evaluation.farms)
+    console.print(f"evaluating on farms {first}..{first + config.evaluation.farms - 1}, which training never saw ...")
+    results = evaluate_all(config, path / POLICY, farms)
+    metrics = read_metrics(path / METRICS)
+    levels = {result.policy: result.total.reward for result in results if result.policy != TRAINED}
+    curves(metrics, path / "curves.png", levels)
+    policy = ActorPolicy(load_policy(path / POLICY)[0])
+    trajectories(record(config.farm, policy, first, 0), path / "trajectories.png")
+    outcome = {
+        "command": " ".join(command),
+        "seed": config.seed,
+        "seconds": metrics[-1]["time"] if metrics else 0.0,
+        "evaluations": [result.to_dict() for result in results],
+    }
+    (path / "evaluation.json").write_text(json.dumps(outcome, indent=1) + "\n", encoding="utf-8")
+    console.print(comparison_table(results))
+    console.print(f"written to {path}: curves.png, trajectories.png, evaluation.json, metrics.jsonl, policy.safetensors")
+
+
+def evaluate_all(config: RunConfig, policy: Path, farms: Sequence[int]) -> list[Evaluation]:
+    """Return the evaluations of a policy file and of every heuristic on the same farms and episodes."""
+    bank, _ = load_policy(policy)
+    contenders = [(TRAINED, ActorPolicy(bank)), *((name, policy_of(name, config.farm)) for name in HEURISTICS)]
+    return [
+        evaluate(config.farm, contender, farms, config.evaluation.episodes, name=name) for name, contender in contenders
+    ]
+
+
+def read_metrics(path: Path) -> list[dict[str, Any]]:
+    """Return the records of metrics.jsonl; a line that was cut by a crash is left out."""
+    records = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            records.append(json.loads(line))
+        except ValueError:
+            continue
+    return records

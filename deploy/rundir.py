@@ -1,0 +1,71 @@
+"""The run directory: one configuration, one user at a time."""
+
+import fcntl
+import os
+from pathlib import Path
+from typing import IO
+
+from common.config import RunConfig
+from common.config.files import differences, from_toml, to_toml
+from common.errors import RunDirError
+
+CONFIG = "config.toml"
+METRICS = "metrics.jsonl"
+POLICY = "policy.safetensors"
+
+
+class RunDirectory:
+    """A folder with config.toml, metrics.jsonl, policy.safetensors, checkpoints/ and logs/."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock: IO[str] | None = None
+
+    def prepare(self, config: RunConfig, *, resume: bool) -> None:
+        """Create the folder with its configuration, or check that it is this configuration's.
+
+        Raises:
+            RunDirError: when the folder holds another configuration, holds a run that was not to be resumed, or
+                holds none that could be.
+        """
+        held = self.path / CONFIG
+        if held.exists():
+            self._compare(from_toml(held, RunConfig()), config)
+            if not resume and (self.path / METRICS).exists():
+                raise RunDirError(f"{self.path} already holds a run; add --resume or choose another --run-dir.")
+            return
+        if resume:
+            raise RunDirError(f"{self.path} holds no run to resume.")
+        if self.path.exists() and (not self.path.is_dir() or any(self._strangers())):
+            raise RunDirError(f"{self.path} exists and is not a run directory; choose another --run-dir.")
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            held.write_text(to_toml(config), encoding="utf-8")
+        except OSError as error:
+            raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
+
+    def lock(self) -> None:
+        """Keep the folder for this process; raise RunDirError while another process has it."""
+        self._lock = (self.path / "lock").open("w", encoding="utf-8")
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise RunDirError(f"{self.path} is in use by another process.") from error
+        self._lock.write(str(os.getpid()))
+        self._lock.flush()
+
+    def configuration(self) -> RunConfig:
+        """Return the configuration; raise RunDirError when the folder holds none."""
+        held = self.path / CONFIG
+        if not held.exists():
+            raise RunDirError(f"{self.path} holds no {CONFIG}; is it a run directory?")
+        return from_toml(held, RunConfig())
+
+    def _compare(self, held: RunConfig, wanted: RunConfig) -> None:
+        found = differences(held, wanted)
+        if found:
+            more = f" and {len(found) - 3} more" if len(found) > 3 else ""
+            raise RunDirError(f"{self.path} belongs to another configuration: {'; '.join(found[:3])}{more}.")
+
+    def _strangers(self) -> list[Path]:
+        return [entry for entry in self.path.iterdir() if entry.name not in ("logs", "lock")]

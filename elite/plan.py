@@ -1,0 +1,12 @@
+"""Which farms an imitation event is decided on."""
+
+from common.config import RunConfig
+from common.seeds import derive, stream
+
+
+def evaluation_plan(config: RunConfig, event: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the training farms and the episode seeds of an event; a pure function of run seed and event number."""
+    generator = stream(config.seed, "imitation", event)
+    count = min(config.elite.farms, config.rollout.train_farms)
+    farms = generator.choice(config.rollout.train_farms, size=count, replace=False).tolist()
+    return tuple(farms), tuple(derive(config.seed, "imitation", event, farm) for farm in farms)

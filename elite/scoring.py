@@ -1,0 +1,58 @@
+"""omega: how well and how steadily each agent does, and who is its type's elite."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import EliteConfig
+from common.errors import SchemaError
+from common.imitation import ImitationEvent, ImitationSchedule
+from common.team import Float32, TeamSpec
+
+
+def scores(reward: Float32, config: EliteConfig) -> NDArray[np.float64]:
+    """Return omega of each agent of one type, eq. (er).
+
+    mu is the mean of the agent's step rewards R_v-i. The variance is that of the step rewards after dividing them by
+    the type's mean absolute step reward, so that its weight means the same for every type and at every stage.
+
+    Args:
+        reward: [F, T, n_v] step rewards of noise-free episodes on F farms.
+        config: beta_1 and beta_2.
+
+    Returns:
+        [n_v] beta_1 mu + beta_2 sigma^2.
+    """
+    steps = reward.astype(np.float64).reshape(-1, reward.shape[-1])
+    scale = float(np.abs(steps).mean())
+    variance = (steps / scale).var(axis=0) if scale > 0 else np.zeros(steps.shape[1])
+    return np.asarray(config.weight_mean * steps.mean(axis=0) + config.weight_variance * variance)
+
+
+def decide(
+    team: TeamSpec, config: EliteConfig, event: int, version: int, episode: int, reward: Float32
+) -> ImitationEvent:
+    """Return the imitation event that an evaluation leads to.
+
+    Args:
+        team: the layout.
+        config: weights and schedule.
+        event: number of the event.
+        version: the parameter version that was evaluated.
+        episode: the learner's episode count when the event fell due.
+        reward: [F, T, agents] step rewards.
+
+    Raises:
+        SchemaError: when the rewards do not fit the team or are not finite.
+    """
+    if reward.ndim != 3 or reward.shape[2] != team.agents or 0 in reward.shape or not np.isfinite(reward).all():
+        raise SchemaError(f"an evaluation of shape {list(reward.shape)} does not fit {team.agents} agents.")
+    omegas = [scores(reward[:, :, part], config) for part in team.agent_slices()]
+    return ImitationEvent(
+        event=event,
+        version=version,
+        episode=episode,
+        rate=ImitationSchedule(config).rate(event),
+        elites=tuple(int(np.argmax(omega)) for omega in omegas),
+        scores=tuple(tuple(omega.tolist()) for omega in omegas),
+        evaluation_steps=reward.shape[0] * reward.shape[1],
+    )

@@ -1,0 +1,218 @@
+"""The elite coordinator: sees when an imitation event falls due, has the agents evaluated, and announces the elites."""
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from common import keys
+from common.bus import Bus
+from common.config.files import from_toml
+from common.config.run import RunConfig
+from common.endpoint import Endpoint
+from common.errors import BusClosedError, BusError, ProtocolError
+from common.imitation import ImitationEvent, ImitationSchedule
+from common.messages import (
+    EvaluationOrder,
+    EvaluationResult,
+    ImitationMessage,
+    ProgressMessage,
+    ReceiptMessage,
+)
+from common.process import Presence, StopSignal, connect, fetch_configuration, incarnation, log
+from common.team import Float32, farm_team
+from elite.plan import evaluation_plan
+from elite.scoring import decide
+
+ANSWER_SECONDS = 30.0
+"""Longest wait for a worker's evaluation before its farms go to another worker."""
+REPORT_SECONDS = 1.0
+IDLE_SECONDS = 0.02
+
+
+@dataclass(frozen=True)
+class CoordinatorOptions:
+    """How to start the coordinator.
+
+    Attributes:
+        run: the run's name.
+        name: the coordinator's name.
+        endpoint: where the learner or a router listens.
+        patience: seconds to wait for somebody to listen there.
+    """
+
+    run: str
+    endpoint: Endpoint
+    name: str = "coordinator"
+    patience: float = 60.0
+
+
+class Coordinator:
+    """The coordinator's loop.
+
+    It keeps no state of its own: which event is next follows from the learner's count of applied events, so a
+    coordinator that starts anew goes on where the last one was.
+    """
+
+    def __init__(self, options: CoordinatorOptions, config: RunConfig, control: Bus) -> None:
+        self._options, self._config, self._bus = options, config, control
+        self._team = farm_team(config.farm)
+        self._schedule = ImitationSchedule(config.elite)
+        self._progress = control.subscribe_state(keys.PROGRESS.key(options.run))
+        self._tokens = control.watch(keys.LIVE.pattern(options.run, role="rollout"), 1024)
+        self._announcer = control.publish_state(keys.IMITATION_EVENT.key(options.run))
+        self._presence = Presence(control, options.run, "elite", options.name, incarnation())
+        self._workers: set[str] = set()
+        self._now: ProgressMessage | None = None
+        self._last: ImitationEvent | None = None
+        self._failures = 0
+        self._reported = 0.0
+
+    def run(self, stop: StopSignal) -> None:
+        """Coordinate until told to stop or the run is finished."""
+        while not stop:
+            self._listen()
+            now = self._now
+            if now is not None and now.state == "finished":
+                break
+            if now is not None and now.state == "training" and self._schedule.is_due(now.events, now.episodes):
+                self._hold_event(now, stop)
+            time.sleep(IDLE_SECONDS)
+            if time.monotonic() - self._reported >= REPORT_SECONDS:
+                self._report()
+        self._report()
+
+    def _listen(self) -> None:
+        for sample in self._tokens.drain():
+            name = PurePosixPath(sample.key).name
+            (self._workers.add if sample.present else self._workers.discard)(name)
+        if (sample_now := self._progress.poll()) is not None:
+            try:
+                message = ProgressMessage.decode(sample_now.payload)
+            except ProtocolError as error:
+                log(f"coordinator: dropped a message: {error}")
+                return
+            if self._now is None or message.epoch >= self._now.epoch:
+                self._now = message
+
+    def _hold_event(self, now: ProgressMessage, stop: StopSignal) -> None:
+        number = now.events + 1
+        due = self._schedule.due_episode(number)
+        reward = self._evaluate(number, now.version, stop)
+        if reward is None or due is None:
+            return
+        event = decide(self._team, self._config.elite, number, now.version, due, reward)
+        message = ImitationMessage(**vars(event))
+        if self._deliver(message):
+            self._announcer.put(message.encode())
+            self._last = event
+            self._await_applied(number, stop)
+
+    def _deliver(self, message: ImitationMessage) -> bool:
+        """Have the learner apply the event; the announcement to the workers follows only then."""
+        try:
+            answer = self._bus.ask(keys.IMITATION.key(self._options.run), message.encode(), timeout=10.0)
+            receipt = None if answer is None else ReceiptMessage.decode(answer)
+        except (BusError, ProtocolError) as error:
+            log(f"coordinator: event {message.event}: {error}")
+            return False
+        if receipt is not None and not receipt.done:
+            log(f"coordinator: the learner refused event {message.event}: {receipt.reason}")
+        return receipt is not None and receipt.done
+
+    def _await_applied(self, number: int, stop: StopSignal) -> None:
+        deadline = time.monotonic() + 5.0
+        while not stop and time.monotonic() < deadline:
+            self._listen()
+            if self._now is not None and self._now.events >= number:
+                return
+            time.sleep(IDLE_SECONDS)
+
+    def _evaluate(self, event: int, version: int, stop: StopSignal) -> Float32 | None:
+        """Return step rewards [F, T, agents] of the event's farms in plan order, or None when no worker answers."""
+        farms, episodes = evaluation_plan(self._config, event)
+        found: dict[int, Float32] = {}
+        while len(found) < len(farms) and not stop:
+            workers = sorted(self._workers)
+            missing = [index for index in range(len(farms)) if index not in found]
+            if not workers:
+                return None
+            shares = [missing[k :: len(workers)] for k in range(len(workers))]
+            orders = [
+                (worker, share, EvaluationOrder(event, version, _pick(farms, share), _pick(episodes, share)))
+                for worker, share in zip(workers, shares, strict=True)
+                if share
+            ]
+            answers = self._ask_all(orders)
+            if not answers:
+                self._failures += 1
+                self._listen()
+                return None
+            found.update(answers)
+        return np.stack([found[index] for index in range(len(farms))]) if len(found) == len(farms) else None
+
+    def _ask_all(self, orders: Sequence[tuple[str, list[int], EvaluationOrder]]) -> dict[int, Float32]:
+        answers: dict[int, Float32] = {}
+        threads = [
+            threading.Thread(target=self._ask_one, args=(worker, share, order, answers), daemon=True)
+            for worker, share, order in orders
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        return answers
+
+    def _ask_one(self, worker: str, share: list[int], order: EvaluationOrder, answers: dict[int, Float32]) -> None:
+        key = keys.EVALUATION.key(self._options.run, worker=worker)
+        try:
+            answer = self._bus.ask(key, order.encode(), ANSWER_SECONDS)
+            if answer is None:
+                return
+            result = EvaluationResult.decode(answer)
+        except BusClosedError:
+            return
+        except (BusError, ProtocolError) as error:
+            log(f"coordinator: worker {worker} did not evaluate: {error}")
+            return
+        wanted = (len(share), self._config.farm.world.steps, self._team.agents)
+        if result.event != order.event or result.reward.shape != wanted or not np.isfinite(result.reward).all():
+            log(f"coordinator: worker {worker} answered with an evaluation that does not fit.")
+            return
+        answers.update(dict(zip(share, result.reward, strict=True)))
+
+    def _report(self) -> None:
+        self._reported = time.monotonic()
+        last = self._last
+        values = {
+            "workers": sorted(self._workers),
+            "events": 0 if self._now is None else self._now.events,
+            "next_episode": self._schedule.due_episode((0 if self._now is None else self._now.events) + 1) or 0,
+            "failures": self._failures,
+            "rate": last.rate if last else 0.0,
+            "elites": dict(zip([g.name for g in self._team.groups], last.elites, strict=True)) if last else {},
+            "scores": [list(s) for s in last.scores] if last else [],
+        }
+        self._presence.report(values, 0 if self._now is None else self._now.version)
+
+
+def _pick(values: Sequence[int], indices: Sequence[int]) -> tuple[int, ...]:
+    return tuple(values[index] for index in indices)
+
+
+def serve(options: CoordinatorOptions) -> None:
+    """Run the coordinator until the run is finished or a signal comes.
+
+    Raises:
+        EndpointError: when nobody listens at the endpoint in time.
+        UsageError: when the learner's configuration cannot be read.
+    """
+    stop = StopSignal()
+    stop.install()
+    with connect(options.endpoint, "control", stop, options.patience) as control:
+        answer = fetch_configuration(control, options.run, options.name, lambda: not stop, 5.0)
+        if answer is not None:
+            Coordinator(options, from_toml(answer.toml, RunConfig()), control).run(stop)

@@ -1,0 +1,134 @@
+"""What the learner takes in: each chunk once, in order, and a ledger that accounts for every environment step."""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+from common.errors import CheckpointError
+from common.messages import Envelope
+
+Status = Literal["accepted", "duplicate", "gap"]
+
+
+@dataclass(frozen=True)
+class WorkerLedger:
+    """The account of one worker's present incarnation, in environment steps and chunks.
+
+    Attributes:
+        incarnation: which start of the worker.
+        expected: next sequence number.
+        produced: steps that the worker says it has produced.
+        accepted: steps that entered replay.
+        lost: steps that were produced and can no longer arrive.
+        rejected: steps in chunks that were refused.
+        duplicates: chunks that came again.
+        refused: chunks that were refused.
+        pending_rejected: whether the next gap in `produced` is a refused chunk's.
+    """
+
+    incarnation: int
+    expected: int = 1
+    produced: int = 0
+    accepted: int = 0
+    lost: int = 0
+    rejected: int = 0
+    duplicates: int = 0
+    refused: int = 0
+    pending_rejected: bool = False
+
+    @property
+    def unexplained(self) -> int:
+        """Return produced - accepted - lost - rejected; anything but 0 is a defect, except while a refusal is open."""
+        return self.produced - self.accepted - self.lost - self.rejected
+
+
+class Intake:
+    """Deduplication by (worker, incarnation, sequence), and the ledger of all workers.
+
+    A worker sends its chunks in sequence and repeats one until it is answered. So a number below the expected one is a
+    duplicate; one above it is a gap, which the worker closes by sending again, unless it no longer holds what is
+    missing: then those steps are declared lost and counted.
+    """
+
+    def __init__(self) -> None:
+        self.workers: dict[str, WorkerLedger] = {}
+        self.closed = WorkerLedger(0)
+
+    def judge(self, sender: Envelope, oldest: int) -> Status:
+        """Return what a chunk is, without accepting it."""
+        ledger = self._ledger(sender)
+        if sender.sequence < ledger.expected:
+            self.workers[sender.name] = replace(ledger, duplicates=ledger.duplicates + 1)
+            return "duplicate"
+        if sender.sequence > ledger.expected and oldest < sender.sequence:
+            return "gap"
+        return "accepted"
+
+    def accept(self, sender: Envelope, steps: int, produced: int) -> None:
+        """Book an accepted chunk of `steps` environment steps."""
+        ledger = self._ledger(sender)
+        missing = max(0, produced - steps - ledger.produced)
+        rejected = missing if ledger.pending_rejected and sender.sequence == ledger.expected else 0
+        self.workers[sender.name] = replace(
+            ledger,
+            expected=sender.sequence + 1,
+            produced=ledger.produced + missing + steps,
+            accepted=ledger.accepted + steps,
+            lost=ledger.lost + missing - rejected,
+            rejected=ledger.rejected + rejected,
+            pending_rejected=False,
+        )
+
+    def refuse(self, sender: Envelope) -> None:
+        """Book a refused chunk; its number is spent."""
+        ledger = self._ledger(sender)
+        self.workers[sender.name] = replace(
+            ledger,
+            expected=max(ledger.expected, sender.sequence + 1),
+            refused=ledger.refused + 1,
+            pending_rejected=True,
+        )
+
+    def expected(self, sender: Envelope) -> int:
+        """Return the next sequence number that this sender should use."""
+        return self._ledger(sender).expected
+
+    def totals(self) -> dict[str, int]:
+        """Return the sums over all workers and all their incarnations."""
+        names = ("produced", "accepted", "lost", "rejected", "duplicates", "refused")
+        ledgers = [self.closed, *self.workers.values()]
+        sums = {name: sum(getattr(ledger, name) for ledger in ledgers) for name in names}
+        sums["unexplained"] = sum(ledger.unexplained for ledger in ledgers)
+        return sums
+
+    def state(self) -> dict[str, Any]:
+        """Return what a checkpoint needs."""
+        return {"closed": asdict(self.closed), "workers": {name: asdict(w) for name, w in self.workers.items()}}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take up a checkpoint's ledger; raise CheckpointError when it is none."""
+        try:
+            self.closed = WorkerLedger(**state["closed"])
+            self.workers = {str(name): WorkerLedger(**entry) for name, entry in state["workers"].items()}
+        except (KeyError, TypeError, AttributeError) as error:
+            raise CheckpointError(f"the checkpoint's ledger is not readable: {error}") from error
+
+    def _ledger(self, sender: Envelope) -> WorkerLedger:
+        ledger = self.workers.get(sender.name)
+        if ledger is None or sender.incarnation > ledger.incarnation:
+            if ledger is not None:
+                self.closed = _add(self.closed, ledger)
+            ledger = WorkerLedger(sender.incarnation)
+            self.workers[sender.name] = ledger
+        return ledger
+
+
+def _add(total: WorkerLedger, part: WorkerLedger) -> WorkerLedger:
+    return replace(
+        total,
+        produced=total.produced + part.produced,
+        accepted=total.accepted + part.accepted,
+        lost=total.lost + part.lost,
+        rejected=total.rejected + part.rejected,
+        duplicates=total.duplicates + part.duplicates,
+        refused=total.refused + part.refused,
+    )

@@ -1,0 +1,101 @@
+"""What the learner tells: metrics.jsonl in the run directory, and lossy metric messages on the bus."""
+
+import json
+import time
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TextIO
+
+from common.imitation import ImitationEvent
+from common.team import TeamSpec
+from common.transitions import EpisodeSummary
+
+SMOOTHED_EPISODES = 40
+"""Episodes in the moving averages of the live view."""
+
+
+class Journal:
+    """Appends one JSON object per line to metrics.jsonl; without a directory it writes nothing.
+
+    Args:
+        directory: the run directory, or None.
+        elapsed: seconds that earlier parts of a resumed run took.
+    """
+
+    def __init__(self, directory: Path | None, elapsed: float = 0.0) -> None:
+        self._file: TextIO | None = None
+        if directory is not None:
+            self._file = (directory / "metrics.jsonl").open("a", encoding="utf-8")
+        self._started = time.monotonic() - elapsed
+
+    @property
+    def elapsed(self) -> float:
+        """Return the seconds since the run began."""
+        return time.monotonic() - self._started
+
+    def write(self, kind: str, **values: Any) -> None:
+        """Append one record."""
+        if self._file is not None:
+            self._file.write(json.dumps({"kind": kind, "time": round(self.elapsed, 3), **values}) + "\n")
+            self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+
+class Curves:
+    """Moving averages over the newest finished episodes."""
+
+    def __init__(self, team: TeamSpec) -> None:
+        self._team = team
+        self._recent: deque[dict[str, Any]] = deque(maxlen=SMOOTHED_EPISODES)
+
+    def add(self, episodes: Sequence[EpisodeSummary]) -> dict[str, Any]:
+        """Take finished episodes in; return their own means."""
+        rows = [self._figures(episode) for episode in episodes]
+        self._recent.extend(rows)
+        return _mean(rows)
+
+    def smoothed(self) -> dict[str, Any]:
+        """Return the moving averages, or an empty map before the first episode."""
+        return _mean(list(self._recent)) if self._recent else {}
+
+    def _figures(self, episode: EpisodeSummary) -> dict[str, Any]:
+        reward = {"mean": sum(episode.reward) / len(episode.reward)}
+        for group, part in zip(self._team.groups, self._team.agent_slices(), strict=True):
+            reward[group.name] = sum(episode.reward[part]) / group.count
+        return {
+            "reward": reward,
+            "aoi": episode.aoi,
+            "vdf": episode.vdf,
+            "collisions": episode.collisions,
+            "boundary": episode.boundary,
+            "energy_j": episode.energy_j,
+        }
+
+
+def imitation_record(team: TeamSpec, event: ImitationEvent) -> dict[str, Any]:
+    """Return an imitation event as it stands in metrics.jsonl."""
+    names = [group.name for group in team.groups]
+    return {
+        "event": event.event,
+        "episode": event.episode,
+        "version": event.version,
+        "rate": event.rate,
+        "elites": dict(zip(names, event.elites, strict=True)),
+        "scores": {name: list(scores) for name, scores in zip(names, event.scores, strict=True)},
+        "evaluation_steps": event.evaluation_steps,
+    }
+
+
+def _mean(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    first = rows[0]
+    return {
+        name: _mean([row[name] for row in rows])
+        if isinstance(value, dict)
+        else sum(row[name] for row in rows) / len(rows)
+        for name, value in first.items()
+    }

@@ -1,0 +1,305 @@
+"""The learner process: experience in, gradient rounds in the middle, parameters out, and the pace between them."""
+
+import queue
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from common import keys
+from common.bus import Bus, Incoming
+from common.config import RunConfig
+from common.config.files import to_toml
+from common.endpoint import Endpoint
+from common.errors import ProtocolError
+from common.imitation import ImitationEvent, ImitationSchedule
+from common.messages import (
+    ChunkAck,
+    CommandMessage,
+    ConfigurationMessage,
+    ImitationMessage,
+    ParametersMessage,
+    ProgressMessage,
+    ReceiptMessage,
+)
+from common.process import Presence, StopSignal, connect, incarnation, log
+from common.team import farm_team
+from learner.intake import Intake
+from learner.receiver import Arrival, Receiver
+from learner.reports import Curves, Journal, imitation_record
+from learner.storage import RunStorage
+from learner.trainer import Trainer
+
+BURST_ROUNDS = 8
+"""Update rounds between two looks at the mail."""
+PROGRESS_SECONDS = 0.1
+REPORT_SECONDS = 1.0
+FAREWELL_SECONDS = 0.5
+"""Time for the last messages to leave before the sessions close."""
+
+
+@dataclass(frozen=True)
+class LearnerOptions:
+    """How to start the learner.
+
+    Attributes:
+        run: the run's name.
+        endpoint: where to listen, or where a router listens.
+        listen: whether this process listens itself.
+        run_dir: where checkpoints, metrics and the configuration go, or None to keep nothing.
+        resume: whether to go on from the newest whole checkpoint.
+        lockstep: whether one worker and the learner take turns.
+    """
+
+    run: str
+    endpoint: Endpoint
+    listen: bool
+    run_dir: Path | None
+    resume: bool = False
+    lockstep: bool = False
+
+
+class Learner:
+    """The learner's loop; all its methods run in the main thread."""
+
+    def __init__(self, options: LearnerOptions, config: RunConfig, control: Bus, bulk: Bus) -> None:
+        self._options, self._config = options, config
+        self._team = farm_team(config.farm)
+        self.trainer = Trainer(config, self._team)
+        self._absorbed = Intake()
+        self._storage = RunStorage(options.run_dir, config)
+        elapsed = self._storage.restore(self.trainer, self._absorbed) if options.resume else 0.0
+        self._epoch = incarnation()
+        self._schedule = ImitationSchedule(config.elite)
+        self._journal, self._curves = Journal(options.run_dir, elapsed), Curves(self._team)
+        self._state = "training"
+        self._draining = False
+        self._awaited: list[tuple[ImitationEvent, Incoming]] = []
+        self._waited = {"data": 0.0, "imitation": 0.0, "producers": 0.0, "training": 0.0, "checkpoint": 0.0}
+        self._lag = 0.0
+        self._times = dict.fromkeys(("progress", "report", "publish", "checkpoint", "held"), time.monotonic())
+        self._published_updates = -1
+        self._open(control, bulk)
+
+    def _open(self, control: Bus, bulk: Bus) -> None:
+        run = self._options.run
+        self._parameters = control.publish_state(keys.PARAMETERS.key(run))
+        self._progress = control.publish_state(keys.PROGRESS.key(run))
+        self._commands = control.serve(keys.COMMAND.pattern(run), 64)
+        self._imitations = control.serve(keys.IMITATION.key(run), 4)
+        self._presence = Presence(control, run, "learner", "learner", self._epoch)
+        intake = Intake()
+        intake.restore(self._absorbed.state())
+        server = bulk.serve(keys.TRANSITION.pattern(run), 256)
+        capacity = self._config.replay.intake_chunks
+        self._receiver = Receiver(server, self._team, intake, capacity, self._options.lockstep)
+
+    def run(self, stop: StopSignal) -> bool:
+        """Train until the run's episodes are done, a signal comes or somebody asks to drain.
+
+        Returns:
+            Whether the run is finished.
+        """
+        self._publish()
+        turn = self._lockstep_turn if self._options.lockstep else self._turn
+        while not (stop or self._draining or self._finished()):
+            turn(stop)
+            self._keep_house()
+        finished = self._finished()
+        self._end("finished" if finished else "draining")
+        return finished
+
+    def _finished(self) -> bool:
+        return self.trainer.episodes >= self._config.episodes and self.trainer.rounds_due() <= 0
+
+    def _turn(self, stop: StopSignal) -> None:
+        trainer = self.trainer
+        while trainer.episodes < self._config.episodes and not trainer.leads():
+            try:
+                self._absorb(self._receiver.arrivals.get_nowait())
+            except queue.Empty:
+                break
+        started = time.monotonic()
+        rounds = min(trainer.rounds_due(), BURST_ROUNDS)
+        if rounds > 0:
+            trainer.train(rounds)
+            self._waited["training"] += time.monotonic() - started
+            return
+        try:
+            arrival = self._receiver.arrivals.get(timeout=0.02)
+        except queue.Empty:
+            return
+        finally:
+            self._waited["data"] += time.monotonic() - started
+        self._absorb(arrival)
+
+    def _lockstep_turn(self, stop: StopSignal) -> None:
+        started = time.monotonic()
+        try:
+            arrival = self._receiver.arrivals.get(timeout=0.02)
+        except queue.Empty:
+            return
+        finally:
+            self._waited["data"] += time.monotonic() - started
+        self._absorb(arrival)
+        started = time.monotonic()
+        self.trainer.train(max(0, self.trainer.rounds_due()))
+        self._waited["training"] += time.monotonic() - started
+        self._publish()
+        while self._schedule.is_due(self.trainer.events, self.trainer.episodes) and not (stop or self._draining):
+            started = time.monotonic()
+            self._keep_house()
+            time.sleep(0.002)
+            self._waited["imitation"] += time.monotonic() - started
+        self._receiver.required_version = self.trainer.version
+        if arrival.incoming is not None:
+            ack = ChunkAck("accepted", arrival.ledger.expected, self.trainer.version, "")
+            arrival.incoming.reply(ack.encode())
+
+    def _absorb(self, arrival: Arrival) -> None:
+        trainer = self.trainer
+        trainer.absorb(arrival.chunk, arrival.sender.version)
+        self._absorbed.closed = arrival.closed
+        self._absorbed.workers[arrival.sender.name] = arrival.ledger
+        self._lag += 0.05 * (trainer.version - arrival.sender.version - self._lag)
+        if arrival.chunk.episodes:
+            means = self._curves.add(arrival.chunk.episodes)
+            counters = {"episodes": trainer.episodes, "environment_steps": trainer.environment_steps}
+            self._journal.write("episodes", **counters, updates=trainer.updates, **means)
+
+    def _keep_house(self) -> None:
+        now = time.monotonic()
+        if self.trainer.leads():
+            self._waited["producers"] += now - self._times["held"]
+        self._times["held"] = now
+        self._answer_commands()
+        self._apply_imitations()
+        if not self._options.lockstep and now - self._times["publish"] >= self._config.learner.publish_seconds:
+            self._publish()
+        if now - self._times["progress"] >= PROGRESS_SECONDS:
+            self._tell_progress()
+        if now - self._times["report"] >= REPORT_SECONDS:
+            self._report()
+        if now - self._times["checkpoint"] >= self._config.learner.checkpoint_seconds:
+            self._checkpoint()
+
+    def _answer_commands(self) -> None:
+        while (incoming := self._commands.poll()) is not None:
+            try:
+                sender = CommandMessage.decode(incoming.payload).sender
+                verb = keys.parse(incoming.key).variables.get("verb")
+            except ProtocolError as error:
+                incoming.refuse(str(error))
+                continue
+            if verb == "configuration":
+                answer = ConfigurationMessage(self._epoch, to_toml(self._config), self._options.lockstep)
+                incoming.reply(answer.encode())
+            elif verb == "drain":
+                log(f"draining, as {sender[:64]} asked.")
+                self._draining = True
+                incoming.reply(ReceiptMessage(True, "").encode())
+            else:
+                incoming.refuse(f"the learner knows no command {verb}.")
+
+    def _apply_imitations(self) -> None:
+        while (incoming := self._imitations.poll()) is not None:
+            try:
+                event = ImitationEvent(**vars(ImitationMessage.decode(incoming.payload)))
+                event.check(self._team)
+                applied = self.trainer.imitate(event)
+            except ProtocolError as error:
+                incoming.reply(ReceiptMessage(False, str(error)[:400]).encode())
+                continue
+            if applied:
+                record = imitation_record(self._team, event)
+                self._journal.write("imitation", episodes=self.trainer.episodes, **record)
+                self._publish()
+            incoming.reply(ReceiptMessage(True, "" if applied else "applied before").encode())
+
+    def _publish(self) -> None:
+        self._times["publish"] = time.monotonic()
+        trainer = self.trainer
+        marks = trainer.updates + trainer.events
+        if marks == self._published_updates and not self._options.lockstep:
+            return
+        self._published_updates = marks
+        version = trainer.next_version()
+        bank = trainer.actors()
+        message = ParametersMessage(
+            epoch=self._epoch,
+            version=version,
+            event=trainer.events,
+            environment_steps=trainer.environment_steps,
+            progress=min(1.0, trainer.episodes / self._config.episodes),
+            team=self._team.digest,
+            hidden=bank.hidden,
+            flat=bank.flat,
+        )
+        self._parameters.put(message.encode())
+        self._tell_progress()
+
+    def _tell_progress(self) -> None:
+        self._times["progress"] = time.monotonic()
+        t = self.trainer
+        counters = (t.version, t.events, t.episodes, t.environment_steps, t.updates)
+        self._progress.put(ProgressMessage(self._epoch, *counters, self._state).encode())
+
+    def _report(self) -> None:
+        self._times["report"] = time.monotonic()
+        t = self.trainer
+        values = {
+            "state": self._state,
+            "episodes": t.episodes,
+            "episodes_total": self._config.episodes,
+            "environment_steps": t.environment_steps,
+            "updates": t.updates,
+            "version": t.version,
+            "event": t.events,
+            "lag_versions": self._lag,
+            "queue": self._receiver.arrivals.qsize(),
+            "malformed": self._receiver.malformed,
+            "elapsed": self._journal.elapsed,
+            "waits": dict(self._waited),
+            "ledger": self._receiver.intake.totals(),
+            "curves": self._curves.smoothed(),
+            "statistics": t.statistics(),
+        }
+        self._presence.report(values, t.version)
+        self._journal.write("status", **values)
+
+    def _checkpoint(self) -> None:
+        started = time.monotonic()
+        self._storage.save(self.trainer, self._absorbed, self._journal.elapsed)
+        self._times["checkpoint"] = time.monotonic()
+        self._waited["checkpoint"] += self._times["checkpoint"] - started
+
+    def _end(self, state: str) -> None:
+        self._receiver.close()
+        self._state = state
+        self._publish()
+        self._tell_progress()
+        self._checkpoint()
+        self._storage.write_policy(self.trainer)
+        self._report()
+        self._journal.write("end", state=state, episodes=self.trainer.episodes, digest=self.trainer.actors().digest())
+        time.sleep(FAREWELL_SECONDS)
+        self._answer_commands()
+        self._journal.close()
+
+
+def serve(options: LearnerOptions, config: RunConfig) -> bool:
+    """Run the learner until it is done; return whether the run is finished.
+
+    Raises:
+        EndpointError: when the endpoint is taken, or the router does not answer.
+        RunDirError: when the run directory belongs to another configuration.
+    """
+    stop = StopSignal()
+    stop.install()
+
+    def lane(name: str) -> Bus:
+        if options.listen:
+            return Bus.listen(options.endpoint, "bulk" if name == "bulk" else "control")
+        return connect(options.endpoint, name, stop, 60.0)
+
+    with lane("control") as control, lane("bulk") as bulk:
+        return Learner(options, config, control, bulk).run(stop)

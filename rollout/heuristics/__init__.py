@@ -1,0 +1,1 @@
+"""Policies that learn nothing: what every trained policy is compared with. One file each."""

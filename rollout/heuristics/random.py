@@ -1,0 +1,25 @@
+"""Everybody flies at random."""
+
+import numpy as np
+
+from common.seeds import stream
+from common.team import Float32
+from rollout.farms import FarmBatch
+
+
+class RandomPolicy:
+    """Uniform actions; each episode's draws follow from its farm and episode seeds, so neighbours do not matter."""
+
+    def __init__(self) -> None:
+        self._streams: dict[int, np.random.Generator] = {}
+
+    def reset(self, farms: FarmBatch, index: int) -> None:
+        """Start the stream of one environment's episode."""
+        episode = farms.summary(index)
+        self._streams[index] = stream("random policy", episode.farm, episode.episode)
+
+    def act(self, farms: FarmBatch) -> Float32:
+        """Return uniform actions [E, A] in [-1, 1]."""
+        size = farms.team.action_size
+        rows = [self._streams[index].uniform(-1.0, 1.0, size) for index in range(farms.position.shape[0])]
+        return np.stack(rows).astype(np.float32)

@@ -1,0 +1,17 @@
+"""Nobody moves."""
+
+import numpy as np
+
+from common.team import Float32
+from rollout.farms import FarmBatch
+
+
+class StaticPolicy:
+    """Every UAV hovers where it started."""
+
+    def reset(self, farms: FarmBatch, index: int) -> None:
+        """Remember nothing."""
+
+    def act(self, farms: FarmBatch) -> Float32:
+        """Return zero velocities, [E, A]."""
+        return np.zeros((farms.position.shape[0], farms.team.action_size), np.float32)

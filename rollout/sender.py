@@ -1,0 +1,140 @@
+"""Delivering chunks: a bounded spool, one acknowledged request at a time, resent until it is answered."""
+
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+
+from common import keys
+from common.bus import Bus
+from common.chunks import to_message
+from common.errors import BusClosedError, BusError, ProtocolError
+from common.messages import ChunkAck, Envelope
+from common.process import log
+from common.team import TeamSpec
+from common.transitions import Chunk
+
+ANSWER_SECONDS = 30.0
+"""Time after which a chunk without an answer is sent again; a learner that is behind answers late on purpose."""
+LOCKSTEP_ANSWER_SECONDS = 3600.0
+"""The same in lockstep, where the answer comes after the training that the chunk allows."""
+RETRY_SECONDS = 0.2
+"""Pause before a chunk is sent again after nobody answered."""
+
+
+@dataclass(frozen=True)
+class _Held:
+    sequence: int
+    version: int
+    produced: int
+    chunk: Chunk
+
+
+class Sender:
+    """Sends chunks in sequence from a thread of its own.
+
+    Attributes:
+        produced: environment steps offered so far.
+        accepted: environment steps that the learner has acknowledged.
+        rejected: environment steps in chunks that the learner refused.
+        retries: requests that had to be repeated.
+        required_version: parameter version that the learner asks for before the next chunk (lockstep), else 0.
+        waiting: seconds that requests have waited for their answers.
+    """
+
+    def __init__(
+        self, bus: Bus, run: str, worker: str, incarnation: int, team: TeamSpec, capacity: int, patience: float
+    ) -> None:
+        self.produced = self.accepted = self.rejected = self.retries = self.required_version = 0
+        self.waiting = 0.0
+        self._bus, self._team, self._capacity, self._patience = bus, team, capacity, patience
+        self._key = keys.TRANSITION.key(run, worker=worker)
+        self._worker, self._incarnation = worker, incarnation
+        self._held: deque[_Held] = deque()
+        self._sequence = 0
+        self._changed = threading.Condition()
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name="sender", daemon=True)
+        self._thread.start()
+
+    def offer(self, chunk: Chunk, version: int) -> bool:
+        """Hand a chunk over; return False, and leave it with the caller, when the spool is full."""
+        with self._changed:
+            if len(self._held) >= self._capacity:
+                return False
+            self._sequence += 1
+            self.produced += chunk.rows.steps
+            self._held.append(_Held(self._sequence, version, self.produced, chunk))
+            self._changed.notify_all()
+            return True
+
+    @property
+    def spooled(self) -> int:
+        """Return the number of chunks that are held."""
+        return len(self._held)
+
+    @property
+    def in_flight(self) -> int:
+        """Return the environment steps that are produced and neither accepted nor rejected."""
+        return self.produced - self.accepted - self.rejected
+
+    def wait_empty(self, timeout: float) -> bool:
+        """Wait until every chunk is answered; return whether that happened in time."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._held or self._ended, timeout) and not self._held
+
+    def close(self) -> None:
+        """End the thread; what is still held is not delivered."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+        self._bus.close()
+        self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._held or self._ended)
+                if self._ended:
+                    return
+                head = self._held[0]
+            try:
+                self._deliver(head)
+            except BusClosedError:
+                return
+
+    def _deliver(self, head: _Held) -> None:
+        message = to_message(head.chunk, self._team, oldest=head.sequence, produced=head.produced)
+        envelope = Envelope("rollout", self._worker, self._incarnation, head.sequence, head.version)
+        payload, attachment = message.encode(), envelope.encode()
+        while not self._ended:
+            started = time.monotonic()
+            ack = self._ask(payload, attachment)
+            self.waiting += time.monotonic() - started
+            if ack is not None and ack.status != "gap":
+                self._settle(head, ack)
+                return
+            self.retries += 1
+            time.sleep(RETRY_SECONDS)
+
+    def _ask(self, payload: bytes, attachment: bytes) -> ChunkAck | None:
+        try:
+            answer = self._bus.ask(self._key, payload, self._patience, attachment)
+            return None if answer is None else ChunkAck.decode(answer)
+        except BusClosedError:
+            raise
+        except (BusError, ProtocolError) as error:
+            log(f"worker {self._worker}: {error}")
+            return None
+
+    def _settle(self, head: _Held, ack: ChunkAck) -> None:
+        steps = head.chunk.rows.steps
+        with self._changed:
+            self._held.popleft()
+            if ack.status == "refused":
+                self.rejected += steps
+                log(f"worker {self._worker}: chunk {head.sequence} was refused: {ack.reason}")
+            else:
+                self.accepted += steps
+            self.required_version = ack.required_version
+            self._changed.notify_all()

@@ -1,0 +1,149 @@
+"""Configuration as TOML: round trip, overlay, clear refusals, differences and digest."""
+
+import contextlib
+import dataclasses
+import tomllib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.config import AlgorithmConfig, FarmConfig, LearnerConfig, RewardConfig, RunConfig, WorldConfig
+from common.config.files import differences, digest, flatten, from_toml, to_toml
+from common.config.presets import PRESETS
+from common.errors import ConfigError
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_round_trip_gives_back_the_preset(name):
+    """Every preset, written and read onto any other preset, is itself again with the types it had."""
+    text = to_toml(PRESETS[name])
+    for base in PRESETS.values():
+        read = from_toml(text, base)
+        assert read == PRESETS[name]
+        assert {key: type(value) for key, value in flatten(read).items()} == {
+            key: type(value) for key, value in flatten(PRESETS[name]).items()
+        }
+
+
+@given(
+    seed=st.integers(0, 2**63 - 1),
+    weight=st.floats(allow_nan=False, allow_infinity=False),
+    device=st.text(st.characters(exclude_categories=["Cs"])),
+    cycles=st.lists(st.integers(1, 1000), min_size=1, max_size=5),
+    flag=st.booleans(),
+)
+def test_round_trip_of_any_value(seed, weight, device, cycles, flag):
+    """Any integer, number, text, list and truth value survives being written and read."""
+    config = RunConfig(
+        seed=seed,
+        farm=FarmConfig(world=WorldConfig(sensor_cycles=tuple(cycles)), reward=RewardConfig(boundary=weight)),
+        algorithm=AlgorithmConfig(ensemble=flag),
+        learner=LearnerConfig(device=device),
+    )
+    assert from_toml(to_toml(config), RunConfig()) == config
+
+
+def test_every_key_is_written():
+    """The TOML holds every field of the configuration, sections nested as the dataclasses are."""
+    table = tomllib.loads(to_toml(RunConfig()))
+    assert table["farm"]["world"]["sensor_cycles"] == [40, 50, 60]
+    assert set(table) == {field.name for field in dataclasses.fields(RunConfig)}
+
+
+def test_what_a_file_leaves_out_is_the_base(tmp_path):
+    """A file changes what it names and nothing else."""
+    path = tmp_path / "run.toml"
+    path.write_text("episodes = 7\n[farm.world]\nfield_x = 300\n")
+    read = from_toml(path, PRESETS["quick"])
+    assert differences(PRESETS["quick"], read) == ["episodes: 32 -> 7", "farm.world.field_x: 400.0 -> 300.0"]
+    assert isinstance(read.farm.world.field_x, float)
+
+
+REFUSED = [
+    ("bach = 1", "unknown configuration key bach; the closest known one is algorithm.batch."),
+    ("[algorithm]\nbach = 1", "unknown configuration key algorithm.bach; the closest known one is algorithm.batch."),
+    ("batch = 64", "unknown configuration key batch; the closest known one is algorithm.batch."),
+    ("[algoritm]\nbatch = 1", "unknown configuration key algoritm; the closest known one is algorithm."),
+    ("[farm.wrld]\nsteps = 1", "unknown configuration key farm.wrld; the closest known one is farm.world."),
+    ("[algorithm]\nbatch = 1.5", "algorithm.batch must be a whole number, not 1.5."),
+    ("seed = true", "seed must be a whole number, not true."),
+    ("seed = 1979-05-27", "seed must be a whole number, not 1979-05-27."),
+    ('episodes = "many"', 'episodes must be a whole number, not "many".'),
+    ("[algorithm]\ndiscount = true", "algorithm.discount must be a number, not true."),
+    ("[algorithm]\nensemble = 1", "algorithm.ensemble must be true or false, not 1."),
+    ("[learner]\ndevice = 0", "learner.device must be a text in quotes, not 0."),
+    ("[algorithm]\nbootstrap = 'x'", 'algorithm.bootstrap must be one of "mixture", "local", not "x".'),
+    (
+        "[farm.world]\nsensor_cycles = [1.5]",
+        "farm.world.sensor_cycles must be a list of whole numbers, not [1.5].",
+    ),
+    ("algorithm = 3", "algorithm must be a section [algorithm], not 3."),
+    ("[[farm]]\nx = 1", "farm must be a section [farm], not [a section]."),
+    ("[algorithm]\nbatch = 0", "in [algorithm], batch must be between 1 and 65536, not 0."),
+    ("[algorithm]\ncritic_rate = nan", "in [algorithm], critic_rate must be above 0, not nan."),
+    ("[farm.relay]\ncapacity = 1", "in [farm], relay.capacity 1 times 4 relays cannot serve 8 UAVs."),
+    (
+        "[evaluation]\nfirst_farm = 3",
+        "evaluation.first_farm must lie beyond the training farms, so that they stay unseen.",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "sentence"), REFUSED, ids=[case[0] for case in REFUSED])
+def test_mistake_is_refused_in_one_sentence(text, sentence):
+    """An unknown key, a wrong type and an impossible value are each refused with one sentence that names the key."""
+    with pytest.raises(ConfigError) as caught:
+        from_toml(text, RunConfig())
+    assert str(caught.value) == sentence
+
+
+def test_file_that_is_no_toml_is_refused(tmp_path):
+    """A file that is not TOML is refused with its name and the place of the error."""
+    path = tmp_path / "broken.toml"
+    path.write_text("seed = \n")
+    with pytest.raises(ConfigError, match=r"broken\.toml is not valid TOML: invalid value \(at line 1"):
+        from_toml(path, RunConfig())
+
+
+@pytest.mark.parametrize("content", [None, b"seed = 1 # \xff"], ids=["missing", "not text"])
+def test_file_that_cannot_be_read_is_refused(tmp_path, content):
+    """A file that is missing or holds no text is refused with its name."""
+    path = tmp_path / "run.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"the configuration file .*run\.toml cannot be read: .*\."):
+        from_toml(path, RunConfig())
+
+
+def test_equal_configurations_have_no_differences_and_one_digest():
+    """Equal configurations differ in nothing and share their digest; the presets all differ."""
+    assert differences(RunConfig(), RunConfig()) == []
+    assert digest(RunConfig()) == digest(from_toml(to_toml(RunConfig()), PRESETS["paper"]))
+    assert len({digest(config) for config in PRESETS.values()}) == len(PRESETS)
+
+
+OTHER_VALUES = {
+    bool: ["true", "false"],
+    str: [
+        f'"{word}"' for word in "printed physical random local joint independent any exact expected ghz cuda".split()
+    ],
+    tuple: ["[30]"],
+    int: ["2", "3", "2000000"],
+    float: ["0.25", "0.75", "2.0"],
+}
+
+
+@pytest.mark.parametrize("key", flatten(RunConfig()))
+def test_digest_depends_on_every_key(key):
+    """A change of any single key changes the digest and is the one difference that is reported."""
+    section, _, name = key.rpartition(".")
+    head = f"[{section}]\n" if section else ""
+    changed = RunConfig()
+    for value in OTHER_VALUES[type(flatten(RunConfig())[key])]:
+        with contextlib.suppress(ConfigError):
+            changed = from_toml(f"{head}{name} = {value}", RunConfig())
+        if changed != RunConfig():
+            break
+    assert digest(changed) != digest(RunConfig())
+    assert [line.split(":")[0] for line in differences(RunConfig(), changed)] == [key]

@@ -1,0 +1,140 @@
+"""The presets: the paper's tables as printed, the defaults, a smoke run."""
+
+import pytest
+
+from common.config import RunConfig
+from common.config.files import flatten
+from common.config.presets import PRESETS, preset
+from common.errors import ConfigError
+
+PRINTED = {
+    # Table 1, environmental parameters
+    "farm.world.field_x": 400.0,
+    "farm.world.field_y": 400.0,
+    "farm.world.speed_x_max": 10.0,
+    "farm.world.speed_y_max": 10.0,
+    "farm.world.height_communication": 22.0,
+    "farm.world.height_monitoring": 20.0,
+    "farm.world.height_collection": 18.0,
+    "farm.world.sensors": 400,
+    "farm.world.plots_x": 20,
+    "farm.world.plots_y": 20,
+    "farm.world.aoi_max": 5,
+    "farm.world.vdf_max": 5,
+    "farm.world.sensor_cycles": (40, 50, 60),
+    "farm.world.vdf_cycle": 30,
+    "farm.world.step_seconds": 1.0,
+    "farm.relay.weight_centroid": 0.5,
+    "farm.relay.weight_farthest": 0.2,
+    "farm.relay.weight_relays": 0.3,
+    "farm.energy.model": "printed",
+    "farm.energy.mass": 0.2,
+    "farm.energy.gravity": 9.8,
+    "farm.energy.air_density": 1.225,
+    "farm.energy.hover_speed": 0.1,
+    "farm.energy.drag_coefficient": 0.5,
+    "farm.energy.propellers": 4,
+    "farm.energy.propeller_radius": 0.1,
+    "farm.energy.efficiency": 0.8,
+    "farm.energy.body_area": 0.01,
+    "farm.energy.static_power": 4.0,
+    "farm.energy.voltage": 5.0,
+    "farm.energy.clock_hz": 200e6,
+    "farm.energy.activity_factor": 0.5,
+    "farm.energy.load_capacitance": 6.4e-9,
+    "farm.energy.transmit_dbm": 20.0,
+    "farm.energy.receive_dbm": 20.0,
+    "farm.energy.camera_power": 2.5,
+    "farm.energy.collection_dbm": 40.0,
+    "farm.radio.boltzmann": 1.38e-23,
+    "farm.radio.temperature_k": 298.0,
+    "farm.radio.bandwidth_hz": 20e6,
+    "farm.radio.carrier_mhz": 2800.0,
+    "farm.radio.packet_bytes": 20,
+    "farm.radio.vegetation_scale": 0.2,
+    "farm.radio.vegetation_frequency_exponent": 0.5,
+    "farm.radio.vegetation_distance_exponent": 0.3,
+    # Table 2, hyperparameters
+    "farm.reward.positioning": 1.0,
+    "farm.reward.energy": 0.005,
+    "farm.reward.collision_risk": 5.0,
+    "farm.reward.boundary": 10.0,
+    "farm.reward.monitoring": 2.0,
+    "farm.reward.monitoring_idle": 0.5,
+    "farm.reward.monitoring_motivation": 0.2,
+    "farm.reward.collection": 2.0,
+    "farm.reward.collection_idle": 0.5,
+    "farm.reward.collection_motivation": 0.2,
+    "algorithm.discount": 0.99,
+    "algorithm.target_rate": 0.005,
+    "algorithm.actor_rate": 1e-4,
+    "algorithm.critic_rate": 1e-5,
+    "algorithm.batch": 128,
+    "algorithm.ensemble_copy_rate": 0.1,
+    "algorithm.mixture_epsilon": 0.1,
+    "replay.capacity": 2**16,
+    "episodes": 2000,
+    "farm.world.steps": 500,
+    "elite.rate": 0.1,
+    "elite.cycle": 10,
+    # The text and its algorithms
+    "farm.world.communication_uavs": 4,
+    "farm.world.monitoring_uavs": 4,
+    "farm.world.collection_uavs": 4,
+    "farm.observation.form": "printed",
+    "algorithm.ensemble": True,
+    "algorithm.ensemble_members": 2,
+    "algorithm.ensemble_loss": "mixture",
+    "algorithm.ensemble_gradient": True,
+    "algorithm.bootstrap": "local",
+    "algorithm.actor_objective": "local",
+    "algorithm.target_actor": False,
+    "algorithm.critic_scope": "local",
+    "elite.enabled": True,
+    "elite.rate_decay": 0.5,
+    "elite.cycle_growth": 2.0,
+    "elite.farms": 1,
+    "replay.updates_per_step": 1.0,
+}
+
+CORRECTED = {
+    "farm.reward.positioning_sign": "corrected",
+    "farm.reward.risk": "closing",
+    "elite.rule": "cycle_divides_episode",
+}
+
+
+@pytest.mark.parametrize("key", PRINTED)
+def test_paper_preset_is_as_printed(key):
+    """The paper preset has the value that the paper prints."""
+    assert flatten(PRESETS["paper"])[key] == PRINTED[key]
+
+
+@pytest.mark.parametrize("key", CORRECTED)
+def test_paper_preset_keeps_what_it_cannot_work_without(key):
+    """The paper preset keeps the corrections of W1, W8 and A1, without which nothing sensible could come out."""
+    assert flatten(PRESETS["paper"])[key] == CORRECTED[key]
+
+
+def test_default_preset_is_the_dataclasses():
+    """The default preset is what the dataclasses say."""
+    assert PRESETS["default"] == RunConfig()
+
+
+def test_quick_preset_exercises_everything():
+    """The quick preset updates, imitates at least once and evaluates, in few episodes of the default farm."""
+    quick = PRESETS["quick"]
+    steps = quick.episodes * quick.farm.world.steps
+    assert quick.episodes <= 32
+    assert quick.farm == RunConfig().farm
+    assert 0 < quick.replay.warmup_steps < steps / 4
+    assert quick.replay.updates_per_step * steps <= 8_000
+    assert quick.elite.enabled
+    assert quick.elite.cycle < quick.episodes
+
+
+def test_preset_is_found_by_name():
+    """A preset is found by its name, and a name that is none is refused with those that are."""
+    assert preset("quick") is PRESETS["quick"]
+    with pytest.raises(ConfigError, match=r"^there is no preset 'fast'; the presets are default, quick, paper\.$"):
+        preset("fast")

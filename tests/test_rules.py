@@ -1,0 +1,267 @@
+"""The house rules, as far as a program can hold them."""
+
+import ast
+import importlib.metadata
+import importlib.util
+import re
+import subprocess
+import sys
+import tokenize
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = {
+    "common": {"common"},
+    "rollout": {"rollout", "common"},
+    "learner": {"learner", "common"},
+    "elite": {"elite", "common"},
+    "deploy": {"deploy", "common", "rollout", "learner", "elite"},
+}
+NOT_OURS = {".git", ".venv", "runs", "dist", "build", "__pycache__"}
+SOURCE_FILES = sorted(
+    path.relative_to(ROOT).as_posix()
+    for folder in (*PACKAGES, "tests", "experiments", "benchmarks")
+    for path in (ROOT / folder).rglob("*.py")
+)
+PACKAGE_FILES = [name for name in SOURCE_FILES if name.split("/")[0] in PACKAGES]
+TEST_FILES = [name for name in SOURCE_FILES if name.startswith("tests/")]
+
+FORBIDDEN_MODULES = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
+FORBIDDEN_CALLS = {"torch.load", "torch.save"}
+
+each_source = pytest.mark.parametrize("name", SOURCE_FILES)
+each_package_file = pytest.mark.parametrize("name", PACKAGE_FILES)
+
+
+def tree(name: str) -> ast.Module:
+    return ast.parse((ROOT / name).read_text())
+
+
+def imports(module: ast.AST) -> set[str]:
+    """Return the dotted names of all modules that a module imports anywhere."""
+    found = set()
+    for node in ast.walk(module):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def top_levels(module: ast.AST) -> set[str]:
+    return {name.split(".")[0] for name in imports(module)}
+
+
+def pickles(module: ast.AST) -> list[str]:
+    """Return every use of pickle and its kin in a module."""
+    found = sorted(top_levels(module) & FORBIDDEN_MODULES)
+    found += sorted(imports(module) & FORBIDDEN_CALLS)
+    for node in ast.walk(module):
+        if isinstance(node, ast.Attribute) and ast.unparse(node) in FORBIDDEN_CALLS:
+            found.append(ast.unparse(node))
+        if isinstance(node, ast.keyword) and node.arg == "allow_pickle" and ast.unparse(node.value) != "False":
+            found.append("allow_pickle")
+    return found
+
+
+def suppressions_without_reason(path: Path) -> list[str]:
+    """Return the comments that silence a checker without saying why."""
+    silent = re.compile(r"(?:noqa(?::\s*[A-Z]+\d+(?:\s*,\s*[A-Z]+\d+)*)?|type:\s*ignore(?:\[[^\]]*\])?)(.*)")
+    with path.open("rb") as source:
+        comments = [token.string for token in tokenize.tokenize(source.readline) if token.type == tokenize.COMMENT]
+    matches = [(comment, silent.search(comment.lstrip("# "))) for comment in comments]
+    return [comment for comment, match in matches if match and len(match[1].strip(" #-:,")) < 10]
+
+
+def run(*arguments: str, folder: Path = ROOT) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", *arguments], cwd=folder, capture_output=True, text=True, check=False)
+
+
+@each_package_file
+def test_import_direction(name):
+    """common imports none of ours; rollout, learner and elite import only common; nothing imports tests or scripts."""
+    package = name.split("/")[0]
+    ours = {*PACKAGES, "tests", "experiments", "benchmarks"}
+    assert top_levels(tree(name)) & ours <= PACKAGES[package]
+    assert not [node for node in ast.walk(tree(name)) if isinstance(node, ast.ImportFrom) and node.level]
+
+
+def test_one_module_knows_zenoh():
+    """Exactly one module of the packages imports zenoh, and it lies in common."""
+    users = [name for name in PACKAGE_FILES if "zenoh" in top_levels(tree(name))]
+    assert len(users) == 1
+    assert users[0].startswith("common/")
+
+
+@each_package_file
+def test_imports_are_declared_dependencies(name):
+    """The packages import the standard library, each other, and the distributions that pyproject.toml declares."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = {re.split(r"[<>=!~\[; ]", text)[0].lower() for text in project["dependencies"]}
+    foreign = top_levels(tree(name)) - set(sys.stdlib_module_names) - set(PACKAGES)
+    providers = importlib.metadata.packages_distributions()
+    assert {module for module in foreign if not declared & {text.lower() for text in providers[module]}} == set()
+
+
+@each_source
+def test_no_pickle(name):
+    """Nothing pickles or unpickles, by whatever name."""
+    assert pickles(tree(name)) == []
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import pickle",
+        "from joblib import dump",
+        "import torch\ntorch.load(path)",
+        "from torch import save",
+        "import numpy as np\nnp.load(path, allow_pickle=True)",
+    ],
+)
+def test_pickle_would_be_found(code):
+    """Each kind of pickling is found by the rule above."""
+    assert pickles(ast.parse(code))
+
+
+@each_source
+def test_files_and_functions_are_short(name):
+    """No file has more than 400 lines, no function more than 60."""
+    assert len((ROOT / name).read_text().splitlines()) <= 400
+    functions = [node for node in ast.walk(tree(name)) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    assert {f.name: f.end_lineno - f.lineno + 1 for f in functions if f.end_lineno - f.lineno >= 60} == {}
+
+
+@each_source
+def test_suppressions_have_a_reason(name):
+    """Whatever silences a checker says why, beside it."""
+    assert suppressions_without_reason(ROOT / name) == []
+
+
+def test_suppression_without_reason_would_be_found(tmp_path):
+    """A bare suppression is found by the rule above, and one with its reason is not."""
+    path = tmp_path / "code.py"
+    bare = ["# " + "noqa", "# " + "noqa: E501", "# " + "type: ignore[arg-type]"]
+    path.write_text("".join(f"x = 1  {comment}\ny = 2  {comment}  # the reason stands here\n" for comment in bare))
+    assert suppressions_without_reason(path) == bare
+
+
+@each_package_file
+def test_public_things_have_docstrings(name):
+    """Every module and every public class, function and method of the packages has a docstring."""
+    module = tree(name)
+    missing = [] if ast.get_docstring(module) else [name]
+    containers = [module, *(node for node in ast.walk(module) if isinstance(node, ast.ClassDef))]
+    for container in containers:
+        for node in container.body:
+            named = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
+            if named and not node.name.startswith("_") and not ast.get_docstring(node):
+                missing.append(node.name)
+    assert missing == []
+
+
+@pytest.mark.parametrize("name", TEST_FILES)
+def test_tests_say_what_they_hold_and_hold_it(name):
+    """Every test has a docstring of one sentence, and asserts or expects a refusal."""
+    tests = [
+        node for node in ast.walk(tree(name)) if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    ]
+    mute = [test.name for test in tests if not (ast.get_docstring(test) or "").endswith(".")]
+    idle = [test.name for test in tests if not any(map(holds_something, ast.walk(test)))]
+    assert (mute, idle) == ([], [])
+
+
+def holds_something(node: ast.AST) -> bool:
+    if isinstance(node, ast.Call):
+        called = ast.unparse(node.func).rpartition(".")[2]
+        return called == "raises" or called.lstrip("_").startswith(("assert", "check", "expect"))
+    return isinstance(node, ast.Assert)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("ruff", "check", "."), ("ruff", "format", "--check", "."), ("mypy",)],
+    ids=["ruff check", "ruff format", "mypy"],
+)
+def test_checkers_pass(command):
+    """Ruff and strict mypy have nothing to say."""
+    result = run(*command)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_mypy_is_strict_for_every_package():
+    """The type checker is strict, and it covers exactly the five packages."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]
+    assert settings["strict"] is True
+    assert set(settings["packages"]) == set(PACKAGES)
+
+
+def test_no_machine_path_and_no_registry_host():
+    """No text file names a folder of somebody's machine or the host of a package registry."""
+    machine = re.compile(r"(?<![\w.~\-])/(?:work|root|home|opt)/")
+    registry = re.compile(
+        "|".join(re.escape(host) for host in ("pypi" + ".org", "pytorch" + ".org/whl", "python" + "hosted"))
+    )
+    found = []
+    for path in ROOT.rglob("*"):
+        name = path.relative_to(ROOT).as_posix()
+        hidden = set(path.relative_to(ROOT).parts) & NOT_OURS or name.startswith((".mypy", ".ruff", ".pytest", ".hypo"))
+        if hidden or not path.is_file():
+            continue
+        text = path.read_bytes().decode("utf-8", errors="ignore")
+        temporary = name in PACKAGE_FILES and "/tmp/" in text
+        if machine.search(text) or registry.search(text) or temporary:
+            found.append(name)
+    assert found == []
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_other_distribution_ships_our_package_names(package):
+    """The name imports our package, and no other installed distribution ships a package of that name."""
+    assert set(importlib.metadata.packages_distributions().get(package, [])) <= {"eia-sec"}
+    assert Path(importlib.util.find_spec(package).origin).parent == ROOT / package
+
+
+def test_wheel_holds_the_packages_and_nothing_else(tmp_path):
+    """The wheel holds every file of the five packages, py.typed, the licence and the command, and nothing else."""
+    result = run("hatchling", "build", "-t", "wheel", "-d", str(tmp_path))
+    assert result.returncode == 0, result.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        (commands,) = (archive.read(name).decode() for name in names if name.endswith("/entry_points.txt"))
+    metadata = {name for name in names if name.split("/")[0].endswith(".dist-info")}
+    sources = {
+        path.relative_to(ROOT).as_posix()
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and path.suffix != ".pyc"
+    }
+    assert names - metadata == sources
+    assert {f"{package}/py.typed" for package in PACKAGES} <= names
+    assert any(name.endswith("/licenses/LICENSE") for name in metadata)
+    assert "eia-sec = deploy.cli:main" in commands
+
+
+def test_unknown_marker_is_refused(tmp_path):
+    """A test with a marker that nobody declared does not run."""
+    (tmp_path / "test_marked.py").write_text("import pytest\n@pytest.mark.nightley\ndef test_it(): pass\n")
+    result = run(
+        "pytest", "-c", str(ROOT / "pyproject.toml"), "-p", "no:cacheprovider", "--rootdir", ".", ".", folder=tmp_path
+    )
+    assert result.returncode != 0
+    assert "'nightley' not found in `markers`" in result.stdout
+
+
+def test_constraints_pin_every_direct_dependency():
+    """Every direct dependency is pinned to one version in constraints.txt, and the pinned version is an allowed one."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    direct = [*project["dependencies"], *project["optional-dependencies"]["dev"]]
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pins = dict(line.split("==") for line in lines if line and not line.startswith("#"))
+    assert all(re.fullmatch(r"[0-9.]+", version) for version in pins.values())
+    assert {re.split(r"[<>=]", text)[0] for text in direct} - set(pins) == set()
