@@ -35,11 +35,11 @@ setup: $(READY)
 
 $(READY): pyproject.toml constraints.txt
 	@command -v "$(PYTHON)" >/dev/null || { \
-	  echo "EIA-SEC needs Python 3.11 or newer, and $(PYTHON) was not found; name one with: make PYTHON=python3.11" >&2; \
+	  echo "EIA-SEC needs Python 3.11 or newer, and $(PYTHON) was not found; name one with PYTHON=python3.11" >&2; \
 	  exit 2; }
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo "EIA-SEC needs Python 3.11 or newer, and $$($(PYTHON) --version) was found;" \
-	       "name another with: make PYTHON=python3.11" >&2; \
+	       "name another with PYTHON=python3.11" >&2; \
 	  exit 2; }
 	@echo "Setting up $(VENV): a few minutes, only this once."
 	@"$(PYTHON)" -m venv $(VENV)

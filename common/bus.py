@@ -206,13 +206,15 @@ class Bus:
         return self._answer(replies, time.monotonic() + timeout + 1.0)
 
     def _answer(self, replies: Any, deadline: float) -> bytes | None:
-        pause = 0.0002
+        pause, ended = 0.0002, False
         while time.monotonic() < deadline:
-            if self._closed.is_set():
-                raise BusClosedError("the bus was closed while a request was under way.")
             try:
                 reply = replies.try_recv()
             except zenoh.ZError:
+                reply, ended = None, True
+            if self._closed.is_set():
+                raise BusClosedError("the bus was closed while a request was under way.")
+            if ended:
                 return None
             if reply is None:
                 time.sleep(pause)

@@ -46,9 +46,10 @@ def save_policy(path: Path, bank: ActorBank, metadata: Mapping[str, str], *, hal
     taken = sorted(set(metadata) & set(RESERVED))
     if taken:
         raise PolicyError(f"the metadata key {taken[0]!r} of a policy is reserved.")
-    stored = [flat.astype(np.float16) if half else flat for flat in bank.flat]
+    with np.errstate(over="ignore"):
+        stored = [flat.astype(np.float16) if half else flat for flat in bank.flat]
     if not all(np.isfinite(flat).all() for flat in stored):
-        raise PolicyError("a parameter of the policy is too large for 16-bit storage.")
+        raise PolicyError("a parameter of the policy is not finite or too large for 16-bit storage.")
     header = {
         **metadata,
         "format": FORMAT,

@@ -6,17 +6,20 @@ also made by a marker, a line style or a label. Nothing here opens a window.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from common.team import COLLECTION, COMMUNICATION, MONITORING
+from common.team import COLLECTION, COMMUNICATION, MONITORING, farm_team
 from rollout.evaluation import Trajectory
+
+LineStyle = Literal["-", "--", "-."]
 
 DPI: Final = 150
 COLOURS: Final = {COMMUNICATION: "#0072B2", MONITORING: "#D55E00", COLLECTION: "#009E73", "mean": "#000000"}
@@ -29,7 +32,13 @@ LABELS: Final = {
 SENSOR_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
 SMOOTH_SHARE: Final = 0.05
 """Width of the smoothing window as a share of the curve."""
-TEXT: Final = {"fontsize": 9}
+STYLES: Final[dict[str, LineStyle]] = {COMMUNICATION: "--", MONITORING: "-", COLLECTION: "-.", "mean": "-"}
+END_MARKERS: Final = {COMMUNICATION: "P", MONITORING: "s", COLLECTION: "^"}
+TEXT: Final[dict[str, Any]] = {"fontsize": 9}
+_NAMES: Final = (COMMUNICATION, MONITORING, COLLECTION)
+_SHADES: Final = LinearSegmentedColormap.from_list("plots", ["#FFFFFF", "#B5B5B5"])
+
+Numbers = NDArray[np.float64]
 
 
 def curves(metrics: Sequence[Mapping[str, Any]], path: Path, levels: Mapping[str, float] | None = None) -> None:
@@ -53,13 +62,13 @@ def curves_figure(metrics: Sequence[Mapping[str, Any]], levels: Mapping[str, flo
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
     for name in (COMMUNICATION, MONITORING, COLLECTION, "mean"):
         values = np.array([record["reward"][name] for record in records], np.float64)
-        _curve(upper, episodes, values, COLOURS[name], LABELS[name], width=2.2 if name == "mean" else 1.5)
+        _curve(upper, episodes, values, COLOURS[name], LABELS[name], STYLES[name], 2.2 if name == "mean" else 1.5)
     _levels(upper, levels or {})
     _events(upper, events)
     upper.set_ylabel("reward of an episode, per agent")
-    for name, colour, style in (("aoi", COLOURS[COLLECTION], "-"), ("vdf", COLOURS[MONITORING], "--")):
-        values = np.array([record[name] for record in records], np.float64)
-        _curve(lower, episodes, values, colour, f"mean {name.upper().replace('AOI', 'AoI')}", style=style)
+    for key, name, label in (("aoi", COLLECTION, "mean AoI"), ("vdf", MONITORING, "mean VDF")):
+        values = np.array([record[key] for record in records], np.float64)
+        _curve(lower, episodes, values, COLOURS[name], label, STYLES[name])
     lower.set_ylim(bottom=0.0)
     lower.set_xlabel("training episodes")
     lower.set_ylabel("units (lower is fresher)")
@@ -83,31 +92,155 @@ def trajectories(trajectory: Trajectory, path: Path) -> None:
 def trajectories_figure(trajectory: Trajectory) -> Figure:
     """Return the picture that `trajectories` saves."""
     world = trajectory.config.world
-    figure = Figure(figsize=(9.0, 7.0), layout="constrained")
-    axes = figure.subplots()
+    figure = Figure(figsize=(9.6, 7.2), layout="constrained")
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 0.26), height_ratios=(1.0, 0.04, 0.04))
+    axes = figure.add_subplot(grid[:, 0])
     plots = axes.imshow(
         trajectory.final_vdf.T,
         origin="lower",
         extent=(0.0, world.field_x, 0.0, world.field_y),
-        cmap="Greys",
+        cmap=_SHADES,
         vmin=0.0,
-        vmax=2.0 * world.vdf_max,
+        vmax=world.vdf_max,
         zorder=0,
     )
     sensors = _sensors(axes, trajectory)
     _paths(axes, trajectory)
-    _links(axes, trajectory)
-    axes.set(xlim=(0.0, world.field_x), ylim=(0.0, world.field_y), xlabel="x, m", ylabel="y, m", aspect="equal")
-    reward = float(np.mean(trajectory.summary.reward))
-    axes.set_title(
-        f"farm {trajectory.farm}, {len(trajectory.position) - 1} steps: {reward:.0f} reward per agent, "
-        f"mean AoI {trajectory.summary.aoi:.2f}, mean VDF {trajectory.summary.vdf:.2f}",
-        loc="left",
-        fontsize=10,
-    )
-    _scale_bar(axes, world.field_x, world.field_y)
-    figure.colorbar(sensors, ax=axes, location="right", shrink=0.4, anchor=(0.0, 0.0), label="AoI of a sensor, end")
-    bar = figure.colorbar(plots, ax=axes, location="right", shrink=0.4, anchor=(0.0, 0.0), label="VDF of a plot, end")
-    bar.ax.set_ylim(0.0, world.vdf_max)
-    figure.legend(handles=_legend(trajectory), loc="outside right upper", frameon=False, **TEXT)
+    margin = 0.025 * max(world.field_x, world.field_y)
+    axes.set(xlim=(-margin, world.field_x + margin), ylim=(-margin, world.field_y + margin))
+    axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
+    axes.set_title(_headline(trajectory), loc="left", fontsize=10)
+    _scale_bar(axes, world.field_x, world.field_y + margin)
+    key = figure.add_subplot(grid[0, 1])
+    key.set_axis_off()
+    key.legend(handles=_legend(trajectory), loc="upper left", borderaxespad=0.0, frameon=False, **TEXT)
+    figure.colorbar(sensors, cax=figure.add_subplot(grid[1, 1]), orientation="horizontal", label="AoI of a sensor, end")
+    figure.colorbar(plots, cax=figure.add_subplot(grid[2, 1]), orientation="horizontal", label="VDF of a plot, end")
     return figure
+
+
+def _curve(axes: Axes, x: Numbers, y: Numbers, colour: str, label: str, style: LineStyle, width: float = 1.5) -> None:
+    """Draw a curve faintly as it is and strongly as its moving mean."""
+    axes.plot(x, y, color=colour, alpha=0.2, linewidth=0.8)
+    marker = "o" if len(x) == 1 else ""
+    axes.plot(x, smooth(y), color=colour, label=label, linestyle=style, linewidth=width, marker=marker)
+
+
+def smooth(values: Numbers) -> Numbers:
+    """Return the centred moving mean over SMOOTH_SHARE of the values; the window shrinks at both ends."""
+    half = int(len(values) * SMOOTH_SHARE / 2)
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    index = np.arange(len(values))
+    low, high = np.maximum(index - half, 0), np.minimum(index + half + 1, len(values))
+    means: Numbers = (total[high] - total[low]) / (high - low)
+    return means
+
+
+def _levels(axes: Axes, levels: Mapping[str, float]) -> None:
+    """Draw each level as a dashed line with its name at the right end, names moved apart where levels are close."""
+    if not levels:
+        return
+    low, high = axes.get_ylim()
+    low, high = min(low, *levels.values()), max(high, *levels.values())
+    axes.set_ylim(low - 0.02 * (high - low), high + 0.04 * (high - low))
+    least, text_y = 0.045 * (high - low), -np.inf
+    for name, level in sorted(levels.items(), key=lambda item: item[1]):
+        axes.axhline(level, color="0.4", linestyle=(0, (5, 3)), linewidth=1.0, zorder=1)
+        text_y = max(level, text_y + least)
+        axes.annotate(
+            f"{name} {level:.0f}",
+            (1.0, level),
+            (1.01, text_y),
+            xycoords=axes.get_yaxis_transform(),
+            textcoords=axes.get_yaxis_transform(),
+            va="center",
+            color="0.25",
+            **TEXT,
+        )
+
+
+def _events(axes: Axes, events: Sequence[int]) -> None:
+    """Mark each imitation event by a tick on the upper edge."""
+    if events:
+        transform = axes.get_xaxis_transform()
+        axes.plot(
+            events, np.ones(len(events)), "v", color="#CC79A7", transform=transform, clip_on=False, label="imitation"
+        )
+
+
+def _sensors(axes: Axes, trajectory: Trajectory) -> PathCollection:
+    """Draw the sensors, a marker for each type, and return the artist that carries the colour scale."""
+    artist: PathCollection | None = None
+    for kind in range(len(trajectory.config.world.sensor_cycles)):
+        chosen = trajectory.sensor_type == kind
+        artist = axes.scatter(
+            trajectory.sensor_xy[chosen, 0],
+            trajectory.sensor_xy[chosen, 1],
+            c=trajectory.final_aoi[chosen],
+            cmap="viridis_r",
+            vmin=0.0,
+            vmax=trajectory.config.world.aoi_max,
+            marker=SENSOR_MARKERS[kind % len(SENSOR_MARKERS)],
+            s=20,
+            linewidths=0.4,
+            edgecolors="white",
+            zorder=2,
+        )
+    assert artist is not None, "a farm has at least one sensor type"
+    return artist
+
+
+def _paths(axes: Axes, trajectory: Trajectory) -> None:
+    """Draw every UAV's path with its start and end, and the links between relays and those they serve at the end."""
+    ends = trajectory.position[-1]
+    relays = trajectory.config.world.communication_uavs
+    for served, relay in enumerate(trajectory.assignment):
+        axes.plot(*ends[[relay, relays + served]].T, color="0.15", linewidth=1.0, linestyle=":", zorder=4)
+    for name, agents in zip(_NAMES, farm_team(trajectory.config).agent_slices(), strict=True):
+        for agent in range(agents.start, agents.stop):
+            path, colour = trajectory.position[:, agent], COLOURS[name]
+            axes.plot(*path.T, color=colour, linestyle=STYLES[name], linewidth=1.1, alpha=0.8, zorder=3)
+            axes.plot(*path[0], "o", color=colour, markerfacecolor="white", markersize=6, zorder=5)
+            axes.plot(*path[-1], END_MARKERS[name], color=colour, markeredgecolor="white", markersize=10, zorder=6)
+
+
+def _scale_bar(axes: Axes, field_x: float, top: float) -> None:
+    """Draw a bar of a round length over the right end of the map's upper edge."""
+    power = 10.0 ** np.floor(np.log10(field_x / 4))
+    length = max(step * power for step in (1, 2, 5) if step * power <= field_x / 4)
+    y = top + field_x * 0.015
+    axes.plot([field_x - length, field_x], [y, y], color="black", linewidth=2.0, clip_on=False)
+    axes.text(field_x - length / 2, y + field_x * 0.008, f"{length:g} m", ha="center", va="bottom", **TEXT)
+
+
+def _headline(trajectory: Trajectory) -> str:
+    summary = trajectory.summary
+    return (
+        f"farm {trajectory.farm}, {summary.steps} steps: reward {np.mean(summary.reward):.0f} per agent, "
+        f"AoI {summary.aoi:.2f}, VDF {summary.vdf:.2f}"
+    )
+
+
+def _legend(trajectory: Trajectory) -> list[Line2D]:
+    """Return what the map's signs mean."""
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=COLOURS[name],
+            linestyle=STYLES[name],
+            marker=END_MARKERS[name],
+            markeredgecolor="white",
+            markersize=9,
+            label=f"{LABELS[name]} UAV, end",
+        )
+        for name in _NAMES
+    ]
+    handles.append(
+        Line2D([], [], color="0.3", marker="o", markerfacecolor="white", linestyle="", label="start of a UAV")
+    )
+    handles.append(Line2D([], [], color="0.15", linestyle=":", label="relay link, end"))
+    for kind, cycle in enumerate(trajectory.config.world.sensor_cycles):
+        marker = SENSOR_MARKERS[kind % len(SENSOR_MARKERS)]
+        handles.append(Line2D([], [], color="0.5", marker=marker, linestyle="", label=f"sensor, every {cycle} s"))
+    return handles

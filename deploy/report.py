@@ -9,8 +9,9 @@ from rich.console import Console
 
 from common.config import RunConfig
 from common.policy_file import load_policy
-from deploy.figures import comparison_table, curves, trajectories
+from deploy.figures import curves, trajectories
 from deploy.rundir import METRICS, POLICY, RunDirectory
+from deploy.tables import comparison_table
 from rollout.evaluation import Evaluation, evaluate, record
 from rollout.policies import HEURISTICS, ActorPolicy, policy_of
 

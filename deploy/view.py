@@ -185,7 +185,7 @@ def summary(snapshot: Snapshot) -> str:
         f"{_number(snapshot.steps_rate)} steps/s",
         f"{_number(snapshot.updates_rate)} updates/s",
         f"{duration(snapshot.left)} left" if snapshot.left is not None else "",
-        f"{len(snapshot.alarms)} alarms" if snapshot.alarms else "",
+        _alarm_count(len(snapshot.alarms)),
     ]
     return "; ".join(part for part in parts if part)
 
@@ -336,3 +336,7 @@ def _percent(value: float | None) -> str:
 
 def _count(value: int | None) -> str:
     return "-" if value is None else f"{value:,}"
+
+
+def _alarm_count(number: int) -> str:
+    return {0: "", 1: "1 alarm"}.get(number, f"{number} alarms")

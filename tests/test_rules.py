@@ -83,7 +83,7 @@ def run(*arguments: str, folder: Path = ROOT) -> subprocess.CompletedProcess[str
 
 @each_package_file
 def test_import_direction(name):
-    """common imports none of ours; rollout, learner and elite import only common; nothing imports tests or scripts."""
+    """Common imports none of ours; rollout, learner and elite only common; none imports tests or scripts."""
     package = name.split("/")[0]
     ours = {*PACKAGES, "tests", "experiments", "benchmarks"}
     assert top_levels(tree(name)) & ours <= PACKAGES[package]

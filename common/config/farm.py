@@ -279,7 +279,7 @@ class RelayConfig:
     def capacity_for(self, world: WorldConfig) -> int:
         """Return the UAVs per relay; raise ConfigError when all relays together cannot serve everybody."""
         served = world.monitoring_uavs + world.collection_uavs
-        capacity = self.capacity or math.ceil(served / world.communication_uavs)
+        capacity = min(served, self.capacity or math.ceil(served / world.communication_uavs))
         if capacity * world.communication_uavs < served:
             raise ConfigError(
                 f"relay.capacity {capacity} times {world.communication_uavs} relays cannot serve {served} UAVs."

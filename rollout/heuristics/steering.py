@@ -4,7 +4,7 @@ Actions are velocities as shares of the largest speed along each axis, so a step
 action * (V_x-max, V_y-max) * t_step.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from common.config import WorldConfig
 from rollout.farms import FarmBatch
 
-Array = NDArray[np.floating[Any]]
+Array = NDArray[np.float64]
 
 STANDOFF: Final = 1e-9
 """Least distance by which a direction is divided, m."""
@@ -35,7 +35,8 @@ def towards(position: Array, target: Array, world: WorldConfig) -> Array:
         [..., 2] in [-1, 1].
     """
     share = (target - position) / reach(world)
-    return share / np.maximum(1.0, np.abs(share).max(axis=-1, keepdims=True))
+    action: Array = share / np.maximum(1.0, np.abs(share).max(axis=-1, keepdims=True))
+    return action
 
 
 def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
@@ -57,12 +58,13 @@ def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
     then = now + motion[:, None] - motion[:, :, None]
     distance, following = np.hypot(now[..., 0], now[..., 1]), np.hypot(then[..., 0], then[..., 1])
     count = position.shape[1]
-    risky = (following < world.safety_distance) & (following < distance) & ~np.eye(count, dtype=bool)
-    nearest = np.where(risky, following, np.inf).argmin(axis=2)[..., None]
+    risky = np.logical_and(following < world.safety_distance, following < distance) & ~np.eye(count, dtype=bool)
+    nearest = np.expand_dims(np.where(risky, following, np.inf).argmin(axis=2), axis=2)
     heading = np.take_along_axis(now, nearest[..., None], axis=2)[:, :, 0]
     heading = heading / np.maximum(np.take_along_axis(distance, nearest, axis=2), STANDOFF)
     closing = np.maximum(0.0, (motion * heading).sum(axis=-1, keepdims=True)) * risky.any(axis=2)[..., None]
-    return np.clip((motion - closing * heading) / reach(world), -1.0, 1.0)
+    apart: Array = np.clip((motion - closing * heading) / reach(world), -1.0, 1.0)
+    return apart
 
 
 def relay_targets(farms: FarmBatch) -> Array:
@@ -72,4 +74,5 @@ def relay_targets(farms: FarmBatch) -> Array:
     serves = (farms.assignment[:, None, :] == np.arange(relays)[:, None]).astype(np.float64)
     number = serves.sum(axis=2, keepdims=True)
     centre = np.matmul(serves, served) / np.maximum(number, 1.0)
-    return np.where(number > 0, centre, own)
+    target: Array = np.where(number > 0, centre, own)
+    return target

@@ -123,14 +123,14 @@ def test_equal_configurations_have_no_differences_and_one_digest():
     assert len({digest(config) for config in PRESETS.values()}) == len(PRESETS)
 
 
+WORDS = ("printed", "physical", "random", "local", "member", "mixture", "joint", "independent", "any", "exact")
+WORDS += ("expected", "ghz", "cuda")
 OTHER_VALUES = {
     bool: ["true", "false"],
-    str: [
-        f'"{word}"' for word in "printed physical random local joint independent any exact expected ghz cuda".split()
-    ],
+    str: [f'"{word}"' for word in WORDS],
     tuple: ["[30]"],
-    int: ["2", "3", "2000000"],
-    float: ["0.25", "0.75", "2.0"],
+    int: ["2", "3", "100", "2000000"],
+    float: ["0.25", "0.75", "2.0", "4.0"],
 }
 
 

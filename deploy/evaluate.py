@@ -1,0 +1,109 @@
+"""What `eia-sec evaluate` does: fly a policy without noise over farms and print what it came to."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+
+from common.config import FarmConfig, RunConfig
+from common.config.files import from_toml
+from common.errors import PolicyError, RunDirError, UsageError
+from deploy.exit_codes import DONE
+from deploy.tables import comparison_table
+from rollout.evaluation import Evaluation, evaluate
+from rollout.policies import policy_of, trained_policy
+
+CONFIG_FILE: Final = "config.toml"
+POLICY_FILE: Final = "policy.safetensors"
+MAX_FARMS: Final = 100_000
+
+
+@dataclass(frozen=True)
+class EvaluateArguments:
+    """Fly a policy without noise over farms that are named by their seeds."""
+
+    run_dir: Path | None = None
+    """A run's directory: its configuration and its newest policy."""
+    policy: str | None = None
+    """static, random, lawnmower, greedy, trained, or a policy file; with --run-dir, instead of the run's policy."""
+    farms: str = "1000:1020"
+    """Farm seeds A:B, from A to B - 1."""
+    episodes: int = 1
+    """Episodes on each farm."""
+    json: bool = False
+    """Print JSON instead of a table."""
+    config: Path | None = None
+    """TOML file whose values replace those of the run or of the default preset."""
+    set: tuple[str, ...] = ()
+    """Single values, for instance farm.world.steps=100; they come last."""
+
+
+def main(arguments: EvaluateArguments) -> int:
+    """Evaluate and print; return the exit code.
+
+    Raises:
+        UsageError: something that was asked for does not exist or cannot be.
+    """
+    evaluation = run(arguments)
+    if arguments.json:
+        sys.stdout.write(json.dumps(evaluation.to_dict(), indent=2) + "\n")
+    else:
+        Console().print(comparison_table([evaluation]))
+    return DONE
+
+
+def run(arguments: EvaluateArguments) -> Evaluation:
+    """Return the evaluation that the arguments ask for.
+
+    Raises:
+        UsageError: something that was asked for does not exist or cannot be.
+    """
+    farms = parse_farms(arguments.farms)
+    if arguments.episodes < 1:
+        raise UsageError(f"--episodes must be 1 or more, not {arguments.episodes}.")
+    farm = _farm_config(arguments)
+    if arguments.policy is not None:
+        name, policy = arguments.policy, policy_of(arguments.policy, farm)
+    elif arguments.run_dir is not None:
+        path = arguments.run_dir / POLICY_FILE
+        if not path.is_file():
+            raise RunDirError(f"{arguments.run_dir} holds no {POLICY_FILE}: the run has not saved a policy yet.")
+        name, policy = arguments.run_dir.name, trained_policy(path, farm)
+    else:
+        raise PolicyError("nothing to evaluate: give --run-dir DIR or --policy NAME.")
+    return evaluate(farm, policy, farms, arguments.episodes, name=name)
+
+
+def parse_farms(text: str) -> range:
+    """Return the farm seeds that A:B names.
+
+    Raises:
+        UsageError: it is not A:B with 0 <= A < B, or names more farms than anybody would fly.
+    """
+    first, colon, end = text.partition(":")
+    if not (colon and first.strip().isdecimal() and end.strip().isdecimal()):
+        raise UsageError(f"--farms must be A:B with whole numbers, 1000:1020 for instance, not {text!r}.")
+    farms = range(int(first), int(end))
+    if not farms:
+        raise UsageError(f"--farms {text} names no farm: B must be larger than A.")
+    if farms.stop - farms.start > MAX_FARMS or farms.stop > 2**63:
+        raise UsageError(f"--farms {text} is out of range: at most {MAX_FARMS:,} farms, seeds below 2^63.")
+    return farms
+
+
+def _farm_config(arguments: EvaluateArguments) -> FarmConfig:
+    """Return the run's or the default farm with the file's and the single values in it."""
+    config = RunConfig()
+    if arguments.run_dir is not None:
+        path = arguments.run_dir / CONFIG_FILE
+        if not path.is_file():
+            raise RunDirError(f"{arguments.run_dir} is no run directory: it holds no {CONFIG_FILE}.")
+        config = from_toml(path, config)
+    if arguments.config is not None:
+        config = from_toml(arguments.config, config)
+    for assignment in arguments.set:
+        config = from_toml(assignment, config)
+    return config.farm

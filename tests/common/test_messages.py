@@ -1,0 +1,85 @@
+"""Every message type survives the wire, and nothing that differs from its declaration is accepted."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from common import frame, messages
+from common.errors import SchemaError
+from common.messages import (
+    ChunkAck,
+    EvaluationOrder,
+    EvaluationResult,
+    ImitationMessage,
+    Message,
+    MetricMessage,
+    ParametersMessage,
+    ProgressMessage,
+)
+
+TYPES = [
+    kind
+    for kind in vars(messages).values()
+    if isinstance(kind, type) and issubclass(kind, Message) and kind is not Message
+]
+
+EXAMPLES = [
+    ChunkAck("accepted", 4, 0, ""),
+    EvaluationOrder(1, 2, (3, 4), (5, 6)),
+    EvaluationResult(1, 2, np.ones((2, 5, 3), np.float32)),
+    ImitationMessage(1, 2, 10, 0.1, (0, 1), ((0.5, -1.0), (2.0,)), 500),
+    MetricMessage(1, "host", 2, 3.0, {"a": {"b": 1.5}, "c": "text"}),
+    ParametersMessage(1, 2, 0, 4, 0.5, "ab", 8, (np.ones((2, 3), np.float32), np.zeros((1, 7), np.float32))),
+    ProgressMessage(1, 2, 3, 4, 5, 6, "training"),
+]
+
+
+def test_every_type_is_a_dataclass_with_a_number_of_its_own() -> None:
+    """KIND numbers are unique, and every message is a frozen dataclass."""
+    assert len({kind.KIND for kind in TYPES}) == len(TYPES) > 8
+    assert all(dataclasses.is_dataclass(kind) for kind in TYPES)
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda message: type(message).__name__)
+def test_round_trip(message: Message) -> None:
+    """Each field comes back equal and of the same type."""
+    again = type(message).decode(message.encode())
+    for field in dataclasses.fields(message):  # type: ignore[arg-type]  # every message is a dataclass
+        sent, got = getattr(message, field.name), getattr(again, field.name)
+        if isinstance(sent, np.ndarray):
+            np.testing.assert_array_equal(got, sent)
+        elif isinstance(sent, tuple) and isinstance(sent[0], np.ndarray):
+            for a, b in zip(sent, got, strict=True):
+                np.testing.assert_array_equal(a, b)
+        else:
+            assert got == sent
+
+
+@pytest.mark.parametrize(
+    ("fields", "arrays"),
+    [
+        ({"event": 1, "version": 2}, {}),
+        ({"event": 1, "version": 2}, {"reward": np.ones(3)}),
+        ({"event": "1", "version": 2}, {"reward": np.ones(3, np.float32)}),
+        ({"event": True, "version": 2}, {"reward": np.ones(3, np.float32)}),
+        ({"event": -1, "version": 2}, {"reward": np.ones(3, np.float32)}),
+        ({"event": 1}, {"reward": np.ones(3, np.float32)}),
+        ({"event": 1, "version": 2, "more": 3}, {"reward": np.ones(3, np.float32)}),
+        ({"event": 1, "version": 2}, {"reward": np.ones(3, np.float32), "more": np.ones(1)}),
+    ],
+)
+def test_what_differs_from_the_declaration_is_refused(
+    fields: dict[str, object], arrays: dict[str, frame.Array]
+) -> None:
+    """Missing, unknown, mistyped and out-of-range fields are SchemaErrors."""
+    with pytest.raises(SchemaError):
+        EvaluationResult.decode(frame.encode(EvaluationResult.KIND, fields, arrays))
+
+
+@pytest.mark.parametrize("rate", [float("nan"), float("inf")])
+def test_numbers_that_are_not_finite_are_refused(rate: float) -> None:
+    """A NaN or an infinity in a scalar field is a SchemaError."""
+    message = dataclasses.replace(EXAMPLES[3], rate=rate)  # type: ignore[type-var]  # an ImitationMessage
+    with pytest.raises(SchemaError, match="finite"):
+        ImitationMessage.decode(message.encode())

@@ -1,0 +1,159 @@
+import json
+import math
+
+import numpy as np
+import pytest
+
+from common.actors import ActorBank
+from common.errors import PolicyError
+from common.policy_file import MAX_FILE_BYTES, MAX_HEADER_BYTES, load_policy, save_policy
+from common.team import GroupSpec, TeamSpec
+
+TEAM = TeamSpec((GroupSpec("communication", 2, 5, 2), GroupSpec("monitoring", 3, 4, 2)))
+PROVENANCE = {"command": "eia-sec train", "seed": "0", "commit": "abc"}
+
+
+@pytest.fixture
+def bank():
+    return ActorBank.initial(TEAM, hidden=8, seed=1, per_type=False)
+
+
+@pytest.fixture
+def path(tmp_path, bank):
+    save_policy(tmp_path / "policy.safetensors", bank, PROVENANCE)
+    return tmp_path / "policy.safetensors"
+
+
+def rewrite_header(path, change):
+    data = path.read_bytes()
+    length = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + length])
+    change(header)
+    text = json.dumps(header).encode()
+    path.write_bytes(len(text).to_bytes(8, "little") + text + data[8 + length :])
+
+
+def test_a_policy_comes_back_bit_equal_with_its_provenance(path, bank):
+    """Saving and loading changes no parameter, and gives back exactly the metadata that went in."""
+    loaded, metadata = load_policy(path)
+    assert loaded.team == TEAM
+    assert loaded.hidden == 8
+    assert loaded.digest() == bank.digest()
+    assert metadata == PROVENANCE
+
+
+def test_half_storage_halves_the_file_and_rounds_to_sixteen_bits(tmp_path):
+    """With `half` the parameters come back as float32 rounded to 11 significant bits, from half the bytes."""
+    bank = ActorBank.initial(TEAM, hidden=64, seed=1)
+    save_policy(tmp_path / "whole", bank, {})
+    save_policy(tmp_path / "half", bank, {}, half=True)
+    loaded, _ = load_policy(tmp_path / "half")
+    for was, now in zip(bank.flat, loaded.flat, strict=True):
+        assert now.dtype == np.float32
+        np.testing.assert_array_equal(now, was.astype(np.float16).astype(np.float32))
+    assert (tmp_path / "half").stat().st_size < 0.55 * (tmp_path / "whole").stat().st_size
+
+
+def test_half_storage_refuses_what_sixteen_bits_cannot_hold(tmp_path, bank):
+    """A parameter beyond float16 is an error and leaves no file."""
+    bank.flat[0][0, 0] = 1e6
+    with pytest.raises(PolicyError, match="16-bit"):
+        save_policy(tmp_path / "half", bank, {}, half=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_reserved_metadata_is_refused(tmp_path, bank):
+    """Provenance cannot overwrite the keys that describe the policy."""
+    with pytest.raises(PolicyError, match="'team'"):
+        save_policy(tmp_path / "policy", bank, {"team": "mine"})
+
+
+def test_a_file_cut_anywhere_is_refused(path):
+    """Whatever length is left, loading says so with a PolicyError."""
+    data = path.read_bytes()
+    for length in [0, 4, 8, 9, 60, *range(100, len(data), 97), len(data) - 1]:
+        path.write_bytes(data[:length])
+        with pytest.raises(PolicyError, match="not a whole policy file"):
+            load_policy(path)
+
+
+def test_a_flipped_bit_among_the_numbers_is_noticed(path):
+    """The digest in the header covers every parameter."""
+    data = bytearray(path.read_bytes())
+    data[-7] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(PolicyError, match="not those that were saved"):
+        load_policy(path)
+
+
+def test_an_oversized_file_is_refused_before_it_is_read(path):
+    """A file beyond the limit, here a sparse one, is refused by its size."""
+    with path.open("r+b") as file:
+        file.truncate(MAX_FILE_BYTES + 1)
+    with pytest.raises(PolicyError, match="at most"):
+        load_policy(path)
+
+
+@pytest.mark.parametrize("length", [MAX_HEADER_BYTES + 1, 2**63])
+def test_an_oversized_header_is_refused(path, length):
+    """A header that claims more bytes than the file or the limit holds is refused."""
+    path.write_bytes(length.to_bytes(8, "little") + path.read_bytes()[8:])
+    with pytest.raises(PolicyError, match="oversized"):
+        load_policy(path)
+
+
+def set_metadata(key, value):
+    return lambda header: header["__metadata__"].update({key: value})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        set_metadata("format", "something else"),
+        set_metadata("hidden", "9"),
+        set_metadata("hidden", "100000000000"),
+        set_metadata("hidden", "many"),
+        set_metadata("team", '{"groups": [["communication", 4096, 65536, 2]]}'),
+        set_metadata("team", "[" * 50_000),
+        lambda header: header.pop("__metadata__"),
+        lambda header: header.update({"__metadata__": 3}),
+        lambda header: header.pop("monitoring"),
+        lambda header: header.update({"monitoring": []}),
+        lambda header: header["monitoring"].update({"dtype": "F64"}),
+        lambda header: header["monitoring"].update({"shape": [10**9, 10**9]}),
+        lambda header: header["monitoring"].update({"data_offsets": [0, 10**12]}),
+    ],
+)
+def test_a_header_that_contradicts_the_numbers_is_refused(path, change):
+    """Whatever the header promises is compared with team and size before arrays are made."""
+    rewrite_header(path, change)
+    with pytest.raises(PolicyError, match="not a whole policy file"):
+        load_policy(path)
+
+
+def test_a_missing_file_is_a_usage_error(tmp_path):
+    """A path where nothing lies gives one sentence."""
+    with pytest.raises(PolicyError, match="cannot be read"):
+        load_policy(tmp_path / "nothing")
+
+
+def test_an_unwritable_place_leaves_nothing_behind(tmp_path, bank):
+    """Saving into a folder that does not exist is a PolicyError."""
+    with pytest.raises(PolicyError, match="cannot be written"):
+        save_policy(tmp_path / "no" / "policy", bank, {})
+
+
+def test_saving_replaces_the_old_policy(path, bank):
+    """A second save leaves one file, the new one."""
+    other = ActorBank.initial(TEAM, hidden=8, seed=2)
+    save_policy(path, other, {})
+    assert load_policy(path)[0].digest() == other.digest() != bank.digest()
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_not_a_number_cannot_be_saved(tmp_path, bank):
+    """Actors that hold NaN make no file."""
+    bank.flat[1][0, 0] = math.nan
+    with pytest.raises(PolicyError, match="finite"):
+        save_policy(tmp_path / "policy", bank, {})
+    assert list(tmp_path.iterdir()) == []

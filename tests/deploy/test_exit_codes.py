@@ -1,0 +1,70 @@
+"""What a command tells the shell."""
+
+import subprocess
+import sys
+
+import pytest
+
+from common.errors import BusError, CheckpointError, ConfigError, EndpointError, RunDirError
+from deploy.exit_codes import run_command
+
+
+def raising(error):
+    def command():
+        raise error
+
+    return command
+
+
+@pytest.mark.parametrize(("result", "code"), [(None, 0), (0, 0), (3, 3)])
+def test_result_is_the_exit_code(result, code):
+    """A command's own exit code is passed on, and nothing means success."""
+    assert run_command(lambda: result) == code
+
+
+@pytest.mark.parametrize("kind", [ConfigError, EndpointError, RunDirError])
+def test_mistake_of_the_user_is_one_line_and_two(kind, capsys):
+    """A user's mistake prints its sentence on standard error, nothing else, and exits with 2."""
+    assert run_command(raising(kind("episodes must be above 0, not -1."))) == 2
+    captured = capsys.readouterr()
+    assert captured.err == "eia-sec: episodes must be above 0, not -1.\n"
+    assert captured.out == ""
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (CheckpointError("the checkpoint is cut."), "eia-sec: the checkpoint is cut.\n"),
+        (BusError(), "eia-sec: BusError\n"),
+    ],
+)
+def test_expected_failure_is_one_line_and_one(error, line, capsys):
+    """Any other error of the project prints one line and exits with 1."""
+    assert run_command(raising(error)) == 1
+    assert capsys.readouterr().err == line
+
+
+def test_interrupt_is_130(capsys):
+    """Ctrl-C exits with 130 and without a traceback."""
+    assert run_command(raising(KeyboardInterrupt())) == 130
+    assert capsys.readouterr().err == "eia-sec: interrupted.\n"
+
+
+def test_defect_keeps_its_traceback():
+    """An exception that nobody expects passes through."""
+    with pytest.raises(ZeroDivisionError):
+        run_command(lambda: 1 // 0)
+
+
+def test_closed_pipe_is_quiet():
+    """A command whose reader goes away ends with 141 and writes nothing to standard error."""
+    code = (
+        "import sys; from deploy.exit_codes import run_command;"
+        "sys.exit(run_command(lambda: [sys.stdout.write('line\\n' * 1000) for _ in range(1000)] and None))"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.readline()
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    process.stderr.close()
+    assert process.wait() == 141

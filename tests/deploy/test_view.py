@@ -1,0 +1,189 @@
+"""The live view: what it says, and that it says it at every width."""
+
+import dataclasses
+import io
+
+import pytest
+from rich.console import Console
+
+from deploy.sparkline import bars, buckets
+from deploy.view import ROWS, Imitation, Ledger, ProcessRow, Series, Snapshot, duration, render, summary
+
+
+def worker(index: int, **changes) -> ProcessRow:
+    row = ProcessRow(
+        role="rollout",
+        name=f"worker-{index}",
+        host="barn",
+        pid=4200 + index,
+        uptime=65.0 + index,
+        rate=600.4,
+        version=3019,
+        episodes=406,
+        queue=1,
+        age=0.2,
+    )
+    return dataclasses.replace(row, **changes)
+
+
+SNAPSHOT = Snapshot(
+    run="farm-7",
+    state="training",
+    elapsed=1512.0,
+    left=2133.0,
+    episodes=812,
+    episodes_total=2000,
+    reward=(
+        Series("mean", (100.0, 741.0)),
+        Series("communication", (-12.5,)),
+        Series("monitoring", (1250.0,)),
+        Series("collection", (960.0,)),
+    ),
+    freshness=(Series("AoI", (1.234,), 2), Series("VDF", (0.567,), 2)),
+    steps=406_000,
+    steps_rate=1201.3,
+    updates=203_000,
+    updates_rate=1003.2,
+    staleness=1.7,
+    learner_wait=0.02,
+    worker_wait=0.41,
+    ledger=Ledger(produced=406_480, accepted=406_000, duplicates=3, rejected=120, lost=140, in_flight=220),
+    imitation=Imitation(6, 0.003125, 1270, (("c", 2), ("m", 0), ("d", 3))),
+    processes=(
+        ProcessRow("learner", "learner", "barn", 4199, 1512.0, 1003.0, 3021, 812, 2, 0.3),
+        *(worker(index) for index in range(3)),
+    ),
+    alarms=("worker-2 has not been heard of for 7 s.",),
+)
+
+
+def drawn(snapshot: Snapshot, width: int = 100, **settings) -> list[str]:
+    """Return the lines that a console without a terminal records."""
+    output = io.StringIO()
+    Console(width=width, file=output, **settings).print(render(snapshot))
+    return output.getvalue().splitlines()
+
+
+def line_with(text: str, lines: list[str]) -> str:
+    (line,) = (line for line in lines if text in line)
+    return line
+
+
+@pytest.mark.parametrize("width", [80, 100, 140])
+def test_every_figure_is_shown_at_every_width(width):
+    """All figures stand whole in the view at 80, 100 and 140 columns, and no line is wider than the console."""
+    lines = drawn(SNAPSHOT, width)
+    text = "\n".join(lines)
+    figures = ["farm-7", "training", "25:12 elapsed, 35:33 left", "812 of 2,000 episodes", "420.5", "-12.5", "1,250.0"]
+    figures += ["960.0", "1.23", "0.57", "406,000", "1,201/s", "203,000", "1,003/s", "0.50", "1.7", "2%", "41%"]
+    figures += ["406,480", "3 duplicate chunks", "120", "140", "220", "6, rate 0.00313", "episode 1,270", "c 2 m 0 d 3"]
+    figures += ["4199", "worker-0", "barn", "1:05", "600", "3,019", "406", "worker-2 has not been heard of for 7 s."]
+    assert [figure for figure in figures if figure not in text] == []
+    assert max(map(len, lines)) <= width
+
+
+def test_view_fits_a_small_terminal():
+    """With as many processes and alarms as are ever shown, the view is no higher than 30 lines at 80 columns."""
+    crowd = tuple(worker(index) for index in range(40))
+    full = dataclasses.replace(SNAPSHOT, processes=crowd, alarms=("an alarm.",) * 9)
+    assert len(drawn(full, 80)) <= 30
+
+
+def test_empty_snapshot_says_what_is_not_known():
+    """Before anything has happened the view shows dashes and says that no episode has ended."""
+    lines = drawn(Snapshot("new"), 80)
+    assert "- left" in line_with("EIA-SEC new", lines)
+    assert line_with("No episode has ended yet.", lines)
+    assert "-/s" in line_with("│ updates  ", lines)
+    assert "processes (0)" in line_with("processes", lines)
+
+
+def test_processes_in_trouble_come_first_when_not_all_fit():
+    """Of more processes than there is room for, those that are gone or quiet are shown first, and the rest counted."""
+    rows = [worker(index) for index in range(20)]
+    rows[17] = worker(17, alive=False)
+    rows[19] = worker(19, age=7.4)
+    lines = drawn(dataclasses.replace(SNAPSHOT, processes=tuple(rows)))
+    shown = [line.split()[2] for line in lines if "rollout" in line]
+    assert shown == ["worker-17", "worker-19", *(f"worker-{index}" for index in range(ROWS - 2))]
+    assert "gone" in line_with("worker-17", lines)
+    assert "7 s" in line_with("worker-19", lines)
+    assert line_with("processes (20, 12 not shown)", lines)
+
+
+def test_newest_alarms_are_shown():
+    """Of many alarms the newest are shown and the older ones counted."""
+    lines = drawn(dataclasses.replace(SNAPSHOT, alarms=("first.", "second.", "third.", "fourth.")))
+    assert line_with("alarms (2 older)", lines)
+    assert line_with("third.", lines)
+    assert line_with("fourth.", lines)
+    assert not [line for line in lines if "first." in line or "second." in line]
+
+
+def test_trouble_in_the_ledger_is_coloured():
+    """Unexplained steps are shown in red, and a ledger that closes is not."""
+    closed = SNAPSHOT.ledger
+    colours = {}
+    for unexplained in (0, 5):
+        ledger = dataclasses.replace(closed, unexplained=unexplained)
+        settings = {"force_terminal": True, "color_system": "standard"}
+        text = line_with("unexplained", drawn(dataclasses.replace(SNAPSHOT, ledger=ledger), **settings))
+        colours[unexplained] = "\x1b[1;31munexplained" in text
+    assert colours == {0: False, 5: True}
+
+
+def test_names_are_not_taken_for_markup():
+    """A name with brackets is shown as it is."""
+    strange = worker(0, name="[red]w[/red]", host="[b]")
+    line = line_with("[red]w[/red]", drawn(dataclasses.replace(SNAPSHOT, processes=(strange,)), 140))
+    assert "[b]" in line
+
+
+def test_ascii_console_gets_ascii():
+    """A console that can write only ASCII is given nothing else."""
+    raw = io.BytesIO()
+    output = io.TextIOWrapper(raw, encoding="ascii", errors="strict")
+    Console(width=100, file=output).print(render(SNAPSHOT))
+    output.flush()
+    assert b"farm-7" in raw.getvalue()
+
+
+def test_summary_is_the_essence_in_one_line():
+    """The summary names state, episodes, rewards, rates, time left and the number of alarms."""
+    assert summary(SNAPSHOT) == (
+        "training: episode 812 of 2,000; reward mean 420.5, communication -12.5, monitoring 1,250.0, "
+        "collection 960.0; 1,201 steps/s; 1,003 updates/s; 35:33 left; 1 alarm"
+    )
+    assert summary(Snapshot("new")) == "starting: episode 0 of 0; - steps/s; - updates/s"
+
+
+def test_latest_is_the_mean_of_the_newest_values():
+    """A series' latest value is the mean of its newest 20, and None without any."""
+    assert Series("x", tuple(map(float, range(100)))).latest == pytest.approx(89.5)
+    assert Series("x").latest is None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(None, "-"), (-3.0, "0:00"), (59.6, "1:00"), (125.0, "2:05"), (3599.0, "59:59"), (36_061.0, "10:01:01")],
+)
+def test_duration(seconds, text):
+    """A time span reads as m:ss or h:mm:ss."""
+    assert duration(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("values", "width", "means"),
+    [([], 5, []), ([1.0, 2.0], 5, [1.0, 2.0]), ([1.0, 3.0, 5.0, 7.0], 2, [2.0, 6.0]), ([1.0, 2.0, 6.0], 1, [3.0])],
+)
+def test_buckets_are_means_of_consecutive_parts(values, width, means):
+    """A series longer than the width becomes the means of its parts, a shorter one stays."""
+    assert buckets(values, width) == means
+
+
+def test_bars_span_from_smallest_to_largest():
+    """The smallest bucket has the lowest bar, the largest the highest, and a flat series lies between."""
+    assert bars([0.0, 7.0, 3.0], 8) == "▁█▄"
+    assert bars([5.0, 5.0], 8) == "▄▄"
+    assert bars([0.0, 1.0], 8, ascii_only=True) == "_@"
+    assert bars([], 8) == ""
