@@ -16,7 +16,6 @@ from common.endpoint import Endpoint
 from common.errors import BusError
 from common.messages import CommandMessage, ConfigurationMessage, Envelope, MetricMessage
 
-
 SUPERVISOR: Final = "EIA_SEC_SUPERVISOR"
 """Environment variable with the process number of the supervisor, whose death is a reason to stop."""
 ORPHAN_SECONDS: Final = 0.5

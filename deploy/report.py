@@ -45,7 +45,7 @@ def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[s
     }
     (path / "evaluation.json").write_text(json.dumps(outcome, indent=1) + "\n", encoding="utf-8")
     console.print(comparison_table(results))
-    console.print(f"written to {path}: curves.png, trajectories.png, evaluation.json, metrics.jsonl, policy.safetensors")
+    console.print(f"written to {path}: curves.png, trajectories.png, evaluation.json, {METRICS}, {POLICY}")
 
 
 def evaluate_all(config: RunConfig, policy: Path, farms: Sequence[int]) -> list[Evaluation]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Final
 
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from rollout.evaluation import Evaluation
@@ -17,16 +18,16 @@ COLUMNS: Final = (
     "VDF",
     "collisions",
     "boundary",
-    "energy kJ",
+    "energy, kJ",
 )
 """Reward is the mean over all agents; c, m, d the mean over one type; collisions and boundary are UAV steps."""
 
 
 def comparison_table(evaluations: Sequence[Evaluation]) -> Table:
     """Return the evaluations as a table for the terminal, best reward first."""
-    table = Table(title=_title(evaluations))
+    table = Table(title=_title(evaluations), box=SIMPLE_HEAD, padding=0, show_edge=False)
     for name in COLUMNS:
-        table.add_column(name, justify="left" if name == "policy" else "right", no_wrap=True)
+        table.add_column(name.replace(", ", "\n"), justify="left" if name == "policy" else "right", no_wrap=True)
     for row in _rows(evaluations):
         table.add_row(*row)
     return table

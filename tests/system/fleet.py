@@ -1,0 +1,149 @@
+"""Real processes of a small run, for tests: started, asked, killed and always cleaned up."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from common import keys
+from common.bus import Bus
+from common.endpoint import Endpoint, free_endpoint
+from common.messages import CommandMessage, ConfigurationMessage, ReceiptMessage
+
+RUN = "test"
+SECONDS = 90.0
+
+TINY = """
+episodes = 8
+[farm.world]
+communication_uavs = 1
+monitoring_uavs = 2
+collection_uavs = 2
+field_x = 100.0
+field_y = 100.0
+sensors = 30
+sensor_spacing = 5.0
+plots_x = 5
+plots_y = 5
+steps = 40
+[farm.observation]
+sensors = 4
+[algorithm]
+hidden = 16
+batch = 32
+[elite]
+cycle = 2
+farms = 2
+[replay]
+capacity = 4096
+warmup_steps = 64
+updates_per_step = 0.5
+slack_steps = 400
+[rollout]
+environments = 2
+chunk_steps = 10
+train_farms = 3
+[learner]
+publish_seconds = 0.05
+checkpoint_seconds = 0.5
+[evaluation]
+farms = 2
+"""
+
+
+def until(condition: Callable[[], Any], what: str, seconds: float = SECONDS) -> Any:
+    """Return the first true value of a condition; fail the test when none comes in time."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if found := condition():
+            return found
+        time.sleep(0.02)
+    raise AssertionError(f"{what} did not happen within {seconds} s")
+
+
+class Processes:
+    """A learner, a coordinator and workers, each an `eia-sec` command of its own."""
+
+    def __init__(self, directory: Path, toml: str = TINY) -> None:
+        self.directory = directory
+        self.config = directory / "wanted.toml"
+        self.config.write_text(toml, encoding="utf-8")
+        self.endpoint: Endpoint = free_endpoint()
+        self.running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
+        """Start one command, its output in a log file."""
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+        with (self.directory / f"{name}.log").open("ab") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "deploy.cli", *arguments], stdout=log, stderr=log, env=environment
+            )
+        self.running[name] = process
+        return process
+
+    def learner(self, *extra: str) -> subprocess.Popen[bytes]:
+        """Start the learner, listening."""
+        run_dir = ("--run-dir", str(self.directory / "run"))
+        where = ("--run", RUN, "--listen", str(self.endpoint))
+        return self.start("learner", "learner", *where, *run_dir, "--config", str(self.config), *extra)
+
+    def worker(self, name: str = "0") -> subprocess.Popen[bytes]:
+        """Start a worker."""
+        return self.start(f"rollout-{name}", "rollout", "--run", RUN, "--connect", str(self.endpoint), "--name", name)
+
+    def coordinator(self) -> subprocess.Popen[bytes]:
+        """Start the elite coordinator."""
+        return self.start("elite", "elite", "--run", RUN, "--connect", str(self.endpoint))
+
+    def records(self, kind: str) -> list[dict[str, Any]]:
+        """Return the records of one kind that the learner has written."""
+        path = self.directory / "run" / "metrics.jsonl"
+        if not path.exists():
+            return []
+        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
+        return [record for record in map(json.loads, lines) if record["kind"] == kind]
+
+    def ask_learner(self, verb: str) -> bytes | None:
+        """Send the learner a command."""
+        with Bus.connect(self.endpoint, "control", wait=20.0) as bus:
+            return bus.ask(keys.COMMAND.key(RUN, verb=verb), CommandMessage("test").encode(), timeout=5.0)
+
+    def drain(self) -> bool:
+        """Ask the learner to drain; return whether it agreed."""
+        answer = self.ask_learner("drain")
+        return answer is not None and ReceiptMessage.decode(answer).done
+
+    def configuration(self) -> ConfigurationMessage:
+        """Return the learner's configuration."""
+        answer = until(lambda: self.ask_learner("configuration"), "an answer of the learner")
+        return ConfigurationMessage.decode(answer)
+
+    def kill(self, name: str) -> None:
+        """Kill -9 one process and wait until it is gone."""
+        process = self.running.pop(name)
+        process.kill()
+        process.wait(10.0)
+
+    def wait(self, name: str, seconds: float = SECONDS) -> int:
+        """Return the exit code of a process that ends by itself."""
+        try:
+            return self.running[name].wait(seconds)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"{name} did not end; its log:\n{self.log(name)}") from None
+
+    def log(self, name: str) -> str:
+        """Return what a process has written."""
+        return (self.directory / f"{name}.log").read_text(encoding="utf-8", errors="replace")
+
+    def close(self) -> None:
+        """End whatever still runs."""
+        for process in self.running.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGKILL)
+        for process in self.running.values():
+            process.wait(10.0)

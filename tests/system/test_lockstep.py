@@ -1,0 +1,43 @@
+"""Distribution changes nothing: in lockstep the processes end with the weights of a run inside one process."""
+
+import hashlib
+from pathlib import Path
+
+from common.config import RunConfig
+from common.config.files import from_toml
+from common.policy_file import load_policy
+from deploy.inprocess import train_inprocess
+from tests.system.fleet import TINY, Processes
+
+
+def test_lockstep_is_bit_equal_to_one_process(processes: Processes) -> None:
+    """After eight episodes with two imitation events the SHA-256 over all actors is the same."""
+    processes.coordinator()
+    processes.worker()
+    processes.learner("--lockstep")
+    assert processes.wait("learner") == 0
+    alone = train_inprocess(from_toml(TINY, RunConfig()))
+    assert alone.events == 2
+    (end,) = processes.records("end")
+    assert end["state"] == "finished"
+    assert end["digest"] == alone.actors().digest()
+    bank, _ = load_policy(processes.directory / "run" / "policy.safetensors")
+    assert bank.digest() == alone.actors().digest()
+    assert processes.wait("rollout-0") == 0
+    assert processes.wait("elite") == 0
+
+
+def test_one_process_repeats_itself() -> None:
+    """Equal seeds give equal weights, another seed gives others."""
+    config = from_toml(TINY.replace("episodes = 8", "episodes = 2"), RunConfig())
+    first, second = (train_inprocess(config).actors().digest() for _ in range(2))
+    other = train_inprocess(from_toml("seed = 1", config)).actors().digest()
+    assert first == second != other
+    assert len(bytes.fromhex(first)) == hashlib.sha256().digest_size
+
+
+def test_the_tiny_run_is_the_configured_one(tmp_path: Path) -> None:
+    """The tests' configuration is read without change by those who get it over the wire."""
+    config = from_toml(TINY, RunConfig())
+    assert config.episodes == 8
+    assert config.farm.world.uavs == 5
