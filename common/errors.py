@@ -11,6 +11,7 @@ EiaSecError
 │   ├── SchemaError            a frame whose fields have the wrong type, shape or range
 │   ├── VersionError           another protocol version or another team layout
 │   └── KeyExpressionError     a key that no declaration covers
+├── SimulationError            a simulated farm used against its contract
 ├── CheckpointError            a checkpoint that is cut, flipped or of another layout
 └── BusError                   the bus cannot do what was asked
     ├── BusClosedError         the session is closed
@@ -60,6 +61,10 @@ class VersionError(ProtocolError):
 
 class KeyExpressionError(ProtocolError):
     """A key that no declaration of the protocol covers."""
+
+
+class SimulationError(EiaSecError):
+    """A simulated farm used against its contract: stepped beyond its end, or with impossible actions."""
 
 
 class CheckpointError(EiaSecError):

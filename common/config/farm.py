@@ -338,7 +338,7 @@ class RewardConfig:
 class ObservationConfig:
     """What the agents see."""
 
-    sensors: int = 10
+    sensors: int = 30
     """Nearest sensors that a data collection UAV sees, n (ours)."""
     form: Literal["default", "printed"] = "default"
     """default: AoI and relative (dx, dy) of each observed sensor; printed: AoI only (W24)."""

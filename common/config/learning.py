@@ -11,19 +11,19 @@ from common.errors import ConfigError
 class AlgorithmConfig:
     """Networks, losses and rates of the learner; the readings are A4 to A12."""
 
-    hidden: int = 64
+    hidden: int = 128
     """Width of both hidden layers of every network (ours)."""
     discount: float = 0.99
     """Discount rate gamma."""
     batch: int = 128
     """Transitions in a batch, B."""
-    actor_rate: float = 3e-4
+    actor_rate: float = 1e-4
     """Learning rate of the actors, r_a."""
     critic_rate: float = 1e-3
     """Learning rate of the critics and of the SEC, r_c."""
     target_rate: float = 0.005
     """Soft update parameter xi of the target networks, eq. (xt)."""
-    reward_scale: float = 1.0
+    reward_scale: float = 0.1
     """Factor on every reward before it enters a target (ours)."""
     ensemble: bool = True
     """Whether the shared ensemble critic takes part; without it the mixture is the local critic alone."""
@@ -99,8 +99,8 @@ class ReplayConfig:
     """Rows of the replay buffer; one row is one environment step of all agents, D = 2^16."""
     warmup_steps: int = 10_000
     """Environment steps before the first update; actions are uniform until then (ours)."""
-    updates_per_step: float = 1.0
-    """Update rounds per environment step; the paper's ratio is 1."""
+    updates_per_step: float = 0.125
+    """Update rounds per environment step of one farm; the paper's ratio is 1."""
     slack_steps: int = 4_000
     """Environment steps by which production may lead consumption before producers wait (ours)."""
     intake_chunks: int = 16

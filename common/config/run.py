@@ -77,7 +77,7 @@ class RunConfig:
 
     seed: int = 0
     """Seed of the run: initial weights, batches, farms' order and noise all follow from it."""
-    episodes: int = 2000
+    episodes: int = 2400
     """Training episodes lambda_max, counted over all environments of all workers."""
     farm: FarmConfig = field(default_factory=FarmConfig)
     algorithm: AlgorithmConfig = field(default_factory=AlgorithmConfig)

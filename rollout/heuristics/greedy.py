@@ -3,18 +3,15 @@
 from typing import Final
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.spatial import cKDTree
 
 from common.config import FarmConfig, WorldConfig
 from common.team import Float32
 from rollout.farms import FarmBatch
 from rollout.heuristics.steering import Array, keep_apart, relay_targets, towards
 
-OFFSET: Final = 20.0
-"""c, m: the distance at which a target has half the score that it would have when very near."""
-CLUSTER: Final = 20.0
-"""A data collection UAV above a sensor also hears the sensors within this radius, m."""
+OFFSET: Final = 10.0
+"""c, m: the distance at which a target scores half of what it would score from right above. Between 2 and 80 m the mean
+reward on farms 2000 to 2019 varies by 1 %; 10 m did best. Adding up the AoI around a sensor did not raise it."""
 SEPARATION: Final = 40.0
 """Targets of two UAVs of a type are at least this far apart, m, so that none is shared and paths stay apart."""
 
@@ -54,17 +51,8 @@ def plot_centres(world: WorldConfig) -> Array:
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def neighbourhood(place: Array, radius: float) -> csr_array:
-    """Return the sparse 0/1 matrix [S, S] that tells which places [S, 2] lie within a radius; each is near itself."""
-    pairs = cKDTree(place).query_pairs(radius, output_type="ndarray")
-    itself = np.arange(len(place))
-    row = np.concatenate([pairs[:, 0], pairs[:, 1], itself])
-    column = np.concatenate([pairs[:, 1], pairs[:, 0], itself])
-    return csr_array((np.ones(len(row)), (row, column)), shape=(len(place), len(place)))
-
-
 class GreedyPolicy:
-    """Monitoring UAVs value a plot by its VDF, data collection UAVs a sensor by the AoI around it.
+    """Monitoring UAVs value a plot by its VDF, data collection UAVs a sensor by its AoI.
 
     Args:
         config: the farm.
@@ -74,13 +62,10 @@ class GreedyPolicy:
         self._world = config.world
         self._plots = plot_centres(config.world)
         self._sensors: dict[int, Array] = {}
-        self._near: dict[int, csr_array] = {}
 
     def reset(self, farms: FarmBatch, index: int) -> None:
-        """Look up one environment's sensors and which of them lie together."""
-        sensors = np.asarray(farms.layout(index).sensor_xy, np.float64)
-        self._sensors[index] = sensors
-        self._near[index] = neighbourhood(sensors, CLUSTER)
+        """Look up where one environment's sensors are."""
+        self._sensors[index] = farms.layout(index).sensor_xy
 
     def act(self, farms: FarmBatch) -> Float32:
         """Return the actions [E, A] of this step."""
@@ -91,11 +76,10 @@ class GreedyPolicy:
         relays, monitors, collectors = (farms.position[:, agents] for agents in groups)
         plots = np.broadcast_to(self._plots, (count, *self._plots.shape))
         sensors = np.stack([self._sensors[index] for index in range(count)])
-        around = np.stack([self._near[index] @ farms.aoi[index] for index in range(count)])
         targets = (
             relay_targets(farms),
             choose_targets(monitors, plots, farms.vdf.reshape(count, -1), OFFSET, SEPARATION),
-            choose_targets(collectors, sensors, around, OFFSET, SEPARATION),
+            choose_targets(collectors, sensors, farms.aoi, OFFSET, SEPARATION),
         )
         parts = [
             keep_apart(position, towards(position, target, world), world)

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 STANDOFF: Final = 1e-9
 """Least distance by which a direction is divided, m."""
+EDGE: Final = 1e-3
+"""Nobody flies nearer to the field's edge, m, so that rounding puts nobody out of range."""
 
 
 def reach(world: WorldConfig) -> Array:
@@ -40,10 +42,10 @@ def towards(position: Array, target: Array, world: WorldConfig) -> Array:
 
 
 def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
-    """Take out the part of each UAV's motion that closes in on a neighbour of its plane, eq. of SR with W8.
+    """Take out the part of each UAV's motion that closes in on a neighbour of its plane, and stay over the field.
 
-    A neighbour counts when the step would end nearer to it than now and nearer than d_safety; the one that would end
-    up nearest is heeded.
+    A neighbour counts when the step would end nearer to it than now and nearer than d_safety, which is what the
+    safety risk SR charges (W8); the one that would end up nearest is heeded.
 
     Args:
         position: UAVs of one plane, [E, n, 2] m.
@@ -62,8 +64,11 @@ def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
     nearest = np.expand_dims(np.where(risky, following, np.inf).argmin(axis=2), axis=2)
     heading = np.take_along_axis(now, nearest[..., None], axis=2)[:, :, 0]
     heading = heading / np.maximum(np.take_along_axis(distance, nearest, axis=2), STANDOFF)
-    closing = np.maximum(0.0, (motion * heading).sum(axis=-1, keepdims=True)) * risky.any(axis=2)[..., None]
-    apart: Array = np.clip((motion - closing * heading) / reach(world), -1.0, 1.0)
+    heading = heading * np.expand_dims(risky.any(axis=2), axis=2)
+    closing = np.maximum(0.0, (motion * heading).sum(axis=-1, keepdims=True))
+    side = position + motion - closing * heading
+    inside = np.clip(side, EDGE, np.array([world.field_x, world.field_y]) - EDGE)
+    apart: Array = np.clip((inside - position) / reach(world), -1.0, 1.0)
     return apart
 
 

@@ -9,7 +9,7 @@ from common.team import farm_team
 from rollout import policies
 from rollout.evaluation import evaluate
 from rollout.farms import FarmBatch
-from rollout.heuristics.greedy import choose_targets, neighbourhood, plot_centres
+from rollout.heuristics.greedy import choose_targets, plot_centres
 from rollout.heuristics.lawnmower import collection_areas, monitoring_areas
 from rollout.heuristics.steering import keep_apart, reach, relay_targets, towards
 from rollout.policies import HEURISTICS, POLICIES, ActorPolicy, policy_of
@@ -232,12 +232,6 @@ def test_greedy_stays_when_nothing_is_worth_a_flight():
     np.testing.assert_array_equal(choose_targets(position, target, np.zeros((1, 2)), 20.0, 40.0), position)
     chosen = choose_targets(position, target, np.array([[1.0, 5.0]]), 20.0, 40.0)
     np.testing.assert_array_equal(chosen, [[[25.0, 15.0], [20.0, 200.0]]])
-
-
-def test_neighbourhood_is_symmetric_and_holds_itself():
-    """A place's neighbours are those within the radius, itself among them."""
-    near = neighbourhood(np.array([[0.0, 0.0], [3.0, 4.0], [50.0, 0.0]]), 5.0).toarray()
-    np.testing.assert_array_equal(near, [[1, 1, 0], [1, 1, 0], [0, 0, 1]])
 
 
 def test_actor_policy_equals_its_bank():

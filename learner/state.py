@@ -1,0 +1,108 @@
+"""A trainer's whole state as tensors and plain values, and back: what a checkpoint holds."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from common.errors import CheckpointError
+from common.transitions import EpisodeSummary
+from learner.engine import Engine
+
+
+def engine_tensors(engine: Engine) -> dict[str, Tensor]:
+    """Return the engine's own tensors: parameters, targets and Adam's moments, all float and flat."""
+    return {
+        "actors": engine.actors,
+        "target_actors": engine.target_actors,
+        "critics": engine.phi.flat,
+        "target_critics": engine.target_phi.flat,
+        "actor_mean": engine.actor_adam.mean,
+        "actor_square": engine.actor_adam.square,
+        "critic_mean": engine.critic_adam.mean,
+        "critic_square": engine.critic_adam.square,
+    }
+
+
+def checked_tensors(targets: Mapping[str, Tensor], source: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return, by the targets' names, the sources that may be copied into them.
+
+    Raises:
+        CheckpointError: when one is missing, has another type or shape, or holds a number that is not finite.
+    """
+    for name, target in targets.items():
+        tensor = source.get(name)
+        if tensor is None or tensor.shape != target.shape or tensor.dtype != target.dtype:
+            raise CheckpointError(f"the checkpoint's {name} does not fit the configuration.")
+        if tensor.is_floating_point() and not bool(torch.isfinite(tensor).all()):
+            raise CheckpointError(f"the checkpoint's {name} holds a number that is not finite.")
+    return {name: source[name] for name in targets}
+
+
+def random_state(generator: np.random.Generator) -> dict[str, Any]:
+    """Return a Philox generator's state as plain values."""
+    state = generator.bit_generator.state
+    return {
+        "counter": state["state"]["counter"].tolist(),
+        "key": state["state"]["key"].tolist(),
+        "buffer": state["buffer"].tolist(),
+        "buffer_pos": int(state["buffer_pos"]),
+        "has_uint32": int(state["has_uint32"]),
+        "uinteger": int(state["uinteger"]),
+    }
+
+
+def restored_random(state: Mapping[str, Any]) -> np.random.Generator:
+    """Return a generator that continues from `random_state`.
+
+    Raises:
+        CheckpointError: when it is no such state.
+    """
+    try:
+        philox = np.random.Philox()
+        philox.state = {
+            "bit_generator": "Philox",
+            "state": {"counter": np.array(state["counter"], np.uint64), "key": np.array(state["key"], np.uint64)},
+            "buffer": np.array(state["buffer"], np.uint64),
+            "buffer_pos": int(state["buffer_pos"]),
+            "has_uint32": int(state["has_uint32"]),
+            "uinteger": int(state["uinteger"]),
+        }
+    except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+        raise CheckpointError(f"the checkpoint's random state is not readable: {error}.") from error
+    generator = np.random.Generator(philox)
+    if random_state(generator) != dict(state):
+        raise CheckpointError("the checkpoint's random state is not one of this generator.")
+    return generator
+
+
+def episode_record(episode: EpisodeSummary) -> dict[str, Any]:
+    """Return an episode's summary as plain values."""
+    return {**asdict(episode), "reward": list(episode.reward)}
+
+
+def episode_summary(record: Mapping[str, Any]) -> EpisodeSummary:
+    """Return the summary of `episode_record`.
+
+    Raises:
+        CheckpointError: when it is no such record.
+    """
+    try:
+        return EpisodeSummary(**{**record, "reward": tuple(float(value) for value in record["reward"])})
+    except (KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"the checkpoint's record of an episode is not readable: {error}.") from error
+
+
+def counter(state: Mapping[str, Any], name: str) -> int:
+    """Return a counter of the state.
+
+    Raises:
+        CheckpointError: when it is missing, no integer or negative.
+    """
+    value = state.get(name)
+    if type(value) is not int or value < 0:
+        raise CheckpointError(f"the checkpoint's {name} is not a count.")
+    return value

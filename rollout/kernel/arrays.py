@@ -1,0 +1,153 @@
+"""The arrays that the compiled simulator works on, all allocated once."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig
+from common.team import farm_team
+from rollout.kernel.constants import Array, Indices
+from rollout.kernel.rewards import REWARD_PARTS
+from rollout.layout import cell_counts
+
+Float32 = NDArray[np.float32]
+
+
+class State(NamedTuple):
+    """All environments [E]; UAVs [n] in row order.
+
+    Attributes:
+        key: [E] key of the episode's packets.
+        time: [E] steps done; -1 before the first reset.
+        position: [E, n, 2] m.
+        direction: [E, n, 2] D_VDF and D_AoI seen now.
+        assignment: [E, n_m + n_d] relay of each served UAV.
+        service: [E, n_c] D_c, m.
+        sensor: [E, 2, S] m.
+        cell_start: [E, cells + 1] first sensor of each cell.
+        cycle: [E, S] T_UA, steps.
+        age: [E, S] AoI.
+        age_due: [E, S] step at which it rises next.
+        level: [E, n_px, n_py] VDF.
+        level_due: [E, n_px, n_py] step at which it rises next.
+        observation: [E, O].
+        reward: [E, n] of the last step.
+        parts: [E, n, K] of the last step.
+        energy: [E, n] of the last step, J.
+        utility: [E, n] VMUF and DCUF of the last step.
+        served: [E, n_d] sensors of AoI above 0 that delivered in the last step.
+        returns: [E, n] sums of rewards of the episode.
+        sums: [E, 5] sums over the episode's steps: mean AoI, mean VDF, crowded UAVs, UAVs outside, energy in J.
+    """
+
+    key: NDArray[np.uint64]
+    time: Indices
+    position: Array
+    direction: Array
+    assignment: Indices
+    service: Array
+    sensor: Array
+    cell_start: Indices
+    cycle: Indices
+    age: Array
+    age_due: Indices
+    level: Array
+    level_due: Indices
+    observation: Float32
+    reward: Float32
+    parts: Array
+    energy: Array
+    utility: Array
+    served: Array
+    returns: Array
+    sums: Array
+
+
+class Scratch(NamedTuple):
+    """Working memory of one environment's step; the kernel's functions say what stands in it.
+
+    Attributes:
+        uav: [7, n] ACT, motivation, d_U, crowded, linked, D_c(k-1), interference.
+        place: [n, 2] positions before the step, m.
+        whole: [4, max(n, observed sensors)] nearest UAV, farthest served, sensors around, nearest sensors or woken sensors.
+        centroid: [n_c + 1, 3] m.
+        quadrant: [n, 4] sums.
+        around: [n_d, S] sensors around each UAV.
+        square: [n_d, S] squares of their distances, m^2.
+        item: [max(S, P)] sensors or plots served.
+        share: [S] shares delivered.
+        integral: [n_px + 1, n_py + 1] VDF.
+        cost: [n_m + n_d, n_c capacity] of the assignment.
+        numbers: [3, n_c capacity].
+        indices: [4, n_c capacity].
+    """
+
+    uav: Array
+    place: Array
+    whole: Indices
+    centroid: Array
+    quadrant: Array
+    around: Indices
+    square: Array
+    item: Indices
+    share: Array
+    integral: Array
+    cost: Array
+    numbers: Array
+    indices: Indices
+
+
+def make_state(config: FarmConfig, environments: int) -> State:
+    """Allocate the environments."""
+    world, team = config.world, farm_team(config)
+    count, uavs, sensors = environments, world.uavs, world.sensors
+    plots, served = (world.plots_x, world.plots_y), world.monitoring_uavs + world.collection_uavs
+    columns, rows = cell_counts(world)
+    return State(
+        key=np.zeros(count, np.uint64),
+        time=np.full(count, -1, np.int64),
+        position=np.zeros((count, uavs, 2)),
+        direction=np.zeros((count, uavs, 2)),
+        assignment=np.zeros((count, served), np.int64),
+        service=np.zeros((count, world.communication_uavs)),
+        sensor=np.zeros((count, 2, sensors)),
+        cell_start=np.zeros((count, columns * rows + 1), np.int64),
+        cycle=np.ones((count, sensors), np.int64),
+        age=np.zeros((count, sensors)),
+        age_due=np.zeros((count, sensors), np.int64),
+        level=np.zeros((count, *plots)),
+        level_due=np.zeros((count, *plots), np.int64),
+        observation=np.zeros((count, team.observation_size), np.float32),
+        reward=np.zeros((count, uavs), np.float32),
+        parts=np.zeros((count, uavs, len(REWARD_PARTS))),
+        energy=np.zeros((count, uavs)),
+        utility=np.zeros((count, uavs)),
+        served=np.zeros((count, world.collection_uavs)),
+        returns=np.zeros((count, uavs)),
+        sums=np.zeros((count, 5)),
+    )
+
+
+def make_scratch(config: FarmConfig) -> Scratch:
+    """Allocate the working memory of one environment's step."""
+    world = config.world
+    uavs, sensors, collectors = world.uavs, world.sensors, world.collection_uavs
+    served = world.monitoring_uavs + collectors
+    places = world.communication_uavs * config.relay.capacity_for(world)
+    longest = max(uavs, config.observation.sensors)
+    return Scratch(
+        uav=np.zeros((7, uavs)),
+        place=np.zeros((uavs, 2)),
+        whole=np.zeros((4, longest), np.int64),
+        centroid=np.zeros((world.communication_uavs + 1, 3)),
+        quadrant=np.zeros((uavs, 4)),
+        around=np.zeros((collectors, sensors), np.int64),
+        square=np.zeros((collectors, sensors)),
+        item=np.zeros(max(sensors, world.plots_x * world.plots_y), np.int64),
+        share=np.zeros(sensors),
+        integral=np.zeros((world.plots_x + 1, world.plots_y + 1)),
+        cost=np.zeros((served, places)),
+        numbers=np.zeros((3, places)),
+        indices=np.zeros((4, places), np.int64),
+    )

@@ -1,0 +1,201 @@
+"""What each type of UAV sees, scaled to about [-1, 1] (W24).
+
+Positions are 2 x / X - 1; offsets dx / X, dy / Y; distances are three-dimensional, over the field's diagonal; VDF and
+AoI are over their maxima. A UAV that does not exist is (0, 0, 1).
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rollout.kernel.compiled import compiled
+from rollout.kernel.constants import Array, CameraConstants, FleetConstants, Indices, ObservationConstants
+
+Float32 = NDArray[np.float32]
+
+SENSOR_SCALE: Final = 50.0
+"""Offset of an observed sensor that is seen as 1, m; farther ones are clipped (ours, so that near ones differ)."""
+
+
+@compiled
+def _put_place(fleet: FleetConstants, x: float, y: float, seen: Float32, at: int) -> int:
+    seen[at], seen[at + 1] = 2.0 * x / fleet.width - 1.0, 2.0 * y / fleet.depth - 1.0
+    return at + 2
+
+
+@compiled
+def _put_offset(fleet: FleetConstants, dx: float, dy: float, dz: float, seen: Float32, at: int) -> int:
+    seen[at], seen[at + 1] = dx / fleet.width, dy / fleet.depth
+    seen[at + 2] = math.sqrt(dx * dx + dy * dy + dz * dz) / fleet.diagonal
+    return at + 3
+
+
+@compiled
+def _put_uav(fleet: FleetConstants, position: Array, u: int, other: int, seen: Float32, at: int) -> int:
+    if other < 0:
+        seen[at], seen[at + 1], seen[at + 2] = 0.0, 0.0, 1.0
+        return at + 3
+    dx, dy = position[other, 0] - position[u, 0], position[other, 1] - position[u, 1]
+    return _put_offset(fleet, dx, dy, fleet.height[other] - fleet.height[u], seen, at)
+
+
+@compiled
+def _nearest_relay(fleet: FleetConstants, position: Array, u: int) -> int:
+    nearest, least = -1, math.inf
+    for other in range(fleet.relays):
+        dx, dy = position[other, 0] - position[u, 0], position[other, 1] - position[u, 1]
+        if other != u and dx * dx + dy * dy < least:
+            nearest, least = other, dx * dx + dy * dy
+    return nearest
+
+
+@compiled
+def see_relays(
+    fleet: FleetConstants,
+    position: Array,
+    neighbour: Indices,
+    centroid: Array,
+    farthest: Indices,
+    seen: Float32,
+    at: int,
+) -> int:
+    """Write o_c of all relays: own place; nearest relay, all relays' and served centroid, farthest served, nearest UAV.
+
+    Args:
+        fleet: the UAVs.
+        position: [n, 2] m.
+        neighbour: [n] nearest UAV.
+        centroid: [n_c + 1, 3] of those served, and of all relays; zeros are seen for a relay that serves nobody.
+        farthest: [n_c] farthest served, -1 if none.
+        seen: [O] out: the row.
+        at: where to begin.
+
+    Returns:
+        where the next type begins.
+    """
+    for u in range(fleet.relays):
+        at = _put_place(fleet, position[u, 0], position[u, 1], seen, at)
+        at = _put_uav(fleet, position, u, _nearest_relay(fleet, position, u), seen, at)
+        for point in (fleet.relays, u):
+            dx, dy = centroid[point, 0] - position[u, 0], centroid[point, 1] - position[u, 1]
+            dz = centroid[point, 2] - fleet.height[u]
+            if point == u and farthest[u] < 0:
+                dx, dy, dz = 0.0, 0.0, 0.0
+            at = _put_offset(fleet, dx, dy, dz, seen, at)
+        if farthest[u] < 0:
+            at = _put_offset(fleet, 0.0, 0.0, 0.0, seen, at)
+        else:
+            at = _put_uav(fleet, position, u, farthest[u], seen, at)
+        at = _put_uav(fleet, position, u, neighbour[u], seen, at)
+    return at
+
+
+@compiled
+def see_plots(
+    fleet: FleetConstants,
+    camera: CameraConstants,
+    position: Array,
+    neighbour: Indices,
+    direction: Array,
+    level: Array,
+    seen: Float32,
+    at: int,
+) -> int:
+    """Write o_m of all monitoring UAVs: own place, VDF of the 3 x 3 plots around, D_VDF, nearest UAV.
+
+    Plots outside the field are seen with VDF 0: they are worth as little as one just photographed.
+
+    Args:
+        fleet: the UAVs.
+        camera: the plots.
+        position: [n, 2] m.
+        neighbour: [n] nearest UAV.
+        direction: [n, 2] D_VDF.
+        level: [n_px, n_py] VDF.
+        seen: [O] out: the row.
+        at: where to begin.
+
+    Returns:
+        where the next type begins.
+    """
+    columns, rows = level.shape
+    for u in range(fleet.relays, fleet.collectors):
+        at = _put_place(fleet, position[u, 0], position[u, 1], seen, at)
+        column = min(int(position[u, 0] / camera.plot_width), columns - 1)
+        row = min(int(position[u, 1] / camera.plot_depth), rows - 1)
+        for i in range(column - 1, column + 2):
+            for j in range(row - 1, row + 2):
+                inside = 0 <= i < columns and 0 <= j < rows
+                seen[at] = level[i, j] / camera.level_max if inside else 0.0
+                at += 1
+        seen[at], seen[at + 1] = direction[u, 0], direction[u, 1]
+        at = _put_uav(fleet, position, u, neighbour[u], seen, at + 2)
+    return at
+
+
+@compiled
+def _select(square: Array, number: int, wanted: int, nearest: Indices) -> None:
+    """Write which entries of the list have the least squares, in rising order."""
+    held = 0
+    for entry in range(number):
+        if held == wanted and square[entry] >= square[nearest[held - 1]]:
+            continue
+        place = held if held < wanted else wanted - 1
+        held = min(held + 1, wanted)
+        while place > 0 and square[entry] < square[nearest[place - 1]]:
+            nearest[place] = nearest[place - 1]
+            place -= 1
+        nearest[place] = entry
+
+
+@compiled
+def see_sensors(
+    fleet: FleetConstants,
+    what: ObservationConstants,
+    level_max: float,
+    position: Array,
+    neighbour: Indices,
+    direction: Array,
+    sensor: Array,
+    around: Indices,
+    square: Array,
+    number: Indices,
+    age: Array,
+    nearest: Indices,
+    seen: Float32,
+    at: int,
+) -> None:
+    """Write o_d of all data collection UAVs: own place, the n nearest sensors, D_AoI, nearest UAV.
+
+    Args:
+        fleet: the UAVs.
+        what: n, and whether only AoI is seen.
+        level_max: AoI_max.
+        position: [n, 2] m.
+        neighbour: [n] nearest UAV.
+        direction: [n, 2] D_AoI.
+        sensor: [2, S] m.
+        around: [n_d, S] sensors around each UAV, among them the n nearest.
+        square: [n_d, S] squares of their horizontal distances, m^2.
+        number: [n_d] how many.
+        age: [S] AoI.
+        nearest: [n] scratch.
+        seen: [O] out: the row.
+        at: where to begin.
+    """
+    for k in range(len(number)):
+        u = fleet.collectors + k
+        at = _put_place(fleet, position[u, 0], position[u, 1], seen, at)
+        _select(square[k], number[k], what.sensors, nearest)
+        for rank in range(what.sensors):
+            j = around[k, nearest[rank]]
+            seen[at] = age[j] / level_max
+            at += 1
+            if not what.printed:
+                seen[at] = min(1.0, max(-1.0, (sensor[0, j] - position[u, 0]) / SENSOR_SCALE))
+                seen[at + 1] = min(1.0, max(-1.0, (sensor[1, j] - position[u, 1]) / SENSOR_SCALE))
+                at += 2
+        seen[at], seen[at + 1] = direction[u, 0], direction[u, 1]
+        at = _put_uav(fleet, position, u, neighbour[u], seen, at + 2)
