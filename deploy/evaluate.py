@@ -12,12 +12,11 @@ from common.config import FarmConfig, RunConfig
 from common.config.files import from_toml
 from common.errors import PolicyError, RunDirError, UsageError
 from deploy.exit_codes import DONE
+from deploy.rundir import CONFIG, POLICY
 from deploy.tables import comparison_table
 from rollout.evaluation import Evaluation, evaluate
 from rollout.policies import policy_of, trained_policy
 
-CONFIG_FILE: Final = "config.toml"
-POLICY_FILE: Final = "policy.safetensors"
 MAX_FARMS: Final = 100_000
 
 
@@ -68,9 +67,9 @@ def run(arguments: EvaluateArguments) -> Evaluation:
     if arguments.policy is not None:
         name, policy = arguments.policy, policy_of(arguments.policy, farm)
     elif arguments.run_dir is not None:
-        path = arguments.run_dir / POLICY_FILE
+        path = arguments.run_dir / POLICY
         if not path.is_file():
-            raise RunDirError(f"{arguments.run_dir} holds no {POLICY_FILE}: the run has not saved a policy yet.")
+            raise RunDirError(f"{arguments.run_dir} holds no {POLICY}: the run has not saved a policy yet.")
         name, policy = arguments.run_dir.name, trained_policy(path, farm)
     else:
         raise PolicyError("nothing to evaluate: give --run-dir DIR or --policy NAME.")
@@ -98,9 +97,9 @@ def _farm_config(arguments: EvaluateArguments) -> FarmConfig:
     """Return the run's or the default farm with the file's and the single values in it."""
     config = RunConfig()
     if arguments.run_dir is not None:
-        path = arguments.run_dir / CONFIG_FILE
+        path = arguments.run_dir / CONFIG
         if not path.is_file():
-            raise RunDirError(f"{arguments.run_dir} is no run directory: it holds no {CONFIG_FILE}.")
+            raise RunDirError(f"{arguments.run_dir} is no run directory: it holds no {CONFIG}.")
         config = from_toml(path, config)
     if arguments.config is not None:
         config = from_toml(arguments.config, config)

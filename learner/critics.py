@@ -68,7 +68,7 @@ class Critics:
 
     def parameters(self, flat: Tensor) -> CriticParameters:
         """Return views of a flat vector [size]."""
-        parts = list(flat[self.local.size :].split([bank.size for bank in self.members])) if self.members else []
+        parts = list(torch.split(flat[self.local.size :], [bank.size for bank in self.members])) if self.members else []
         members = [bank.layers(part) for bank, part in zip(self.members, parts, strict=True)]
         return CriticParameters(flat, self.local.layers(flat), members, parts)
 
@@ -161,7 +161,7 @@ class Critics:
                 run.hidden_layers(parameters.members[kind], [inputs.pooled[kind]])
                 (z,) = run.first_layer_gradient(parameters.members[kind], share * scale)
                 shared = self._by_action(kind, self.members[kind], 0, parameters.member_parts[kind], z)
-                slope.add_(shared[0].unflatten(0, slope.shape[:2]))
+                slope.add_(torch.unflatten(shared[0], 0, slope.shape[:2]))
         return slopes, climbed
 
     def _by_action(self, kind: int, bank: Bank, index: int, flat: Tensor, sums: Tensor) -> Tensor:

@@ -98,9 +98,9 @@ class Engine:
         self._pass = Pass(self.bank, Workspace(self.bank.rows, algorithm.hidden, like))
         sizes = [g.count * algorithm.batch * g.action_size for g in team.groups]
         shapes = [(g.count, algorithm.batch, g.action_size) for g in team.groups]
-        self._squashed = [a.view(shape) for a, shape in zip(self._pass.output.split(sizes), shapes, strict=True)]
+        self._squashed = [a.view(shape) for a, shape in zip(torch.split(self._pass.output, sizes), shapes, strict=True)]
         self._upstream = torch.empty_like(self._pass.output)
-        self._upstreams = [a.view(s) for a, s in zip(self._upstream.split(sizes), shapes, strict=True)]
+        self._upstreams = [a.view(s) for a, s in zip(torch.split(self._upstream, sizes), shapes, strict=True)]
 
     def _allocate(self, like: Tensor) -> None:
         self.actors = like.new_zeros(self.bank.size)

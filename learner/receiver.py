@@ -66,7 +66,7 @@ class Receiver:
 
     def join(self) -> None:
         """Wait for the thread to end; the bus must be closed."""
-        self._thread.join(timeout=5.0)
+        self._thread.join()
 
     def _run(self) -> None:
         for incoming in self._server:

@@ -108,6 +108,10 @@ class Learner:
         self._end("finished" if finished else "draining")
         return finished
 
+    def join(self) -> None:
+        """Wait for the receiving thread; the bulk lane must be closed."""
+        self._receiver.join()
+
     def _finished(self) -> bool:
         return self.trainer.episodes >= self._config.episodes and self.trainer.rounds_due() <= 0
 
@@ -302,4 +306,10 @@ def serve(options: LearnerOptions, config: RunConfig) -> bool:
         return connect(options.endpoint, name, stop, 60.0)
 
     with lane("control") as control, lane("bulk") as bulk:
-        return Learner(options, config, control, bulk).run(stop)
+        learner = Learner(options, config, control, bulk)
+        try:
+            return learner.run(stop)
+        finally:
+            # A thread that is still inside Zenoh when the interpreter ends aborts the whole process.
+            bulk.close()
+            learner.join()

@@ -19,8 +19,8 @@ from rollout.reference_views import observe
 
 Array = NDArray[np.float64]
 
-LEAST_CHANCE = 1e-12
-"""A packet with a smaller chance to arrive is not sent (ours)."""
+NEGLIGIBLE = 1e-12
+"""A packet with a smaller chance to arrive is not sent, and less utility than this is none (ours)."""
 DIRECTIONS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / math.sqrt(2.0)
 """The four diagonals in the order in which ties are broken (W25)."""
 
@@ -75,7 +75,11 @@ def flight_power(energy: EnergyConfig, speed: float) -> float:
         return weight * induced / energy.efficiency + drag
     area = energy.body_area + disk
     if speed < energy.hover_speed:
-        return energy.mass * energy.gravity**1.5 / (math.sqrt(2.0 * energy.air_density * area) * energy.efficiency)
+        return (
+            energy.mass
+            * math.pow(energy.gravity, 1.5)
+            / (math.sqrt(2.0 * energy.air_density * area) * energy.efficiency)
+        )
     c1 = 0.5 * energy.air_density * area * energy.drag_coefficient
     c2 = energy.mass**2 / (energy.efficiency * energy.air_density * disk)
     return c1 * speed**2 + c2 / speed + weight * speed
@@ -151,8 +155,14 @@ class ReferenceFarm:
         self._assign()
         self._look()
 
-    def step(self, action: Float32) -> None:
-        """Do one step with actions [2 n]; the order is that of the kernel."""
+    def step(self, action: Float32, assignment: NDArray[np.int64] | None = None) -> None:
+        """Do one step; the order is that of the kernel.
+
+        Args:
+            action: [2 n].
+            assignment: [n_m + n_d] to fly on with where several assignments cost the same; the best cost is found
+                all the same.
+        """
         world = self.config.world
         self.time += 1
         velocity = np.clip(action.reshape(-1, 2).astype(np.float64), -1.0, 1.0) * (world.speed_x_max, world.speed_y_max)
@@ -167,7 +177,7 @@ class ReferenceFarm:
             for v, k in zip(speed, self.kind, strict=True)
         ]
         self.energy = np.array(power) * world.step_seconds
-        self._assign()
+        self._assign(assignment)
         self.utility = np.zeros(world.uavs)
         self._photograph()
         self._collect()
@@ -199,7 +209,7 @@ class ReferenceFarm:
         loss = free_space_loss(radio, np.maximum(distance, 1.0)) / free_space_loss(radio, max(diagonal, 1.0))
         return np.asarray(relay.cost_distance * distance / diagonal + relay.cost_link * loss)
 
-    def _assign(self) -> None:
+    def _assign(self, chosen: NDArray[np.int64] | None = None) -> None:
         """Protocol 1, step 4: minimum-cost assignment with capacities, and D_c from it (W2)."""
         relay, world = self.config.relay, self.config.world
         capacity = relay.capacity_for(world)
@@ -207,6 +217,8 @@ class ReferenceFarm:
         rows, columns = linear_sum_assignment(np.repeat(costs, capacity, axis=1))
         self.assignment = columns // capacity
         self.assignment_cost = float(costs[rows, self.assignment].sum())
+        if chosen is not None:
+            self.assignment = chosen.copy()
         first = world.communication_uavs
         distances = [self.distance(first + k, int(r), self.position) for k, r in enumerate(self.assignment)]
         self.linked = np.array(distances) <= (relay.link_range if relay.require_link else math.inf)
@@ -260,7 +272,7 @@ class ReferenceFarm:
                     interference += np.where(np.arange(len(collectors)) == other, 0.0, power[strongest])
         sinr = power[np.arange(len(owner)), owner] / (interference[owner] + noise_mw(radio))
         chance = 1.0 - packet_loss(radio, sinr)
-        return collectors[owner], np.where(chance < LEAST_CHANCE, 0.0, chance)
+        return collectors[owner], np.where(chance < NEGLIGIBLE, 0.0, chance)
 
     def _collect(self) -> None:
         """DCUF and eq. AoI (W17 to W20); expected delivery resets a share of the counter."""
@@ -298,7 +310,11 @@ class ReferenceFarm:
                 if kind == 1
                 else (weight.collection, weight.collection_idle, weight.collection_motivation)
             )
-            self.parts[u, 4:] = utility * self.utility[u], -idle * (self.utility[u] == 0), motivation * motivated[u]
+            self.parts[u, 4:] = (
+                utility * self.utility[u],
+                -idle * (self.utility[u] < NEGLIGIBLE),
+                motivation * motivated[u],
+            )
             self.parts[u, 4:] *= seconds
         self.reward = self.parts.sum(axis=1)
 

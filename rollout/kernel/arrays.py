@@ -70,7 +70,8 @@ class Scratch(NamedTuple):
     Attributes:
         uav: [7, n] ACT, motivation, d_U, crowded, linked, D_c(k-1), interference.
         place: [n, 2] positions before the step, m.
-        whole: [4, max(n, observed sensors)] nearest UAV, farthest served, sensors around, nearest sensors or woken sensors.
+        whole: [4, max(n, observed sensors)] nearest UAV, farthest served, number of sensors
+            around, nearest or woken sensors.
         centroid: [n_c + 1, 3] m.
         quadrant: [n, 4] sums.
         around: [n_d, S] sensors around each UAV.

@@ -13,7 +13,9 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 NEGLIGIBLE: Final = 1e-12
-"""A packet with a smaller chance to arrive is not sent (ours); it bounds the sensors that a UAV has to look at."""
+"""A packet with a smaller chance to arrive is not sent (ours); it bounds the sensors that a UAV has to look at.
+
+Less utility than this counts as none."""
 LEAST_LINK: Final = 1.0
 """Least distance that enters the free-space loss between two UAVs, m (ours): there is no loss at distance 0."""
 
@@ -241,8 +243,8 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
 
 def _cast(part: Any) -> Any:
     """Make every number of the declared type, so that a whole number in a configuration compiles nothing anew."""
-    kinds = {"int": int, "float": float, "bool": bool, int: int, float: float, bool: bool}
-    return part._replace(**{name: kinds[kind](getattr(part, name)) for name, kind in part.__annotations__.items() if kind in kinds})
+    numbers = {name: kind for name, kind in part.__annotations__.items() if kind in (int, float, bool)}
+    return part._replace(**{name: kind(getattr(part, name)) for name, kind in numbers.items()})
 
 
 def watts(dbm: float) -> float:
@@ -254,6 +256,7 @@ def _fleet(config: FarmConfig) -> FleetConstants:
     world, energy = config.world, config.energy
     counts = (world.communication_uavs, world.monitoring_uavs, world.collection_uavs)
     ends = np.cumsum(counts)
+    heights = (world.height_communication, world.height_monitoring, world.height_collection)
     dynamic = energy.load_capacitance * energy.voltage**2 * energy.clock_hz * energy.activity_factor
     common = watts(energy.transmit_dbm) + watts(energy.receive_dbm) + energy.static_power + dynamic
     extra = (0.0, energy.camera_power, watts(energy.collection_dbm))
@@ -262,7 +265,7 @@ def _fleet(config: FarmConfig) -> FleetConstants:
         collectors=counts[0] + counts[1],
         first=np.repeat(ends - counts, counts).astype(np.int64),
         last=np.repeat(ends, counts).astype(np.int64),
-        height=np.repeat((world.height_communication, world.height_monitoring, world.height_collection), counts),
+        height=np.repeat(np.array(heights, np.float64), counts),
         payload=np.repeat(common + np.array(extra), counts),
         width=world.field_x,
         depth=world.field_y,

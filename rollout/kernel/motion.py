@@ -106,5 +106,5 @@ def safety_risk(
     """
     if neighbour[u] < 0 or distance[u] >= fleet.safety:
         return 0.0
-    change = distance[u] - separation(fleet, previous, u, neighbour[u])
+    change: float = distance[u] - separation(fleet, previous, u, neighbour[u])
     return max(0.0, -change) if closing else change

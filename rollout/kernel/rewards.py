@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rollout.kernel.compiled import compiled
-from rollout.kernel.constants import Array, FleetConstants, Indices, RewardConstants
+from rollout.kernel.constants import NEGLIGIBLE, Array, FleetConstants, Indices, RewardConstants
 from rollout.kernel.motion import safety_risk
 
 REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "idle", "motivation")
@@ -31,7 +31,8 @@ def reward_step(
 ) -> None:
     """Weigh what a step did.
 
-    Every part but the energy, which is an amount already (W7), is multiplied by t_step as printed.
+    Every part but the energy, which is an amount already (W7), is multiplied by t_step as printed. P_M and P_C take
+    less than NEGLIGIBLE for nothing, which matters to expected delivery alone: its shares never quite reach 0.
 
     Args:
         fleet: the UAVs.
@@ -60,7 +61,7 @@ def reward_step(
         else:
             task = 0 if u < fleet.collectors else 1
             parts[u, 4] = weight.utility[task] * utility[u] * seconds
-            parts[u, 5] = weight.idle[task] * seconds if utility[u] == 0.0 else 0.0
+            parts[u, 5] = weight.idle[task] * seconds if utility[u] < NEGLIGIBLE else 0.0
             parts[u, 6] = weight.motivation[task] * motivated[u] * seconds
         total = 0.0
         for part in range(parts.shape[1]):

@@ -11,13 +11,13 @@ from tests.system.fleet import TINY, Processes
 
 
 def test_lockstep_is_bit_equal_to_one_process(processes: Processes) -> None:
-    """After eight episodes with two imitation events the SHA-256 over all actors is the same."""
+    """After eight episodes with three imitation events the SHA-256 over all actors is the same."""
     processes.coordinator()
     processes.worker()
     processes.learner("--lockstep")
     assert processes.wait("learner") == 0
     alone = train_inprocess(from_toml(TINY, RunConfig()))
-    assert alone.events == 2
+    assert alone.events == 3
     (end,) = processes.records("end")
     assert end["state"] == "finished"
     assert end["digest"] == alone.actors().digest()
