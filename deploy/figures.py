@@ -75,7 +75,7 @@ def curves_figure(metrics: Sequence[Mapping[str, Any]], levels: Mapping[str, flo
     for axes in (upper, lower):
         axes.grid(True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, **TEXT)
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.02), ncols=5, frameon=False, **TEXT)
     return figure
 
 

@@ -1,11 +1,10 @@
 """How command lines become configurations: preset, then file, then options, each over the one before."""
 
 import contextlib
-import dataclasses
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import tyro
 
@@ -47,7 +46,8 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return tyro.cli(kind, args=list(arguments), prog=f"eia-sec {name}", default=default)
+            parsed = tyro.cli(kind, args=list(arguments), prog=f"eia-sec {name}", default=default)
+            return cast(T, parsed)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
@@ -55,17 +55,13 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
 
 
 def _sentence(box: str) -> str:
-    """Return tyro's complaint, which it draws in a box, as one line."""
-    lines = [line.strip("│ ") for line in box.splitlines() if line.startswith("│")]
-    reason = next((line for line in lines if line), "the command line cannot be used")
-    close = next((line.split()[0] for line in lines[1:] if line.startswith("--")), None)
+    """Return tyro's complaint, which it draws in a box under a title, as one line."""
+    lines = [line.strip("│╭╮╰╯─ ") for line in box.splitlines()]
+    lines = [line for line in lines if line.strip("-")]
+    reason = lines[1] if len(lines) > 1 else "the command line cannot be used"
+    close = next((line.split()[0] for line in lines[2:] if line.startswith("--")), None)
     meant = f"; perhaps you meant {close}" if close and reason.startswith("Unrecognized") else ""
     return reason.rstrip(".") + meant
-
-
-def with_seed(config: RunConfig, **values: Any) -> RunConfig:
-    """Return the configuration with those top-level values that are not None."""
-    return dataclasses.replace(config, **{name: value for name, value in values.items() if value is not None})
 
 
 def _value_of(arguments: Sequence[str], option: str) -> str | None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from common.process import SUPERVISOR, log
+from deploy.exit_codes import USAGE
 
 BACKOFF_SECONDS: Final = (0.5, 2.0, 5.0)
 """Pauses before a child that died is started again; after the last one it stays down."""
@@ -32,6 +33,7 @@ class Child:
         deaths: unexpected ends in a row.
         done: whether it ended as it should.
         given_up: whether it is no longer started again.
+        code: its last exit code.
     """
 
     name: str
@@ -43,6 +45,7 @@ class Child:
     again_at: float | None = None
     done: bool = False
     given_up: bool = False
+    code: int | None = None
     restart_arguments: list[str] = field(default_factory=list)
 
 
@@ -127,7 +130,7 @@ class Supervisor:
         child.started = time.monotonic()
 
     def _ended(self, child: Child, code: int) -> None:
-        child.process = None
+        child.process, child.code = None, code
         if child.done or code == 0:
             child.done = True
             return
@@ -136,7 +139,7 @@ class Supervisor:
         reason = f"signal {-code}" if code < 0 else f"exit code {code}"
         last = self.tail(child.name).splitlines()[-1:]
         said = f": {last[0]}" if last else ""
-        if child.deaths >= len(BACKOFF_SECONDS) or code == 2:
+        if child.deaths >= len(BACKOFF_SECONDS) or code == USAGE:
             child.given_up = True
             self._alarm(f"{child.name} ended with {reason} and is not started again{said}")
             return

@@ -1,10 +1,10 @@
 """Stacked perceptrons with written-out gradients: many small networks as a few batched matrix products.
 
-A `Bank` lays out the parameters of all networks of one role (all actors, all local critics, all SEC members) in one flat
-vector, layer by layer and type by type inside a layer. A layer of n networks is one tensor [n, 1 + fan_in, fan_out]
-whose row 0 is the bias, and activations carry a leading column of ones, so a product with the tensor adds the bias and a
-product with the transposed activations yields the bias gradient too. Types whose layer has the same shape are neighbours
-and are multiplied together; the hidden layer of all types is one product.
+A `Bank` lays out the parameters of networks of one role (all actors, say) in one flat vector, layer by layer and type
+by type inside a layer. A layer of n networks is one tensor [n, 1 + fan_in, fan_out] whose row 0 is the bias, and
+activations carry a leading column of ones, so a product with the tensor adds the bias and a product with the transposed
+activations yields the bias gradient too. Types whose layer has the same shape are neighbours and are multiplied
+together; the hidden layer of all types is one product.
 
 Forward, for inputs x with the leading one:  h1 = relu(x W1),  h2 = relu([1 h1] W2),  y = [1 h2] W3.
 """
@@ -75,7 +75,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Layers:
-    """Views of one flat vector: for each of the three layers, one tensor [count, 1 + fan_in, fan_out] for each block."""
+    """Views of one flat vector: for each layer, one tensor [count, 1 + fan_in, fan_out] for each block."""
 
     first: list[Tensor]
     second: list[Tensor]

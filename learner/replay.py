@@ -1,8 +1,8 @@
 """The replay buffer: a ring of rows, from which transitions are drawn uniformly.
 
-Rows are those of `common.transitions`: the successor of row t is row t + 1, modulo the capacity. A row can be drawn when
-its TRANSITION flag is set and its successor is still in the ring. The newest row never can, so what lies behind the
-write head, an old row or none, is never taken for a successor.
+Rows are those of `common.transitions`: the successor of row t is row t + 1, modulo the capacity. A row can be drawn
+when its TRANSITION flag is set and its successor is still in the ring. The newest row never can, so what lies behind
+the write head, an old row or none, is never taken for a successor.
 """
 
 import numpy as np
@@ -132,7 +132,8 @@ class Replay:
         if set(state) != {*FIELDS, "ring"} or state["ring"].shape != (2,) or state["ring"].dtype != torch.int64:
             raise CheckpointError("the replay buffer's fields are not those of this version.")
         head, used = (int(value) for value in state["ring"])
-        if not (0 <= used <= self.capacity and 0 <= head < self.capacity and (used == self.capacity or head == used)):
+        filling = used < self.capacity
+        if not (0 <= used <= self.capacity and 0 <= head < self.capacity) or (filling and head != used):
             raise CheckpointError("the replay buffer's counters do not fit its capacity.")
         targets = {name: torch.as_tensor(getattr(self, name)) for name in FIELDS}
         for name, target in targets.items():

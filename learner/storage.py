@@ -1,4 +1,4 @@
-"""What the learner keeps in its run directory: checkpoints of the whole run, and the newest actors for use elsewhere."""
+"""What the learner keeps in its run directory: checkpoints of the whole run, and the newest actors."""
 
 from pathlib import Path
 from typing import Any
@@ -88,4 +88,3 @@ class RunStorage:
             "updates": str(trainer.updates),
         }
         save_policy(self._directory / POLICY, trainer.actors(), metadata)
-

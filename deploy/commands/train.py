@@ -15,9 +15,10 @@ from common.bus import Bus
 from common.config import RunConfig
 from common.config.checks import within
 from common.endpoint import Endpoint, free_endpoint
-from common.errors import BusError, ConfigError, EiaSecError, EndpointError
+from common.errors import BusError, ConfigError, EiaSecError, EndpointError, UsageError
 from common.messages import CommandMessage
 from common.process import StopSignal
+from deploy.exit_codes import USAGE
 from deploy.fleet import Fleet
 from deploy.options import base_configuration, parse
 from deploy.report import write_report
@@ -61,12 +62,12 @@ def command(arguments: Sequence[str]) -> int:
     within(1, 1024, workers=options.workers)
     if options.lockstep and options.workers != 1:
         raise ConfigError("--lockstep takes turns with exactly one worker; leave --workers at 1.")
+    endpoint = Endpoint.parse(options.endpoint) if options.endpoint else free_endpoint()
+    endpoint.require_private(insecure=False)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     directory = RunDirectory(options.run_dir or Path("runs") / f"{options.preset}-{stamp}")
     directory.prepare(options.settings, resume=options.resume)
     directory.lock()
-    endpoint = Endpoint.parse(options.endpoint) if options.endpoint else free_endpoint()
-    endpoint.require_private(insecure=False)
     console = Console(stderr=False)
     console.print(f"run directory {directory.path}; watch from elsewhere with:", highlight=False)
     console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}", highlight=False)
@@ -97,10 +98,18 @@ class _Training:
                     self._drain(bus, fleet)
         finally:
             self._supervisor.stop()
-        learner = self._supervisor.children["learner"]
-        if learner.given_up:
-            raise EiaSecError(f"the learner did not survive; its last lines were:\n{self._supervisor.tail('learner')}")
+        self._complain()
         return not self._stop
+
+    def _complain(self) -> None:
+        """Raise what the learner ended with, when it ended for good before the run was over."""
+        learner = self._supervisor.children["learner"]
+        if not learner.given_up:
+            return
+        last = self._supervisor.tail("learner")
+        if learner.code == USAGE:
+            raise UsageError(last.splitlines()[-1].removeprefix("eia-sec: "))
+        raise EiaSecError(f"the learner did not survive; its last lines were:\n{last}")
 
     def _start(self) -> None:
         options, where = self._options, str(self._endpoint)
@@ -123,9 +132,8 @@ class _Training:
             except EndpointError:
                 self._supervisor.watch()
                 if self._supervisor.children["learner"].given_up or self._stop or time.monotonic() > deadline:
-                    self._supervisor.stop()
-                    last = self._supervisor.tail("learner")
-                    raise EndpointError(f"the learner did not start; its last lines were:\n{last}") from None
+                    self._complain()
+                    raise EndpointError("the learner did not start in time.") from None
 
     def _watch(self, fleet: Fleet) -> None:
         learner = self._supervisor.children["learner"]

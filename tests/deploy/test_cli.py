@@ -1,0 +1,96 @@
+"""Command lines: a user's mistake is one clear sentence and exit code 2."""
+
+from pathlib import Path
+
+import pytest
+
+from common.config import RunConfig
+from common.config.files import to_toml
+from deploy.cli import COMMANDS, dispatch
+from deploy.exit_codes import run_command
+from deploy.options import base_configuration
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Return what a command line is answered with, which must be one line and code 2."""
+    assert run_command(lambda: dispatch(list(arguments))) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("eia-sec: ")
+    assert error.count("\n") == 1
+    return error
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["fly"], "no command 'fly'"),
+        (["train", "--preset", "huge"], "no preset 'huge'"),
+        (["train", "--sead", "1"], "--seed"),
+        (["train", "--seed", "x"], "--seed"),
+        (["train", "--episodes", "0"], "episodes must be"),
+        (["train", "--farm.world.sensors", "0"], "sensors must be"),
+        (["train", "--algorithm.batch", "-3"], "batch must be"),
+        (["train", "--workers", "0"], "workers must be"),
+        (["train", "--lockstep", "--workers", "2"], "exactly one worker"),
+        (["train", "--config", "nowhere.toml"], "nowhere.toml"),
+        (["train", "--endpoint", "tcp/0.0.0.0:7447"], "insecure"),
+        (["learner", "--listen", "nonsense"], "not an endpoint"),
+        (["learner", "--listen", "tcp/0.0.0.0:7447"], "--insecure"),
+        (["learner", "--listen", "tcp/h:1", "--connect", "tcp/h:1"], "not both"),
+        (["learner", "--resume"], "--run-dir"),
+        (["rollout", "--connect", "tcp/127.0.0.1:9", "--patience", "0"], "nobody answers"),
+        (["rollout", "--run", "a/b"], "run 'a/b'"),
+        (["elite", "--connect", "tcp/127.0.0.1:9", "--patience", "0"], "nobody answers"),
+        (["monitor", "--connect", "tcp/127.0.0.1:9", "--patience", "0"], "nobody answers"),
+        (["evaluate"], "--policy"),
+        (["evaluate", "--policy", "best"], "no policy 'best'"),
+        (["evaluate", "--policy", "static", "--farms", "5:5"], "names no farm"),
+        (["evaluate", "--run-dir", "nowhere"], "run directory"),
+    ],
+)
+def test_mistakes_are_one_sentence(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The sentence names what is wrong, and nothing was started."""
+    monkeypatch.chdir(tmp_path)
+    assert said in complaint(capsys, *arguments)
+
+
+def test_another_configuration_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A run directory of another configuration is named with the difference."""
+    (tmp_path / "config.toml").write_text(to_toml(RunConfig(seed=7)), encoding="utf-8")
+    error = complaint(capsys, "train", "--run-dir", str(tmp_path), "--seed", "8")
+    assert "another configuration" in error
+    assert "seed" in error
+
+
+def test_resuming_what_never_ran_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """A folder without a run cannot be resumed, and a folder with other things in it is not taken over."""
+    assert "no run to resume" in complaint(capsys, "train", "--run-dir", str(tmp_path / "new"), "--resume")
+    (tmp_path / "thesis.tex").write_text("precious", encoding="utf-8")
+    assert "not a run directory" in complaint(capsys, "train", "--run-dir", str(tmp_path))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """`--help` of each command ends with code 0 and describes its options."""
+    with pytest.raises(SystemExit) as stop:
+        dispatch([name, "--help"])
+    assert stop.value.code == 0
+    assert "--run" in capsys.readouterr().out or name == "evaluate"
+
+
+def test_the_overview_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    """`eia-sec --help` lists what there is."""
+    assert dispatch(["--help"]) == 0
+    printed = capsys.readouterr().out
+    assert all(name in printed for name in COMMANDS)
+
+
+def test_file_goes_over_preset(tmp_path: Path) -> None:
+    """A file replaces the preset's values and leaves the others."""
+    path = tmp_path / "mine.toml"
+    path.write_text("episodes = 77\n", encoding="utf-8")
+    config = base_configuration(["--preset", "quick", f"--config={path}"])
+    assert config.episodes == 77
+    assert config.algorithm == base_configuration(["--preset", "quick"]).algorithm

@@ -1,0 +1,158 @@
+"""`eia-sec train` as a user meets it: to the end, interrupted, resumed, and without leaving anybody behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from common.bus import Bus
+from common.endpoint import free_endpoint
+from tests.system.fleet import TINY, until
+
+LONG = TINY.replace("episodes = 8", "episodes = 1000000")
+
+
+class Training:
+    """One `eia-sec train` process with its run directory."""
+
+    def __init__(self, directory: Path, toml: str) -> None:
+        self.config = directory / "wanted.toml"
+        self.config.write_text(toml, encoding="utf-8")
+        self.run_dir = directory / "run"
+        self.output = directory / "output.txt"
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self, *options: str) -> None:
+        """Start it."""
+        command = [sys.executable, "-m", "deploy.cli", "train", "--run-dir", str(self.run_dir)]
+        command += ["--config", str(self.config), *options]
+        with self.output.open("ab") as output:
+            self.process = subprocess.Popen(command, stdout=output, stderr=output)
+
+    def wait(self, seconds: float = 120.0) -> int:
+        """Return its exit code."""
+        assert self.process is not None
+        return self.process.wait(seconds)
+
+    def children(self) -> list[psutil.Process]:
+        """Return the processes that it started."""
+        assert self.process is not None
+        return psutil.Process(self.process.pid).children(recursive=True)
+
+    def episodes(self) -> int:
+        """Return the number of episodes that are recorded."""
+        path = self.run_dir / "metrics.jsonl"
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        return max((json.loads(line).get("episodes", 0) for line in lines if line.endswith("}")), default=0)
+
+
+@pytest.fixture
+def training(tmp_path: Path) -> Iterator[Training]:
+    """A training that is gone when the test is over."""
+    run = Training(tmp_path, TINY)
+    yield run
+    if run.process is not None and run.process.poll() is None:
+        for child in run.children():
+            child.kill()
+        run.process.kill()
+        run.process.wait(10.0)
+
+
+def gone(processes: list[psutil.Process]) -> bool:
+    """Return whether all of them have ended."""
+    return not any(p.is_running() and p.status() != psutil.STATUS_ZOMBIE for p in processes)
+
+
+def test_a_run_ends_with_pictures_and_a_table(training: Training) -> None:
+    """Two workers, learner and coordinator are processes of their own; the results are there and nobody is left."""
+    training.start("--workers", "2")
+    roles = until(lambda: len(training.children()) >= 4 and training.children(), "four processes")
+    assert training.wait() == 0, training.output.read_text()
+    assert gone(roles)
+    for name in ("curves.png", "trajectories.png", "policy.safetensors", "config.toml", "metrics.jsonl"):
+        assert (training.run_dir / name).stat().st_size > 0
+    evaluation = json.loads((training.run_dir / "evaluation.json").read_text())
+    policies = [result["policy"] for result in evaluation["evaluations"]]
+    assert {"lawnmower", "greedy", "random", "static"} < set(policies)
+    assert len(policies) == 5
+    assert "lawnmower" in training.output.read_text()
+
+
+def test_interrupt_drains_and_resume_goes_on(training: Training) -> None:
+    """Ctrl-C ends everybody with a checkpoint and code 0; the run goes on from there and does not count from zero."""
+    training.config.write_text(LONG, encoding="utf-8")
+    training.start("--no-report")
+    until(lambda: training.episodes() >= 4, "training")
+    children = training.children()
+    assert training.process is not None
+    training.process.send_signal(signal.SIGINT)
+    assert training.wait(30.0) == 0, training.output.read_text()
+    assert gone(children)
+    before = training.episodes()
+    assert "--resume" in training.output.read_text()
+    training.start("--no-report", "--resume")
+    until(lambda: training.episodes() > before + 2, "going on")
+    lines = (training.run_dir / "metrics.jsonl").read_text().splitlines()
+    counts = [record["episodes"] for record in map(json.loads, lines) if record["kind"] == "episodes"]
+    assert counts == sorted(counts)
+    training.process.send_signal(signal.SIGTERM)
+    assert training.wait(30.0) == 0
+
+
+def test_no_orphans_after_kill(training: Training) -> None:
+    """When the supervisor itself is killed, its children end by themselves."""
+    training.config.write_text(LONG, encoding="utf-8")
+    training.start("--no-report")
+    until(lambda: training.episodes() >= 1, "training")
+    children = training.children()
+    assert len(children) >= 3
+    assert training.process is not None
+    training.process.kill()
+    training.process.wait(10.0)
+    until(lambda: gone(children), "the end of the children", 30.0)
+
+
+def test_a_worker_that_dies_is_started_again(training: Training) -> None:
+    """The supervisor replaces a killed worker, says so, and the run ends as it should."""
+    training.config.write_text(TINY.replace("episodes = 8", "episodes = 60"), encoding="utf-8")
+    training.start("--no-report")
+    until(lambda: training.episodes() >= 2, "training")
+    worker = next(child for child in training.children() if "rollout" in child.cmdline())
+    os.kill(worker.pid, signal.SIGKILL)
+    assert training.wait() == 0, training.output.read_text()
+    assert "rollout-0 ended with signal 9; it is started again" in training.output.read_text()
+    assert training.episodes() >= 60
+
+
+def test_a_taken_endpoint_is_a_users_mistake(training: Training) -> None:
+    """The address is named in one sentence and the exit code is 2."""
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control"):
+        training.start("--endpoint", str(endpoint), "--no-report")
+        assert training.wait(60.0) == 2
+    assert f"cannot listen on {endpoint}" in training.output.read_text()
+
+
+def test_a_run_directory_is_used_by_one_at_a_time(training: Training) -> None:
+    """A second training in the same folder is refused with one sentence and code 2, and the first goes on."""
+    training.config.write_text(LONG, encoding="utf-8")
+    training.start("--no-report")
+    until(lambda: training.episodes() >= 1, "training")
+    first = training.process
+    training.start("--no-report", "--resume")
+    assert training.wait(30.0) == 2
+    assert "in use" in training.output.read_text()
+    training.process = first
+    before = training.episodes()
+    until(lambda: training.episodes() > before, "the first run going on")
+    assert first is not None
+    first.send_signal(signal.SIGTERM)
+    assert first.wait(30.0) == 0
+    time.sleep(0.1)
