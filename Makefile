@@ -30,6 +30,7 @@ lint: $(READY)
 
 docs: $(READY)
 	@$(VENV)/bin/python -m deploy.docs
+	@$(VENV)/bin/python -m deploy.results
 
 setup: $(READY)
 

@@ -173,8 +173,6 @@ class Workspace:
 class Pass:
     """One bank's forward pass and its gradients, in buffers that are allocated once.
 
-    A backward pass uses up the activations: each forward pass serves at most one.
-
     Args:
         bank: the layout.
         workspace: memory for the activations.
@@ -264,7 +262,7 @@ class Pass:
             else:
                 torch.bmm(h.transpose(1, 2), g, out=out)
                 torch.bmm(g, w[:, 1:].transpose(1, 2), out=dh)
-        torch.mul(self._z if self.scalar else self._dh, self._h2.sign_()[:, 1:], out=self._z)
+        _through_relu(self._z if self.scalar else self._dh, self._h2[:, 1:], self._z)
         for h, z, out in zip(self._h1_second, self._z2, into.second, strict=True):
             torch.bmm(h.transpose(1, 2), z, out=out)
         self._through_hidden(layers)
@@ -274,9 +272,8 @@ class Pass:
     def _through_hidden(self, layers: Layers) -> None:
         for z, w, matrix, dh in zip(self._z2, layers.second, self._matrices, self._dh_second, strict=True):
             torch.bmm(z, matrix.copy_(w[:, 1:]).transpose(1, 2), out=dh)
-        self._h1.sign_()
-        for sums, mask, gradient in self._units:
-            torch.mul(gradient, mask, out=sums)
+        for sums, h1, gradient in self._units:
+            _through_relu(gradient, h1, sums)
 
     def first_layer_gradient(self, layers: Layers, scale: float) -> list[Tensor]:
         """Return the gradient of scale * sum(output) by the first layer's sums, for scalar networks.
@@ -285,8 +282,12 @@ class Pass:
             one view for each type, [count, rows, hidden], or [1, rows, count * hidden] of networks that share their
             rows; valid until the next forward pass.
         """
-        self._h2.sign_()
         for h, w, z in zip(self._h2_head, layers.head, self._z3, strict=True):
-            torch.mul(h[:, :, 1:], w[:, 1:].transpose(1, 2) * scale, out=z)
+            _through_relu((w[:, 1:].transpose(1, 2) * scale).expand_as(z), h[:, :, 1:], z)
         self._through_hidden(layers)
         return self._z1_typed
+
+
+def _through_relu(gradient: Tensor, activation: Tensor, out: Tensor) -> None:
+    """Write the gradient where the activation is above 0, and 0 elsewhere."""
+    torch.ops.aten.threshold_backward.grad_input(gradient, activation, 0.0, grad_input=out)

@@ -13,7 +13,7 @@ from common.transitions import EpisodeSummary
 from rollout.kernel.arrays import make_scratch, make_state
 from rollout.kernel.constants import constants
 from rollout.kernel.rewards import REWARD_PARTS
-from rollout.kernel.step import begin, step_batch
+from rollout.kernel.step import run
 from rollout.layout import Layout, cell_counts, make_layout
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
@@ -63,6 +63,7 @@ class FarmBatch:
         self._constants = constants(config, cell_counts(config.world))
         self._state = make_state(config, environments)
         self._scratch = make_scratch(config)
+        self._still: Float32 = np.zeros((environments, self.team.action_size), np.float32)
         self._seeds: list[tuple[int, int]] = [(-1, -1)] * environments
         self.observation: Float32 = self._state.observation
         self.reward: Float32 = self._state.reward
@@ -114,7 +115,7 @@ class FarmBatch:
         state.level_due[e] = np.where(layout.plot_phase > 0, layout.plot_phase, self._constants.camera.cycle)
         for array in (state.reward, state.parts, state.energy, state.utility, state.served, state.returns, state.sums):
             array[e] = 0.0
-        begin(self._constants, state, self._scratch, e)
+        run(self._constants, state, self._scratch, self._still, e)
 
     def step(self, action: Float32) -> None:
         """Step every environment.
@@ -133,7 +134,7 @@ class FarmBatch:
             raise SimulationError("an action is not finite.")
         if self.time.min() < 0 or self.time.max() >= self.config.world.steps:
             raise SimulationError("an environment was stepped before its reset or beyond its episode's end.")
-        step_batch(self._constants, self._state, self._scratch, np.ascontiguousarray(action))
+        run(self._constants, self._state, self._scratch, np.ascontiguousarray(action), -1)
 
     def summary(self, index: int) -> EpisodeSummary:
         """Return what the running episode of an environment came to so far; raise SimulationError before any."""

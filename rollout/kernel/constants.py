@@ -21,15 +21,14 @@ LEAST_LINK: Final = 1.0
 
 
 class FleetConstants(NamedTuple):
-    """The UAVs [n], in row order, and the field.
+    """The UAVs, in row order, and the field.
 
     Attributes:
         relays: n_c.
         collectors: index of the first data collection UAV, n_c + n_m.
-        first: first UAV of the same plane as each UAV.
-        last: one past the last UAV of that plane.
-        height: flight height, m.
-        payload: power beside the flight power: P_comm + P_cmp and P_cam or P_ec, W.
+        uavs: n_UAV.
+        heights: of each type, m.
+        payloads: of each type, power beside the flight power: P_comm + P_cmp and P_cam or P_ec, W.
         width: U_x-max, m.
         depth: U_y-max, m.
         diagonal: of the field, m.
@@ -43,10 +42,9 @@ class FleetConstants(NamedTuple):
 
     relays: int
     collectors: int
-    first: Indices
-    last: Indices
-    height: Array
-    payload: Array
+    uavs: int
+    heights: tuple[float, float, float]
+    payloads: tuple[float, float, float]
     width: float
     depth: float
     diagonal: float
@@ -254,19 +252,14 @@ def watts(dbm: float) -> float:
 
 def _fleet(config: FarmConfig) -> FleetConstants:
     world, energy = config.world, config.energy
-    counts = (world.communication_uavs, world.monitoring_uavs, world.collection_uavs)
-    ends = np.cumsum(counts)
-    heights = (world.height_communication, world.height_monitoring, world.height_collection)
     dynamic = energy.load_capacitance * energy.voltage**2 * energy.clock_hz * energy.activity_factor
     common = watts(energy.transmit_dbm) + watts(energy.receive_dbm) + energy.static_power + dynamic
-    extra = (0.0, energy.camera_power, watts(energy.collection_dbm))
     return FleetConstants(
-        relays=counts[0],
-        collectors=counts[0] + counts[1],
-        first=np.repeat(ends - counts, counts).astype(np.int64),
-        last=np.repeat(ends, counts).astype(np.int64),
-        height=np.repeat(np.array(heights, np.float64), counts),
-        payload=np.repeat(common + np.array(extra), counts),
+        relays=world.communication_uavs,
+        collectors=world.communication_uavs + world.monitoring_uavs,
+        uavs=world.uavs,
+        heights=(float(world.height_communication), float(world.height_monitoring), float(world.height_collection)),
+        payloads=(common, common + energy.camera_power, common + watts(energy.collection_dbm)),
         width=world.field_x,
         depth=world.field_y,
         diagonal=math.hypot(world.field_x, world.field_y),

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from rollout.kernel.compiled import compiled
 from rollout.kernel.constants import Array, FleetConstants, FlightConstants, Indices
+from rollout.kernel.planes import height_of, kind_of, plane_of
 
 Float32 = NDArray[np.float32]
 
@@ -52,7 +53,7 @@ def fly(
         vx = min(1.0, max(-1.0, np.float64(action[2 * u]))) * fleet.speed_x
         vy = min(1.0, max(-1.0, np.float64(action[2 * u + 1]))) * fleet.speed_y
         speed = math.sqrt(vx * vx + vy * vy)
-        energy[u] = (flight_power(flight, speed) + fleet.payload[u]) * fleet.seconds
+        energy[u] = (flight_power(flight, speed) + fleet.payloads[kind_of(fleet, u)]) * fleet.seconds
         motivated[u] = 1.0 if vx * direction[u, 0] + vy * direction[u, 1] > 0.0 else 0.0
         previous[u, 0], previous[u, 1] = position[u, 0], position[u, 1]
         x = position[u, 0] + vx * fleet.seconds
@@ -66,7 +67,7 @@ def fly(
 def separation(fleet: FleetConstants, position: Array, a: int, b: int) -> float:
     """Return the 3-D distance between two UAVs, m."""
     dx, dy = position[a, 0] - position[b, 0], position[a, 1] - position[b, 1]
-    dz = fleet.height[a] - fleet.height[b]
+    dz = height_of(fleet, a) - height_of(fleet, b)
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
@@ -82,8 +83,9 @@ def find_nearest(fleet: FleetConstants, position: Array, neighbour: Indices, dis
         crowded: [n] out: 1 where a UAV of the same plane is closer than the collision distance.
     """
     for u in range(len(position)):
-        first = 0 if fleet.any_plane else fleet.first[u]
-        last = len(position) if fleet.any_plane else fleet.last[u]
+        own_first, own_last = plane_of(fleet, u)
+        first = 0 if fleet.any_plane else own_first
+        last = len(position) if fleet.any_plane else own_last
         neighbour[u], distance[u], crowded[u] = -1, math.inf, 0.0
         for other in range(first, last):
             if other == u:
@@ -91,7 +93,7 @@ def find_nearest(fleet: FleetConstants, position: Array, neighbour: Indices, dis
             apart = separation(fleet, position, u, other)
             if apart < distance[u]:
                 neighbour[u], distance[u] = other, apart
-            if apart < fleet.collision and fleet.first[u] <= other < fleet.last[u]:
+            if apart < fleet.collision and own_first <= other < own_last:
                 crowded[u] = 1.0
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rollout.kernel.compiled import compiled
 from rollout.kernel.constants import Array, CameraConstants, FleetConstants, Indices, ObservationConstants
+from rollout.kernel.planes import height_of
 
 Float32 = NDArray[np.float32]
 
@@ -38,7 +39,7 @@ def _put_uav(fleet: FleetConstants, position: Array, u: int, other: int, seen: F
         seen[at], seen[at + 1], seen[at + 2] = 0.0, 0.0, 1.0
         return at + 3
     dx, dy = position[other, 0] - position[u, 0], position[other, 1] - position[u, 1]
-    return _put_offset(fleet, dx, dy, fleet.height[other] - fleet.height[u], seen, at)
+    return _put_offset(fleet, dx, dy, height_of(fleet, other) - height_of(fleet, u), seen, at)
 
 
 @compiled
@@ -80,7 +81,7 @@ def see_relays(
         at = _put_uav(fleet, position, u, _nearest_relay(fleet, position, u), seen, at)
         for point in (fleet.relays, u):
             dx, dy = centroid[point, 0] - position[u, 0], centroid[point, 1] - position[u, 1]
-            dz = centroid[point, 2] - fleet.height[u]
+            dz = centroid[point, 2] - height_of(fleet, u)
             if point == u and farthest[u] < 0:
                 dx, dy, dz = 0.0, 0.0, 0.0
             at = _put_offset(fleet, dx, dy, dz, seen, at)

@@ -7,6 +7,7 @@ import numpy as np
 from rollout.kernel.compiled import compiled
 from rollout.kernel.constants import NEGLIGIBLE, Array, FleetConstants, Indices, RadioConstants
 from rollout.kernel.neighbours import is_nearest
+from rollout.kernel.planes import height_of
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -75,7 +76,7 @@ def interfere(
                 owner, apart = k, square
         if apart < least[owner]:
             woken[owner], least[owner] = j, apart
-    height = fleet.height[first]
+    height = height_of(fleet, first)
     for k in range(count):
         for other in range(count):
             if other != k and woken[other] >= 0:
@@ -133,7 +134,7 @@ def collect(
     delivered, first = 0, fleet.collectors
     for k in range(len(number)):
         u = first + k
-        height = fleet.height[u]
+        height = height_of(fleet, u)
         utility[u], served[k] = 0.0, 0.0
         if linked[u - fleet.relays] == 0.0:
             continue

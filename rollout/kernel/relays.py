@@ -6,6 +6,7 @@ from rollout.kernel.assignment import assign
 from rollout.kernel.compiled import compiled
 from rollout.kernel.constants import LEAST_LINK, Array, FleetConstants, Indices, RelayConstants
 from rollout.kernel.motion import separation
+from rollout.kernel.planes import height_of
 
 
 @compiled
@@ -77,7 +78,7 @@ def serve(
         for served in range(len(assignment)):
             if assignment[served] == i:
                 u = count + served
-                x, y, z, number = x + position[u, 0], y + position[u, 1], z + fleet.height[u], number + 1
+                x, y, z, number = x + position[u, 0], y + position[u, 1], z + height_of(fleet, u), number + 1
                 distance = separation(fleet, position, i, u)
                 if distance > far:
                     far, farthest[i] = distance, u
@@ -86,7 +87,7 @@ def serve(
         service[i] = relay.weight_farthest * max(far, 0.0)
         centroid[count, 0] += position[i, 0] / count
         centroid[count, 1] += position[i, 1] / count
-        centroid[count, 2] += fleet.height[i] / count
+        centroid[count, 2] += height_of(fleet, i) / count
     for i in range(count):
         if farthest[i] >= 0:
             service[i] += relay.weight_centroid * _to_point(fleet, position, i, centroid[i])
@@ -95,5 +96,5 @@ def serve(
 
 @compiled
 def _to_point(fleet: FleetConstants, position: Array, u: int, point: Array) -> float:
-    dx, dy, dz = point[0] - position[u, 0], point[1] - position[u, 1], point[2] - fleet.height[u]
+    dx, dy, dz = point[0] - position[u, 0], point[1] - position[u, 1], point[2] - height_of(fleet, u)
     return math.sqrt(dx * dx + dy * dy + dz * dz)

@@ -1,4 +1,4 @@
-"""The simulator's entrances: the start of an episode and one step of the whole batch.
+"""The simulator's entrance: the start of an episode and one step of the whole batch.
 
 Order inside step k, t = k t_step: motivation judges the commanded velocity by the direction seen before the step;
 the UAVs move; relays are assigned and D_c(k) is taken at the new positions; sensors send and plots are photographed
@@ -180,22 +180,22 @@ def _step(c: Constants, state: State, scratch: Scratch, action: Float32, e: int)
     _account(c, state, scratch, e)
 
 
-def _compile(digest: str) -> tuple[Callable[..., None], Callable[..., None]]:
+def _compile_run(digest: str) -> Callable[..., None]:
     @compiled_entry
-    def begin(c: Constants, state: State, scratch: Scratch, e: int) -> None:
-        """Take stock of environment e at the start of its episode, at the positions and levels in its state."""
-        if digest != "":
-            _survey(c, state, scratch, e)
-            _observe(c, state, scratch, e)
+    def run(c: Constants, state: State, scratch: Scratch, action: Float32, begun: int) -> None:
+        """Step every environment with its row of action [E, 2 n]; no environment sees another.
 
-    @compiled_entry
-    def step_batch(c: Constants, state: State, scratch: Scratch, action: Float32) -> None:
-        """Step every environment with its row of action [E, 2 n]; no environment sees another."""
-        if digest != "":
+        If `begun` is not negative, nothing is stepped: that environment's episode starts, at the positions and
+        levels in its state. It is one function so that the machine code is made once.
+        """
+        if begun >= 0 and digest != "":
+            _survey(c, state, scratch, begun)
+            _observe(c, state, scratch, begun)
+        else:
             for e in range(len(action)):
                 _step(c, state, scratch, action[e], e)
 
-    return begin, step_batch
+    return run
 
 
-begin, step_batch = _compile(sources_digest())
+run = _compile_run(sources_digest())

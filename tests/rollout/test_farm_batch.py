@@ -118,7 +118,7 @@ def test_uavs_start_a_safe_distance_apart_in_their_plane():
 
 
 def test_the_supply_of_an_episode_bounds_what_is_credited():
-    """A fleet that sees and hears all but where counters rise gets 6400 VDF units and, but for the last, 4000 of AoI."""
+    """A fleet that serves all but when counters rise gets 6400 VDF units and, but for the last, 4000 of AoI."""
     everything = FarmConfig(
         radio=RadioConfig(sensor_power_dbm=90.0),
         camera=CameraConfig(image_distance=1000.0, plot_threshold=1.0),

@@ -52,10 +52,10 @@ def test_flight_power_is_what_the_readings_say(energy, speed, power, tolerance):
 
 def test_powers_given_in_dbm_are_added_in_watts():
     """0.1 + 0.1 W of communication, 4 + 16 W of computation, 2.5 W camera, 10 W collection."""
-    energy, payload = EnergyConfig(), numbers(FarmConfig()).fleet.payload
+    energy, payload = EnergyConfig(), numbers(FarmConfig()).fleet.payloads
     for kind, power in enumerate((20.2, 22.7, 30.2)):
         assert other_power(energy, kind) == pytest.approx(power, rel=1e-12)
-        assert payload[4 * kind] == pytest.approx(power, rel=1e-12)
+        assert payload[kind] == pytest.approx(power, rel=1e-12)
 
 
 def test_safety_distance_is_twice_the_largest_step():
