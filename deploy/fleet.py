@@ -9,13 +9,16 @@ from common import keys
 from common.bus import Bus
 from common.errors import ProtocolError
 from common.messages import Envelope, MetricMessage
+from common.team import COLLECTION, COMMUNICATION, MONITORING
 from deploy.view import Imitation, Ledger, ProcessRow, Series, Snapshot
 
 HISTORY: Final = 240
 """Points of a curve that are kept."""
 GONE_SECONDS: Final = 30.0
 """A process without a token stays in the table for this long."""
-TYPES: Final = ("communication", "monitoring", "collection")
+LETTERS: Final = {COMMUNICATION: "c", MONITORING: "m", COLLECTION: "d"}
+"""The types by the paper's letters."""
+FRESHNESS: Final = {"aoi": "AoI", "vdf": "VDF"}
 
 
 @dataclass
@@ -95,8 +98,8 @@ class Fleet:
             left=elapsed * (total - episodes) / episodes if episodes else None,
             episodes=episodes,
             episodes_total=total,
-            reward=tuple(Series(kind, self._curve(kind)) for kind in ("mean", *TYPES)),
-            freshness=tuple(Series(kind.upper(), self._curve(kind), 2) for kind in ("aoi", "vdf")),
+            reward=tuple(Series(kind, self._curve(kind)) for kind in ("mean", *LETTERS)),
+            freshness=tuple(Series(name, self._curve(kind), 2) for kind, name in FRESHNESS.items()),
             steps=int(values.get("environment_steps", 0)),
             steps_rate=self._rates["environment_steps"],
             updates=int(values.get("updates", 0)),
@@ -145,7 +148,9 @@ class Fleet:
             events=events,
             rate=float(values["rate"]) if values.get("rate") else None,
             next_episode=int(values["next_episode"]) if values.get("next_episode") else None,
-            elites=tuple((str(kind), int(index)) for kind, index in values.get("elites", {}).items()),
+            elites=tuple(
+                (LETTERS.get(kind, str(kind)), int(index)) for kind, index in values.get("elites", {}).items()
+            ),
         )
 
     def _row(self, name: tuple[str, str], seen: _Seen) -> ProcessRow:

@@ -1,5 +1,6 @@
 """A trainer's whole state as tensors and plain values, and back: what a checkpoint holds."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -55,7 +56,7 @@ def random_state(generator: np.random.Generator) -> dict[str, Any]:
     }
 
 
-def restored_random(state: Mapping[str, Any]) -> np.random.Generator:
+def restored_random(state: Any) -> np.random.Generator:
     """Return a generator that continues from `random_state`.
 
     Raises:
@@ -84,14 +85,14 @@ def episode_record(episode: EpisodeSummary) -> dict[str, Any]:
     return {**asdict(episode), "reward": list(episode.reward)}
 
 
-def episode_summary(record: Mapping[str, Any]) -> EpisodeSummary:
-    """Return the summary of `episode_record`.
+def episode_summaries(records: Any) -> list[EpisodeSummary]:
+    """Return the summaries of several `episode_record`s.
 
     Raises:
-        CheckpointError: when it is no such record.
+        CheckpointError: when they are no such records.
     """
     try:
-        return EpisodeSummary(**{**record, "reward": tuple(float(value) for value in record["reward"])})
+        return [EpisodeSummary(**{**r, "reward": tuple(float(value) for value in r["reward"])}) for r in records]
     except (KeyError, TypeError, ValueError) as error:
         raise CheckpointError(f"the checkpoint's record of an episode is not readable: {error}.") from error
 
@@ -106,3 +107,15 @@ def counter(state: Mapping[str, Any], name: str) -> int:
     if type(value) is not int or value < 0:
         raise CheckpointError(f"the checkpoint's {name} is not a count.")
     return value
+
+
+def finite(state: Mapping[str, Any], name: str) -> float:
+    """Return a number of the state.
+
+    Raises:
+        CheckpointError: when it is missing, no number or not finite.
+    """
+    value = state.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise CheckpointError(f"the checkpoint's {name} is not a number.")
+    return float(value)

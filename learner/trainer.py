@@ -34,7 +34,8 @@ from learner.state import (
     counter,
     engine_tensors,
     episode_record,
-    episode_summary,
+    episode_summaries,
+    finite,
     random_state,
     restored_random,
 )
@@ -140,9 +141,9 @@ class Trainer:
         found = checked_tensors(own, tensors)
         names = (*COUNTERS, "actor_adam_steps", "critic_adam_steps", "figure_rounds")
         counts = {name: counter(state, name) for name in names}
-        random = restored_random(state["random"])
-        recent = [episode_summary(record) for record in state["recent"]]
-        age = float(state["sample_age"])
+        random = restored_random(state.get("random"))
+        recent = episode_summaries(state.get("recent"))
+        age = finite(state, "sample_age")
         prefix = "replay."
         self.replay.restore({n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)})
         for name, tensor in own.items():
