@@ -113,7 +113,7 @@ def _place(world: WorldConfig, seed: int) -> NDArray[np.float64]:
     )
 
 
-def _compile_throw(digest: str) -> Callable[..., int]:
+def _compile_throw(digest: int) -> Callable[..., int]:
     @compiled_entry
     def throw(
         candidate: NDArray[np.float64],
@@ -126,7 +126,7 @@ def _compile_throw(digest: str) -> Callable[..., int]:
     ) -> int:
         """Keep the candidates [K, 2] that lie at least `spacing` from all places; return how many places there are."""
         columns, rows = first.shape
-        free = digest != ""
+        free = digest > 0
         for k in range(len(candidate)):
             x, y = candidate[k]
             column = min(int(x / size[0] * columns), columns - 1)

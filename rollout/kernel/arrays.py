@@ -64,36 +64,83 @@ class State(NamedTuple):
     sums: Array
 
 
+class Farm(NamedTuple):
+    """One environment: the arrays of State without their first axis, and its two numbers."""
+
+    key: np.uint64
+    step: int
+    position: Array
+    direction: Array
+    assignment: Indices
+    service: Array
+    sensor: Array
+    cell_start: Indices
+    cycle: Indices
+    age: Array
+    age_due: Indices
+    level: Array
+    level_due: Indices
+    observation: Float32
+    reward: Float32
+    parts: Array
+    energy: Array
+    utility: Array
+    served: Array
+    returns: Array
+    sums: Array
+
+
 class Scratch(NamedTuple):
-    """Working memory of one environment's step; the kernel's functions say what stands in it.
+    """Working memory of one environment's step.
 
     Attributes:
-        uav: [7, n] ACT, motivation, d_U, crowded, linked, D_c(k-1), interference.
-        place: [n, 2] positions before the step, m.
-        whole: [4, max(n, observed sensors)] nearest UAV, farthest served, number of sensors
-            around, nearest or woken sensors.
+        previous: [n, 2] positions before the step, m.
+        outside: [n] ACT.
+        motivated: [n] M_V and M_D.
+        neighbour: [n] nearest UAV.
+        distance: [n] d_U, m.
+        crowded: [n] whether a UAV of the plane is closer than the collision distance.
+        linked: [n_m + n_d] whether the relay is in range.
+        earlier: [n_c] D_c(k-1), m.
         centroid: [n_c + 1, 3] m.
+        farthest: [n_c] farthest UAV served.
         quadrant: [n, 4] sums.
-        around: [n_d, S] sensors around each UAV.
+        number: [n_d] sensors around each UAV.
+        around: [n_d, S] which they are.
         square: [n_d, S] squares of their distances, m^2.
+        nearest: [observed sensors] entries of the nearest.
+        woken: [n_d] sensor woken by each UAV that is the strongest.
+        power: [n_d] interference, mW.
         item: [max(S, P)] sensors or plots served.
         share: [S] shares delivered.
-        integral: [n_px + 1, n_py + 1] VDF.
+        plots: [n_px + 1, n_py + 1] sums of VDF over the plots below and to the left.
+        cells: [cells_x + 1, cells_y + 1] sums of AoI over the sensor cells below and to the left.
         cost: [n_m + n_d, n_c capacity] of the assignment.
         numbers: [3, n_c capacity].
         indices: [4, n_c capacity].
     """
 
-    uav: Array
-    place: Array
-    whole: Indices
+    previous: Array
+    outside: Array
+    motivated: Array
+    neighbour: Indices
+    distance: Array
+    crowded: Array
+    linked: Array
+    earlier: Array
     centroid: Array
+    farthest: Indices
     quadrant: Array
+    number: Indices
     around: Indices
     square: Array
+    nearest: Indices
+    woken: Indices
+    power: Array
     item: Indices
     share: Array
-    integral: Array
+    plots: Array
+    cells: Array
     cost: Array
     numbers: Array
     indices: Indices
@@ -136,18 +183,29 @@ def make_scratch(config: FarmConfig) -> Scratch:
     uavs, sensors, collectors = world.uavs, world.sensors, world.collection_uavs
     served = world.monitoring_uavs + collectors
     places = world.communication_uavs * config.relay.capacity_for(world)
-    longest = max(uavs, config.observation.sensors)
+    relays, (columns, rows) = world.communication_uavs, cell_counts(world)
     return Scratch(
-        uav=np.zeros((7, uavs)),
-        place=np.zeros((uavs, 2)),
-        whole=np.zeros((4, longest), np.int64),
-        centroid=np.zeros((world.communication_uavs + 1, 3)),
+        previous=np.zeros((uavs, 2)),
+        outside=np.zeros(uavs),
+        motivated=np.zeros(uavs),
+        neighbour=np.zeros(uavs, np.int64),
+        distance=np.zeros(uavs),
+        crowded=np.zeros(uavs),
+        linked=np.zeros(served),
+        earlier=np.zeros(relays),
+        centroid=np.zeros((relays + 1, 3)),
+        farthest=np.zeros(relays, np.int64),
         quadrant=np.zeros((uavs, 4)),
+        number=np.zeros(collectors, np.int64),
         around=np.zeros((collectors, sensors), np.int64),
         square=np.zeros((collectors, sensors)),
+        nearest=np.zeros(config.observation.sensors, np.int64),
+        woken=np.zeros(collectors, np.int64),
+        power=np.zeros(collectors),
         item=np.zeros(max(sensors, world.plots_x * world.plots_y), np.int64),
         share=np.zeros(sensors),
-        integral=np.zeros((world.plots_x + 1, world.plots_y + 1)),
+        plots=np.zeros((world.plots_x + 1, world.plots_y + 1)),
+        cells=np.zeros((columns + 1, rows + 1)),
         cost=np.zeros((served, places)),
         numbers=np.zeros((3, places)),
         indices=np.zeros((4, places), np.int64),

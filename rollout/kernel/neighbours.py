@@ -50,10 +50,10 @@ def _within(
     square: Array,
 ) -> int:
     """List the sensors within a radius; the cells of one column are consecutive, so a column is one run."""
-    left = _cell((x - radius) / fleet.width, seen.cells_x)
-    right = _cell((x + radius) / fleet.width, seen.cells_x)
-    low = _cell((y - radius) / fleet.depth, seen.cells_y)
-    high = _cell((y + radius) / fleet.depth, seen.cells_y)
+    left = cell_of((x - radius) / fleet.width, seen.cells_x)
+    right = cell_of((x + radius) / fleet.width, seen.cells_x)
+    low = cell_of((y - radius) / fleet.depth, seen.cells_y)
+    high = cell_of((y + radius) / fleet.depth, seen.cells_y)
     found, limit = 0, radius * radius
     for column in range(left, right + 1):
         for j in range(cell_start[column * seen.cells_y + low], cell_start[column * seen.cells_y + high + 1]):
@@ -66,7 +66,7 @@ def _within(
 
 
 @compiled
-def _cell(share: float, cells: int) -> int:
+def cell_of(share: float, cells: int) -> int:
     """Return the cell at a share of the axis, by the very product with which the layout numbers sensors."""
     return int(min(cells - 1.0, max(0.0, share * cells)))
 

@@ -7,41 +7,72 @@ sums the first wins; where every sum is 0 there is no direction.
 import math
 
 from rollout.kernel.compiled import compiled
-from rollout.kernel.constants import Array, CameraConstants, FleetConstants
+from rollout.kernel.constants import Array, CameraConstants, FleetConstants, Indices, ObservationConstants
+from rollout.kernel.neighbours import cell_of
 
 DIAGONAL = math.sqrt(0.5)
 
 
 @compiled
-def point(sums: Array, direction: Array) -> None:
-    """Write the unit diagonal towards the largest of four sums, (0, 0) if all are 0."""
-    best = 0
-    for quadrant in range(1, 4):
-        if sums[quadrant] > sums[best]:
-            best = quadrant
-    if sums[best] > 0.0:
-        direction[0] = DIAGONAL if best in (0, 3) else -DIAGONAL
-        direction[1] = DIAGONAL if best in (0, 1) else -DIAGONAL
-    else:
-        direction[0], direction[1] = 0.0, 0.0
+def point(fleet: FleetConstants, sums: Array, direction: Array) -> None:
+    """Write for each UAV with a task the unit diagonal towards its largest sum, (0, 0) if all four are 0."""
+    for u in range(fleet.relays, fleet.uavs):
+        best = 0
+        for quadrant in range(1, 4):
+            if sums[u, quadrant] > sums[u, best]:
+                best = quadrant
+        length = DIAGONAL if sums[u, best] > 0.0 else 0.0
+        direction[u, 0] = length if best in (0, 3) else -length
+        direction[u, 1] = length if best in (0, 1) else -length
 
 
 @compiled
-def sum_sensors(fleet: FleetConstants, position: Array, sensor: Array, age: Array, sums: Array) -> None:
-    """Sum AoI over the sensors in each quadrant around every data collection UAV into its row of sums [n, 4]."""
-    for u in range(fleet.collectors, len(position)):
+def sum_sensors(
+    fleet: FleetConstants,
+    seen: ObservationConstants,
+    position: Array,
+    sensor: Array,
+    cell_start: Indices,
+    age: Array,
+    integral: Array,
+    sums: Array,
+) -> None:
+    """Sum AoI over the sensors in each quadrant around every data collection UAV into its row of sums [n, 4].
+
+    Sensors in other columns and rows of cells than the UAV's are summed by whole cells, the others one by one.
+
+    Args:
+        fleet: the UAVs.
+        seen: the sensor cells.
+        position: [n, 2] m.
+        sensor: [2, S] m.
+        cell_start: first sensor of each cell.
+        age: [S] AoI.
+        integral: [cells_x + 1, cells_y + 1] scratch: sums over all cells below and to the left; its border is 0.
+        sums: [n, 4] out.
+    """
+    columns, rows = seen.cells_x, seen.cells_y
+    for column in range(columns):
+        below = 0.0
+        for row in range(rows):
+            cell = column * rows + row
+            for j in range(cell_start[cell], cell_start[cell + 1]):
+                below += age[j]
+            integral[column + 1, row + 1] = integral[column, row + 1] + below
+    for u in range(fleet.collectors, fleet.uavs):
         x, y = position[u]
-        everything, right, upper, both = 0.0, 0.0, 0.0, 0.0
-        for j in range(len(age)):
-            east = age[j] if sensor[0, j] >= x else 0.0
-            everything += age[j]
-            right += east
-            upper += age[j] if sensor[1, j] >= y else 0.0
-            both += east if sensor[1, j] >= y else 0.0
-        sums[u, 0] = both
-        sums[u, 1] = upper - both
-        sums[u, 2] = everything - upper - right + both
-        sums[u, 3] = right - both
+        i, k = cell_of(x / fleet.width, columns), cell_of(y / fleet.depth, rows)
+        total = integral[columns, rows]
+        sums[u, 0] = total - integral[i + 1, rows] - integral[columns, k + 1] + integral[i + 1, k + 1]
+        sums[u, 1] = integral[i, rows] - integral[i, k + 1]
+        sums[u, 2] = integral[i, k]
+        sums[u, 3] = integral[columns, k] - integral[i + 1, k]
+        for column in range(columns):
+            low, high = (0, rows) if column == i else (k, k + 1)
+            for j in range(cell_start[column * rows + low], cell_start[column * rows + high]):
+                east, north = sensor[0, j] >= x, sensor[1, j] >= y
+                quadrant = (0 if north else 3) if east else (1 if north else 2)
+                sums[u, quadrant] += age[j]
 
 
 @compiled

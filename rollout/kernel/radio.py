@@ -29,7 +29,8 @@ def draw(key: np.uint64, step: int, sensor: int) -> float:
     state = (state ^ (state >> SHIFT_30)) * MIX_1
     state = (state ^ (state >> SHIFT_27)) * MIX_2
     state = state ^ (state >> SHIFT_31)
-    return np.float64(state >> SHIFT_11) * 2.0**-53
+    uniform: float = np.float64(state >> SHIFT_11) * 2.0**-53
+    return uniform
 
 
 @compiled
@@ -48,6 +49,13 @@ def delivery(radio: RadioConstants, signal: float, interference: float) -> float
 
 
 @compiled
+def _square(position: Array, u: int, sensor: Array, j: int) -> float:
+    """Return the square of the horizontal distance from a UAV to a sensor, m^2."""
+    dx, dy = sensor[0, j] - position[u, 0], sensor[1, j] - position[u, 1]
+    return dx * dx + dy * dy
+
+
+@compiled
 def interfere(
     fleet: FleetConstants, radio: RadioConstants, position: Array, sensor: Array, woken: Indices, power: Array
 ) -> None:
@@ -61,28 +69,26 @@ def interfere(
         woken: [n_d] scratch: the nearest sensor that each UAV wakes, -1 if it wakes none.
         power: [n_d] out: power from the strongest woken sensor of each other UAV, mW; 0 without the switch.
     """
-    power[:] = 0.0
+    for k in range(len(power)):
+        power[k] = 0.0
+        woken[k] = -1
     if not radio.interference:
         return
     first, count = fleet.collectors, len(power)
-    least = np.full(count, math.inf)
-    woken[:] = -1
     for j in range(sensor.shape[1]):
         owner, apart = 0, math.inf
         for k in range(count):
-            dx, dy = sensor[0, j] - position[first + k, 0], sensor[1, j] - position[first + k, 1]
-            square = dx * dx + dy * dy
+            square = _square(position, first + k, sensor, j)
             if square < apart:
                 owner, apart = k, square
-        if apart < least[owner]:
-            woken[owner], least[owner] = j, apart
+        if woken[owner] < 0 or apart < _square(position, first + owner, sensor, woken[owner]):
+            woken[owner] = j
     height = height_of(fleet, first)
     for k in range(count):
         for other in range(count):
             if other != k and woken[other] >= 0:
-                dx = sensor[0, woken[other]] - position[first + k, 0]
-                dy = sensor[1, woken[other]] - position[first + k, 1]
-                power[k] += received_power(radio, dx * dx + dy * dy + height * height)
+                square = _square(position, first + k, sensor, woken[other])
+                power[k] += received_power(radio, square + height * height)
 
 
 @compiled
@@ -131,7 +137,7 @@ def collect(
         sent: [S] scratch.
         share: [S] scratch.
     """
-    delivered, first = 0, fleet.collectors
+    delivered, first, limit = 0, fleet.collectors, radio.reach * radio.reach
     for k in range(len(number)):
         u = first + k
         height = height_of(fleet, u)
@@ -140,7 +146,7 @@ def collect(
             continue
         for entry in range(number[k]):
             j = around[k, entry]
-            if age[j] == 0.0 and due[j] != step:
+            if square[k, entry] > limit or (age[j] == 0.0 and due[j] != step):
                 continue
             if not is_nearest(position, first, len(position), u, sensor[0, j], sensor[1, j], square[k, entry]):
                 continue

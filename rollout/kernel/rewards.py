@@ -52,7 +52,8 @@ def reward_step(
     seconds = fleet.seconds
     for u in range(len(energy)):
         risk = safety_risk(fleet, weight.closing, previous, neighbour, distance, u)
-        parts[u, :] = 0.0
+        for part in range(parts.shape[1]):
+            parts[u, part] = 0.0
         parts[u, 1] = weight.energy * energy[u]
         parts[u, 2] = weight.risk * risk * seconds
         parts[u, 3] = weight.boundary * outside[u] * seconds

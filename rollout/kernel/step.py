@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.kernel.arrays import Scratch, State
+from rollout.kernel.arrays import Farm, Scratch, State
 from rollout.kernel.camera import photograph
 from rollout.kernel.compiled import compiled, compiled_entry, sources_digest
 from rollout.kernel.constants import Constants
@@ -26,161 +26,137 @@ Float32 = NDArray[np.float32]
 
 
 @compiled
-def _survey(c: Constants, state: State, scratch: Scratch, e: int) -> None:
-    """Take stock at the present positions: nearest UAVs, relays, and sensors around."""
-    position, relays = state.position[e], c.fleet.relays
-    served, collectors = len(position) - relays, len(position) - c.fleet.collectors
-    find_nearest(c.fleet, position, scratch.whole[0], scratch.uav[2], scratch.uav[3])
-    assign_relays(
-        c.fleet,
-        c.relay,
-        position,
-        scratch.cost,
-        scratch.numbers,
-        scratch.indices,
+def _farm(state: State, e: int) -> Farm:
+    """Return the views of one environment."""
+    return Farm(
+        state.key[e],
+        state.time[e],
+        state.position[e],
+        state.direction[e],
         state.assignment[e],
-        scratch.uav[4, :served],
-    )
-    scratch.uav[5, :relays] = state.service[e]
-    serve(c.fleet, c.relay, position, state.assignment[e], state.service[e], scratch.centroid, scratch.whole[1])
-    gather(
-        c.fleet,
-        c.observation,
-        position,
+        state.service[e],
         state.sensor[e],
         state.cell_start[e],
-        scratch.around,
-        scratch.square,
-        scratch.whole[2, :collectors],
+        state.cycle[e],
+        state.age[e],
+        state.age_due[e],
+        state.level[e],
+        state.level_due[e],
+        state.observation[e],
+        state.reward[e],
+        state.parts[e],
+        state.energy[e],
+        state.utility[e],
+        state.served[e],
+        state.returns[e],
+        state.sums[e],
     )
 
 
 @compiled
-def _serve_tasks(c: Constants, state: State, scratch: Scratch, e: int) -> None:
-    """Collect data and photograph plots at the present positions."""
-    position, step = state.position[e], state.time[e]
-    collectors = len(position) - c.fleet.collectors
-    linked, power = scratch.uav[4], scratch.uav[6, :collectors]
-    photograph(
-        c.fleet,
-        c.camera,
-        position,
-        linked,
-        step,
-        state.level[e],
-        state.level_due[e],
-        state.utility[e],
-        scratch.item,
-    )
-    interfere(c.fleet, c.radio, position, state.sensor[e], scratch.whole[3], power)
+def _survey(c: Constants, farm: Farm, s: Scratch) -> None:
+    """Take stock at the present positions: nearest UAVs, relays, and sensors around."""
+    find_nearest(c.fleet, farm.position, s.neighbour, s.distance, s.crowded)
+    assign_relays(c.fleet, c.relay, farm.position, s.cost, s.numbers, s.indices, farm.assignment, s.linked)
+    for i in range(c.fleet.relays):
+        s.earlier[i] = farm.service[i]
+    serve(c.fleet, c.relay, farm.position, farm.assignment, farm.service, s.centroid, s.farthest)
+    gather(c.fleet, c.observation, farm.position, farm.sensor, farm.cell_start, s.around, s.square, s.number)
+
+
+@compiled
+def _serve_tasks(c: Constants, farm: Farm, s: Scratch) -> None:
+    """Photograph plots and collect data at the present positions."""
+    photograph(c.fleet, c.camera, farm.position, s.linked, farm.step, farm.level, farm.level_due, farm.utility, s.item)
+    interfere(c.fleet, c.radio, farm.position, farm.sensor, s.woken, s.power)
     collect(
         c.fleet,
         c.radio,
-        position,
-        linked,
-        state.key[e],
-        step,
-        state.sensor[e],
-        scratch.around,
-        scratch.square,
-        scratch.whole[2, :collectors],
-        power,
-        state.age[e],
-        state.age_due[e],
-        state.cycle[e],
-        state.utility[e],
-        state.served[e],
-        scratch.item,
-        scratch.share,
+        farm.position,
+        s.linked,
+        farm.key,
+        farm.step,
+        farm.sensor,
+        s.around,
+        s.square,
+        s.number,
+        s.power,
+        farm.age,
+        farm.age_due,
+        farm.cycle,
+        farm.utility,
+        farm.served,
+        s.item,
+        s.share,
     )
 
 
 @compiled
-def _observe(c: Constants, state: State, scratch: Scratch, e: int) -> None:
+def _observe(c: Constants, farm: Farm, s: Scratch) -> None:
     """Find the directions and write the row of observations."""
-    position, direction, seen = state.position[e], state.direction[e], state.observation[e]
-    neighbour = scratch.whole[0]
-    sum_plots(c.fleet, c.camera, position, state.level[e], scratch.integral, scratch.quadrant)
-    sum_sensors(c.fleet, position, state.sensor[e], state.age[e], scratch.quadrant)
-    for u in range(c.fleet.relays, len(position)):
-        point(scratch.quadrant[u], direction[u])
-    at = see_relays(c.fleet, position, neighbour, scratch.centroid, scratch.whole[1], seen, 0)
-    at = see_plots(c.fleet, c.camera, position, neighbour, direction, state.level[e], seen, at)
+    sum_plots(c.fleet, c.camera, farm.position, farm.level, s.plots, s.quadrant)
+    sum_sensors(c.fleet, c.observation, farm.position, farm.sensor, farm.cell_start, farm.age, s.cells, s.quadrant)
+    point(c.fleet, s.quadrant, farm.direction)
+    seen = farm.observation
+    at = see_relays(c.fleet, farm.position, s.neighbour, s.centroid, s.farthest, seen, 0)
+    at = see_plots(c.fleet, c.camera, farm.position, s.neighbour, farm.direction, farm.level, seen, at)
     see_sensors(
         c.fleet,
         c.observation,
         c.radio.level_max,
-        position,
-        neighbour,
-        direction,
-        state.sensor[e],
-        scratch.around,
-        scratch.square,
-        scratch.whole[2, : len(position) - c.fleet.collectors],
-        state.age[e],
-        scratch.whole[3],
+        farm.position,
+        s.neighbour,
+        farm.direction,
+        farm.sensor,
+        s.around,
+        s.square,
+        s.number,
+        farm.age,
+        s.nearest,
         seen,
         at,
     )
 
 
 @compiled
-def _account(c: Constants, state: State, scratch: Scratch, e: int) -> None:
+def _account(c: Constants, farm: Farm, s: Scratch) -> None:
     """Add the step to the episode's sums; any UAV's four quadrants hold all plots or all sensors."""
-    level, age, crowded, outside, energy = 0.0, 0.0, 0.0, 0.0, 0.0
+    sums = farm.sums
     for quadrant in range(4):
-        level += scratch.quadrant[c.fleet.relays, quadrant]
-        age += scratch.quadrant[c.fleet.collectors, quadrant]
-    for u in range(state.reward.shape[1]):
-        crowded += scratch.uav[3, u]
-        outside += scratch.uav[0, u]
-        energy += state.energy[e, u]
-        state.returns[e, u] += state.reward[e, u]
-    sums = state.sums[e]
-    sums[0] += age / state.age.shape[1]
-    sums[1] += level / (state.level.shape[1] * state.level.shape[2])
-    sums[2] += crowded
-    sums[3] += outside
-    sums[4] += energy
+        sums[0] += s.quadrant[c.fleet.collectors, quadrant] / len(farm.age)
+        sums[1] += s.quadrant[c.fleet.relays, quadrant] / farm.level.size
+    for u in range(c.fleet.uavs):
+        sums[2] += s.crowded[u]
+        sums[3] += s.outside[u]
+        sums[4] += farm.energy[u]
+        farm.returns[u] += farm.reward[u]
 
 
 @compiled
-def _step(c: Constants, state: State, scratch: Scratch, action: Float32, e: int) -> None:
-    state.time[e] += 1
-    uav = scratch.uav
-    fly(
-        c.fleet,
-        c.flight,
-        action,
-        state.direction[e],
-        state.position[e],
-        scratch.place,
-        state.energy[e],
-        uav[0],
-        uav[1],
-    )
-    _survey(c, state, scratch, e)
-    _serve_tasks(c, state, scratch, e)
+def _step(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
+    fly(c.fleet, c.flight, action, farm.direction, farm.position, s.previous, farm.energy, s.outside, s.motivated)
+    _survey(c, farm, s)
+    _serve_tasks(c, farm, s)
     reward_step(
         c.fleet,
         c.reward,
-        scratch.place,
-        scratch.whole[0],
-        uav[2],
-        state.energy[e],
-        uav[0],
-        uav[1],
-        state.utility[e],
-        state.service[e],
-        uav[5],
-        state.parts[e],
-        state.reward[e],
+        s.previous,
+        s.neighbour,
+        s.distance,
+        farm.energy,
+        s.outside,
+        s.motivated,
+        farm.utility,
+        farm.service,
+        s.earlier,
+        farm.parts,
+        farm.reward,
     )
-    _observe(c, state, scratch, e)
-    _account(c, state, scratch, e)
+    _observe(c, farm, s)
+    _account(c, farm, s)
 
 
-def _compile_run(digest: str) -> Callable[..., None]:
+def _compile_run(digest: int) -> Callable[..., None]:
     @compiled_entry
     def run(c: Constants, state: State, scratch: Scratch, action: Float32, begun: int) -> None:
         """Step every environment with its row of action [E, 2 n]; no environment sees another.
@@ -188,12 +164,14 @@ def _compile_run(digest: str) -> Callable[..., None]:
         If `begun` is not negative, nothing is stepped: that environment's episode starts, at the positions and
         levels in its state. It is one function so that the machine code is made once.
         """
-        if begun >= 0 and digest != "":
-            _survey(c, state, scratch, begun)
-            _observe(c, state, scratch, begun)
+        if begun >= 0 and digest > 0:
+            farm = _farm(state, begun)
+            _survey(c, farm, scratch)
+            _observe(c, farm, scratch)
         else:
             for e in range(len(action)):
-                _step(c, state, scratch, action[e], e)
+                state.time[e] += 1
+                _step(c, _farm(state, e), scratch, action[e])
 
     return run
 

@@ -1,22 +1,28 @@
-"""The README's figures are those of the committed results."""
+"""The figures in README and docs are those of the committed results."""
 
 from pathlib import Path
 
-from deploy.results import BEGIN, END, readme
+import pytest
+
+from deploy.results import BLOCKS, refreshed
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_readme_is_up_to_date() -> None:
-    """The results block is what `make docs` would write."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert readme(text, ROOT / "docs" / "results") == text, "run `make docs`"
+@pytest.mark.parametrize("document", BLOCKS)
+def test_document_is_up_to_date(document: str) -> None:
+    """The block is what `make docs` would write."""
+    text = (ROOT / document).read_text(encoding="utf-8")
+    assert refreshed(document, text, ROOT) == text, "run `make docs`"
 
 
-def test_block_replaces_only_itself() -> None:
+@pytest.mark.parametrize("document", BLOCKS)
+def test_a_block_replaces_only_itself(document: str) -> None:
     """What stands before and after the marks stays, and an old block does not."""
-    text = readme(f"before\n{BEGIN}\nold\n{END}\nafter", ROOT / "docs" / "results")
-    assert text.startswith(f"before\n{BEGIN}\n")
-    assert text.endswith(f"{END}\nafter")
-    assert "old" not in text.split(END)[0].split(BEGIN)[1].split("\n")
-    assert "lawnmower" in text
+    name = BLOCKS[document][0]
+    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+    text = refreshed(document, f"before\n{begin}\noutdated\n{end}\nafter", ROOT)
+    assert text.startswith(f"before\n{begin}\n")
+    assert text.endswith(f"{end}\nafter")
+    assert "outdated" not in text
+    assert text.count("|") > 20
