@@ -87,8 +87,7 @@ class Fleet:
 
     def snapshot(self, alarms: tuple[str, ...] = ()) -> Snapshot:
         """Return the present state for `deploy.view.render`, with the caller's alarms before its own."""
-        learner = self._of("learner")
-        values = learner.values if learner else {}
+        values = self.learner_values()
         elapsed = float(values.get("elapsed", 0.0))
         episodes, total = int(values.get("episodes", 0)), int(values.get("episodes_total", 0))
         return Snapshot(
@@ -112,6 +111,11 @@ class Fleet:
             processes=tuple(self._row(name, seen) for name, seen in sorted(self._seen.items())),
             alarms=alarms + self._alarms(values),
         )
+
+    def learner_values(self) -> dict[str, Any]:
+        """Return the figures of the learner's newest metric message, empty before the first."""
+        learner = self._of("learner")
+        return dict(learner.values) if learner else {}
 
     def _of(self, role: str) -> _Seen | None:
         found = [seen for (kind, _), seen in self._seen.items() if kind == role]

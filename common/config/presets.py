@@ -44,12 +44,12 @@ def _paper() -> RunConfig:
 
 
 def _quick() -> RunConfig:
-    """Return a run of 32 episodes that shows every process at work and ends in a minute or two on two cores."""
+    """Return a run of 72 episodes that shows every process at work and ends in a minute or two on two cores."""
     return RunConfig(
-        episodes=32,
+        episodes=72,
         algorithm=AlgorithmConfig(hidden=64),
         elite=EliteConfig(cycle=8, farms=2),
-        replay=ReplayConfig(capacity=16_384, warmup_steps=2_000, updates_per_step=0.25, slack_steps=2_000),
+        replay=ReplayConfig(capacity=16_384, warmup_steps=2_000, updates_per_step=0.125, slack_steps=2_000),
         learner=LearnerConfig(checkpoint_seconds=15.0),
         evaluation=EvaluationConfig(farms=4),
     )
