@@ -19,6 +19,7 @@ import torch
 from common.config import AlgorithmConfig, ReplayConfig, RunConfig
 from common.team import TeamSpec, farm_team
 from common.transitions import TRANSITION, Chunk, Rows
+from learner.arithmetic import choose_products
 from learner.inputs import critic_width
 from learner.trainer import Trainer
 
@@ -28,18 +29,18 @@ ALGORITHMS = {
     "no ensemble, joint critics": AlgorithmConfig(ensemble=False, critic_scope="joint"),
 }
 SEGMENT = 20
-BURST = 5
+BURST = 2
 """Rounds timed together."""
 
 
 def fastest(work: Callable[[], None], repeats: int) -> float:
-    """Return the tenth percentile of the seconds that `work` takes."""
+    """Return the least of the seconds that `work` takes, which other processes disturb least."""
     seconds = []
     for _ in range(repeats):
         started = time.perf_counter()
         work()
         seconds.append(time.perf_counter() - started)
-    return float(np.quantile(seconds, 0.1))
+    return min(seconds)
 
 
 def matrix_speed() -> float:
@@ -49,8 +50,7 @@ def matrix_speed() -> float:
     def work() -> None:
         torch.mm(a, b, out=out)
 
-    fastest(work, 3)
-    return 2 * 1024**3 / fastest(work, 20)
+    return 2 * 1024**3 / fastest(work, 100)
 
 
 def operations(algorithm: AlgorithmConfig, team: TeamSpec) -> float:
@@ -93,13 +93,12 @@ def filled_trainer(algorithm: AlgorithmConfig) -> Trainer:
     return trainer
 
 
-def measure(name: str, width: int, threads: int, rounds: int) -> dict[str, str | int | float]:
+def measure(name: str, width: int, threads: int, rounds: int, speed: float) -> dict[str, str | int | float]:
     """Return one line of the result."""
-    torch.set_num_threads(threads)
     trainer = filled_trainer(replace(ALGORITHMS[name], hidden=width))
-    trainer.train(4 * BURST)
+    trainer.train(10 * BURST)
     seconds = fastest(lambda: trainer.train(BURST), max(1, rounds // BURST)) / BURST
-    limit = operations(trainer.config.algorithm, trainer.team) / matrix_speed()
+    limit = operations(trainer.config.algorithm, trainer.team) / speed
     return {
         "algorithm": name,
         "width": width,
@@ -118,12 +117,12 @@ def main() -> None:
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--rounds", type=int, default=300)
     options = parser.parse_args()
-    lines = [
-        measure(name, width, threads, options.rounds)
-        for threads in options.threads
-        for width in options.widths
-        for name in ALGORITHMS
-    ]
+    choose_products()
+    lines = []
+    for threads in options.threads:
+        torch.set_num_threads(threads)
+        speed = matrix_speed()
+        lines += [measure(n, w, threads, options.rounds, speed) for w in options.widths for n in ALGORITHMS]
     if options.json:
         sys.stdout.write(json.dumps({"rounds": lines}) + "\n")
         return

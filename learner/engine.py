@@ -113,9 +113,10 @@ class Engine:
         self._actor_gradient_layers = self.bank.layers(self._actor_gradient)
         chosen = self.target_actors if self.algorithm.target_actor else self.actors
         self._next_actor_layers = self.bank.layers(chosen)
-        self._trained = self.critics.size if self.algorithm.ensemble_gradient else self.critics.local.size
-        self.critic_adam = Adam(self.phi.flat[: self._trained], self.algorithm.critic_rate)
-        self.actor_adam = Adam(self.actors, self.algorithm.actor_rate)
+        trained = slice(0, self.critics.size if self.algorithm.ensemble_gradient else self.critics.local.size)
+        rates = self.algorithm.critic_rate, self.algorithm.actor_rate
+        self.critic_adam = Adam(self.phi.flat[trained], self._critic_gradient.flat[trained], rates[0])
+        self.actor_adam = Adam(self.actors, self._actor_gradient, rates[1])
 
     def _initialise(self, seed: int) -> None:
         algorithm, hidden = self.algorithm, self.algorithm.hidden
@@ -152,7 +153,7 @@ class Engine:
         self._observe(batch)
         target = self._target(batch)
         error = self.critics.loss_gradient(self.phi, self._current, target, self._critic_gradient)
-        self.critic_adam.step(self._critic_gradient.flat[: self._trained])
+        self.critic_adam.step()
         self._copy_to_members()
         self.target_phi.flat.lerp_(self.phi.flat, self.algorithm.target_rate)
         value = self._actor_step(figures)
@@ -201,7 +202,7 @@ class Engine:
         self._pass.parameter_gradient(
             self._actor_layers, self._current.actor, self._upstream, self._actor_gradient_layers
         )
-        self.actor_adam.step(self._actor_gradient)
+        self.actor_adam.step()
         if self.algorithm.target_actor:
             self.target_actors.lerp_(self.actors, self.algorithm.target_rate)
         return value

@@ -239,7 +239,7 @@ def test_wheel_holds_the_packages_and_nothing_else(tmp_path):
         path.relative_to(ROOT).as_posix()
         for package in PACKAGES
         for path in (ROOT / package).rglob("*")
-        if path.is_file() and path.suffix != ".pyc"
+        if path.is_file() and "__pycache__" not in path.parts
     }
     assert names - metadata == sources
     assert {f"{package}/py.typed" for package in PACKAGES} <= names

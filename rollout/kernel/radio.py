@@ -52,7 +52,8 @@ def delivery(radio: RadioConstants, signal: float, interference: float) -> float
 def _square(position: Array, u: int, sensor: Array, j: int) -> float:
     """Return the square of the horizontal distance from a UAV to a sensor, m^2."""
     dx, dy = sensor[0, j] - position[u, 0], sensor[1, j] - position[u, 1]
-    return dx * dx + dy * dy
+    square: float = dx * dx + dy * dy
+    return square
 
 
 @compiled
@@ -92,6 +93,23 @@ def interfere(
 
 
 @compiled
+def _share_delivered(radio: RadioConstants, chance: float, key: np.uint64, step: int, sensor: int) -> float:
+    """Return T_S: 1 or 0 by the packet's draw, or its chance itself in expected delivery (W17)."""
+    if radio.expected:
+        return chance
+    return 1.0 if draw(key, step, sensor) < chance else 0.0
+
+
+@compiled
+def _rise(radio: RadioConstants, step: int, age: Array, due: Indices, cycle: Indices) -> None:
+    """Let AoI rise by 1, up to AoI_max, where a cycle ends (W18)."""
+    for j in range(len(age)):
+        if due[j] == step:
+            age[j] = min(age[j] + 1.0, radio.level_max)
+            due[j] += cycle[j]
+
+
+@compiled
 def collect(
     fleet: FleetConstants,
     radio: RadioConstants,
@@ -125,17 +143,14 @@ def collect(
         key: of the episode's packets.
         step: number of this step, from 1.
         sensor: [2, S] m.
-        around: [n_d, S] sensors around each UAV.
+        around: [n_d, S] sensors around each UAV; number: [n_d] how many.
         square: [n_d, S] squares of their horizontal distances, m^2.
-        number: [n_d] how many.
         interference: [n_d] mW.
-        age: [S] AoI; updated.
-        due: [S] step at which AoI rises next; updated.
+        age: [S] AoI; due: [S] step at which it rises next; both updated.
         cycle: [S] T_UA, steps.
         utility: [n] out for these UAVs: DCUF of this step.
         served: [n_d] out: sensors of AoI above 0 that delivered (their shares, in expected delivery).
-        sent: [S] scratch.
-        share: [S] scratch.
+        sent: [S] scratch; share: [S] scratch.
     """
     delivered, first, limit = 0, fleet.collectors, radio.reach * radio.reach
     for k in range(len(number)):
@@ -151,17 +166,12 @@ def collect(
             if not is_nearest(position, first, len(position), u, sensor[0, j], sensor[1, j], square[k, entry]):
                 continue
             signal = received_power(radio, square[k, entry] + height * height)
-            part = delivery(radio, signal, interference[k])
-            if not radio.expected:
-                part = 1.0 if draw(key, step, j) < part else 0.0
+            part = _share_delivered(radio, delivery(radio, signal, interference[k]), key, step, j)
             if part > 0.0:
                 utility[u] += age[j] * part
                 served[k] += part if age[j] > 0.0 else 0.0
                 sent[delivered], share[delivered] = j, part
                 delivered += 1
-    for j in range(len(age)):
-        if due[j] == step:
-            age[j] = min(age[j] + 1.0, radio.level_max)
-            due[j] += cycle[j]
+    _rise(radio, step, age, due, cycle)
     for entry in range(delivered):
         age[sent[entry]] *= 1.0 - share[entry]

@@ -125,7 +125,7 @@ def test_quick_preset_exercises_everything():
     """The quick preset updates, imitates at least once and evaluates, in few episodes of the default farm."""
     quick = PRESETS["quick"]
     steps = quick.episodes * quick.farm.world.steps
-    assert quick.episodes <= 32
+    assert quick.episodes <= 80
     assert quick.farm == RunConfig().farm
     assert 0 < quick.replay.warmup_steps < steps / 4
     assert quick.replay.updates_per_step * steps <= 8_000
