@@ -101,16 +101,7 @@ def _share_delivered(radio: RadioConstants, chance: float, key: np.uint64, step:
 
 
 @compiled
-def _rise(radio: RadioConstants, step: int, age: Array, due: Indices, cycle: Indices) -> None:
-    """Let AoI rise by 1, up to AoI_max, where a cycle ends (W18)."""
-    for j in range(len(age)):
-        if due[j] == step:
-            age[j] = min(age[j] + 1.0, radio.level_max)
-            due[j] += cycle[j]
-
-
-@compiled
-def collect(
+def send(
     fleet: FleetConstants,
     radio: RadioConstants,
     position: Array,
@@ -124,16 +115,14 @@ def collect(
     interference: Array,
     age: Array,
     due: Indices,
-    cycle: Indices,
     utility: Array,
     served: Array,
     sent: Indices,
     share: Array,
-) -> None:
-    """Let every sensor send to its nearest data collection UAV, credit what arrives and update AoI (W17 to W19).
+) -> int:
+    """Let every sensor send to its nearest data collection UAV, and credit AoI(t - t_step) of what arrives (W17, W19).
 
-    A UAV is credited with AoI(t - t_step) of its sensors, times the share delivered; then AoI rises where due, and
-    what was delivered falls to 0. A sensor with AoI 0 that is not due needs no packet: it stays at 0 either way.
+    Returns how many sensors delivered. One with AoI 0 that is not due needs no packet: it stays at 0 either way.
 
     Args:
         fleet: the UAVs.
@@ -143,35 +132,62 @@ def collect(
         key: of the episode's packets.
         step: number of this step, from 1.
         sensor: [2, S] m.
-        around: [n_d, S] sensors around each UAV; number: [n_d] how many.
+        around: [n_d, S] sensors around each UAV.
         square: [n_d, S] squares of their horizontal distances, m^2.
+        number: [n_d] how many.
         interference: [n_d] mW.
-        age: [S] AoI; due: [S] step at which it rises next; both updated.
-        cycle: [S] T_UA, steps.
+        age: [S] AoI before the step.
+        due: [S] step at which AoI rises next.
         utility: [n] out for these UAVs: DCUF of this step.
         served: [n_d] out: sensors of AoI above 0 that delivered (their shares, in expected delivery).
-        sent: [S] scratch; share: [S] scratch.
+        sent: [S] out: the sensors that delivered.
+        share: [S] out: which share, 1 but in expected delivery.
     """
     delivered, first, limit = 0, fleet.collectors, radio.reach * radio.reach
+    height = height_of(fleet, first)
     for k in range(len(number)):
-        u = first + k
-        height = height_of(fleet, u)
-        utility[u], served[k] = 0.0, 0.0
-        if linked[u - fleet.relays] == 0.0:
-            continue
-        for entry in range(number[k]):
-            j = around[k, entry]
-            if square[k, entry] > limit or (age[j] == 0.0 and due[j] != step):
+        utility[first + k], served[k] = 0.0, 0.0
+        for entry in range(number[k] if linked[first + k - fleet.relays] == 1.0 else 0):
+            j, apart = around[k, entry], square[k, entry]
+            idle = apart > limit or (age[j] == 0.0 and due[j] != step)
+            if idle or not is_nearest(position, first, fleet.uavs, first + k, sensor[0, j], sensor[1, j], apart):
                 continue
-            if not is_nearest(position, first, len(position), u, sensor[0, j], sensor[1, j], square[k, entry]):
-                continue
-            signal = received_power(radio, square[k, entry] + height * height)
-            part = _share_delivered(radio, delivery(radio, signal, interference[k]), key, step, j)
+            chance = delivery(radio, received_power(radio, apart + height * height), interference[k])
+            part = _share_delivered(radio, chance, key, step, j)
             if part > 0.0:
-                utility[u] += age[j] * part
+                utility[first + k] += age[j] * part
                 served[k] += part if age[j] > 0.0 else 0.0
                 sent[delivered], share[delivered] = j, part
                 delivered += 1
-    _rise(radio, step, age, due, cycle)
+    return delivered
+
+
+@compiled
+def update_age(
+    radio: RadioConstants,
+    step: int,
+    delivered: int,
+    sent: Indices,
+    share: Array,
+    age: Array,
+    due: Indices,
+    cycle: Indices,
+) -> None:
+    """Let AoI rise by 1, up to AoI_max, where a cycle ends, and fall to 0 where data arrived (W18).
+
+    Args:
+        radio: AoI_max.
+        step: number of this step, from 1.
+        delivered: how many sensors delivered.
+        sent: [S] which they are.
+        share: [S] the share that each delivered.
+        age: [S] AoI; updated.
+        due: [S] step at which it rises next; updated.
+        cycle: [S] T_UA, steps.
+    """
+    for j in range(len(age)):
+        if due[j] == step:
+            age[j] = min(age[j] + 1.0, radio.level_max)
+            due[j] += cycle[j]
     for entry in range(delivered):
         age[sent[entry]] *= 1.0 - share[entry]

@@ -18,7 +18,7 @@ from rollout.kernel.motion import find_nearest, fly
 from rollout.kernel.neighbours import gather
 from rollout.kernel.observation import see_plots, see_relays, see_sensors
 from rollout.kernel.quadrants import point, sum_plots, sum_sensors
-from rollout.kernel.radio import collect, interfere
+from rollout.kernel.radio import interfere, send, update_age
 from rollout.kernel.relays import assign_relays, serve
 from rollout.kernel.rewards import reward_step
 
@@ -69,7 +69,7 @@ def _serve_tasks(c: Constants, farm: Farm, s: Scratch) -> None:
     """Photograph plots and collect data at the present positions."""
     photograph(c.fleet, c.camera, farm.position, s.linked, farm.step, farm.level, farm.level_due, farm.utility, s.item)
     interfere(c.fleet, c.radio, farm.position, farm.sensor, s.woken, s.power)
-    collect(
+    delivered = send(
         c.fleet,
         c.radio,
         farm.position,
@@ -83,12 +83,12 @@ def _serve_tasks(c: Constants, farm: Farm, s: Scratch) -> None:
         s.power,
         farm.age,
         farm.age_due,
-        farm.cycle,
         farm.utility,
         farm.served,
         s.item,
         s.share,
     )
+    update_age(c.radio, farm.step, delivered, s.item, s.share, farm.age, farm.age_due, farm.cycle)
 
 
 @compiled
