@@ -74,10 +74,12 @@ def _monitoring_view(farm: ReferenceFarm, u: int) -> Array:
 
 
 def _collection_view(farm: ReferenceFarm, u: int) -> Array:
-    """Return U_d, the n nearest sensors (AoI and offset over 50 m, clipped), D_AoI and UAV_N with its distance."""
+    """Return U_d, n sensors near (AoI and offset over 50 m, clipped), D_AoI and UAV_N with its distance."""
     seen = farm.config.observation
     offset = farm.layout.sensor_xy - farm.position[u]
-    nearest = np.argsort((offset**2).sum(axis=1), kind="stable")[: seen.sensors]
+    square = (offset**2).sum(axis=1)
+    empty = farm.aoi < 0.5 if seen.choice == "waiting" else np.zeros(len(square), bool)
+    nearest = np.lexsort((square, empty))[: seen.sensors]
     sensors = (farm.aoi[nearest] / farm.config.world.aoi_max)[:, None]
     if seen.form == "default":
         sensors = np.hstack([sensors, np.clip(offset[nearest] / 50.0, -1.0, 1.0)])

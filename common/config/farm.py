@@ -338,8 +338,10 @@ class RewardConfig:
 class ObservationConfig:
     """What the agents see."""
 
-    sensors: int = 30
-    """Nearest sensors that a data collection UAV sees, n (ours)."""
+    sensors: int = 10
+    """Sensors that a data collection UAV sees, n (ours)."""
+    choice: Literal["waiting", "nearest"] = "waiting"
+    """Which n: the nearest that hold data (AoI of 1 or more), empty ones behind them, or simply the nearest (ours)."""
     form: Literal["default", "printed"] = "default"
     """default: AoI and relative (dx, dy) of each observed sensor; printed: AoI only (W24)."""
 

@@ -120,11 +120,11 @@ class ReplayConfig:
 class ExplorationConfig:
     """Gaussian exploration on the action, as a share of the action's range of 1."""
 
-    start: float = 0.3
+    start: float = 0.2
     """Standard deviation at the first episode (ours)."""
     end: float = 0.05
     """Standard deviation from decay_share of the run on (ours)."""
-    decay_share: float = 0.8
+    decay_share: float = 0.6
     """Share of the run's episodes over which the deviation falls linearly (ours)."""
 
     def __post_init__(self) -> None:

@@ -17,7 +17,9 @@ def _paper() -> RunConfig:
     """Return the paper's Table 2 with the printed forms of W5, W24, A7, A8, A9 and A10."""
     return RunConfig(
         episodes=2000,
-        farm=FarmConfig(energy=EnergyConfig(model="printed"), observation=ObservationConfig(form="printed")),
+        farm=FarmConfig(
+            energy=EnergyConfig(model="printed"), observation=ObservationConfig(form="printed", choice="nearest")
+        ),
         algorithm=AlgorithmConfig(
             discount=0.99,
             batch=128,

@@ -194,6 +194,7 @@ class ObservationConstants(NamedTuple):
     Attributes:
         sensors: n.
         printed: AoI only (W24).
+        waiting: sensors with an AoI above 0 come first.
         radius: where the search for the nearest sensors starts, m.
         cells_x: sensor cells along x.
         cells_y: sensor cells along y.
@@ -201,6 +202,7 @@ class ObservationConstants(NamedTuple):
 
     sensors: int
     printed: bool
+    waiting: bool
     radius: float
     cells_x: int
     cells_y: int
@@ -232,8 +234,9 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
     world = config.world
     density = world.sensors / (world.field_x * world.field_y)
     holding = math.sqrt(2.0 * config.observation.sensors / (math.pi * density))
+    what = config.observation
     seen = ObservationConstants(
-        config.observation.sensors, config.observation.form == "printed", max(radio.reach, holding), *cells
+        what.sensors, what.form == "printed", what.choice == "waiting", max(radio.reach, holding), *cells
     )
     parts = (_fleet(config), _flight(config), _relay(config), radio, _camera(config), _reward(config), seen)
     return Constants(*(_cast(part) for part in parts))

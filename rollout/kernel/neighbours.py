@@ -1,7 +1,12 @@
 """Which sensors lie around each data collection UAV, by way of the cells in which sensors are numbered."""
 
+from typing import Final
+
 from rollout.kernel.compiled import compiled
 from rollout.kernel.constants import Array, FleetConstants, Indices, ObservationConstants
+
+WAITING: Final = 0.5
+"""AoI from which on a sensor counts as holding data; without expected delivery AoI is a whole number."""
 
 
 @compiled
@@ -33,6 +38,48 @@ def gather(
         while True:
             number[k] = _within(fleet, seen, x, y, radius, sensor, cell_start, around[k], square[k])
             if number[k] >= seen.sensors or radius >= fleet.diagonal:
+                break
+            radius *= 2.0
+
+
+@compiled
+def prefer_waiting(
+    fleet: FleetConstants,
+    seen: ObservationConstants,
+    position: Array,
+    sensor: Array,
+    cell_start: Indices,
+    age: Array,
+    around: Indices,
+    square: Array,
+    number: Indices,
+) -> None:
+    """List the sensors around each UAV anew, those that hold no data behind all others; `square` becomes what to sort by.
+
+    Args:
+        fleet: the UAVs.
+        seen: where the search starts and how many that hold data must be found, if there are so many.
+        position: [n, 2] m.
+        sensor: [2, S] m.
+        cell_start: first sensor of each cell.
+        age: [S] AoI.
+        around: [n_d, S] out: the sensors, in no particular order.
+        square: [n_d, S] out: squares of their distances, m^2; with more than the field's diagonal on top where there is no data.
+        number: [n_d] out: how many.
+    """
+    behind = 2.0 * fleet.diagonal * fleet.diagonal
+    for k in range(len(number)):
+        x, y = position[fleet.collectors + k]
+        radius = seen.radius
+        while True:
+            number[k] = _within(fleet, seen, x, y, radius, sensor, cell_start, around[k], square[k])
+            waiting = 0
+            for entry in range(number[k]):
+                if age[around[k, entry]] >= WAITING:
+                    waiting += 1
+                else:
+                    square[k, entry] += behind
+            if waiting >= seen.sensors or radius >= fleet.diagonal:
                 break
             radius *= 2.0
 

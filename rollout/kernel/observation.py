@@ -179,7 +179,7 @@ def see_sensors(
         direction: [n, 2] D_AoI.
         sensor: [2, S] m.
         around: [n_d, S] sensors around each UAV, among them the n nearest.
-        square: [n_d, S] squares of their horizontal distances, m^2.
+        square: [n_d, S] what they are sorted by: squares of their horizontal distances, m^2.
         number: [n_d] how many.
         age: [S] AoI.
         nearest: [n] scratch.

@@ -15,7 +15,7 @@ from rollout.kernel.camera import photograph
 from rollout.kernel.compiled import compiled, compiled_entry, sources_digest
 from rollout.kernel.constants import Constants
 from rollout.kernel.motion import find_nearest, fly
-from rollout.kernel.neighbours import gather
+from rollout.kernel.neighbours import gather, prefer_waiting
 from rollout.kernel.observation import see_plots, see_relays, see_sensors
 from rollout.kernel.quadrants import point, sum_plots, sum_sensors
 from rollout.kernel.radio import interfere, send, update_age
@@ -100,6 +100,10 @@ def _observe(c: Constants, farm: Farm, s: Scratch) -> None:
     seen = farm.observation
     at = see_relays(c.fleet, farm.position, s.neighbour, s.centroid, s.farthest, seen, 0)
     at = see_plots(c.fleet, c.camera, farm.position, s.neighbour, farm.direction, farm.level, seen, at)
+    if c.observation.waiting:
+        prefer_waiting(
+            c.fleet, c.observation, farm.position, farm.sensor, farm.cell_start, farm.age, s.around, s.square, s.number
+        )
     see_sensors(
         c.fleet,
         c.observation,

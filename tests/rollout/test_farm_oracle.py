@@ -60,6 +60,7 @@ VARIANTS = {
         world(start_levels="random", cycle_phase="random"), radio=RadioConfig(delivery="expected")
     ),
     "printed observation": replace(BASE, observation=ObservationConfig(form="printed")),
+    "nearest sensors observed": replace(BASE, observation=replace(BASE.observation, choice="nearest")),
     "all sensors observed": replace(BASE, observation=ObservationConfig(sensors=70)),
     "capacity of all": replace(BASE, relay=RelayConfig(capacity=6)),
     "capacity and weights": replace(
