@@ -11,8 +11,8 @@ MAX_EPISODES = 4096
 """Most episodes that one chunk may finish."""
 
 
-def to_message(chunk: Chunk, team: TeamSpec, oldest: int, produced: int) -> ChunkMessage:
-    """Return the message of a chunk; see `ChunkMessage` for `oldest` and `produced`."""
+def to_message(chunk: Chunk, team: TeamSpec, oldest: int, produced: int, flown: int) -> ChunkMessage:
+    """Return the message of a chunk; see `ChunkMessage` for `oldest`, `produced` and `flown`."""
     done = chunk.episodes
     figures = [[e.aoi, e.vdf, e.collisions, e.boundary, e.energy_j] for e in done]
     rewards = [e.reward for e in done]
@@ -20,6 +20,7 @@ def to_message(chunk: Chunk, team: TeamSpec, oldest: int, produced: int) -> Chun
         team=team.digest,
         oldest=oldest,
         produced=produced,
+        flown=flown,
         observation=chunk.rows.observation,
         action=chunk.rows.action,
         reward=chunk.rows.reward,

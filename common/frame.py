@@ -92,6 +92,8 @@ def _header(data: bytes) -> tuple[dict[str, Any], list[Any]]:
         raise FrameError(f"the frame's header is not readable: {error}") from error
     if not isinstance(fields, dict) or not isinstance(listing, list) or len(listing) > 4096:
         raise FrameError("the frame's header is not a header.")
+    if not all(isinstance(name, str) for name in fields):
+        raise FrameError("the frame's header names a field by something that is no text.")
     return fields, listing
 
 
@@ -102,7 +104,9 @@ def _arrays(data: bytes, listing: list[Any], start: int, size: int) -> dict[str,
         if not (isinstance(entry, list) and len(entry) == 3 and isinstance(entry[0], str)):
             raise SchemaError("an array's description is malformed.")
         name, dtype, shape = entry
-        whole = isinstance(shape, list) and len(shape) <= 8 and all(type(n) is int and 0 <= n < 2**40 for n in shape)
+        whole = isinstance(shape, list) and len(shape) <= 8 and all(type(n) is int and 0 <= n < 2**31 for n in shape)
+        # A zero among the sizes would let the others promise anything.
+        whole = whole and math.prod(n for n in shape if n) < 2**40
         if not isinstance(dtype, str) or dtype not in _DTYPES or not whole or name in arrays:
             raise SchemaError(f"array {name[:40]!r} is described as {str(dtype)[:20]}{str(shape)[:40]}.")
         count = math.prod(shape)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from common import frame
 from common.errors import SchemaError
+from common.imitation import ImitationEvent
 from common.team import Float32
 
 
@@ -123,6 +124,7 @@ class ChunkMessage(Message):
         team: digest of the team layout.
         oldest: sequence number of the oldest chunk that the worker still holds.
         produced: environment steps that this incarnation has produced up to and with this chunk.
+        flown: environment steps that it had flown when it sent this, those in its spool included.
         observation, action, reward, flag: the rows, see `common.transitions.Rows`.
         farm, episode, steps: [K] int64 for each finished episode.
         episode_reward: [K, agents] float32.
@@ -133,6 +135,7 @@ class ChunkMessage(Message):
     team: str
     oldest: int
     produced: int
+    flown: int
     observation: Float32
     action: Float32
     reward: Float32
@@ -149,7 +152,7 @@ class ChunkAck(Message):
     """The learner's answer to a chunk.
 
     Attributes:
-        status: accepted, duplicate, gap or refused.
+        status: accepted, duplicate, gap, refused or closed (the learner takes no more).
         expected: the next sequence number that the learner takes from this worker.
         required_version: parameter version that the worker must hold before its next chunk; 0 asks for none.
         reason: why it was refused, else empty.
@@ -250,6 +253,7 @@ class EvaluationOrder(Message):
     """A request for noise-free episodes.
 
     Attributes:
+        epoch: the learner's fencing epoch.
         event: the imitation event that they are for.
         version: parameter version that the worker must at least hold.
         farms: farm seeds, one episode on each.
@@ -257,6 +261,7 @@ class EvaluationOrder(Message):
     """
 
     KIND = 9
+    epoch: int
     event: int
     version: int
     farms: tuple[int, ...]
@@ -281,9 +286,10 @@ class EvaluationResult(Message):
 
 @dataclass(frozen=True)
 class ImitationMessage(Message):
-    """One imitation event, see `common.imitation.ImitationEvent`."""
+    """One imitation event, see `common.imitation.ImitationEvent`, and the learner's epoch that it belongs to."""
 
     KIND = 11
+    epoch: int
     event: int
     version: int
     episode: int
@@ -291,6 +297,15 @@ class ImitationMessage(Message):
     elites: tuple[int, ...]
     scores: tuple[tuple[float, ...], ...]
     evaluation_steps: int
+
+    @classmethod
+    def of(cls, event: ImitationEvent, epoch: int) -> "ImitationMessage":
+        """Return the message of an event."""
+        return cls(epoch=epoch, **vars(event))
+
+    def to_event(self) -> ImitationEvent:
+        """Return the event; it is not yet checked against a team."""
+        return ImitationEvent(**{name: value for name, value in vars(self).items() if name != "epoch"})
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ class PolicyStore:
         self.progress = 0.0
         self.stale = 0
         self._latest: ImitationEvent | None = None
+        self._latest_epoch = 0
 
     def offer_parameters(self, message: ParametersMessage) -> bool:
         """Take parameters when they are newer; return whether they were taken.
@@ -49,21 +50,21 @@ class PolicyStore:
             self.stale += 1
             return False
         bank = ActorBank(self.team, message.hidden, tuple(flat.copy() for flat in message.flat))
-        if message.epoch != self.epoch:
-            self._latest = None
         self.bank, self.epoch, self.version, self.event = bank, message.epoch, message.version, message.event
         self.environment_steps, self.progress = message.environment_steps, message.progress
         self._apply()
         return True
 
-    def offer_imitation(self, event: ImitationEvent) -> bool:
-        """Take an imitation event; return whether it changed the copy now.
+    def offer_imitation(self, event: ImitationEvent, epoch: int) -> bool:
+        """Take an imitation event of the learner's epoch; return whether it changed the copy now.
 
         Raises:
             SchemaError: when it does not fit the team.
         """
         event.check(self.team)
-        if self._latest is None or event.event > self._latest.event:
+        newest = (self._latest_epoch, self._latest.event if self._latest else 0)
+        if epoch >= self.epoch and (epoch, event.event) > newest:
+            self._latest_epoch = epoch
             self._latest = event
             return self._apply()
         self.stale += 1
@@ -71,7 +72,7 @@ class PolicyStore:
 
     def _apply(self) -> bool:
         event = self._latest
-        if event is None or self.bank is None or event.event != self.event + 1:
+        if event is None or self.bank is None or (self._latest_epoch, event.event) != (self.epoch, self.event + 1):
             return False
         for flat, elite in zip(self.bank.flat, event.elites, strict=True):
             imitate(flat, elite, event.rate)

@@ -42,6 +42,11 @@ class StopSignal:
         log("the supervisor is gone; stopping.")
         self.event.set()
 
+    def uninstall(self) -> None:
+        """Give SIGINT and SIGTERM back to Python's own handlers."""
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.event.set()
 

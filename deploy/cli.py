@@ -1,6 +1,7 @@
 """The console command `eia-sec`: one word for the process to start, the rest are its options."""
 
 import importlib
+import os
 import sys
 from dataclasses import dataclass
 from typing import Final
@@ -46,6 +47,9 @@ def dispatch(arguments: list[str]) -> int:
     command = COMMANDS.get(arguments[0])
     if command is None:
         raise UsageError(f"there is no command {arguments[0]!r}; the commands are {', '.join(COMMANDS)}.")
+    # Before numpy is loaded: a process that starts as many compute threads as there are cores slows all the others.
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
     return int(importlib.import_module(command.module).command(arguments[1:]) or 0)
 
 

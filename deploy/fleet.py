@@ -54,9 +54,12 @@ class Fleet:
         """Take in what has arrived."""
         now = time.monotonic()
         for sample in self._tokens.drain():
-            parsed = keys.parse(sample.key)
-            seen = self._seen.setdefault((parsed.variables["role"], parsed.variables["name"]), _Seen())
-            seen.alive, seen.change = sample.present, now
+            try:
+                variables = keys.parse(sample.key).variables
+                seen = self._seen.setdefault((variables["role"], variables["name"]), _Seen())
+                seen.alive, seen.change = sample.present, now
+            except (ProtocolError, KeyError):
+                self._malformed += 1
         for sample in self._metrics.drain():
             try:
                 parsed = keys.parse(sample.key)
@@ -87,6 +90,16 @@ class Fleet:
 
     def snapshot(self, alarms: tuple[str, ...] = ()) -> Snapshot:
         """Return the present state for `deploy.view.render`, with the caller's alarms before its own."""
+        try:
+            return self._snapshot(alarms)
+        except (TypeError, ValueError, KeyError, AttributeError):
+            # Somebody's figures are not figures: without them the view goes on.
+            self._malformed += 1
+            for seen in self._seen.values():
+                seen.values = {}
+            return self._snapshot(alarms)
+
+    def _snapshot(self, alarms: tuple[str, ...]) -> Snapshot:
         values = self.learner_values()
         elapsed = float(values.get("elapsed", 0.0))
         episodes, total = int(values.get("episodes", 0)), int(values.get("episodes_total", 0))
@@ -134,15 +147,8 @@ class Fleet:
         return sum(known) / len(known) if known else None
 
     def _ledger(self, totals: dict[str, Any]) -> Ledger:
-        in_flight = sum(
-            int(seen.values.get("in_flight", 0))
-            for (role, _), seen in self._seen.items()
-            if role == "rollout" and seen.alive
-        )
-        names = ("produced", "accepted", "duplicates", "rejected", "lost", "unexplained")
-        known = {name: int(totals.get(name, 0)) for name in names}
-        known["produced"] += in_flight
-        return Ledger(in_flight=in_flight, **known)
+        names = ("produced", "accepted", "duplicates", "rejected", "lost", "in_flight", "unexplained")
+        return Ledger(**{name: int(totals.get(name, 0)) for name in names})
 
     def _imitation(self) -> Imitation:
         elite, learner = self._of("elite"), self._of("learner")
@@ -175,7 +181,8 @@ class Fleet:
         )
 
     def _alarms(self, learner: dict[str, Any]) -> tuple[str, ...]:
-        found = [f"{role} {name} is gone." for (role, name), seen in self._seen.items() if not seen.alive]
+        found = [str(text)[:200] for text in learner.get("alarms", [])]
+        found += [f"{role} {name} is gone." for (role, name), seen in self._seen.items() if not seen.alive]
         ledger = learner.get("ledger", {})
         if ledger.get("lost"):
             found.append(f"{ledger['lost']} environment steps are lost with processes that died.")

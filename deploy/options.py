@@ -12,6 +12,7 @@ from common.config import RunConfig
 from common.config.files import from_toml
 from common.config.presets import PRESETS
 from common.errors import ConfigError, UsageError
+from deploy.rundir import RunDirectory
 
 T = TypeVar("T")
 
@@ -19,10 +20,16 @@ T = TypeVar("T")
 def base_configuration(arguments: Sequence[str], default: str = "default") -> RunConfig:
     """Return the configuration that `--preset` and `--config` name; the options then act on it.
 
+    With `--resume` and neither of them it is that of the run directory.
+
     Raises:
         ConfigError: for a preset that does not exist, or a file with a mistake.
     """
-    preset = _value_of(arguments, "--preset") or default
+    named, folder = _value_of(arguments, "--preset"), _value_of(arguments, "--run-dir")
+    if "--resume" in arguments and folder and not named and not _value_of(arguments, "--config"):
+        held = RunDirectory(Path(folder))
+        return held.configuration() if held.path.is_dir() and held.holds_run() else PRESETS[default]
+    preset = named or default
     if preset not in PRESETS:
         raise ConfigError(f"there is no preset {preset!r}; the presets are {', '.join(PRESETS)}.")
     config = PRESETS[preset]

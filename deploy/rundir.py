@@ -44,9 +44,9 @@ class RunDirectory:
         except OSError as error:
             raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
 
-    def lock(self) -> None:
-        """Keep the folder for this process; raise RunDirError while another process has it."""
-        self._lock = (self.path / "lock").open("w", encoding="utf-8")
+    def lock(self, name: str) -> None:
+        """Keep the folder for this process under a lock's name; raise RunDirError while another process has it."""
+        self._lock = (self.path / name).open("w", encoding="utf-8")
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -61,6 +61,18 @@ class RunDirectory:
             raise RunDirError(f"{self.path} holds no {CONFIG}; is it a run directory?")
         return from_toml(held, RunConfig())
 
+    def holds_run(self) -> bool:
+        """Return whether there is a configuration here."""
+        return (self.path / CONFIG).exists()
+
+    def finished(self) -> bool:
+        """Return whether the newest start of the learner here came to the end of its run."""
+        try:
+            lines = (self.path / METRICS).read_text(encoding="utf-8").splitlines()
+        except OSError:
+            return False
+        return bool(lines) and '"kind": "end"' in lines[-1] and '"state": "finished"' in lines[-1]
+
     def _compare(self, held: RunConfig, wanted: RunConfig) -> None:
         found = differences(held, wanted)
         if found:
@@ -68,4 +80,4 @@ class RunDirectory:
             raise RunDirError(f"{self.path} belongs to another configuration: {'; '.join(found[:3])}{more}.")
 
     def _strangers(self) -> list[Path]:
-        return [entry for entry in self.path.iterdir() if entry.name not in ("logs", "lock")]
+        return [entry for entry in self.path.iterdir() if entry.name != "logs" and entry.suffix != ".lock"]

@@ -120,7 +120,7 @@ class Supervisor:
         }
         with (self._logs / f"{child.name}.log").open("ab") as output:
             child.process = subprocess.Popen(
-                [sys.executable, "-m", "deploy.cli", *child.arguments, *again],
+                [sys.executable, "-P", "-m", "deploy.cli", *child.arguments, *again],
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,

@@ -101,11 +101,12 @@ class Coordinator:
     def _hold_event(self, now: ProgressMessage, stop: StopSignal) -> None:
         number = now.events + 1
         due = self._schedule.due_episode(number)
-        reward = self._evaluate(number, now.version, stop)
-        if reward is None or due is None:
+        found = self._evaluate(number, now, stop)
+        if found is None or due is None:
             return
-        event = decide(self._team, self._config.elite, number, now.version, due, reward)
-        message = ImitationMessage(**vars(event))
+        reward, version = found
+        event = decide(self._team, self._config.elite, number, version, due, reward)
+        message = ImitationMessage.of(event, now.epoch)
         if self._deliver(message):
             self._announcer.put(message.encode())
             self._last = event
@@ -131,10 +132,11 @@ class Coordinator:
                 return
             time.sleep(IDLE_SECONDS)
 
-    def _evaluate(self, event: int, version: int, stop: StopSignal) -> Float32 | None:
-        """Return step rewards [F, T, agents] of the event's farms in plan order, or None when no worker answers."""
+    def _evaluate(self, event: int, now: ProgressMessage, stop: StopSignal) -> tuple[Float32, int] | None:
+        """Return step rewards [F, T, agents] in plan order and the oldest version flown, or None without an answer."""
         farms, episodes = evaluation_plan(self._config, event)
         found: dict[int, Float32] = {}
+        versions: list[int] = []
         while len(found) < len(farms) and not stop:
             workers = sorted(self._workers)
             missing = [index for index in range(len(farms)) if index not in found]
@@ -142,31 +144,41 @@ class Coordinator:
                 return None
             shares = [missing[k :: len(workers)] for k in range(len(workers))]
             orders = [
-                (worker, share, EvaluationOrder(event, version, _pick(farms, share), _pick(episodes, share)))
+                (
+                    worker,
+                    share,
+                    EvaluationOrder(now.epoch, event, now.version, _pick(farms, share), _pick(episodes, share)),
+                )
                 for worker, share in zip(workers, shares, strict=True)
                 if share
             ]
-            answers = self._ask_all(orders)
+            answers = self._ask_all(orders, versions, stop)
             if not answers:
                 self._failures += 1
                 self._listen()
                 return None
             found.update(answers)
-        return np.stack([found[index] for index in range(len(farms))]) if len(found) == len(farms) else None
+        if len(found) < len(farms):
+            return None
+        return np.stack([found[index] for index in range(len(farms))]), min(versions)
 
-    def _ask_all(self, orders: Sequence[tuple[str, list[int], EvaluationOrder]]) -> dict[int, Float32]:
+    def _ask_all(
+        self, orders: Sequence[tuple[str, list[int], EvaluationOrder]], versions: list[int], stop: StopSignal
+    ) -> dict[int, Float32]:
         answers: dict[int, Float32] = {}
         threads = [
-            threading.Thread(target=self._ask_one, args=(worker, share, order, answers), daemon=True)
+            threading.Thread(target=self._ask_one, args=(worker, share, order, answers, versions), daemon=True)
             for worker, share, order in orders
         ]
         for thread in threads:
             thread.start()
-        for thread in threads:
-            thread.join()
-        return answers
+        while not stop and any(thread.is_alive() for thread in threads):
+            time.sleep(IDLE_SECONDS)
+        return dict(answers) if not stop else {}
 
-    def _ask_one(self, worker: str, share: list[int], order: EvaluationOrder, answers: dict[int, Float32]) -> None:
+    def _ask_one(
+        self, worker: str, share: list[int], order: EvaluationOrder, answers: dict[int, Float32], versions: list[int]
+    ) -> None:
         key = keys.EVALUATION.key(self._options.run, worker=worker)
         try:
             answer = self._bus.ask(key, order.encode(), ANSWER_SECONDS)
@@ -182,6 +194,7 @@ class Coordinator:
         if result.event != order.event or result.reward.shape != wanted or not np.isfinite(result.reward).all():
             log(f"coordinator: worker {worker} answered with an evaluation that does not fit.")
             return
+        versions.append(result.version)
         answers.update(dict(zip(share, result.reward, strict=True)))
 
     def _report(self) -> None:

@@ -16,7 +16,8 @@ class WorkerLedger:
     Attributes:
         incarnation: which start of the worker.
         expected: next sequence number.
-        produced: steps that the worker says it has produced.
+        flown: steps that the worker said it had flown when it sent its last chunk.
+        produced: steps up to and with the last chunk that was taken.
         accepted: steps that entered replay.
         lost: steps that were produced and can no longer arrive.
         rejected: steps in chunks that were refused.
@@ -27,6 +28,7 @@ class WorkerLedger:
 
     incarnation: int
     expected: int = 1
+    flown: int = 0
     produced: int = 0
     accepted: int = 0
     lost: int = 0
@@ -36,9 +38,13 @@ class WorkerLedger:
     pending_rejected: bool = False
 
     @property
-    def unexplained(self) -> int:
-        """Return produced - accepted - lost - rejected; anything but 0 is a defect, except while a refusal is open."""
-        return self.produced - self.accepted - self.lost - self.rejected
+    def in_flight(self) -> int:
+        """Return the steps that were flown and have neither arrived nor been given up."""
+        return max(0, self.flown - self.accepted - self.lost - self.rejected)
+
+    def given_up(self) -> "WorkerLedger":
+        """Return the account of a start that has ended: what has not arrived by now is lost."""
+        return replace(self, lost=self.lost + self.in_flight)
 
 
 class Intake:
@@ -46,7 +52,8 @@ class Intake:
 
     A worker sends its chunks in sequence and repeats one until it is answered. So a number below the expected one is a
     duplicate; one above it is a gap, which the worker closes by sending again, unless it no longer holds what is
-    missing: then those steps are declared lost and counted.
+    missing: then those steps are declared lost and counted. What a start of a worker had flown when it last sent, and
+    never delivered before the next start of that name appeared, is lost as well.
     """
 
     def __init__(self) -> None:
@@ -63,14 +70,15 @@ class Intake:
             return "gap"
         return "accepted"
 
-    def accept(self, sender: Envelope, steps: int, produced: int) -> None:
-        """Book an accepted chunk of `steps` environment steps."""
+    def accept(self, sender: Envelope, steps: int, produced: int, flown: int) -> None:
+        """Book an accepted chunk of `steps` environment steps; for the rest see `ChunkMessage`."""
         ledger = self._ledger(sender)
         missing = max(0, produced - steps - ledger.produced)
         rejected = missing if ledger.pending_rejected and sender.sequence == ledger.expected else 0
         self.workers[sender.name] = replace(
             ledger,
             expected=sender.sequence + 1,
+            flown=max(ledger.flown, flown, produced),
             produced=ledger.produced + missing + steps,
             accepted=ledger.accepted + steps,
             lost=ledger.lost + missing - rejected,
@@ -93,12 +101,14 @@ class Intake:
         return self._ledger(sender).expected
 
     def totals(self) -> dict[str, int]:
-        """Return the sums over all workers and all their incarnations."""
-        names = ("produced", "accepted", "lost", "rejected", "duplicates", "refused")
+        """Return the sums over all workers and all their starts.
+
+        produced = accepted + lost + rejected + in_flight, each in environment steps; duplicates and refused in chunks.
+        """
+        names = ("accepted", "lost", "rejected", "in_flight", "duplicates", "refused")
         ledgers = [self.closed, *self.workers.values()]
         sums = {name: sum(getattr(ledger, name) for ledger in ledgers) for name in names}
-        sums["unexplained"] = sum(ledger.unexplained for ledger in ledgers)
-        return sums
+        return {"produced": sums["accepted"] + sums["lost"] + sums["rejected"] + sums["in_flight"], **sums}
 
     def state(self) -> dict[str, Any]:
         """Return what a checkpoint needs."""
@@ -116,7 +126,7 @@ class Intake:
         ledger = self.workers.get(sender.name)
         if ledger is None or sender.incarnation > ledger.incarnation:
             if ledger is not None:
-                self.closed = _add(self.closed, ledger)
+                self.closed = _add(self.closed, ledger.given_up())
             ledger = WorkerLedger(sender.incarnation)
             self.workers[sender.name] = ledger
         return ledger
@@ -125,6 +135,7 @@ class Intake:
 def _add(total: WorkerLedger, part: WorkerLedger) -> WorkerLedger:
     return replace(
         total,
+        flown=total.flown + max(part.flown, part.accepted + part.lost + part.rejected),
         produced=total.produced + part.produced,
         accepted=total.accepted + part.accepted,
         lost=total.lost + part.lost,

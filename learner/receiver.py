@@ -7,13 +7,16 @@ from dataclasses import dataclass
 from common import keys
 from common.bus import Incoming, Server
 from common.chunks import from_message
-from common.errors import ProtocolError
+from common.config import ReplayConfig
+from common.errors import ProtocolError, SchemaError
 from common.messages import ChunkAck, ChunkMessage, Envelope
 from common.process import log
 from common.team import TeamSpec
 from common.transitions import Chunk
 from learner.intake import Intake, WorkerLedger
 
+FULL_SECONDS = 0.005
+"""Pause between two looks at a full queue."""
 LOGGED_REFUSALS = 20
 """Refusals that are logged one by one; all are counted."""
 
@@ -46,23 +49,32 @@ class Receiver:
         arrivals: the queue.
         intake: deduplication and ledger.
         malformed: requests that could not even be attributed to a worker.
+        gate: held while a chunk is booked and queued, so that ledger and queue can be seen together.
         required_version: parameter version that a worker must hold before it flies on (lockstep), else 0.
     """
 
-    def __init__(self, server: Server, team: TeamSpec, intake: Intake, capacity: int, lockstep: bool) -> None:
-        self.arrivals: queue.Queue[Arrival] = queue.Queue(capacity)
+    def __init__(self, server: Server, team: TeamSpec, intake: Intake, replay: ReplayConfig, lockstep: bool) -> None:
+        self.arrivals: queue.Queue[Arrival] = queue.Queue(replay.intake_chunks)
         self.intake = intake
         self.malformed = 0
         self.required_version = 0
         self._server, self._team, self._lockstep = server, team, lockstep
+        self._most_rows = replay.capacity
         self._closing = threading.Event()
+        self.gate = threading.Lock()
         self._logged = 0
         self._thread = threading.Thread(target=self._run, name="receiver", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Stop taking chunks; call it before the bus is closed."""
-        self._closing.set()
+        """Take no more chunks; every accepted one is in the queue when this returns."""
+        with self.gate:
+            self._closing.set()
+
+    @property
+    def alive(self) -> bool:
+        """Whether chunks are still taken."""
+        return self._thread.is_alive()
 
     def join(self) -> None:
         """Wait for the thread to end; the bus must be closed."""
@@ -76,8 +88,6 @@ class Receiver:
                 self.malformed += 1
                 self._log(f"dropped a request on {incoming.key}: {error}")
                 incoming.refuse(str(error))
-            if self._closing.is_set():
-                return
 
     def _receive(self, incoming: Incoming) -> None:
         sender = Envelope.decode(incoming.attachment)
@@ -87,9 +97,13 @@ class Receiver:
         known = self.intake.workers.get(sender.name)
         if known is not None and sender.incarnation < known.incarnation:
             raise ProtocolError(f"worker {sender.name} has been replaced by a newer start.")
+        if self._lockstep and self.intake.workers and known is None:
+            raise ProtocolError("a lockstep run has exactly one worker.")
         try:
             message = ChunkMessage.decode(incoming.payload)
             chunk = from_message(message, self._team)
+            if chunk.rows.flag.shape[0] > self._most_rows:
+                raise SchemaError(f"{chunk.rows.flag.shape[0]} rows at once, more than a replay of {self._most_rows}.")
         except ProtocolError as error:
             self.intake.refuse(sender)
             self._log(f"refused a chunk of worker {sender.name}: {error}")
@@ -97,23 +111,26 @@ class Receiver:
             return
         status = self.intake.judge(sender, message.oldest)
         if status == "accepted":
-            self.intake.accept(sender, chunk.rows.steps, message.produced)
-            self._queue(incoming, sender, chunk)
+            self._queue(incoming, sender, chunk, message)
         else:
             incoming.reply(ChunkAck(status, self.intake.expected(sender), self.required_version, "").encode())
 
-    def _queue(self, incoming: Incoming, sender: Envelope, chunk: Chunk) -> None:
-        ledger = self.intake.workers[sender.name]
+    def _queue(self, incoming: Incoming, sender: Envelope, chunk: Chunk, message: ChunkMessage) -> None:
         owed = incoming if self._lockstep else None
-        arrival = Arrival(chunk, sender, ledger, self.intake.closed, owed)
-        while not self._closing.is_set():
-            try:
-                self.arrivals.put(arrival, timeout=0.1)
-            except queue.Full:
-                continue
-            if not self._lockstep:
-                incoming.reply(ChunkAck("accepted", ledger.expected, 0, "").encode())
-            return
+        while True:
+            with self.gate:
+                if self._closing.is_set():
+                    break
+                if not self.arrivals.full():
+                    # This thread alone puts, so the free place stays free.
+                    self.intake.accept(sender, chunk.rows.steps, message.produced, message.flown)
+                    ledger = self.intake.workers[sender.name]
+                    self.arrivals.put_nowait(Arrival(chunk, sender, ledger, self.intake.closed, owed))
+                    if owed is None:
+                        incoming.reply(ChunkAck("accepted", ledger.expected, 0, "").encode())
+                    return
+            self._closing.wait(FULL_SECONDS)
+        incoming.reply(ChunkAck("closed", self.intake.expected(sender), 0, "").encode())
 
     def _log(self, text: str) -> None:
         self._logged += 1

@@ -21,9 +21,13 @@ class Journal:
     Args:
         directory: the run directory, or None.
         elapsed: seconds that earlier parts of a resumed run took.
+
+    Attributes:
+        failure: why a record could not be written, or empty.
     """
 
     def __init__(self, directory: Path | None, elapsed: float = 0.0) -> None:
+        self.failure = ""
         self._file: TextIO | None = None
         if directory is not None:
             self._file = (directory / "metrics.jsonl").open("a", encoding="utf-8")
@@ -36,9 +40,13 @@ class Journal:
 
     def write(self, kind: str, **values: Any) -> None:
         """Append one record."""
-        if self._file is not None:
+        if self._file is None:
+            return
+        try:
             self._file.write(json.dumps({"kind": kind, "time": round(self.elapsed, 3), **values}) + "\n")
             self._file.flush()
+        except OSError as error:
+            self.failure = f"metrics.jsonl could not be written: {error.strerror}."
 
     def close(self) -> None:
         """Close the file."""

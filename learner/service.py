@@ -5,13 +5,15 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import torch
+
 from common import keys
-from common.bus import Bus, Incoming
+from common.bus import Bus
 from common.config import RunConfig
 from common.config.files import to_toml
 from common.endpoint import Endpoint
-from common.errors import ProtocolError
-from common.imitation import ImitationEvent, ImitationSchedule
+from common.errors import BusError, ProtocolError
+from common.imitation import ImitationSchedule
 from common.messages import (
     ChunkAck,
     CommandMessage,
@@ -67,17 +69,17 @@ class Learner:
         self.trainer = Trainer(config, self._team)
         self._absorbed = Intake()
         self._storage = RunStorage(options.run_dir, config)
-        elapsed = self._storage.restore(self.trainer, self._absorbed) if options.resume else 0.0
-        self._epoch = incarnation()
+        elapsed, before = self._storage.restore(self.trainer, self._absorbed) if options.resume else (0.0, 0)
+        self._epoch = max(incarnation(), before + 1)
         self._schedule = ImitationSchedule(config.elite)
         self._journal, self._curves = Journal(options.run_dir, elapsed), Curves(self._team)
         self._state = "training"
         self._draining = False
-        self._awaited: list[tuple[ImitationEvent, Incoming]] = []
         self._waited = {"data": 0.0, "imitation": 0.0, "producers": 0.0, "training": 0.0, "checkpoint": 0.0}
         self._lag = 0.0
         self._times = dict.fromkeys(("progress", "report", "publish", "checkpoint", "held"), time.monotonic())
         self._published_updates = -1
+        self._alarms: dict[str, str] = {}
         self._open(control, bulk)
 
     def _open(self, control: Bus, bulk: Bus) -> None:
@@ -90,8 +92,7 @@ class Learner:
         intake = Intake()
         intake.restore(self._absorbed.state())
         server = bulk.serve(keys.TRANSITION.pattern(run), 256)
-        capacity = self._config.replay.intake_chunks
-        self._receiver = Receiver(server, self._team, intake, capacity, self._options.lockstep)
+        self._receiver = Receiver(server, self._team, intake, self._config.replay, self._options.lockstep)
 
     def run(self, stop: StopSignal) -> bool:
         """Train until the run's episodes are done, a signal comes or somebody asks to drain.
@@ -172,6 +173,8 @@ class Learner:
 
     def _keep_house(self) -> None:
         now = time.monotonic()
+        if not self._receiver.alive:
+            raise BusError("the receiving thread has ended; no more chunks can come in.")
         if self.trainer.leads():
             self._waited["producers"] += now - self._times["held"]
         self._times["held"] = now
@@ -207,8 +210,10 @@ class Learner:
     def _apply_imitations(self) -> None:
         while (incoming := self._imitations.poll()) is not None:
             try:
-                event = ImitationEvent(**vars(ImitationMessage.decode(incoming.payload)))
-                event.check(self._team)
+                message = ImitationMessage.decode(incoming.payload)
+                if message.epoch != self._epoch:
+                    raise ProtocolError("the event is for another start of the learner.")
+                event = message.to_event()
                 applied = self.trainer.imitate(event)
             except ProtocolError as error:
                 incoming.reply(ReceiptMessage(False, str(error)[:400]).encode())
@@ -263,21 +268,35 @@ class Learner:
             "malformed": self._receiver.malformed,
             "elapsed": self._journal.elapsed,
             "waits": dict(self._waited),
-            "ledger": self._receiver.intake.totals(),
+            "ledger": {**self._receiver.intake.totals(), "unexplained": self._unexplained()},
             "curves": self._curves.smoothed(),
             "statistics": t.statistics(),
+            "evaluation_steps": t.evaluation_steps,
+            "alarms": [text for text in (*self._alarms.values(), self._journal.failure) if text],
         }
         self._presence.report(values, t.version)
+        del values["alarms"]
         self._journal.write("status", **values)
+
+    def _unexplained(self) -> int:
+        """Return accepted steps that are neither in replay's count nor in the queue; anything but 0 is a defect."""
+        receiver = self._receiver
+        with receiver.gate:
+            accepted = receiver.intake.totals()["accepted"]
+            queued = sum(arrival.chunk.rows.steps for arrival in list(receiver.arrivals.queue))
+        return int(accepted - self.trainer.environment_steps - queued)
 
     def _checkpoint(self) -> None:
         started = time.monotonic()
-        self._storage.save(self.trainer, self._absorbed, self._journal.elapsed)
+        saved = self._storage.save(self.trainer, self._absorbed, self._journal.elapsed, self._epoch)
+        self._alarms["checkpoint"] = "" if saved else "the last checkpoint could not be written; the one before stands."
         self._times["checkpoint"] = time.monotonic()
         self._waited["checkpoint"] += self._times["checkpoint"] - started
 
     def _end(self, state: str) -> None:
         self._receiver.close()
+        while not self._receiver.arrivals.empty():
+            self._absorb(self._receiver.arrivals.get_nowait())
         self._state = state
         self._publish()
         self._tell_progress()
@@ -297,6 +316,7 @@ def serve(options: LearnerOptions, config: RunConfig) -> bool:
         EndpointError: when the endpoint is taken, or the router does not answer.
         RunDirError: when the run directory belongs to another configuration.
     """
+    torch.set_num_threads(config.learner.threads)
     stop = StopSignal()
     stop.install()
 

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from common.config import RunConfig
 from common.config.files import digest
 from common.errors import CheckpointError, RunDirError
@@ -28,19 +30,29 @@ class RunStorage:
         self._directory = directory
         self._config = config
 
-    def save(self, trainer: Trainer, intake: Intake, elapsed: float) -> bool:
-        """Write a checkpoint; return False, and log why, when the disk does not take it.
+    def save(self, trainer: Trainer, intake: Intake, elapsed: float, epoch: int) -> bool:
+        """Write a checkpoint; return False, and log why, when it is not fit to be kept or the disk does not take it.
 
         Training goes on after a failure: the checkpoint before is still whole.
+
+        Args:
+            trainer: its whole state is kept.
+            intake: the ledger of what is in that state.
+            elapsed: seconds that the run has taken.
+            epoch: the learner's fencing epoch.
         """
         if self._directory is None:
             return True
         tensors, state = trainer.state()
+        if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values() if tensor.is_floating_point()):
+            log("ALARM: no checkpoint is written, because a number of the training is no longer finite.")
+            return False
         manifest: dict[str, Any] = {
             "configuration": digest(self._config),
             "trainer": state,
             "intake": intake.state(),
             "elapsed": elapsed,
+            "epoch": epoch,
         }
         try:
             keep = self._config.learner.keep_checkpoints
@@ -50,8 +62,8 @@ class RunStorage:
             return False
         return True
 
-    def restore(self, trainer: Trainer, intake: Intake) -> float:
-        """Take up the newest whole checkpoint; return the seconds that the run has taken so far.
+    def restore(self, trainer: Trainer, intake: Intake) -> tuple[float, int]:
+        """Take up the newest whole checkpoint; return the seconds that the run has taken and the epoch it was in.
 
         A run that was killed before its first checkpoint begins anew.
 
@@ -60,10 +72,10 @@ class RunStorage:
             CheckpointError: when there are checkpoints and none of them is whole.
         """
         if self._directory is None or not (self._directory / CHECKPOINTS).is_dir():
-            return 0.0
+            return 0.0, 0
         found = checkpoint.load_latest(self._directory / CHECKPOINTS)
         if found is None:
-            return 0.0
+            return 0.0, 0
         for message in found.skipped:
             log(f"ALARM: {message}")
         manifest = found.manifest
@@ -72,7 +84,7 @@ class RunStorage:
         try:
             trainer.restore(found.tensors, manifest["trainer"])
             intake.restore(manifest["intake"])
-            return float(manifest["elapsed"])
+            return float(manifest["elapsed"]), int(manifest["epoch"])
         except (KeyError, TypeError, ValueError) as error:
             raise CheckpointError(f"the checkpoint in {self._directory} is not readable: {error}") from error
 

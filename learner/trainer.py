@@ -40,7 +40,7 @@ from learner.state import (
     restored_random,
 )
 
-COUNTERS = ("environment_steps", "updates", "episodes", "version", "events")
+COUNTERS = ("environment_steps", "updates", "episodes", "version", "events", "evaluation_steps")
 RECENT_EPISODES = 100
 FIGURE_ROUNDS = 16
 """Every this many rounds one round tells its figures."""
@@ -61,6 +61,7 @@ class Trainer:
         episodes: training episodes finished.
         version: number of the newest published parameters; 0 before the first.
         events: imitation events applied.
+        evaluation_steps: environment steps that these events' evaluations took; part of the run's budget (A3).
         recent: the newest finished episodes.
     """
 
@@ -72,6 +73,7 @@ class Trainer:
         self.replay = Replay(team, config.replay.capacity, config.learner.device)
         self.random = stream(config.seed, "replay")
         self.environment_steps = self.updates = self.episodes = self.version = self.events = 0
+        self.evaluation_steps = 0
         self.recent: deque[EpisodeSummary] = deque(maxlen=RECENT_EPISODES)
         self._figures = torch.zeros(4, len(team.groups), device=config.learner.device)
         self._figure_rounds = 0
@@ -198,6 +200,7 @@ class Trainer:
             imitate(parameters, elite, event.rate)
         self.engine.load_actors(flat)
         self.events += 1
+        self.evaluation_steps += event.evaluation_steps
         return True
 
     def statistics(self) -> dict[str, float]:

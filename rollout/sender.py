@@ -34,10 +34,12 @@ class Sender:
     """Sends chunks in sequence from a thread of its own.
 
     Attributes:
+        flown: environment steps that the worker says it has flown, those not yet offered included.
         produced: environment steps offered so far.
         accepted: environment steps that the learner has acknowledged.
         rejected: environment steps in chunks that the learner refused.
         retries: requests that had to be repeated.
+        door_closed: whether the learner said last that it takes no more chunks.
         required_version: parameter version that the learner asks for before the next chunk (lockstep), else 0.
         waiting: seconds that requests have waited for their answers.
     """
@@ -45,8 +47,9 @@ class Sender:
     def __init__(
         self, bus: Bus, run: str, worker: str, incarnation: int, team: TeamSpec, capacity: int, patience: float
     ) -> None:
-        self.produced = self.accepted = self.rejected = self.retries = self.required_version = 0
+        self.flown = self.produced = self.accepted = self.rejected = self.retries = self.required_version = 0
         self.waiting = 0.0
+        self.door_closed = False
         self._bus, self._team, self._capacity, self._patience = bus, team, capacity, patience
         self._key = keys.TRANSITION.key(run, worker=worker)
         self._worker, self._incarnation = worker, incarnation
@@ -75,13 +78,15 @@ class Sender:
 
     @property
     def in_flight(self) -> int:
-        """Return the environment steps that are produced and neither accepted nor rejected."""
-        return self.produced - self.accepted - self.rejected
+        """Return the environment steps that are flown and neither accepted nor rejected."""
+        return max(self.flown, self.produced) - self.accepted - self.rejected
 
     def wait_empty(self, timeout: float) -> bool:
-        """Wait until every chunk is answered; return whether that happened in time."""
-        with self._changed:
-            return self._changed.wait_for(lambda: not self._held or self._ended, timeout) and not self._held
+        """Wait until every chunk is answered or the learner takes no more; return whether none is held."""
+        deadline = time.monotonic() + timeout
+        while self._held and not self.door_closed and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return not self._held
 
     def close(self) -> None:
         """End the thread; what is still held is not delivered."""
@@ -104,14 +109,17 @@ class Sender:
                 return
 
     def _deliver(self, head: _Held) -> None:
-        message = to_message(head.chunk, self._team, oldest=head.sequence, produced=head.produced)
+        message = to_message(
+            head.chunk, self._team, oldest=head.sequence, produced=head.produced, flown=max(self.flown, head.produced)
+        )
         envelope = Envelope("rollout", self._worker, self._incarnation, head.sequence, head.version)
         payload, attachment = message.encode(), envelope.encode()
         while not self._ended:
             started = time.monotonic()
             ack = self._ask(payload, attachment)
             self.waiting += time.monotonic() - started
-            if ack is not None and ack.status != "gap":
+            self.door_closed = ack is not None and ack.status == "closed"
+            if ack is not None and ack.status not in ("gap", "closed"):
                 self._settle(head, ack)
                 return
             self.retries += 1
@@ -130,11 +138,12 @@ class Sender:
     def _settle(self, head: _Held, ack: ChunkAck) -> None:
         steps = head.chunk.rows.steps
         with self._changed:
+            # Before the spool looks empty: in lockstep the worker flies on as soon as it does.
+            self.required_version = ack.required_version
             self._held.popleft()
             if ack.status == "refused":
                 self.rejected += steps
                 log(f"worker {self._worker}: chunk {head.sequence} was refused: {ack.reason}")
             else:
                 self.accepted += steps
-            self.required_version = ack.required_version
             self._changed.notify_all()

@@ -11,8 +11,8 @@ from common.config.files import from_toml
 from common.config.run import RunConfig
 from common.endpoint import Endpoint
 from common.errors import ProtocolError, UsageError
-from common.imitation import ImitationEvent
 from common.messages import (
+    ConfigurationMessage,
     EvaluationOrder,
     EvaluationResult,
     ImitationMessage,
@@ -59,13 +59,16 @@ class _Clock:
 class Worker:
     """One worker's loop; all its methods run in the main thread."""
 
-    def __init__(self, options: WorkerOptions, config: RunConfig, lockstep: bool, control: Bus, bulk: Bus) -> None:
-        self._options, self._config, self._lockstep = options, config, lockstep
+    def __init__(
+        self, options: WorkerOptions, config: RunConfig, told: ConfigurationMessage, control: Bus, bulk: Bus
+    ) -> None:
+        self._options, self._config, self._lockstep, self._toml = options, config, told.lockstep, told.toml
+        self._control = control
         start = incarnation()
         team = farm_team(config.farm)
         self._store = PolicyStore(team)
-        self._collector = Collector(config, options.name, 0 if lockstep else start)
-        patience = LOCKSTEP_ANSWER_SECONDS if lockstep else ANSWER_SECONDS
+        self._collector = Collector(config, options.name, 0 if told.lockstep else start)
+        patience = LOCKSTEP_ANSWER_SECONDS if told.lockstep else ANSWER_SECONDS
         self._sender = Sender(bulk, options.run, options.name, start, team, config.rollout.spool_chunks, patience)
         self._parameters = control.subscribe_state(keys.PARAMETERS.key(options.run))
         self._events = control.subscribe_state(keys.IMITATION_EVENT.key(options.run))
@@ -112,6 +115,7 @@ class Worker:
         uniform = store.environment_steps < config.replay.warmup_steps
         chunk = self._collector.collect(bank, config.exploration.deviation(store.progress), uniform)
         self._pending = (chunk, store.version)
+        self._sender.flown = self._collector.environment_steps
         self._clock.simulating += time.monotonic() - started
 
     def _idle(self) -> None:
@@ -121,17 +125,24 @@ class Worker:
     def _listen(self) -> None:
         try:
             if (sample := self._progress.poll()) is not None:
-                message = ProgressMessage.decode(sample.payload)
-                if message.epoch >= self._epoch:
-                    self._epoch, self._state = message.epoch, message.state
+                self._follow(ProgressMessage.decode(sample.payload))
             if (sample := self._parameters.poll()) is not None:
                 self._store.offer_parameters(ParametersMessage.decode(sample.payload))
             if (sample := self._events.poll()) is not None:
-                event = ImitationMessage.decode(sample.payload)
-                self._store.offer_imitation(ImitationEvent(**vars(event)))
+                announced = ImitationMessage.decode(sample.payload)
+                self._store.offer_imitation(announced.to_event(), announced.epoch)
         except ProtocolError as error:
             self._malformed += 1
             log(f"worker {self._options.name}: dropped a message: {error}")
+
+    def _follow(self, message: ProgressMessage) -> None:
+        if message.epoch < self._epoch:
+            return
+        if 0 < self._epoch < message.epoch:
+            answer = fetch_configuration(self._control, self._options.run, self._options.name, lambda: True, 5.0)
+            if answer is not None and answer.toml != self._toml:
+                raise UsageError(f"run {self._options.run} has a new learner with another configuration.")
+        self._epoch, self._state = message.epoch, message.state
 
     def _evaluate(self) -> None:
         while (incoming := self._orders.poll()) is not None:
@@ -149,7 +160,10 @@ class Worker:
             incoming.refuse(str(error))
             return
         bank = self._store.bank
-        if bank is None or self._store.version < order.version:
+        if bank is not None and order.epoch < self._store.epoch:
+            incoming.refuse("the order is of a learner that has been replaced.")
+            return
+        if bank is None or (self._store.epoch, self._store.version) < (order.epoch, order.version):
             self._postponed.append(incoming)
             return
         reward = fly_noise_free(self._config, bank, order.farms, order.episodes)
@@ -161,7 +175,7 @@ class Worker:
         values: dict[str, Any] = {
             "state": self._state,
             "environment_steps": self._collector.environment_steps,
-            "produced": sender.produced,
+            "produced": self._collector.environment_steps,
             "accepted": sender.accepted,
             "rejected": sender.rejected,
             "in_flight": sender.in_flight,
@@ -185,7 +199,7 @@ def serve(options: WorkerOptions) -> None:
 
     Raises:
         EndpointError: when nobody listens at the endpoint in time.
-        UsageError: when the learner's configuration cannot be read.
+        UsageError: when the learner's configuration cannot be read, or is another one after the learner was replaced.
     """
     stop = StopSignal()
     stop.install()
@@ -198,4 +212,4 @@ def serve(options: WorkerOptions) -> None:
         except UsageError as error:
             raise UsageError(f"the learner of run {options.run} speaks of another configuration: {error}") from error
         with connect(options.endpoint, "bulk", stop, options.patience) as bulk:
-            Worker(options, config, answer.lockstep, control, bulk).run(stop)
+            Worker(options, config, answer, control, bulk).run(stop)

@@ -48,11 +48,15 @@ def command(arguments: Sequence[str]) -> int:
         raise UsageError("give --listen or --connect, not both.")
     if options.resume and options.run_dir is None:
         raise UsageError("--resume needs --run-dir.")
+    if options.resume and options.lockstep:
+        raise UsageError("a lockstep run cannot be resumed: its one worker begins again with its first episode.")
     endpoint = Endpoint.parse(options.connect or options.listen or DEFAULT)
     if not options.connect:
         endpoint.require_private(options.insecure)
     if options.run_dir is not None:
-        RunDirectory(options.run_dir).prepare(options.settings, resume=options.resume)
+        directory = RunDirectory(options.run_dir)
+        directory.prepare(options.settings, resume=options.resume)
+        directory.lock("learner.lock")
     serve(
         LearnerOptions(
             run=options.run,

@@ -22,7 +22,7 @@ from deploy.exit_codes import USAGE
 from deploy.fleet import Fleet
 from deploy.options import base_configuration, parse
 from deploy.report import write_report
-from deploy.rundir import RunDirectory
+from deploy.rundir import CONFIG, RunDirectory
 from deploy.supervisor import Supervisor
 from deploy.view import render, summary
 
@@ -30,6 +30,8 @@ REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
 """Pause between two lines where there is no terminal."""
 DRAIN_SECONDS = 8.0
+JOIN_SECONDS = 300.0
+"""Time that workers and coordinator wait for the learner to listen."""
 RUN = "train"
 
 
@@ -59,6 +61,8 @@ class TrainArguments:
 def command(arguments: Sequence[str]) -> int:
     """Train; return 0 when the run is finished or was stopped by the user, 1 when it failed."""
     options = parse(TrainArguments, arguments, "train", TrainArguments(settings=base_configuration(arguments)))
+    if options.lockstep and options.resume:
+        raise ConfigError("a lockstep run cannot be resumed: its one worker begins again with its first episode.")
     within(1, 1024, workers=options.workers)
     if options.lockstep and options.workers != 1:
         raise ConfigError("--lockstep takes turns with exactly one worker; leave --workers at 1.")
@@ -67,15 +71,17 @@ def command(arguments: Sequence[str]) -> int:
     stamp = time.strftime("%Y%m%d-%H%M%S")
     directory = RunDirectory(options.run_dir or Path("runs") / f"{options.preset}-{stamp}")
     directory.prepare(options.settings, resume=options.resume)
-    directory.lock()
+    directory.lock("train.lock")
     console = Console(stderr=False)
     console.print(f"run directory {directory.path}; watch from elsewhere with:", highlight=False)
     console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}", highlight=False)
-    finished = _Training(options, directory, endpoint, console).run()
+    _Training(options, directory, endpoint, console).run()
+    finished = directory.finished()
     if finished and options.report:
         write_report(directory, options.settings, ["eia-sec", "train", *arguments], console)
     elif not finished:
-        console.print(f"stopped; go on with: eia-sec train --run-dir {directory.path} --resume", highlight=False)
+        more = f" --workers {options.workers}" if options.workers != 1 else ""
+        console.print(f"stopped; go on with: eia-sec train --run-dir {directory.path} --resume{more}", highlight=False)
     return 0
 
 
@@ -86,20 +92,22 @@ class _Training:
         self._supervisor = Supervisor(directory.path / "logs")
         self._told = 0.0
 
-    def run(self) -> bool:
-        """Return whether the run finished; False means that it was stopped."""
+    def run(self) -> None:
+        """Train until the learner is done or the user stops it; all processes are gone afterwards."""
         self._stop.install()
         try:
             self._start()
-            with self._connect() as bus:
-                fleet = Fleet(bus, RUN)
-                self._watch(fleet)
-                if self._stop:
-                    self._drain(bus, fleet)
+            bus = self._connect()
+            if bus is not None:
+                with bus:
+                    fleet = Fleet(bus, RUN)
+                    self._watch(fleet)
+                    if self._stop:
+                        self._drain(bus)
         finally:
             self._supervisor.stop()
+            self._stop.uninstall()
         self._complain()
-        return not self._stop
 
     def _complain(self) -> None:
         """Raise what the learner ended with, when it ended for good before the run was over."""
@@ -114,24 +122,29 @@ class _Training:
     def _start(self) -> None:
         options, where = self._options, str(self._endpoint)
         learner = ["learner", "--run", RUN, "--listen", where, "--run-dir", str(self._directory.path)]
-        learner += ["--config", str(self._directory.path / "config.toml")]
+        learner += ["--config", str(self._directory.path / CONFIG)]
         learner += ["--lockstep"] if options.lockstep else []
         learner += ["--resume"] if options.resume else []
-        again = [] if options.resume else ["--resume"]
+        again = [] if options.resume or options.lockstep else ["--resume"]
         self._supervisor.start("learner", learner, options.settings.learner.threads, again)
-        self._supervisor.start("elite", ["elite", "--run", RUN, "--connect", where])
+        joining = ["--run", RUN, "--connect", where, "--patience", str(JOIN_SECONDS)]
+        self._supervisor.start("elite", ["elite", *joining])
         for index in range(options.workers):
-            rollout = ["rollout", "--run", RUN, "--connect", where, "--name", str(index)]
+            rollout = ["rollout", *joining, "--name", str(index)]
             self._supervisor.start(f"rollout-{index}", rollout, options.settings.rollout.threads)
 
-    def _connect(self) -> Bus:
+    def _connect(self) -> Bus | None:
+        """Return a session with the learner, or None when it has ended or the user stops before there is one."""
+        learner = self._supervisor.children["learner"]
         deadline = time.monotonic() + 60.0
         while True:
             try:
                 return Bus.connect(self._endpoint, "control", wait=0.5, waiting=lambda: not self._stop)
             except EndpointError:
                 self._supervisor.watch()
-                if self._supervisor.children["learner"].given_up or self._stop or time.monotonic() > deadline:
+                if learner.done or self._stop:
+                    return None
+                if learner.given_up or time.monotonic() > deadline:
                     self._complain()
                     raise EndpointError("the learner did not start in time.") from None
 
@@ -151,10 +164,15 @@ class _Training:
 
     def _tick(self, fleet: Fleet) -> None:
         self._supervisor.watch()
+        children = self._supervisor.children
+        if all(child.given_up for name, child in children.items() if name.startswith("rollout-")):
+            raise EiaSecError(f"no worker survived; the last lines of one were:\n{self._supervisor.tail('rollout-0')}")
+        if self._options.lockstep and children["elite"].given_up:
+            raise EiaSecError(f"the coordinator did not survive; it said:\n{self._supervisor.tail('elite')}")
         fleet.update()
         self._stop.event.wait(REFRESH_SECONDS)
 
-    def _drain(self, bus: Bus, fleet: Fleet) -> None:
+    def _drain(self, bus: Bus) -> None:
         self._console.print("draining; a checkpoint is being written ...", highlight=False)
         learner = self._supervisor.children["learner"]
         try:

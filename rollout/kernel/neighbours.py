@@ -54,7 +54,7 @@ def prefer_waiting(
     square: Array,
     number: Indices,
 ) -> None:
-    """List the sensors around each UAV anew, those that hold no data behind all others; `square` becomes what to sort by.
+    """List the sensors around each UAV anew, those that hold no data behind all others.
 
     Args:
         fleet: the UAVs.
@@ -64,7 +64,8 @@ def prefer_waiting(
         cell_start: first sensor of each cell.
         age: [S] AoI.
         around: [n_d, S] out: the sensors, in no particular order.
-        square: [n_d, S] out: squares of their distances, m^2; with more than the field's diagonal on top where there is no data.
+        square: [n_d, S] out: what to sort by: squares of their distances, m^2, with more than the field's diagonal
+            on top where there is no data.
         number: [n_d] out: how many.
     """
     behind = 2.0 * fleet.diagonal * fleet.diagonal

@@ -82,6 +82,8 @@ def test_other_kind_and_other_version_are_refused() -> None:
         [["x", "<f4", "1"]],
         [["x", "<f4", [0]], ["x", "<f4", [0]]],
         [["x", "<f4", [1.0]]],
+        [["x", "<f4", [2**30, 2**30, 0]]],
+        [["x", "<f4", [2**39, 2**39, 0]]],
         ["x"],
     ],
 )
@@ -91,7 +93,17 @@ def test_arrays_that_the_body_cannot_hold_are_refused(listing: list[object]) -> 
         frame.decode(forged({"fields": {}, "arrays": listing}, b"1234"), 7)
 
 
-@pytest.mark.parametrize("header", [1, [], {"fields": 1, "arrays": []}, {"fields": {}}, {"fields": {}, "arrays": 1}])
+@pytest.mark.parametrize(
+    "header",
+    [
+        1,
+        [],
+        {"fields": 1, "arrays": []},
+        {"fields": {}},
+        {"fields": {}, "arrays": 1},
+        {"fields": {b"a": 1}, "arrays": []},
+    ],
+)
 def test_headers_that_are_none_are_refused(header: object) -> None:
     """A header of another structure is a FrameError."""
     with pytest.raises(FrameError):

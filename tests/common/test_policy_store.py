@@ -47,10 +47,10 @@ def test_an_event_is_applied_once() -> None:
     """The same event offered again changes nothing."""
     store = PolicyStore(TEAM)
     store.offer_parameters(parameters(1))
-    assert store.offer_imitation(event(1))
+    assert store.offer_imitation(event(1), 1)
     assert store.bank is not None
     digest = store.bank.digest()
-    assert not store.offer_imitation(event(1))
+    assert not store.offer_imitation(event(1), 1)
     assert store.bank.digest() == digest
     assert store.event == 1
 
@@ -59,7 +59,7 @@ def test_an_event_follows_parameters_that_lack_it() -> None:
     """Parameters that were sent before the learner knew the event get it on arrival; those that hold it do not."""
     store = PolicyStore(TEAM)
     store.offer_parameters(parameters(1))
-    store.offer_imitation(event(1))
+    store.offer_imitation(event(1), 1)
     store.offer_parameters(parameters(2, event=0, seed=3))
     wanted = ActorBank.initial(TEAM, 8, 3, per_type=False)
     for flat, elite in zip(wanted.flat, (1, 0), strict=True):
@@ -68,6 +68,17 @@ def test_an_event_follows_parameters_that_lack_it() -> None:
     assert store.bank.digest() == wanted.digest()
     store.offer_parameters(parameters(3, event=1, seed=4))
     assert store.bank.digest() == ActorBank.initial(TEAM, 8, 4, per_type=False).digest()
+
+
+def test_an_event_of_another_epoch_waits_or_is_dropped() -> None:
+    """An event of a learner that was replaced is stale; one of a newer learner waits for that learner's parameters."""
+    store = PolicyStore(TEAM)
+    store.offer_parameters(parameters(1, epoch=5))
+    assert not store.offer_imitation(event(1), 4)
+    assert not store.offer_imitation(event(1), 6)
+    assert (store.event, store.stale) == (0, 1)
+    store.offer_parameters(parameters(1, epoch=6))
+    assert store.event == 1
 
 
 def test_imitation_is_the_papers_blend() -> None:
@@ -97,7 +108,7 @@ def test_parameters_that_do_not_fit_are_refused(message: ParametersMessage) -> N
 def test_events_that_do_not_fit_are_refused() -> None:
     """An elite beyond the type's agents is a SchemaError."""
     with pytest.raises(SchemaError):
-        PolicyStore(TEAM).offer_imitation(dataclasses.replace(event(1), elites=(3, 0)))
+        PolicyStore(TEAM).offer_imitation(dataclasses.replace(event(1), elites=(3, 0)), 1)
 
 
 def test_another_team_is_a_version_error() -> None:

@@ -11,11 +11,13 @@ def sender(sequence: int, incarnation: int = 1, name: str = "w") -> Envelope:
     return Envelope("rollout", name, incarnation, sequence)
 
 
-def deliver(intake: Intake, sequence: int, *, oldest: int | None = None, steps: int = 10, incarnation: int = 1) -> str:
+def deliver(
+    intake: Intake, sequence: int, *, oldest: int | None = None, steps: int = 10, incarnation: int = 1, flown: int = 0
+) -> str:
     who = sender(sequence, incarnation)
     status = intake.judge(who, sequence if oldest is None else oldest)
     if status == "accepted":
-        intake.accept(who, steps, produced=sequence * steps)
+        intake.accept(who, steps, produced=sequence * steps, flown=max(flown, sequence * steps))
     return status
 
 
@@ -30,7 +32,7 @@ def test_in_order_chunks_are_accepted_once() -> None:
         "accepted",
     ]
     totals = intake.totals()
-    assert (totals["produced"], totals["accepted"], totals["duplicates"], totals["unexplained"]) == (30, 30, 2, 0)
+    assert (totals["produced"], totals["accepted"], totals["duplicates"], totals["in_flight"]) == (30, 30, 2, 0)
 
 
 def test_a_gap_that_the_worker_can_close_is_refused() -> None:
@@ -48,7 +50,7 @@ def test_what_can_no_longer_arrive_is_declared_lost() -> None:
     deliver(intake, 1)
     assert deliver(intake, 4) == "accepted"
     totals = intake.totals()
-    assert (totals["accepted"], totals["lost"], totals["produced"], totals["unexplained"]) == (20, 20, 40, 0)
+    assert (totals["accepted"], totals["lost"], totals["produced"], totals["in_flight"]) == (20, 20, 40, 0)
 
 
 def test_a_refused_chunk_is_booked_as_rejected() -> None:
@@ -58,7 +60,7 @@ def test_a_refused_chunk_is_booked_as_rejected() -> None:
     intake.refuse(sender(2))
     assert deliver(intake, 3) == "accepted"
     totals = intake.totals()
-    assert (totals["rejected"], totals["lost"], totals["refused"], totals["unexplained"]) == (10, 0, 1, 0)
+    assert (totals["rejected"], totals["lost"], totals["refused"], totals["in_flight"]) == (10, 0, 1, 0)
 
 
 def test_a_new_start_counts_from_one_again() -> None:
@@ -68,6 +70,17 @@ def test_a_new_start_counts_from_one_again() -> None:
     deliver(intake, 2)
     assert deliver(intake, 1, incarnation=2) == "accepted"
     assert intake.totals()["accepted"] == 30
+
+
+def test_what_a_killed_worker_still_held_is_lost_and_counted() -> None:
+    """Steps that a start had flown when it last sent are in flight, and lost once a new start has taken its place."""
+    intake = Intake()
+    deliver(intake, 1, flown=90)
+    totals = intake.totals()
+    assert (totals["produced"], totals["accepted"], totals["in_flight"], totals["lost"]) == (90, 10, 80, 0)
+    deliver(intake, 1, incarnation=2)
+    totals = intake.totals()
+    assert (totals["produced"], totals["accepted"], totals["in_flight"], totals["lost"]) == (100, 20, 0, 80)
 
 
 def test_state_and_restore() -> None:

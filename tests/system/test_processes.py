@@ -2,7 +2,11 @@
 
 import signal
 
-from tests.system.fleet import Processes, until
+from common import frame, keys
+from common.bus import Bus
+from common.errors import BusError
+from common.messages import ChunkAck, ChunkMessage, Envelope
+from tests.system.fleet import RUN, Processes, until
 
 
 def finish(processes: Processes) -> dict[str, int]:
@@ -27,8 +31,9 @@ def test_any_order_and_a_clean_end(processes: Processes) -> None:
 
 
 def test_a_worker_that_is_killed_and_replaced(processes: Processes) -> None:
-    """After kill -9 a new start under the same name goes on, nothing is counted twice and nothing unexplained."""
-    processes.config.write_text(processes.config.read_text().replace("episodes = 8", "episodes = 24"))
+    """After kill -9 with a full spool a new start goes on; what the spool held is lost and counted, nothing twice."""
+    slow = processes.config.read_text().replace("updates_per_step = 0.5", "updates_per_step = 4.0")
+    processes.config.write_text(slow.replace("episodes = 8", "episodes = 24"))
     processes.learner()
     processes.coordinator()
     processes.worker()
@@ -37,10 +42,10 @@ def test_a_worker_that_is_killed_and_replaced(processes: Processes) -> None:
     processes.kill("rollout-0")
     processes.worker("0")
     ledger = finish(processes)
+    assert ledger["lost"] > 0
     assert ledger["unexplained"] == 0
-    steps = processes.records("status")[-1]["environment_steps"]
-    assert steps <= ledger["accepted"]
-    assert ledger["accepted"] + ledger["lost"] + ledger["rejected"] == ledger["produced"]
+    assert ledger["accepted"] == processes.records("status")[-1]["environment_steps"]
+    assert ledger["accepted"] + ledger["lost"] + ledger["rejected"] + ledger["in_flight"] == ledger["produced"]
 
 
 def test_a_learner_that_is_killed_resumes(processes: Processes) -> None:
@@ -55,6 +60,7 @@ def test_a_learner_that_is_killed_resumes(processes: Processes) -> None:
     processes.learner("--resume")
     ledger = finish(processes)
     assert ledger["unexplained"] == 0
+    assert ledger["accepted"] == processes.records("status")[-1]["environment_steps"]
     assert processes.records("end")[-1]["episodes"] >= 40
     events = [record["event"] for record in processes.records("imitation")]
     assert sorted(set(events)) == list(range(1, max(events) + 1))
@@ -68,9 +74,12 @@ def test_sigterm_drains_and_checkpoints(processes: Processes) -> None:
     learner = processes.learner()
     worker = processes.worker()
     until(lambda: processes.records("episodes"), "training")
+    before = processes.records("status")[-1]["environment_steps"] if processes.records("status") else 0
     learner.send_signal(signal.SIGTERM)
     assert processes.wait("learner", 20.0) == 0
     assert processes.records("end")[-1]["state"] == "draining"
+    last = processes.records("status")[-1]
+    assert last["ledger"]["accepted"] == last["environment_steps"] >= before
     assert (processes.directory / "run" / "policy.safetensors").exists()
     worker.send_signal(signal.SIGTERM)
     assert processes.wait("rollout-0", 20.0) == 0
@@ -85,3 +94,37 @@ def test_the_learner_answers_commands(processes: Processes) -> None:
     assert answer.epoch > 0
     assert processes.drain()
     assert processes.wait("learner", 20.0) == 0
+
+
+def test_crafted_frames_do_not_stop_the_learner(processes: Processes) -> None:
+    """Requests that are no chunks are refused and counted, and the run comes to its end all the same."""
+    processes.learner()
+    processes.configuration()
+    with Bus.connect(processes.endpoint, "bulk") as bus:
+        key = keys.TRANSITION.key(RUN, worker="x")
+        envelope = Envelope("rollout", "x", 1, 1).encode()
+        mixed = frame.encode(ChunkMessage.KIND, {"a": 1, b"b": 2}, {})  # type: ignore[dict-item]  # on purpose
+        for payload, attachment in ((b"", b""), (b"junk", envelope), (mixed, envelope), (mixed, b"junk")):
+            try:
+                answer = bus.ask(key, payload, 5.0, attachment)
+            except BusError:
+                continue
+            assert answer is not None
+            assert ChunkAck.decode(answer).status == "refused"
+    processes.coordinator()
+    processes.worker()
+    ledger = finish(processes)
+    assert ledger["refused"] >= 1
+    assert processes.records("status")[-1]["malformed"] >= 2
+
+
+def test_a_lockstep_run_takes_one_worker_only(processes: Processes) -> None:
+    """A second worker is refused with the reason, and the first one's run ends as it should."""
+    processes.learner("--lockstep")
+    processes.coordinator()
+    processes.worker()
+    until(lambda: processes.records("episodes"), "training")
+    processes.worker("1")
+    assert processes.wait("learner") == 0
+    assert processes.records("end")[-1]["state"] == "finished"
+    assert processes.records("status")[-1]["ledger"]["accepted"] == 8 * 40
