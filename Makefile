@@ -46,6 +46,9 @@ $(READY): pyproject.toml constraints.txt
 	@"$(PYTHON)" -m venv $(VENV)
 	@$(PIP) torch==$$(sed -n 's/^torch==//p' constraints.txt) hatchling
 	@$(PIP) --no-build-isolation --editable '.[dev]'
+	@echo "Compiling the simulator once, so that no process has to."
+	@NUMBA_NUM_THREADS=1 $(VENV)/bin/python -c 'from common.config import FarmConfig; from rollout.farms import FarmBatch; \
+	  FarmBatch(FarmConfig(), 1).reset(0, 0, 0)'
 	@touch $(READY)
 
 clean:

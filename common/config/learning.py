@@ -11,10 +11,10 @@ from common.errors import ConfigError
 class AlgorithmConfig:
     """Networks, losses and rates of the learner; the readings are A4 to A12."""
 
-    hidden: int = 128
+    hidden: int = 64
     """Width of both hidden layers of every network (ours)."""
-    discount: float = 0.99
-    """Discount rate gamma."""
+    discount: float = 0.97
+    """Discount rate gamma; the paper prints 0.99."""
     batch: int = 128
     """Transitions in a batch, B."""
     actor_rate: float = 1e-4
