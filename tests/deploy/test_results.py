@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from common.config.files import from_toml
+from common.config.presets import PRESETS
 from deploy.results import BLOCKS, refreshed
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,3 +28,9 @@ def test_a_block_replaces_only_itself(document: str) -> None:
     assert text.endswith(f"{end}\nafter")
     assert "outdated" not in text
     assert text.count("|") > 20
+
+
+def test_the_kept_run_is_that_of_the_default_preset() -> None:
+    """What the README calls the default preset's result was made with exactly its settings."""
+    kept = from_toml(ROOT / "docs" / "results" / "default" / "config.toml", PRESETS["quick"])
+    assert kept == PRESETS["default"]
