@@ -129,22 +129,24 @@ class Learner:
             trainer.train(rounds)
             self._waited["training"] += time.monotonic() - started
             return
-        try:
-            arrival = self._receiver.arrivals.get(timeout=0.02)
-        except queue.Empty:
-            return
-        finally:
-            self._waited["data"] += time.monotonic() - started
-        self._absorb(arrival)
+        arrival = self._await_arrival()
+        if arrival is not None:
+            self._absorb(arrival)
 
-    def _lockstep_turn(self, stop: StopSignal) -> None:
+    def _await_arrival(self) -> Arrival | None:
+        """Return the next chunk, or None after a short wait, which is counted."""
         started = time.monotonic()
         try:
-            arrival = self._receiver.arrivals.get(timeout=0.02)
+            return self._receiver.arrivals.get(timeout=0.02)
         except queue.Empty:
-            return
+            return None
         finally:
             self._waited["data"] += time.monotonic() - started
+
+    def _lockstep_turn(self, stop: StopSignal) -> None:
+        arrival = self._await_arrival()
+        if arrival is None:
+            return
         self._absorb(arrival)
         started = time.monotonic()
         self.trainer.train(max(0, self.trainer.rounds_due()))
