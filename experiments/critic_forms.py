@@ -123,11 +123,12 @@ def draw(results: list[dict[str, Any]], path: Path) -> None:
         episodes = [point["episodes"] for point in result["curve"]]
         end = " (diverged)" if result["diverged"] else ""
         upper.plot(episodes, [p["reward"] for p in result["curve"]], label=result["form"] + end, **style)
-        lower.plot(episodes, [max(p["loss"], 1e-6) for p in result["curve"]], **style)
+        learnt = [point for point in result["curve"] if point["loss"] > 0]
+        lower.plot([point["episodes"] for point in learnt], [point["loss"] for point in learnt], **style)
         if result["diverged"] and episodes:
             lower.plot(episodes[-1:], [min(result["curve"][-1]["loss"], 1e12)], "x", color=style["color"], markersize=9)
     lower.set_yscale("log")
-    upper.set_ylabel("training reward of an episode, per agent")
+    upper.set_ylabel("training reward per agent")
     lower.set_ylabel("critic loss")
     lower.set_xlabel("episodes")
     figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=8)
