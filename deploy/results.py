@@ -25,24 +25,28 @@ def refreshed(document: str, text: str, root: Path) -> str:
     return f"{head}{begin}\n{block(json.loads((root / data).read_text(encoding='utf-8')))}{end}{tail}"
 
 
-def _run_block(run: dict[str, Any]) -> str:
+def _table(run: dict[str, Any], label: str) -> list[str]:
     shown = [result for result in run["evaluations"] if result["policy"] != "trained"]
     shown.sort(key=lambda result: -result["reward"]["mean"])
-    farms = shown[0]["farms"]
     rows = [
         "| policy | reward per agent | communication | monitoring | data collection | AoI | VDF |",
         "|---|---:|---:|---:|---:|---:|---:|",
     ]
     for result in shown:
         reward = result["reward"]
-        name = "**EIA-SEC, default preset**" if result["policy"] == RUN else result["policy"]
+        name = f"**{label}**" if result["policy"] == RUN else result["policy"]
         numbers = [f"{reward[key]:.0f}" for key in ("mean", "c", "m", "d")]
         rows.append(" | ".join(["", name, *numbers, f"{result['aoi']:.2f}", f"{result['vdf']:.2f}", ""]).strip())
+    return rows
+
+
+def _run_block(run: dict[str, Any]) -> str:
+    farms = run["evaluations"][0]["farms"]
     return "\n".join(
         [
             f"Noise-free, farms {farms[0]}..{farms[-1]}, which training never saw (it uses 0..19); one seed.",
             "",
-            *rows,
+            *_table(run, "EIA-SEC, default preset"),
             "",
             f"Made by `{run['command']}`, which is what `make train`",
             f"does today (seed {run['seed']}, commit {run['commit']}): {run['episodes']:,} episodes,",
@@ -52,6 +56,35 @@ def _run_block(run: dict[str, Any]) -> str:
             "[all results](docs/results/README.md).",
             "",
             "![Paths of all UAVs on an unseen farm](docs/results/default/trajectories.png)",
+            "",
+        ]
+    )
+
+
+def _paper_block(run: dict[str, Any]) -> str:
+    rounds, minutes = run["updates"], run["seconds"] / 60
+    return "\n".join(
+        [
+            f"`{run['command']}`, commit {run['commit']}, seed {run['seed']}: {run['episodes']} episodes,",
+            f"{run['environment_steps']:,} environment steps, {rounds:,} update rounds, {minutes:.0f} minutes.",
+            "",
+            *_table(run, "EIA-SEC, paper preset"),
+            "",
+        ]
+    )
+
+
+def _second_worker_block(data: dict[str, Any]) -> str:
+    steps, ledger = data["environment_steps_per_second"], data["ledger"]
+    one, two, after = (f"{steps[name]:,.0f}" for name in ("one_worker", "two_workers", "after_kill"))
+    names = ("produced", "accepted", "lost", "in_flight", "unexplained")
+    produced, accepted, lost, in_flight, unexplained = (f"{ledger[name]:,}" for name in names)
+    return "\n".join(
+        [
+            f"`{data['command']}` (commit {data['commit']}): one worker delivers {one} environment",
+            f"steps a second into replay, two deliver {two} ({data['gain']:.2f} times as many, on two cores that the",
+            f"learner shares), and after kill -9 of the second one goes on with {after}. Of {produced} steps",
+            f"{accepted} were accepted, {lost} lost, {in_flight} in flight at the end, {unexplained} unexplained.",
             "",
         ]
     )
@@ -80,6 +113,8 @@ def _forms_block(data: dict[str, Any]) -> str:
 
 BLOCKS: Final[dict[str, tuple[str, str, Callable[[dict[str, Any]], str]]]] = {
     "README.md": ("results", "docs/results/default/evaluation.json", _run_block),
+    "docs/results/README.md": ("paper", "docs/results/paper/evaluation.json", _paper_block),
+    "docs/architecture.md": ("second-worker", "docs/results/second_worker.json", _second_worker_block),
     "docs/method.md": ("forms", "docs/results/critic_forms/forms.json", _forms_block),
 }
 """For each document: the block's name, the data that it shows, and the function that writes it."""
