@@ -6,16 +6,39 @@ flat vector theta in this order, each matrix stored input-major:
     W1 [o, h], b1 [h], W2 [h, h], b2 [h], W3 [h, a], b3 [a]
 
 and the agents of a type are the rows of one [n_v, P] array, so that imitation is a blend of two rows.
+
+A Gaussian head has 2 a outputs: the mean m and, behind it, log s, held within LOG_DEVIATION. Its noise-free action is
+tanh(m); a sample is tanh(m + s n) with standard normal n. Without noise both heads are therefore the same function.
 """
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final, Literal, get_args
 
 import numpy as np
 
 from common.errors import SchemaError
 from common.seeds import stream
 from common.team import Float32, GroupSpec, TeamSpec
+
+Head = Literal["deterministic", "gaussian"]
+HEADS: Final[tuple[Head, ...]] = get_args(Head)
+LOG_DEVIATION: Final = (-20.0, 2.0)
+"""Range of the logarithm of a Gaussian head's standard deviation."""
+
+
+def head_outputs(action_size: int, head: Head) -> int:
+    """Return how many numbers an actor's last layer has."""
+    return 2 * action_size if head == "gaussian" else action_size
+
+
+def checked_head(name: str) -> Head:
+    """Return the head of that name; raise SchemaError when there is none."""
+    for head in HEADS:
+        if name == head:
+            return head
+    raise SchemaError(f"there is no actor head {name[:40]!r}.")
 
 
 def layer_shapes(inputs: int, hidden: int, outputs: int) -> list[tuple[int, ...]]:
@@ -74,42 +97,54 @@ class ActorBank:
         team: the layout.
         hidden: width of the hidden layers.
         flat: for each type, [n_v, P_v] float32, C-contiguous.
+        head: kind of the last layer.
     """
 
     team: TeamSpec
     hidden: int
     flat: tuple[Float32, ...]
+    head: Head = "deterministic"
 
     def __post_init__(self) -> None:
         """Raise SchemaError unless every array has the team's shape and is finite."""
         if len(self.flat) != len(self.team.groups):
             raise SchemaError(f"actors for {len(self.flat)} types given, the team has {len(self.team.groups)}.")
         for group, flat in zip(self.team.groups, self.flat, strict=True):
-            shape = (group.count, parameter_count(group.observation_size, self.hidden, group.action_size))
+            outputs = head_outputs(group.action_size, self.head)
+            shape = (group.count, parameter_count(group.observation_size, self.hidden, outputs))
             if flat.shape != shape or flat.dtype != np.float32 or not flat.flags.c_contiguous:
                 raise SchemaError(f"{group.name} actors are {flat.dtype}{list(flat.shape)}, not float32{list(shape)}.")
             if not np.isfinite(flat).all():
                 raise SchemaError(f"{group.name} actors hold a number that is not finite.")
 
     @classmethod
-    def initial(cls, team: TeamSpec, hidden: int, seed: int, *, per_type: bool = True) -> "ActorBank":
+    def initial(
+        cls, team: TeamSpec, hidden: int, seed: int, *, per_type: bool = True, head: Head = "deterministic"
+    ) -> "ActorBank":
         """Return fresh actors: one initialisation for each type, or for each agent (A4)."""
 
         def rows(group: GroupSpec) -> Float32:
             names = [0 if per_type else index for index in range(group.count)]
-            draw = [
-                initial_parameters(
-                    group.observation_size, hidden, group.action_size, stream(seed, "actor", group.name, name)
-                )
-                for name in names
-            ]
+            sizes = (group.observation_size, hidden, head_outputs(group.action_size, head))
+            draw = [initial_parameters(*sizes, stream(seed, "actor", group.name, name)) for name in names]
             return np.ascontiguousarray(np.stack(draw))
 
-        return cls(team, hidden, tuple(rows(group) for group in team.groups))
+        return cls(team, hidden, tuple(rows(group) for group in team.groups), head)
 
     def copy(self) -> "ActorBank":
         """Return a bank whose arrays are its own."""
-        return ActorBank(self.team, self.hidden, tuple(flat.copy() for flat in self.flat))
+        return ActorBank(self.team, self.hidden, tuple(flat.copy() for flat in self.flat), self.head)
+
+    def noise_free(self) -> "ActorBank":
+        """Return a bank with deterministic heads that acts as this one does without noise."""
+        if self.head == "deterministic":
+            return self
+        parts = []
+        for group, flat in zip(self.team.groups, self.flat, strict=True):
+            views = parameter_views(flat, group.observation_size, self.hidden, 2 * group.action_size)
+            views[4:] = [view[..., : group.action_size] for view in views[4:]]
+            parts.append(np.concatenate([view.reshape(group.count, -1) for view in views], axis=1))
+        return ActorBank(self.team, self.hidden, tuple(parts))
 
     def act(self, observations: Float32) -> Float32:
         """Return the noise-free actions of all agents.
@@ -120,17 +155,42 @@ class ActorBank:
         Returns:
             rows [E, A] float32 in [-1, 1].
         """
+        means = [head[..., : group.action_size] for group, head in self._heads(observations)]
+        return np.concatenate([np.tanh(mean).reshape(observations.shape[0], -1) for mean in means], axis=1)
+
+    def explore(self, observations: Float32, noise: Float32, deviation: float) -> Float32:
+        """Return the actions of all agents with exploration noise.
+
+        Args:
+            observations: rows [E, O] float32.
+            noise: rows [E, A] float32, standard normal.
+            deviation: standard deviation of the Gaussian that is added to a deterministic head's action; a Gaussian
+                head has its own.
+
+        Returns:
+            rows [E, A] float32 in [-1, 1].
+        """
+        if self.head == "deterministic":
+            noisy = self.act(observations) + np.float32(deviation) * noise
+            return np.clip(noisy, np.float32(-1), np.float32(1), out=noisy)
         parts = []
+        for (group, head), own in zip(self._heads(observations), self.team.split_actions(noise), strict=True):
+            size = group.action_size
+            scale = np.exp(np.clip(head[..., size:], np.float32(LOG_DEVIATION[0]), np.float32(LOG_DEVIATION[1])))
+            parts.append(np.tanh(head[..., :size] + scale * own).reshape(observations.shape[0], -1))
+        return np.concatenate(parts, axis=1)
+
+    def _heads(self, observations: Float32) -> Iterator[tuple[GroupSpec, Float32]]:
+        """Yield each type and the last layer's outputs [E, n_v, outputs] of its actors."""
         for group, flat, rows in zip(
             self.team.groups, self.flat, self.team.split_observations(observations), strict=True
         ):
-            w1, b1, w2, b2, w3, b3 = parameter_views(flat, group.observation_size, self.hidden, group.action_size)
+            outputs = head_outputs(group.action_size, self.head)
+            w1, b1, w2, b2, w3, b3 = parameter_views(flat, group.observation_size, self.hidden, outputs)
             x = np.ascontiguousarray(rows.transpose(1, 0, 2))
             h = np.maximum(np.matmul(x, w1) + b1[:, None], np.float32(0))
             h = np.maximum(np.matmul(h, w2) + b2[:, None], np.float32(0))
-            a = np.tanh(np.matmul(h, w3) + b3[:, None])
-            parts.append(a.transpose(1, 0, 2).reshape(observations.shape[0], -1))
-        return np.concatenate(parts, axis=1)
+            yield group, (np.matmul(h, w3) + b3[:, None]).transpose(1, 0, 2)
 
     def digest(self) -> str:
         """Return the SHA-256 of all parameters, in hexadecimal."""

@@ -17,11 +17,14 @@ from typing import Any, Final, Self
 import zenoh
 from zenoh import ext
 
+from common.credentials import Credentials
 from common.endpoint import Endpoint, Lane
 from common.errors import BusClosedError, BusError, EndpointError, ForkedProcessError
+from common.handshake import complaint, silence
+from common.zenoh_config import Values, connecting, listening
 
-LEASE_MS: Final = 4000
-"""A frozen peer counts as gone after this time."""
+LIVING_SECONDS: Final = 1.0
+"""Longest wait for the tokens that stand."""
 POLL_SECONDS: Final = 0.002
 """Pause between two looks at a channel while waiting with a time limit."""
 
@@ -64,15 +67,22 @@ class Incoming:
 
 
 class Server:
-    """Requests on one key expression, in order of arrival, at most `capacity` of them waiting."""
+    """Requests on one key expression, in order of arrival, at most `capacity` of them waiting.
+
+    Attributes:
+        wild: requests that were refused because their key held a wildcard.
+    """
 
     def __init__(self, queryable: Any) -> None:
         self._queryable = queryable
+        self.wild = 0
 
     def poll(self) -> Incoming | None:
         """Return the next request, or None when there is none now."""
-        query = self._queryable.handler.try_recv()
-        return None if query is None else Incoming(query)
+        while (query := self._queryable.handler.try_recv()) is not None:
+            if (incoming := self._concrete(query)) is not None:
+                return incoming
+        return None
 
     def __iter__(self) -> Iterator[Incoming]:
         """Yield requests until the bus is closed."""
@@ -81,23 +91,38 @@ class Server:
                 query = self._queryable.handler.recv()
             except zenoh.ZError:
                 return
-            yield Incoming(query)
+            if (incoming := self._concrete(query)) is not None:
+                yield incoming
+
+    def _concrete(self, query: zenoh.Query) -> Incoming | None:
+        incoming = Incoming(query)
+        if "*" not in incoming.key:
+            return incoming
+        self.wild += 1
+        incoming.refuse("a request needs a key without wildcards.")
+        return None
 
 
 class Subscription:
-    """Samples of one key expression."""
+    """Samples of one key expression.
+
+    Attributes:
+        missed: samples that were overtaken or lost.
+        wild: samples that were dropped because their key held a wildcard.
+    """
 
     def __init__(self, subscriber: Any, misses: Any = None) -> None:
         self._subscriber = subscriber
         self._misses = misses
-        self.missed = 0
+        self.missed = self.wild = 0
 
     def poll(self) -> Sample | None:
         """Return the next sample, or None when there is none now."""
         if self._misses is not None:
             while (miss := self._misses.try_recv()) is not None:
                 self.missed += miss.nb
-        sample = self._subscriber.handler.try_recv()
+        while (sample := self._subscriber.handler.try_recv()) is not None and "*" in str(sample.key_expr):
+            self.wild += 1
         if sample is None:
             return None
         attachment = sample.attachment.to_bytes() if sample.attachment is not None else b""
@@ -127,12 +152,16 @@ class Publisher:
 class Bus:
     """One Zenoh session on one lane; use it as a context manager.
 
+    Attributes:
+        credentials: this process's certificate, or None without TLS.
+
     Raises (every method):
         ForkedProcessError: in a process other than the one that opened it.
         BusClosedError: after `close`.
     """
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, credentials: Credentials | None = None) -> None:
+        self.credentials = credentials
         self._session = session
         self._pid = os.getpid()
         self._closed = threading.Event()
@@ -141,7 +170,7 @@ class Bus:
     def listen(cls, endpoint: Endpoint, lane: Lane) -> "Bus":
         """Open a session that others connect to; raise EndpointError when the address is taken or not ours."""
         try:
-            return cls(zenoh.open(_config("peer", listen=endpoint.locator(lane))))
+            return cls(_open(listening(endpoint, lane)), endpoint.credentials)
         except zenoh.ZError as error:
             raise EndpointError(
                 f"cannot listen on {endpoint.locator(lane)}: the address is taken or not of this machine."
@@ -160,15 +189,18 @@ class Bus:
             waiting: asked between two tries; False gives up at once.
 
         Raises:
-            EndpointError: when nobody answers there in that time.
+            EndpointError: when nobody answers there in that time, and at once when one side does not accept the
+                other's certificate.
         """
         deadline = time.monotonic() + wait
         while True:
             try:
-                return cls(zenoh.open(_config("client", connect=endpoint.locator(lane))))
+                return cls(_open(connecting(endpoint, lane)), endpoint.credentials)
             except zenoh.ZError as error:
+                if (reason := complaint(endpoint, lane)) is not None:
+                    raise EndpointError(reason) from error
                 if time.monotonic() >= deadline or not waiting():
-                    raise EndpointError(f"nobody answers at {endpoint.locator(lane)}.") from error
+                    raise EndpointError(silence(endpoint, lane)) from error
                 time.sleep(0.2)
 
     def serve(self, key: str, capacity: int) -> Server:
@@ -270,6 +302,11 @@ class Bus:
             self._open().liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(capacity), history=True)
         )
 
+    def living(self, key: str) -> list[str]:
+        """Return the liveliness tokens that stand now, by their keys."""
+        replies = self._open().liveliness().get(key, zenoh.handlers.FifoChannel(64), timeout=LIVING_SECONDS)
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
     def close(self) -> None:
         """Close the session; waiting threads end. Closing twice is no error."""
         if not self._closed.is_set():
@@ -293,20 +330,8 @@ class Bus:
         self.close()
 
 
-def _config(mode: str, listen: str | None = None, connect: str | None = None) -> zenoh.Config:
+def _open(values: Values) -> zenoh.Session:
     config = zenoh.Config()
-    values: dict[str, Any] = {
-        "mode": mode,
-        "listen/endpoints": [listen] if listen else [],
-        "listen/exit_on_failure": True,
-        "connect/endpoints": [connect] if connect else [],
-        "connect/timeout_ms": 1000,
-        "connect/exit_on_failure": True,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/link/tx/lease": LEASE_MS,
-        "transport/shared_memory/enabled": False,
-    }
     for key, value in values.items():
         config.insert_json5(key, json.dumps(value))
-    return config
+    return zenoh.open(config)

@@ -9,12 +9,17 @@ from common.transitions import Chunk, EpisodeSummary, Rows
 
 MAX_EPISODES = 4096
 """Most episodes that one chunk may finish."""
+MAX_FIGURES = 64
+"""Most figures of an episode."""
+MAX_NAME = 64
+"""Most characters of a figure's name."""
 
 
 def to_message(chunk: Chunk, team: TeamSpec, oldest: int, produced: int, flown: int) -> ChunkMessage:
     """Return the message of a chunk; see `ChunkMessage` for `oldest`, `produced` and `flown`."""
     done = chunk.episodes
-    figures = [[e.aoi, e.vdf, e.collisions, e.boundary, e.energy_j] for e in done]
+    names = tuple(done[0].figures) if done else ()
+    figures = [[e.figures[name] for name in names] for e in done]
     rewards = [e.reward for e in done]
     return ChunkMessage(
         team=team.digest,
@@ -29,7 +34,8 @@ def to_message(chunk: Chunk, team: TeamSpec, oldest: int, produced: int, flown: 
         episode=np.array([e.episode for e in done], np.int64),
         steps=np.array([e.steps for e in done], np.int64),
         episode_reward=np.array(rewards, np.float32).reshape(len(done), team.agents),
-        episode_figures=np.array(figures, np.float64).reshape(len(done), 5),
+        episode_figures=np.array(figures, np.float64).reshape(len(done), len(names)),
+        figure_names=names,
     )
 
 
@@ -45,8 +51,11 @@ def from_message(message: ChunkMessage, team: TeamSpec) -> Chunk:
     rows = Rows(message.observation, message.action, message.reward, message.flag)
     rows.check(team)
     count = message.farm.shape[0] if message.farm.ndim == 1 else -1
+    names = message.figure_names
+    if len(names) > MAX_FIGURES or len(set(names)) != len(names) or any(len(name) > MAX_NAME for name in names):
+        raise SchemaError("the finished episodes' figures have impossible names.")
     shapes = (message.episode.shape, message.steps.shape, message.episode_reward.shape, message.episode_figures.shape)
-    if not 0 <= count <= MAX_EPISODES or shapes != ((count,), (count,), (count, team.agents), (count, 5)):
+    if not 0 <= count <= MAX_EPISODES or shapes != ((count,), (count,), (count, team.agents), (count, len(names))):
         raise SchemaError("the finished episodes' arrays do not fit together.")
     if not (np.isfinite(message.episode_reward).all() and np.isfinite(message.episode_figures).all()):
         raise SchemaError("a finished episode holds a number that is not finite.")
@@ -56,7 +65,7 @@ def from_message(message: ChunkMessage, team: TeamSpec) -> Chunk:
             int(message.episode[k]),
             int(message.steps[k]),
             tuple(message.episode_reward[k].tolist()),
-            *message.episode_figures[k].tolist(),
+            dict(zip(names, message.episode_figures[k].tolist(), strict=True)),
         )
         for k in range(count)
     )

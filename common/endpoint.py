@@ -7,9 +7,11 @@ delays even urgent messages on the same link, so the lanes never share one.
 import ipaddress
 import re
 import socket
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final, Literal
 
+from common.credentials import Credentials, load
 from common.errors import EndpointError
 
 Lane = Literal["control", "bulk"]
@@ -26,19 +28,35 @@ class Endpoint:
         protocol: tcp or tls.
         host: name or address; IPv6 in brackets.
         port: port of the control lane; the bulk lane has the next one.
+        credentials: this process's certificate, when the protocol is tls.
     """
 
     protocol: str
     host: str
     port: int
+    credentials: Credentials | None = None
 
     @classmethod
-    def parse(cls, text: str) -> "Endpoint":
-        """Parse "tcp/HOST:PORT"; raise EndpointError with one sentence when it is none."""
+    def parse(cls, text: str, tls: Path | None = None) -> "Endpoint":
+        """Parse "tcp/HOST:PORT".
+
+        Args:
+            text: the endpoint.
+            tls: folder of this process's certificate; the protocol is tls then, whatever the text says.
+
+        Raises:
+            EndpointError: when it is none, or asks for TLS without a certificate.
+            CredentialsError: when the certificate cannot be used.
+        """
         match = _FORM.fullmatch(text)
         if match is None or not 1 <= int(match[3]) <= 65_534:
             raise EndpointError(f"{text!r} is not an endpoint; write tcp/HOST:PORT with a port of 1 to 65534.")
-        return cls(match[1], match[2], int(match[3]))
+        endpoint = cls(match[1], match[2], int(match[3]))
+        if tls is not None:
+            return replace(endpoint, protocol="tls", credentials=load(tls))
+        if endpoint.protocol == "tls":
+            raise EndpointError(f"{text} needs a certificate: --tls FOLDER, made by `eia-sec keys issue`.")
+        return endpoint
 
     def locator(self, lane: Lane) -> str:
         """Return the Zenoh locator of a lane."""
@@ -56,9 +74,10 @@ class Endpoint:
 
     def require_private(self, insecure: bool) -> None:
         """Raise EndpointError when listening here would let strangers in without authentication."""
-        if not (self.is_loopback or insecure):
+        if not (self.is_loopback or insecure or self.credentials is not None):
             raise EndpointError(
-                f"listening on {self} would let anybody who reaches it join the run; add --insecure if that is meant."
+                f"listening on {self} would let anybody who reaches it join the run, read it and steer it; give a "
+                "certificate with --tls FOLDER (see docs/security.md), or add --insecure if that is meant."
             )
 
     def __str__(self) -> str:

@@ -4,6 +4,7 @@ EiaSecError
 ├── UsageError                 a user's mistake: one clear sentence, exit code 2
 │   ├── ConfigError            an unknown key, an impossible value
 │   ├── EndpointError          an endpoint that is taken, dead or malformed
+│   │   └── CredentialsError   a certificate or key that is missing, open to others, expired or somebody else's
 │   ├── RunDirError            a run directory that is missing, in use or of another configuration
 │   └── PolicyError            a policy name or file that cannot be used
 ├── ProtocolError              something received that is not what was declared
@@ -33,6 +34,10 @@ class ConfigError(UsageError):
 
 class EndpointError(UsageError):
     """An endpoint that is malformed, already taken, or where nobody answers."""
+
+
+class CredentialsError(EndpointError):
+    """A certificate or key that cannot be used: missing, readable by others, expired, or of another process."""
 
 
 class RunDirError(UsageError):

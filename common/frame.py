@@ -68,12 +68,12 @@ def decode(data: bytes, kind: int) -> tuple[dict[str, Any], dict[str, Array]]:
     """
     if not _PREFIX.size <= len(data) <= MAX_FRAME:
         raise FrameError(f"{len(data)} bytes are no frame.")
-    magic, protocol, found, _, header_size, body_size, crc = _PREFIX.unpack_from(data)
+    magic, protocol, found, reserved, header_size, body_size, crc = _PREFIX.unpack_from(data)
     if magic != _MAGIC:
         raise FrameError("the bytes do not begin like a frame.")
     if protocol != PROTOCOL:
         raise VersionError(f"the frame speaks protocol {protocol}, this process {PROTOCOL}.")
-    if found != kind:
+    if found != kind or reserved != 0:
         raise FrameError(f"the frame is of kind {found}, not {kind}.")
     if header_size > MAX_HEADER or _PREFIX.size + header_size + body_size != len(data):
         raise FrameError("the frame's length is not what its prefix says.")

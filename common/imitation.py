@@ -6,16 +6,27 @@ where the learner's count of applied events stands.
 
 from dataclasses import dataclass
 
-from common.config import EliteConfig
+from common.config import EliteConfig, RunConfig
 from common.errors import SchemaError
 from common.team import TeamSpec
 
 
 @dataclass(frozen=True)
 class ImitationSchedule:
-    """The decay of vartheta and the growth of delta, Algorithm 1 with reading A1."""
+    """The decay of vartheta and the growth of delta, Algorithm 1 with reading A1.
+
+    Attributes:
+        config: the settings.
+        enabled: whether the algorithm has imitation.
+    """
 
     config: EliteConfig
+    enabled: bool = True
+
+    @classmethod
+    def of(cls, config: RunConfig) -> "ImitationSchedule":
+        """Return a run's schedule; nothing ever falls due in an algorithm without imitation."""
+        return cls(config.elite, config.algorithm.has_imitation)
 
     def rate(self, event: int) -> float:
         """Return vartheta of event number `event` (1 is the first)."""
@@ -27,7 +38,7 @@ class ImitationSchedule:
 
     def due_episode(self, event: int) -> int | None:
         """Return the episode lambda at which event number `event` falls due, or None when it never does."""
-        if not self.config.enabled:
+        if not (self.enabled and self.config.enabled):
             return None
         episode = 0
         for number in range(1, event + 1):

@@ -128,7 +128,8 @@ class ChunkMessage(Message):
         observation, action, reward, flag: the rows, see `common.transitions.Rows`.
         farm, episode, steps: [K] int64 for each finished episode.
         episode_reward: [K, agents] float32.
-        episode_figures: [K, 5] float64: aoi, vdf, collisions, boundary, energy_j.
+        episode_figures: [K, F] float64, what else each episode came to.
+        figure_names: F names.
     """
 
     KIND = 2
@@ -145,6 +146,7 @@ class ChunkMessage(Message):
     steps: NDArray[np.int64]
     episode_reward: Float32
     episode_figures: NDArray[np.float64]
+    figure_names: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,7 @@ class ChunkAck(Message):
     """The learner's answer to a chunk.
 
     Attributes:
-        status: accepted, duplicate, gap, refused or closed (the learner takes no more).
+        status: accepted, duplicate, gap, damaged (send it again), refused or closed (the learner takes no more).
         expected: the next sequence number that the learner takes from this worker.
         required_version: parameter version that the worker must hold before its next chunk; 0 asks for none.
         reason: why it was refused, else empty.
@@ -177,6 +179,7 @@ class ParametersMessage(Message):
         progress: share of the run's episodes that are done, 0..1.
         team: digest of the team layout.
         hidden: width of the hidden layers.
+        head: kind of the last layer, deterministic or gaussian.
         flat: for each type, [n_v, P_v] float32, see `common.actors`.
     """
 
@@ -188,6 +191,7 @@ class ParametersMessage(Message):
     progress: float
     team: str
     hidden: int
+    head: str
     flat: tuple[Float32, ...]
 
 
@@ -230,12 +234,14 @@ class ConfigurationMessage(Message):
     Attributes:
         epoch: the learner's fencing epoch.
         toml: the run's configuration.
+        team: the team's layout, see `common.team.TeamSpec.to_dict`.
         lockstep: whether worker and learner take turns.
     """
 
     KIND = 7
     epoch: int
     toml: str
+    team: dict[str, Any]
     lockstep: bool
 
 
@@ -275,13 +281,15 @@ class EvaluationResult(Message):
     Attributes:
         event: the imitation event that they are for.
         version: parameter version that was evaluated.
-        reward: [F, T, agents] float32 step rewards R_v-i.
+        reward: [F, T, agents] float32 step rewards R_v-i; zeros behind the end of a shorter episode.
+        steps: [F] int64 steps of each episode, at most T.
     """
 
     KIND = 10
     event: int
     version: int
     reward: Float32
+    steps: NDArray[np.int64]
 
 
 @dataclass(frozen=True)

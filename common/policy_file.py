@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from common.actors import ActorBank, parameter_count
+from common.actors import ActorBank, Head, checked_head, head_outputs, parameter_count
 from common.errors import EiaSecError, PolicyError
 from common.team import TeamSpec
 
@@ -26,7 +26,7 @@ FORMAT: Final = "eia-sec policy 1"
 MAX_FILE_BYTES: Final = 256 * 2**20
 MAX_HEADER_BYTES: Final = 64 * 2**10
 MAX_HIDDEN: Final = 65_536
-RESERVED: Final = ("format", "team", "hidden", "digest")
+RESERVED: Final = ("format", "team", "hidden", "head", "digest")
 """Metadata keys that this module writes itself."""
 _ITEM_BYTES: Final = {"F32": 4, "F16": 2}
 
@@ -55,6 +55,7 @@ def save_policy(path: Path, bank: ActorBank, metadata: Mapping[str, str], *, hal
         "format": FORMAT,
         "team": json.dumps(bank.team.to_dict()),
         "hidden": str(bank.hidden),
+        "head": bank.head,
         "digest": _digest(stored),
     }
     names = [group.name for group in bank.team.groups]
@@ -77,12 +78,13 @@ def load_policy(path: Path) -> tuple[ActorBank, dict[str, str]]:
     try:
         header, metadata = _header(data)
         team, hidden = TeamSpec.from_dict(json.loads(metadata["team"])), int(metadata["hidden"])
-        _compare(header, team, hidden, len(data))
+        head = checked_head(metadata.get("head", "deterministic"))  # older files have no other
+        _compare(header, team, hidden, head, len(data))
         tensors = load(data)
         stored = [tensors[group.name] for group in team.groups]
         if _digest(stored) != metadata["digest"]:
             raise PolicyError("its numbers are not those that were saved")
-        bank = ActorBank(team, hidden, tuple(np.ascontiguousarray(flat, dtype=np.float32) for flat in stored))
+        bank = ActorBank(team, hidden, tuple(np.ascontiguousarray(flat, dtype=np.float32) for flat in stored), head)
     except (EiaSecError, SafetensorError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")
         raise PolicyError(f"{path} is not a whole policy file: {reason}.") from error
@@ -113,14 +115,15 @@ def _header(data: bytes) -> tuple[dict[str, Any], dict[str, str]]:
     return header, metadata
 
 
-def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, size: int) -> None:
+def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, head: Head, size: int) -> None:
     """Raise PolicyError unless the header promises this team's tensors and the file's size fits them."""
     if not 1 <= hidden <= MAX_HIDDEN or set(header) != {group.name for group in team.groups}:
         raise PolicyError("its tensors are not those of its team")
     expected = 0
     for group in team.groups:
         entry = header[group.name]
-        shape = [group.count, parameter_count(group.observation_size, hidden, group.action_size)]
+        outputs = head_outputs(group.action_size, head)
+        shape = [group.count, parameter_count(group.observation_size, hidden, outputs)]
         if entry["dtype"] not in _ITEM_BYTES or entry["shape"] != shape:
             raise PolicyError(f"its {group.name} actors are {entry['dtype']}{entry['shape']}, not floats {shape}")
         expected += _ITEM_BYTES[entry["dtype"]] * shape[0] * shape[1]

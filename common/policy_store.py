@@ -1,6 +1,6 @@
 """A process's own copy of the actors: which parameters it takes, and when it applies an imitation event to them."""
 
-from common.actors import ActorBank, imitate
+from common.actors import ActorBank, checked_head, imitate
 from common.errors import VersionError
 from common.imitation import ImitationEvent
 from common.messages import ParametersMessage
@@ -49,7 +49,8 @@ class PolicyStore:
         if (message.epoch, message.version) <= (self.epoch, self.version):
             self.stale += 1
             return False
-        bank = ActorBank(self.team, message.hidden, tuple(flat.copy() for flat in message.flat))
+        arrays = tuple(flat.copy() for flat in message.flat)
+        bank = ActorBank(self.team, message.hidden, arrays, checked_head(message.head))
         self.bank, self.epoch, self.version, self.event = bank, message.epoch, message.version, message.event
         self.environment_steps, self.progress = message.environment_steps, message.progress
         self._apply()

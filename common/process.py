@@ -19,6 +19,8 @@ from common.messages import CommandMessage, ConfigurationMessage, Envelope, Metr
 SUPERVISOR: Final = "EIA_SEC_SUPERVISOR"
 """Environment variable with the process number of the supervisor, whose death is a reason to stop."""
 ORPHAN_SECONDS: Final = 0.5
+QUICK_SECONDS: Final = 1.0
+"""A request that is empty sooner than this was taken by nobody."""
 
 
 class StopSignal:
@@ -110,6 +112,7 @@ def fetch_configuration(
     key = keys.COMMAND.key(run, verb="configuration")
     told = time.monotonic()
     while keep_waiting():
+        asked = time.monotonic()
         try:
             answer = bus.ask(key, CommandMessage(sender).encode(), timeout=5.0)
         except BusError as error:
@@ -118,10 +121,26 @@ def fetch_configuration(
         if answer is not None:
             return ConfigurationMessage.decode(answer)
         if time.monotonic() - told > patience:
-            log(f"waiting for a learner of run {run}.")
+            # A learner that is busy lets the time run out; one that we may not reach looks like none at once.
+            quick = time.monotonic() - asked < QUICK_SECONDS
+            log((denial(bus, run, key) if quick else None) or f"waiting for a learner of run {run}.")
             told = time.monotonic()
         time.sleep(0.2)
     return None
+
+
+def denial(bus: Bus, run: str, key: str) -> str | None:
+    """Return a sentence on a key that nobody serves for this process although a learner of the run lives, or None.
+
+    That a learner lives is seen by everybody who has a certificate; a request that the access list denies looks as if
+    nobody took it.
+    """
+    if bus.credentials is None or not bus.living(keys.LIVE.pattern(run, role="learner")):
+        return None
+    return (
+        f"denied: a learner of run {run} lives, and {key} is closed to {bus.credentials}. The listener's access list "
+        "does not let this process in; copy the authority's members.txt to the listener and start that again."
+    )
 
 
 def connect(endpoint: Endpoint, lane: Any, stop: StopSignal, patience: float) -> Bus:

@@ -22,6 +22,8 @@ Float32 = NDArray[np.float32]
 COMMUNICATION: Final = "communication"
 MONITORING: Final = "monitoring"
 COLLECTION: Final = "collection"
+LETTERS: Final = {COMMUNICATION: "c", MONITORING: "m", COLLECTION: "d"}
+"""The farm's types by the paper's letters."""
 
 COMMUNICATION_OBSERVATION: Final = 17
 """Own (x, y); nearest relay, relay centroid, served centroid, farthest served, nearest UAV as (dx, dy, distance)."""
@@ -82,6 +84,11 @@ class TeamSpec:
     def action_size(self) -> int:
         """Numbers in one row of actions."""
         return sum(group.count * group.action_size for group in self.groups)
+
+    @property
+    def agent_names(self) -> tuple[str, ...]:
+        """Names of all agents in row order: the type and the number inside it, "communication_0" for instance."""
+        return tuple(f"{group.name}_{index}" for group in self.groups for index in range(group.count))
 
     def agent_slices(self) -> tuple[slice, ...]:
         """Return, for each type, where its agents lie among all agents."""

@@ -5,6 +5,7 @@ t did; the last row holds the final observation alone. So each observation is st
 row t is row t + 1, and a segment may be cut anywhere, at a chunk's border or at an episode's end.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -20,6 +21,13 @@ TERMINATED: Final = 2
 """Flag bit: the step of this row ended in a terminal state; nothing is bootstrapped from its successor."""
 TRUNCATED: Final = 4
 """Flag bit: the step of this row was the episode's last by its time limit; its successor is bootstrapped from."""
+
+_ENDS: Final = TERMINATED | TRUNCATED
+
+FARM_FIGURES: Final = ("aoi", "vdf", "collisions", "boundary", "energy_j")
+"""Of a farm's episode: mean AoI over sensors and steps and mean VDF over plots and steps, units; UAV steps spent closer
+than the collision distance to a UAV of the same plane; UAV steps that ran against the field's edge; energy of all
+UAVs, J."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +64,25 @@ class Rows:
                 raise SchemaError(f"{name} is {array.dtype}{list(array.shape)}, not float32{list(shape)}.")
             if not np.isfinite(array).all():
                 raise SchemaError(f"{name} holds a number that is not finite.")
-        if rows < 2 or self.flag.dtype != np.uint8 or (self.flag > 7).any() or self.flag[-1] & TRANSITION:
+        if rows < 2 or self.flag.dtype != np.uint8 or not _lawful(self.flag):
             raise SchemaError("the flags are not those of whole segments.")
         if (np.abs(self.action) > 1.0).any():
             raise SchemaError("an action lies outside [-1, 1].")
+
+
+def _lawful(flag: NDArray[np.uint8]) -> bool:
+    """Return whether rows are segments: steps, at most the last of which ends its episode, and one row behind them."""
+    steps, ends = (flag & TRANSITION) != 0, flag & _ENDS
+    behind = ~steps[1:]
+    return not (
+        (flag > (TRANSITION | _ENDS)).any()
+        or steps[-1]
+        or not steps[0]
+        or (ends == _ENDS).any()
+        or (ends[~steps] != 0).any()
+        or (~steps[:-1] & behind).any()
+        or ((ends[:-1] != 0) & ~behind).any()
+    )
 
 
 @dataclass(frozen=True)
@@ -67,26 +90,19 @@ class EpisodeSummary:
     """What one finished episode came to.
 
     Attributes:
-        farm: the farm's seed.
+        farm: seed of the farm, or of another environment's scenario.
         episode: the episode's seed.
         steps: environment steps.
         reward: [agents] sum of each agent's rewards.
-        aoi: mean AoI over all sensors and steps, units.
-        vdf: mean VDF over all plots and steps, units.
-        collisions: UAV steps spent closer than the collision distance to a UAV of the same plane.
-        boundary: UAV steps that ran against the field's edge.
-        energy_j: energy of all UAVs, J.
+        figures: what else the environment tells of an episode, by name; the same names for all its episodes. The
+            farm's are FARM_FIGURES.
     """
 
     farm: int
     episode: int
     steps: int
     reward: tuple[float, ...]
-    aoi: float
-    vdf: float
-    collisions: float
-    boundary: float
-    energy_j: float
+    figures: Mapping[str, float]
 
 
 @dataclass(frozen=True)

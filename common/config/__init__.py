@@ -1,5 +1,6 @@
 """Frozen configuration dataclasses; every field has a docstring with unit and symbol."""
 
+from common.config.environment import EnvConfig
 from common.config.farm import (
     CameraConfig,
     EnergyConfig,
@@ -18,6 +19,7 @@ __all__ = [
     "CameraConfig",
     "EliteConfig",
     "EnergyConfig",
+    "EnvConfig",
     "EvaluationConfig",
     "ExplorationConfig",
     "FarmConfig",

@@ -9,7 +9,11 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from common.config.checks import finite, not_negative, positive, within
+from common.config.sites import MAX_SENSORS, Sites, check_sites
 from common.errors import ConfigError
+
+Density = Literal["irregular", "uniform", "clustered", "banded", "patchy", "mixed"]
+"""How sensors are spread over a field."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,11 @@ class WorldConfig:
     sensors: int = 400
     """Number of wireless sensors, n_WS (1 to 10,000)."""
     sensor_spacing: float = 10.0
-    """Least distance between two sensors, m (ours)."""
+    """Least distance between two sensors that are thrown, m (ours)."""
+    density: Density = "irregular"
+    """Where sensors are dense: hills, everywhere alike, islands, crop rows, parts left empty, or by the farm (ours)."""
+    sites: Sites = ()
+    """Given places of the sensors instead, [x, y] in m or [x, y, type]; `--farm-file` fills it; no option (ours)."""
     sensor_cycles: tuple[int, ...] = (40, 50, 60)
     """AoI update cycle T_UA of each sensor type, s; their number is I_type."""
     plots_x: int = 20
@@ -72,7 +80,7 @@ class WorldConfig:
             monitoring_uavs=self.monitoring_uavs,
             collection_uavs=self.collection_uavs,
         )
-        within(1, 10_000, sensors=self.sensors)
+        within(1, MAX_SENSORS, sensors=self.sensors)
         within(1, 256, plots_x=self.plots_x, plots_y=self.plots_y)
         positive(
             field_x=self.field_x,
@@ -94,6 +102,7 @@ class WorldConfig:
             steps = cycle / self.step_seconds
             if abs(steps - round(steps)) > 1e-9 or round(steps) < 1:
                 raise ConfigError(f"a cycle of {cycle} s is not a whole number of steps of {self.step_seconds} s.")
+        check_sites(self.sites, self.sensors, self.field_x, self.field_y, len(self.sensor_cycles))
 
     @property
     def uavs(self) -> int:

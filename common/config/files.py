@@ -8,17 +8,22 @@ import dataclasses
 import difflib
 import hashlib
 import json
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from common.config.run import RunConfig
+from common.config.sites import MAX_SENSORS, Sites
 from common.errors import ConfigError
 
 _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
 
-Value = bool | int | float | str | tuple[int, ...]
+Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], ...]
 """What a field that is not a section holds."""
+
+_LONG: Final = 8
+"""A list with more entries than this is not shown whole in a sentence."""
 
 
 def flatten(config: Any) -> dict[str, Value]:
@@ -68,9 +73,7 @@ def differences(a: RunConfig, b: RunConfig) -> list[str]:
     """Return one line `dotted.key: a -> b` for each field in which two configurations differ."""
     other = flatten(b)
     return [
-        f"{key}: {format_value(value)} -> {format_value(other[key])}"
-        for key, value in flatten(a).items()
-        if value != other[key]
+        f"{key}: {_brief(value)} -> {_brief(other[key])}" for key, value in flatten(a).items() if value != other[key]
     ]
 
 
@@ -138,6 +141,8 @@ def _convert(key: str, value: Any, wanted: Any) -> Value:
         if value not in choices or type(value) is not type(choices[0]):
             raise ConfigError(f"{key} must be one of {', '.join(map(format_value, choices))}, not {_show(value)}.")
         return choices[choices.index(value)]
+    if wanted == Sites:
+        return _sites(key, value)
     if get_origin(wanted) is tuple:
         if not isinstance(value, list) or any(type(item) is not int for item in value):
             raise ConfigError(f"{key} must be a list of whole numbers, not {_show(value)}.")
@@ -150,10 +155,29 @@ def _convert(key: str, value: Any, wanted: Any) -> Value:
     return converted
 
 
+def _sites(key: str, value: Any) -> Sites:
+    """Return a TOML list of places, whole numbers as numbers; what the places mean is checked by their section."""
+    if not isinstance(value, list) or len(value) > MAX_SENSORS:
+        raise ConfigError(f"{key} must be a list of at most {MAX_SENSORS} places, not {_show(value)}.")
+    for site in value:
+        if not isinstance(site, list) or any(type(number) not in (int, float) for number in site):
+            raise ConfigError(f"{key} must be a list of places [x, y] or [x, y, type], not of {_show(site)}.")
+        if any(abs(number) > sys.float_info.max for number in site):
+            raise ConfigError(f"{key} names a number that is too large.")
+    return tuple(tuple(float(number) for number in site) for site in value)
+
+
+def _brief(value: Value) -> str:
+    """Return a value for a sentence."""
+    return f"a list of {len(value)}" if isinstance(value, tuple) and len(value) > _LONG else format_value(value)
+
+
 def _show(value: Any) -> str:
     """Return a TOML value for an error message, tables and dates included."""
     if isinstance(value, dict):
         return "a section"
+    if isinstance(value, list) and len(value) > _LONG:
+        return f"a list of {len(value)}"
     if isinstance(value, list):
         return "[" + ", ".join(map(_show, value)) + "]"
     return format_value(value) if isinstance(value, bool | int | float | str) else str(value)

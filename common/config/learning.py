@@ -1,20 +1,33 @@
 """The method: actors, critics, the shared ensemble critic, elite imitation, replay and exploration."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from common.config.checks import finite, not_negative, positive, within
 from common.errors import ConfigError
 
+AlgorithmName = Literal["eia-sec", "eia", "sec", "base", "maddpg", "matd3", "masac"]
+WITH_ENSEMBLE: Final = ("eia-sec", "sec")
+"""Algorithms with a shared ensemble critic."""
+WITH_IMITATION: Final = ("eia-sec", "eia")
+"""Algorithms whose agents imitate elites."""
+LOCAL_CRITICS: Final = ("eia-sec", "eia", "sec", "base")
+"""Algorithms whose critics see their own agent alone unless told otherwise (A11)."""
+
 
 @dataclass(frozen=True)
 class AlgorithmConfig:
-    """Networks, losses and rates of the learner; the readings are A4 to A12."""
+    """The algorithm, its networks, losses and rates; readings A4 to A12, equations in docs/algorithms.md."""
 
+    name: AlgorithmName = "eia-sec"
+    """The algorithm: EIA-SEC, its ablations without SEC (eia), without imitation (sec) and without both (base), or
+    a peer. It takes the ensemble and imitation only where it has them and `ensemble` and `elite.enabled` are on."""
     hidden: int = 64
     """Width of both hidden layers of every network (ours)."""
     discount: float = 0.97
     """Discount rate gamma; the paper prints 0.99."""
+    n_step: int = 1
+    """Steps whose rewards stand in a target before it bootstraps, 1..10; cut at an episode's end."""
     batch: int = 128
     """Transitions in a batch, B."""
     actor_rate: float = 1e-4
@@ -25,8 +38,14 @@ class AlgorithmConfig:
     """Soft update parameter xi of the target networks, eq. (xt)."""
     reward_scale: float = 0.1
     """Factor on every reward before it enters a target (ours)."""
+    reward_normalisation: bool = False
+    """Divide each type's rewards by their running standard deviation, before `reward_scale` (ours)."""
+    observation_normalisation: bool = False
+    """Standardise each type's observations by their running mean and deviation; actors carry it (ours)."""
+    gradient_clip: float = 0.0
+    """Largest norm of one network's gradient; 0 for any (ours)."""
     ensemble: bool = True
-    """Whether the shared ensemble critic takes part; without it the mixture is the local critic alone."""
+    """Whether the shared ensemble critic takes part in eia-sec and sec; without it the mixture is the local critic."""
     ensemble_members: int = 2
     """Members of a type's SEC, k_s."""
     mixture_epsilon: float = 0.1
@@ -40,22 +59,56 @@ class AlgorithmConfig:
     bootstrap: Literal["mixture", "local"] = "mixture"
     """What the target bootstraps from: the mixture of targets, or the printed Q'_i alone (A8)."""
     target_actor: bool = False
-    """Whether a target actor chooses the next action (A5)."""
+    """Whether a target actor chooses the next action in EIA-SEC and its ablations (A5); MADDPG and MATD3 have one."""
     actor_objective: Literal["mixture", "local"] = "mixture"
     """What the actor climbs: the mixture, or the printed Q_i alone (A9)."""
-    critic_scope: Literal["local", "joint"] = "local"
-    """Critics see their own observation and action, or those of all agents (A11)."""
+    critic_scope: Literal["algorithm", "local", "joint"] = "algorithm"
+    """Critics see their own observation and action, or those of all agents, or what the algorithm prefers: EIA-SEC
+    and its ablations local, the peers joint (A11)."""
     initialisation: Literal["type", "independent"] = "type"
     """One initialisation for all agents of a type, or one for each (A4)."""
+    actor_delay: int = 2
+    """MATD3: critic steps for each step of actors and targets."""
+    smoothing_noise: float = 0.2
+    """MATD3: standard deviation of the noise on the target actors' actions."""
+    smoothing_clip: float = 0.5
+    """MATD3: largest such noise."""
+    temperature: float = 1.0
+    """MASAC: first weight alpha of each agent's entropy; rewards are scaled by `reward_scale`."""
+    temperature_rate: float = 3e-4
+    """MASAC: learning rate of log alpha; 0 keeps alpha as it is."""
+    entropy_target: float = -1.0
+    """MASAC: wanted entropy for each number in an action, nats."""
 
     def __post_init__(self) -> None:
         """Refuse rates and sizes that cannot learn."""
         within(1, 4096, hidden=self.hidden)
         within(1, 65_536, batch=self.batch)
+        within(1, 10, n_step=self.n_step)
         within(0.0, 1.0, discount=self.discount, target_rate=self.target_rate, mixture_epsilon=self.mixture_epsilon)
         within(0.0, 1.0, ensemble_copy_rate=self.ensemble_copy_rate)
         within(1, 64, ensemble_members=self.ensemble_members)
         positive(actor_rate=self.actor_rate, critic_rate=self.critic_rate, reward_scale=self.reward_scale)
+        within(1, 1000, actor_delay=self.actor_delay)
+        not_negative(gradient_clip=self.gradient_clip, temperature_rate=self.temperature_rate)
+        not_negative(smoothing_noise=self.smoothing_noise, smoothing_clip=self.smoothing_clip)
+        positive(temperature=self.temperature)
+        finite(entropy_target=self.entropy_target)
+
+    @property
+    def uses_ensemble(self) -> bool:
+        """Whether a shared ensemble critic takes part."""
+        return self.ensemble and self.name in WITH_ENSEMBLE
+
+    @property
+    def has_imitation(self) -> bool:
+        """Whether elite imitation is part of the algorithm."""
+        return self.name in WITH_IMITATION
+
+    @property
+    def joint_critics(self) -> bool:
+        """Whether critics see all agents."""
+        return self.critic_scope == "joint" or (self.critic_scope == "algorithm" and self.name not in LOCAL_CRITICS)
 
 
 @dataclass(frozen=True)
@@ -63,7 +116,7 @@ class EliteConfig:
     """Elite imitation: when, how strongly, and how agents are scored."""
 
     enabled: bool = True
-    """Whether elites are imitated at all."""
+    """Whether elites are imitated, in an algorithm that has imitation."""
     rate: float = 0.1
     """First update coefficient, vartheta*."""
     cycle: int = 10
@@ -105,11 +158,20 @@ class ReplayConfig:
     """Environment steps by which production may lead consumption before producers wait (ours)."""
     intake_chunks: int = 16
     """Chunks that the learner's intake queue holds at most (ours)."""
+    max_age_versions: int = 0
+    """Parameter versions by which a row may be older than the newest and still be drawn; 0 for any (ours)."""
+    max_lag_versions: int = 0
+    """Parameter versions by which the policy that flew a chunk may lag behind when it arrives; 0 for any (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse buffers that cannot hold a batch."""
         within(256, 100_000_000, capacity=self.capacity)
-        not_negative(warmup_steps=self.warmup_steps, updates_per_step=self.updates_per_step)
+        not_negative(
+            warmup_steps=self.warmup_steps,
+            updates_per_step=self.updates_per_step,
+            max_age_versions=self.max_age_versions,
+        )
+        within(0, 2**31, max_lag_versions=self.max_lag_versions)
         within(1, 100_000_000, slack_steps=self.slack_steps)
         within(1, 65_536, intake_chunks=self.intake_chunks)
         if self.warmup_steps > self.capacity * 100:

@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from common.config.checks import positive, within
+from common.config.checks import not_negative, positive, within
+from common.config.environment import EnvConfig
 from common.config.farm import FarmConfig
 from common.config.learning import AlgorithmConfig, EliteConfig, ExplorationConfig, ReplayConfig
 from common.errors import ConfigError
@@ -19,9 +20,13 @@ class RolloutConfig:
     spool_chunks: int = 8
     """Chunks that a worker holds unacknowledged before it stops simulating."""
     train_farms: int = 20
-    """Training farms: integer seeds 0 .. train_farms - 1 (W26)."""
+    """Training farms: integer seeds 0 .. train_farms - 1 (W26); other environments take them as scenario seeds."""
     threads: int = 1
     """Compute threads of one worker."""
+    max_lag_versions: int = 0
+    """Parameter versions by which a worker's actors may lag behind the newest before it stops simulating; 0 for any."""
+    max_silence_seconds: float = 0.0
+    """Seconds without word from the learner after which a worker stops simulating; 0 for any time."""
 
     def __post_init__(self) -> None:
         """Refuse empty batches and chunks."""
@@ -30,6 +35,8 @@ class RolloutConfig:
         within(1, 1024, spool_chunks=self.spool_chunks)
         within(1, 1_000_000, train_farms=self.train_farms)
         within(1, 256, threads=self.threads)
+        within(0, 2**31, max_lag_versions=self.max_lag_versions)
+        not_negative(max_silence_seconds=self.max_silence_seconds)
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,7 @@ class RunConfig:
     """Seed of the run: initial weights, batches, farms' order and noise all follow from it."""
     episodes: int = 2400
     """Training episodes lambda_max, counted over all environments of all workers."""
+    env: EnvConfig = field(default_factory=EnvConfig)
     farm: FarmConfig = field(default_factory=FarmConfig)
     algorithm: AlgorithmConfig = field(default_factory=AlgorithmConfig)
     elite: EliteConfig = field(default_factory=EliteConfig)

@@ -1,0 +1,58 @@
+"""Which environment a run is about: the farm, or any PettingZoo parallel environment."""
+
+import json
+from dataclasses import dataclass
+from typing import Any, Final
+
+from common.config.checks import within
+from common.errors import ConfigError
+
+FARM: Final = "farm"
+"""The environment of this package, configured by FarmConfig."""
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """The environment; every field but the name is for PettingZoo environments."""
+
+    name: str = FARM
+    """farm, or module:name of a PettingZoo parallel environment: mpe2:simple_spread_v3, or a callable of one's own."""
+    arguments: str = "{}"
+    """Keyword arguments of the environment, a JSON object, for instance {"N": 3}."""
+    types: str = ""
+    """Which agents form a type, prefix=type with commas between; empty takes each name without its number."""
+    steps: int = 0
+    """Steps after which an episode is truncated; 0 leaves it to the environment."""
+
+    def __post_init__(self) -> None:
+        """Refuse names and arguments that cannot be read."""
+        within(0, 1_000_000, steps=self.steps)
+        if self.name != FARM:
+            module, colon, member = self.name.partition(":")
+            parts = [*module.split("."), *member.split(".")]
+            if not colon or not all(part.isidentifier() for part in parts):
+                raise ConfigError(f"env.name must be farm or module:name, not {self.name!r}.")
+        self.keywords()
+        self.prefixes()
+
+    @property
+    def is_farm(self) -> bool:
+        """Whether it is this package's farm."""
+        return self.name == FARM
+
+    def keywords(self) -> dict[str, Any]:
+        """Return `arguments` as a map; raise ConfigError when they are no JSON object."""
+        try:
+            found = json.loads(self.arguments)
+        except (ValueError, RecursionError) as error:
+            raise ConfigError(f"env.arguments is not JSON: {error}.") from None
+        if not isinstance(found, dict):
+            raise ConfigError('env.arguments must be a JSON object, {"N": 3} for instance.')
+        return found
+
+    def prefixes(self) -> dict[str, str]:
+        """Return `types` as a map from prefix to type; raise ConfigError when it is none."""
+        pairs = [part.strip().partition("=") for part in self.types.split(",") if part.strip()]
+        if not all(prefix and equals and kind for prefix, equals, kind in pairs):
+            raise ConfigError(f"env.types must be prefix=type with commas between, not {self.types!r}.")
+        return {prefix.strip(): kind.strip() for prefix, _, kind in pairs}

@@ -1,0 +1,240 @@
+"""A process's own account of chunks, line by line, so that an audit can hold the accounts against one another.
+
+One JSON array per line:
+
+    ["start", role, name, incarnation]                   a process began; the learner's incarnation is its epoch
+    ["resume", {worker: [incarnation, expected], ...}]   the learner took up a checkpoint; each worker in it
+    ["end"]                                              the process ended as it should
+    [verdict, worker, incarnation, first, last, steps, produced, flown]
+
+The last kind is about chunks `first` to `last` of one start of a worker, each of `steps` environment steps; `produced`
+and `flown` are the worker's counts (see `common.messages.ChunkMessage`) with the last of them. Verdicts of a worker are
+*made*, *told* (acknowledged) and *refused*; those of the learner *accepted*, *refused*, *duplicate* and *missing* (it
+learnt that these can no longer arrive), and for the last two `steps` is the count of chunks or steps together.
+
+A line is written before whatever it tells of is told to anybody, and reaches the operating system at once: it survives
+a killed process, though not a power cut. The file stays small because consecutive chunks are joined into one line
+whenever it has grown by REWRITE_LINES.
+"""
+
+import json
+import os
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, TextIO
+
+REWRITE_LINES: Final = 20_000
+"""Lines after which the file is written anew with consecutive chunks joined."""
+MAX_BYTES: Final = 256 * 2**20
+"""Largest history that is read, bytes."""
+VERDICTS: Final = ("made", "told", "refused", "accepted", "duplicate", "missing")
+_SUMMED: Final = ("duplicate", "missing")
+
+
+@dataclass(frozen=True)
+class Start:
+    """A process began."""
+
+    role: str
+    name: str
+    incarnation: int
+
+
+@dataclass(frozen=True)
+class Resume:
+    """The learner took up a checkpoint: for each worker the incarnation and the next sequence number in it."""
+
+    workers: dict[str, tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class End:
+    """The process ended as it should."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What was found of some chunks; see the module's text."""
+
+    verdict: str
+    worker: str
+    incarnation: int
+    first: int
+    last: int
+    steps: int
+    produced: int = 0
+    flown: int = 0
+
+
+Record = Start | Resume | End | Entry
+
+
+def parse(line: str) -> Record:
+    """Return the record of one line; raise ValueError when it is none."""
+    try:
+        match json.loads(line):
+            case ["start", str(role), str(name), int(incarnation)]:
+                return Start(role, name, incarnation)
+            case ["resume", dict(workers)]:
+                return Resume({str(name): (int(inc), int(expected)) for name, (inc, expected) in workers.items()})
+            case ["end"]:
+                return End()
+            case [str(verdict), str(worker), *numbers] if verdict in VERDICTS and len(numbers) == 6:
+                if all(type(number) is int and 0 <= number < 2**63 for number in numbers):
+                    return Entry(verdict, worker, *numbers)
+    except (TypeError, RecursionError) as error:
+        raise ValueError(str(error)) from error
+    raise ValueError("the line is no record of a history")
+
+
+def text(record: Record) -> str:
+    """Return the line of a record."""
+    match record:
+        case Start():
+            parts: list[Any] = ["start", record.role, record.name, record.incarnation]
+        case Resume():
+            parts = ["resume", record.workers]
+        case End():
+            parts = ["end"]
+        case Entry():
+            parts = list(vars(record).values())
+    return json.dumps(parts, separators=(",", ":"))
+
+
+def read(path: Path) -> tuple[list[Record], int]:
+    """Return a history's records, and how many lines are none (a killed process or a full disk leaves such).
+
+    Raises:
+        OSError: when the file cannot be read.
+        ValueError: when it is larger than any history.
+    """
+    if path.stat().st_size > MAX_BYTES:
+        raise ValueError(f"{path.name} is larger than {MAX_BYTES} bytes")
+    records: list[Record] = []
+    damaged = 0
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        try:
+            records.append(parse(line))
+        except ValueError:
+            damaged += 1
+    return records, damaged
+
+
+class _Joined:
+    """Records with consecutive chunks joined; nothing is joined across the start of a process."""
+
+    def __init__(self) -> None:
+        self._records: list[Record] = []
+        self._open: dict[tuple[str, str, int], int] = {}
+
+    def __iter__(self) -> Iterator[Record]:
+        return iter(self._records)
+
+    def add(self, record: Record) -> None:
+        """Append a record, joined with the one before where both are of one range."""
+        if not isinstance(record, Entry):
+            self._open.clear()
+            self._records.append(record)
+            return
+        key = record.verdict, record.worker, record.incarnation
+        place = self._open.get(key)
+        before = None if place is None else self._records[place]
+        if place is not None and isinstance(before, Entry):
+            if record.verdict == "duplicate":
+                first, last = min(before.first, record.first), max(before.last, record.last)
+                self._records[place] = replace(before, first=first, last=last, steps=before.steps + record.steps)
+                return
+            if record.verdict != "missing" and record.first == before.last + 1 and record.steps == before.steps:
+                self._records[place] = replace(before, last=record.last, produced=record.produced, flown=record.flown)
+                return
+        self._open[key] = len(self._records)
+        self._records.append(record)
+
+
+class History:
+    """Writes a process's history; without a path nothing is written.
+
+    A file that is there already is gone on with. A disk that takes no more is no reason to stop: `failure` says so, and
+    the whole file is tried anew with the next record.
+
+    Args:
+        path: the file; its folder is made.
+
+    Attributes:
+        failure: why the file is not whole, or empty.
+        before: the records that were there before.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.failure = ""
+        self.before: list[Record] = []
+        self._path = path
+        self._joined = _Joined()
+        self._file: TextIO | None = None
+        self._lines = 0
+        self._lock = threading.Lock()
+        if path is not None:
+            self._take_up(path)
+
+    def add(self, record: Record) -> None:
+        """Append one record."""
+        if self._path is None:
+            return
+        with self._lock:
+            self._joined.add(record)
+            self._lines += 1
+            if self._file is None or self._lines >= REWRITE_LINES:
+                self._rewrite(self._path)
+                return
+            try:
+                self._file.write(text(record) + "\n")
+                self._file.flush()
+            except (OSError, ValueError) as error:
+                self._fail(error)
+
+    def close(self) -> None:
+        """Note that the process ended as it should, and close the file."""
+        self.add(End())
+        with self._lock:
+            self._shut()
+            self._path = None
+
+    def _take_up(self, path: Path) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.exists():
+                self.before = read(path)[0]
+        except (OSError, ValueError) as error:
+            self._fail(error)
+        for record in self.before:
+            self._joined.add(record)
+        self._rewrite(path)
+
+    def _rewrite(self, path: Path) -> None:
+        """Write the whole file under another name and put it in place; the old one stays when that fails."""
+        self._shut()
+        beside = path.with_name(path.name + ".new")
+        try:
+            with beside.open("w", encoding="utf-8") as file:
+                file.writelines(text(record) + "\n" for record in self._joined)
+            os.replace(beside, path)
+            self._file = path.open("a", encoding="utf-8")
+            self._lines = 0
+            self.failure = ""
+        except OSError as error:
+            beside.unlink(missing_ok=True)
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        self.failure = f"the history could not be written: {getattr(error, 'strerror', None) or error}."
+        self._shut()
+
+    def _shut(self) -> None:
+        file, self._file = self._file, None
+        if file is not None:
+            try:
+                file.close()
+            except OSError as error:
+                self.failure = f"the history could not be written: {error.strerror}."

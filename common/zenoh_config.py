@@ -1,0 +1,79 @@
+"""Zenoh's configuration of a session, as plain data; `common.bus` hands it over.
+
+`listening` is for everything that others connect to, a learner or a router; `connecting` for everything else. Neither
+finds nor is found by anybody: no multicast, no gossip.
+"""
+
+from typing import Any, Final, Literal
+
+from common.access import access_control
+from common.credentials import Credentials
+from common.endpoint import Endpoint, Lane
+from common.frame import MAX_FRAME
+
+LEASE_MS: Final = 4000
+"""A frozen peer counts as gone after this time."""
+CONNECT_MS: Final = 1000
+"""Longest try to connect."""
+
+Values = dict[str, Any]
+"""Zenoh's configuration keys, and a JSON value for each."""
+
+
+def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = "peer") -> Values:
+    """Return the configuration of a session that others connect to.
+
+    With credentials, it takes TLS links alone, asks for a certificate of the same authority, and lets each holder do
+    what `common.access` grants to it.
+    """
+    values = _base(mode) | {"listen/endpoints": [endpoint.locator(lane)], "listen/exit_on_failure": True}
+    credentials = endpoint.credentials
+    if credentials is not None:
+        values["transport/link/tls"] = {
+            **_tls(credentials),
+            "listen_certificate": str(credentials.certificate),
+            "listen_private_key": str(credentials.key),
+        }
+        values["transport/link/protocols"] = ["tls"]
+        values["access_control"] = access_control(credentials.members)
+    return values
+
+
+def connecting(endpoint: Endpoint, lane: Lane) -> Values:
+    """Return the configuration of a session that connects to a listener or a router."""
+    values = _base("client") | {
+        "connect/endpoints": [endpoint.locator(lane)],
+        "connect/timeout_ms": CONNECT_MS,
+        "connect/exit_on_failure": True,
+    }
+    credentials = endpoint.credentials
+    if credentials is not None:
+        values["transport/link/tls"] = {
+            **_tls(credentials),
+            "connect_certificate": str(credentials.certificate),
+            "connect_private_key": str(credentials.key),
+        }
+        values["transport/link/protocols"] = ["tls"]
+    return values
+
+
+def _tls(credentials: Credentials) -> Values:
+    return {
+        "root_ca_certificate": str(credentials.ca),
+        "enable_mtls": True,
+        "verify_name_on_connect": True,
+        "close_link_on_expiration": True,
+    }
+
+
+def _base(mode: str) -> Values:
+    return {
+        "mode": mode,
+        "listen/endpoints": [],
+        "connect/endpoints": [],
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/link/rx/max_message_size": MAX_FRAME,
+        "transport/shared_memory/enabled": False,
+    }
