@@ -1,22 +1,26 @@
 """Noise-free evaluation: fly a policy over farms and say what each episode came to."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Final
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
+from common.config import FarmConfig, RunConfig
 from common.errors import ConfigError
 from common.seeds import derive
-from common.team import TeamSpec, farm_team
+from common.team import LETTERS, TeamSpec
 from common.transitions import EpisodeSummary
+from rollout.environments import Environments, make_environments
 from rollout.farms import FarmBatch
-from rollout.policies import Policy
+from rollout.policies import Decider, Policy
 
 BATCH: Final = 32
 """Episodes that are flown side by side; results do not depend on it."""
+
+World = TypeVar("World", bound=Environments)
 
 
 @dataclass(frozen=True)
@@ -25,30 +29,20 @@ class Score:
 
     Attributes:
         reward: sum of an episode's rewards, mean over all agents.
-        communication: the same over the communication UAVs.
-        monitoring: the same over the monitoring UAVs.
-        collection: the same over the data collection UAVs.
-        aoi: mean AoI over sensors and steps, units.
-        vdf: mean VDF over plots and steps, units.
-        collisions: UAV steps closer than the collision distance, per episode.
-        boundary: UAV steps against the field's edge, per episode.
-        energy_j: energy of all UAVs, per episode, J.
+        types: the same over the agents of each type, by the type's name.
+        steps: steps of an episode.
+        figures: what else the environment tells of an episode, by name; a farm's are `FARM_FIGURES`.
     """
 
     reward: float
-    communication: float
-    monitoring: float
-    collection: float
-    aoi: float
-    vdf: float
-    collisions: float
-    boundary: float
-    energy_j: float
+    types: Mapping[str, float]
+    steps: float
+    figures: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a policy came to on a set of farms.
+    """What a policy came to on a set of farms, or of scenarios of another environment.
 
     Attributes:
         policy: its name.
@@ -65,23 +59,17 @@ class Evaluation:
     per_farm: tuple[Score, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the evaluation as `eia-sec evaluate --json` prints it."""
+        """Return the evaluation as `eia-sec evaluate --json` prints it; the farm's types by the paper's letters."""
         total = self.total
         return {
             "policy": self.policy,
             "farms": list(self.farms),
             "episodes": self.episodes,
-            "reward": {"mean": total.reward, "c": total.communication, "m": total.monitoring, "d": total.collection},
-            **_rest(total),
+            "reward": {"mean": total.reward, **_lettered(total)},
+            "steps": total.steps,
+            **total.figures,
             "per_farm": [
-                {
-                    "farm": farm,
-                    "reward": score.reward,
-                    "c": score.communication,
-                    "m": score.monitoring,
-                    "d": score.collection,
-                    **_rest(score),
-                }
+                {"farm": farm, "reward": score.reward, **_lettered(score), "steps": score.steps, **score.figures}
                 for farm, score in zip(self.farms, self.per_farm, strict=True)
             ],
         }
@@ -120,14 +108,20 @@ class Trajectory:
     summary: EpisodeSummary
 
 
-def evaluate(
-    config: FarmConfig, policy: Policy, farms: Sequence[int], episodes: int, *, name: str, batch: int = BATCH
+def evaluate_worlds(
+    make: Callable[[int], World],
+    policy: Decider[World],
+    farms: Sequence[int],
+    episodes: int,
+    *,
+    name: str,
+    batch: int = BATCH,
 ) -> Evaluation:
-    """Fly a policy over farms.
+    """Fly a policy over farms, or over scenarios of another environment.
 
     Args:
-        config: the farm.
-        policy: what flies.
+        make: returns that many environments.
+        policy: what decides.
         farms: seeds of the farms.
         episodes: episodes on each farm; number k has the seed `episode_seed(farm, k)`.
         name: the policy's name in the result.
@@ -140,15 +134,30 @@ def evaluate(
     if not farms or episodes < 1 or batch < 1:
         raise ConfigError("an evaluation needs at least one farm, one episode and a batch of one.")
     jobs = [(farm, episode) for farm in farms for episode in range(episodes)]
-    team = farm_team(config)
     scores: list[Score] = []
     for first in range(0, len(jobs), batch):
-        flown = _begin(config, policy, jobs[first : first + batch])
-        for _ in range(config.world.steps):
-            flown.step(policy.act(flown))
-        scores += [_score(team, flown.summary(index)) for index in range(len(flown.position))]
+        part = jobs[first : first + batch]
+        with closing(make(len(part))) as flown:
+            _begin(flown, policy, part)
+            while not flown.ended.all():
+                flown.step(policy.act(flown))
+            scores += [_score(flown.team, flown.summary(index)) for index in range(len(part))]
     per_farm = [_mean(scores[first : first + episodes]) for first in range(0, len(jobs), episodes)]
     return Evaluation(name, tuple(farms), episodes, _mean(per_farm), tuple(per_farm))
+
+
+def evaluate(
+    config: FarmConfig, policy: Policy, farms: Sequence[int], episodes: int, *, name: str, batch: int = BATCH
+) -> Evaluation:
+    """Fly a policy over farms of a configuration; see `evaluate_worlds`."""
+    return evaluate_worlds(lambda count: FarmBatch(config, count), policy, farms, episodes, name=name, batch=batch)
+
+
+def evaluate_run(
+    config: RunConfig, policy: Decider[Environments], farms: Sequence[int], episodes: int, *, name: str
+) -> Evaluation:
+    """Let a policy act in the environment of a run, whichever it is; see `evaluate_worlds`."""
+    return evaluate_worlds(lambda count: make_environments(config, count), policy, farms, episodes, name=name)
 
 
 def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Trajectory:
@@ -157,7 +166,7 @@ def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Traje
     Raises:
         PolicyError: the policy does not fit the farm.
     """
-    flown = _begin(config, policy, [(farm, episode)])
+    flown = _begin(FarmBatch(config, 1), policy, [(farm, episode)])
     layout = flown.layout(0)
     course = [_snapshot(flown)]
     for _ in range(config.world.steps):
@@ -185,13 +194,12 @@ def episode_seed(farm: int, episode: int) -> int:
     return derive(farm, "evaluation", episode)
 
 
-def _begin(config: FarmConfig, policy: Policy, jobs: Sequence[tuple[int, int]]) -> FarmBatch:
-    """Return a batch with one environment at the start of each (farm, episode)."""
-    farms = FarmBatch(config, len(jobs))
+def _begin(environments: World, policy: Decider[World], jobs: Sequence[tuple[int, int]]) -> World:
+    """Start one environment on each (farm, episode) and return them."""
     for index, (farm, episode) in enumerate(jobs):
-        farms.reset(index, farm, episode_seed(farm, episode))
-        policy.reset(farms, index)
-    return farms
+        environments.reset(index, farm, episode_seed(farm, episode))
+        policy.reset(environments, index)
+    return environments
 
 
 def _snapshot(farms: FarmBatch) -> tuple[NDArray[np.float64], float, float]:
@@ -201,25 +209,21 @@ def _snapshot(farms: FarmBatch) -> tuple[NDArray[np.float64], float, float]:
 
 def _score(team: TeamSpec, summary: EpisodeSummary) -> Score:
     reward = np.array(summary.reward, np.float64)
-    communication, monitoring, collection = (float(reward[agents].mean()) for agents in team.agent_slices())
-    return Score(
-        reward=float(reward.mean()),
-        communication=communication,
-        monitoring=monitoring,
-        collection=collection,
-        aoi=summary.aoi,
-        vdf=summary.vdf,
-        collisions=summary.collisions,
-        boundary=summary.boundary,
-        energy_j=summary.energy_j,
-    )
+    types = {
+        group.name: float(reward[agents].mean()) for group, agents in zip(team.groups, team.agent_slices(), strict=True)
+    }
+    return Score(float(reward.mean()), types, float(summary.steps), dict(summary.figures))
 
 
 def _mean(scores: Sequence[Score]) -> Score:
-    names = [field.name for field in fields(Score)]
-    return Score(**{name: float(np.mean([getattr(score, name) for score in scores])) for name in names})
+    first = scores[0]
+    return Score(
+        reward=float(np.mean([score.reward for score in scores])),
+        types={name: float(np.mean([score.types[name] for score in scores])) for name in first.types},
+        steps=float(np.mean([score.steps for score in scores])),
+        figures={name: float(np.mean([score.figures[name] for score in scores])) for name in first.figures},
+    )
 
 
-def _rest(score: Score) -> dict[str, float]:
-    """Return what an evaluation says besides the reward."""
-    return {name: getattr(score, name) for name in ("aoi", "vdf", "collisions", "boundary", "energy_j")}
+def _lettered(score: Score) -> dict[str, float]:
+    return {LETTERS.get(name, name): value for name, value in score.types.items()}

@@ -1,5 +1,9 @@
 """A batch of simulated farms, stepped together by one compiled call."""
 
+import functools
+import itertools
+import math
+from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
 import numpy as np
@@ -9,12 +13,12 @@ from common.config import FarmConfig, WorldConfig
 from common.errors import SimulationError
 from common.seeds import derive, stream
 from common.team import Float32, TeamSpec, farm_team
-from common.transitions import EpisodeSummary
-from rollout.kernel.arrays import make_scratch, make_state
-from rollout.kernel.constants import constants
+from common.transitions import FARM_FIGURES, EpisodeSummary
+from rollout.kernel.arrays import make_scratch
+from rollout.kernel.frozen import FrozenFrame, make_frame
 from rollout.kernel.rewards import REWARD_PARTS
-from rollout.kernel.step import run
-from rollout.layout import Layout, cell_counts, make_layout
+from rollout.kernel.step import BEGIN, CHECK, NOT_FINITE, OUT_OF_TIME, STEP, run
+from rollout.layout import Layout, make_layout
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
 
@@ -31,6 +35,7 @@ class FarmBatch:
     Args:
         config: the farm.
         environments: E.
+        threads: how many threads step them, each a share of the environments. Results do not depend on it.
 
     Attributes:
         config: the farm.
@@ -39,6 +44,7 @@ class FarmBatch:
         reward: [E, n] float32, of the last step.
         parts: [E, n, K] weighted parts of the last step's reward, named by REWARD_PARTS; they sum to the reward.
         time: [E] steps done in this episode; -1 before the first reset.
+        terminated: [E] always False (A5).
         position: [E, n, 2] m.
         aoi: [E, S] age of information.
         vdf: [E, n_px, n_py] visual data freshness counters.
@@ -49,26 +55,32 @@ class FarmBatch:
         utility: [E, n] VMUF or DCUF of the last step, units; 0 for relays.
         served_sensors: [E, n_d] sensors of AoI above 0 that each UAV served in the last step (sum of the shares
             delivered when `delivery` is expected).
+        link_quality: [E, n_m + n_d] signal-to-noise ratio of the link between each served UAV and its relay, dB:
+            P_ut minus the free-space loss (km and MHz, as in the assignment's cost) minus the noise k_B T B in dBm.
 
     Raises:
         ConfigError: the field is too small for the link budget.
-        SimulationError: there is no environment.
+        SimulationError: there is no environment, or no thread.
     """
 
-    def __init__(self, config: FarmConfig, environments: int) -> None:
-        if environments < 1:
-            raise SimulationError(f"a batch needs at least one environment, not {environments}.")
+    def __init__(self, config: FarmConfig, environments: int, threads: int = 1) -> None:
+        if environments < 1 or threads < 1:
+            raise SimulationError(f"{environments} environments on {threads} threads: both must be at least 1.")
         self.config = config
         self.team: TeamSpec = farm_team(config)
-        self._constants = constants(config, cell_counts(config.world))
-        self._state = make_state(config, environments)
-        self._scratch = make_scratch(config)
-        self._still: Float32 = np.zeros((environments, self.team.action_size), np.float32)
+        frame = make_frame(config, environments)
+        scratches = (frame.scratch, *(make_scratch(config) for _ in range(min(threads, environments) - 1)))
+        self._frames = [FrozenFrame(frame._replace(scratch=scratch)) for scratch in scratches]
+        borders = [environments * k // len(self._frames) for k in range(len(self._frames) + 1)]
+        self._shares = list(itertools.pairwise(borders))
+        self._pool = ThreadPoolExecutor(len(self._frames) - 1, "farms") if len(self._frames) > 1 else None
+        self._constants, self._state, self._action = frame.constants, frame.state, frame.action
         self._seeds: list[tuple[int, int]] = [(-1, -1)] * environments
         self.observation: Float32 = self._state.observation
         self.reward: Float32 = self._state.reward
         self.parts: NDArray[np.float64] = self._state.parts
         self.time: NDArray[np.int64] = self._state.time
+        self.terminated: NDArray[np.bool_] = np.zeros(environments, np.bool_)
         self.position: NDArray[np.float64] = self._state.position
         self.aoi: NDArray[np.float64] = self._state.age
         self.vdf: NDArray[np.float64] = self._state.level
@@ -78,6 +90,12 @@ class FarmBatch:
         self.energy: NDArray[np.float64] = self._state.energy
         self.utility: NDArray[np.float64] = self._state.utility
         self.served_sensors: NDArray[np.float64] = self._state.served
+        self.link_quality: NDArray[np.float64] = self._state.quality
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """[E] whether the episode is over; a farm's is truncated, it never terminates."""
+        return self.truncated
 
     @property
     def truncated(self) -> NDArray[np.bool_]:
@@ -110,12 +128,14 @@ class FarmBatch:
         state.age[e], state.level[e] = start_levels(world, farm_seed, episode_seed)
         state.sensor[e] = layout.sensor_xy.T
         state.cell_start[e] = layout.cell_start
+        state.by_row[e], state.row_start[e] = by_rows(layout)
         state.cycle[e] = layout.sensor_cycle_steps
         state.age_due[e] = np.where(layout.sensor_phase > 0, layout.sensor_phase, layout.sensor_cycle_steps)
         state.level_due[e] = np.where(layout.plot_phase > 0, layout.plot_phase, self._constants.camera.cycle)
+        state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
         for array in (state.reward, state.parts, state.energy, state.utility, state.served, state.returns, state.sums):
             array[e] = 0.0
-        run(self._constants, state, self._scratch, self._still, e)
+        run(self._frames[0].address, BEGIN, e, e + 1)
 
     def step(self, action: Float32) -> None:
         """Step every environment.
@@ -127,36 +147,57 @@ class FarmBatch:
             SimulationError: an environment is finished or was never reset, or the actions have another shape or are
                 not finite.
         """
-        wanted = (len(self.time), self.team.action_size)
-        if action.shape != wanted or action.dtype != np.float32:
-            raise SimulationError(f"actions are {action.dtype}{list(action.shape)}, not float32{list(wanted)}.")
-        if not np.isfinite(action).all():
+        own = self._action
+        if action.shape != own.shape or action.dtype != own.dtype:
+            raise SimulationError(f"actions are {action.dtype}{list(action.shape)}, not float32{list(own.shape)}.")
+        own[...] = action
+        objection = run(self._frames[0].address, CHECK if self._pool else CHECK + STEP, 0, len(own))
+        if objection == NOT_FINITE:
             raise SimulationError("an action is not finite.")
-        if self.time.min() < 0 or self.time.max() >= self.config.world.steps:
+        if objection == OUT_OF_TIME:
             raise SimulationError("an environment was stepped before its reset or beyond its episode's end.")
-        run(self._constants, self._state, self._scratch, np.ascontiguousarray(action), -1)
+        if self._pool:
+            self._step_shares(self._pool)
+
+    def _step_shares(self, pool: ThreadPoolExecutor) -> None:
+        """Step a share of the environments on each thread, the first on the caller's own."""
+        work = list(zip(self._frames, self._shares, strict=True))
+        others = [pool.submit(run, frame.address, STEP, *share) for frame, share in work[1:]]
+        run(work[0][0].address, STEP, *work[0][1])
+        for other in others:
+            other.result()
 
     def summary(self, index: int) -> EpisodeSummary:
         """Return what the running episode of an environment came to so far; raise SimulationError before any."""
         self._begun(index)
         farm, episode = self._seeds[index]
         steps = int(self.time[index])
-        aoi, vdf, collisions, boundary, energy = self._state.sums[index].tolist()
+        aoi, vdf, *rest = self._state.sums[index].tolist()
+        figures = (aoi / max(steps, 1), vdf / max(steps, 1), *rest)
         return EpisodeSummary(
             farm=farm,
             episode=episode,
             steps=steps,
             reward=tuple(self._state.returns[index].tolist()),
-            aoi=aoi / max(steps, 1),
-            vdf=vdf / max(steps, 1),
-            collisions=collisions,
-            boundary=boundary,
-            energy_j=energy,
+            figures=dict(zip(FARM_FIGURES, figures, strict=True)),
         )
+
+    def close(self) -> None:
+        """Do nothing: farms hold nothing outside this process's memory."""
 
     def _begun(self, index: int) -> None:
         if self.time[index] < 0:
             raise SimulationError(f"environment {index} has not been reset yet.")
+
+
+@functools.lru_cache(maxsize=256)
+def by_rows(layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the sensors row by row of cells, [S], and where each cell's begin in that list, [cells + 1]."""
+    columns, rows = layout.cells
+    number = np.diff(layout.cell_start)
+    cell = np.arange(columns * rows).reshape(columns, rows)
+    order = np.argsort(np.repeat((cell % rows * columns + cell // rows).ravel(), number), kind="stable")
+    return order, np.concatenate(([0], np.cumsum(number.reshape(columns, rows).T)))
 
 
 def packet_key(farm_seed: int, episode_seed: int) -> int:
@@ -170,20 +211,21 @@ def start_positions(world: WorldConfig, farm_seed: int, episode_seed: int) -> ND
     Where a plane is too crowded for that, the distance shrinks by a tenth until a place is found.
     """
     random = stream(farm_seed, episode_seed, "start")
-    size = np.array([world.field_x, world.field_y])
-    planes = []
+    places: list[tuple[float, float]] = []
     for count in (world.communication_uavs, world.monitoring_uavs, world.collection_uavs):
-        plane, apart = np.empty((count, 2)), world.safety_distance
-        for uav in range(count):
-            tries = 0
-            plane[uav] = random.uniform(0.0, size)
-            while uav > 0 and np.linalg.norm(plane[:uav] - plane[uav], axis=1).min() < apart:
-                tries += 1
-                if tries % TRIES == 0:
-                    apart *= 0.9
-                plane[uav] = random.uniform(0.0, size)
-        planes.append(plane)
-    return np.concatenate(planes)
+        plane: list[tuple[float, float]] = []
+        apart, tries = world.safety_distance, 0
+        while len(plane) < count:
+            x, y = random.random() * world.field_x, random.random() * world.field_y
+            if all(math.sqrt((x - a) * (x - a) + (y - b) * (y - b)) >= apart for a, b in plane):
+                plane.append((x, y))
+                tries = 0
+                continue
+            tries += 1
+            if tries % TRIES == 0:
+                apart *= 0.9
+        places += plane
+    return np.array(places)
 
 
 def start_levels(

@@ -11,7 +11,7 @@ The loop that calls a policy is:
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
@@ -20,24 +20,33 @@ from common.config import FarmConfig
 from common.errors import PolicyError
 from common.policy_file import load_policy
 from common.team import Float32, TeamSpec, farm_team
+from rollout.environments import Environments
 from rollout.farms import FarmBatch
-from rollout.heuristics.greedy import GreedyPolicy
-from rollout.heuristics.lawnmower import LawnmowerPolicy
+from rollout.heuristics import greedy, horizon, hungarian, lawnmower, tour
+from rollout.heuristics.crews import CrewPolicy, MakeCrew
 from rollout.heuristics.random import RandomPolicy
+from rollout.heuristics.relays import CentroidRelays, SearchRelays
 from rollout.heuristics.static import StaticPolicy
 
 TRAINED: Final = Path(__file__).parent / "trained" / "default.safetensors"
 """The policy that ships with this package."""
 
 
-class Policy(Protocol):
+World_contra = TypeVar("World_contra", contravariant=True)
+
+
+class Decider(Protocol[World_contra]):
     """Decides for all agents of all environments of a batch."""
 
-    def reset(self, farms: FarmBatch, index: int) -> None:
+    def reset(self, world: World_contra, index: int, /) -> None:
         """Prepare for the episode that environment `index` has just begun."""
 
-    def act(self, farms: FarmBatch) -> Float32:
+    def act(self, world: World_contra, /) -> Float32:
         """Return the actions [E, A] in [-1, 1] for the present state of all environments."""
+
+
+Policy = Decider[FarmBatch]
+"""A policy for farms."""
 
 
 class ActorPolicy:
@@ -50,23 +59,23 @@ class ActorPolicy:
     def __init__(self, bank: ActorBank) -> None:
         self._bank = bank
 
-    def reset(self, farms: FarmBatch, index: int) -> None:
-        """Raise PolicyError unless the actors fit the farms' team."""
-        require_team(self._bank, farms.team)
+    def reset(self, environments: Environments, index: int) -> None:
+        """Raise PolicyError unless the actors fit the environments' team."""
+        require_team(self._bank, environments.team)
 
-    def act(self, farms: FarmBatch) -> Float32:
+    def act(self, environments: Environments) -> Float32:
         """Return what the actors do.
 
         One environment is computed at a time: a matrix product sums in another order for another number of rows, and
         an episode must not depend on which others are flown beside it.
         """
-        return np.concatenate([self._bank.act(row[None]) for row in farms.observation])
+        return np.concatenate([self._bank.act(row[None]) for row in environments.observation])
 
 
 def require_team(bank: ActorBank, team: TeamSpec) -> None:
     """Raise PolicyError unless the actors are for exactly this team."""
     if bank.team.digest != team.digest:
-        raise PolicyError(f"the policy is for {_describe(bank.team)}, the farm has {_describe(team)}.")
+        raise PolicyError(f"the policy is for {_describe(bank.team)}; here are {_describe(team)}.")
 
 
 def trained_policy(path: Path, config: FarmConfig) -> Policy:
@@ -86,32 +95,53 @@ def _shipped(config: FarmConfig) -> Policy:
     return trained_policy(TRAINED, config)
 
 
+TASKS: Final[dict[str, tuple[MakeCrew, MakeCrew]]] = {
+    "lawnmower": (lawnmower.monitors, lawnmower.collectors),
+    "greedy": (greedy.monitors, greedy.collectors),
+    "tour": (tour.monitors, tour.collectors),
+    "hungarian": (hungarian.monitors, hungarian.collectors),
+    "horizon": (horizon.monitors, horizon.collectors),
+}
+"""Heuristics of the monitors and of the collectors."""
+
+RELAYS: Final[dict[str, MakeCrew]] = {"search": SearchRelays, "centroid": CentroidRelays}
+"""Heuristics of the relays; the first one flies where none is named."""
+
+
+def _crews(task: str, relays: str = next(iter(RELAYS))) -> Callable[[FarmConfig], Policy]:
+    return lambda config: CrewPolicy(config, RELAYS[relays], *TASKS[task])
+
+
 POLICIES: Final[dict[str, Callable[[FarmConfig], Policy]]] = {
     "static": lambda _: StaticPolicy(),
     "random": lambda _: RandomPolicy(),
-    "lawnmower": LawnmowerPolicy,
-    "greedy": GreedyPolicy,
+    **{task: _crews(task) for task in TASKS},
     "trained": _shipped,
 }
-"""Every policy that has a name, made for a farm's configuration."""
+"""Every policy that has a name, made for a farm's configuration. TASK+RELAYS, as in greedy+centroid, names others."""
 
 HEURISTICS: Final = tuple(name for name in POLICIES if name != "trained")
 """The policies that learn nothing."""
 
 
 def policy_of(name: str, config: FarmConfig) -> Policy:
-    """Return the policy of a name, or of the file at that path.
+    """Return the policy of a name, of TASK+RELAYS, or of the file at that path.
 
     Raises:
         PolicyError: there is neither, or what there is cannot be used.
     """
     if name in POLICIES:
         return POLICIES[name](config)
+    task, _, relays = name.partition("+")
+    if task in TASKS and relays in RELAYS:
+        return _crews(task, relays)(config)
     if Path(name).is_file():
         return trained_policy(Path(name), config)
-    raise PolicyError(f"there is no policy {name!r}: give one of {', '.join(POLICIES)}, or a policy file.")
+    raise PolicyError(
+        f"there is no policy {name!r}: give one of {', '.join(POLICIES)}, TASK+{'|'.join(RELAYS)}, or a policy file."
+    )
 
 
 def _describe(team: TeamSpec) -> str:
     """Return a team in words: how many of each type, and how many numbers each of them observes."""
-    return ", ".join(f"{group.count} {group.name} UAVs with {group.observation_size} inputs" for group in team.groups)
+    return ", ".join(f"{group.count} {group.name} agents with {group.observation_size} inputs" for group in team.groups)

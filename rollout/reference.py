@@ -129,6 +129,7 @@ class ReferenceFarm:
         aoi: [S]; vdf: [n_px, n_py].
         assignment: [n_m + n_d] relays; assignment_cost: the sum of its costs.
         service: [n_c] D_c, m.
+        link_quality: [n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
         direction: [n, 2] D_VDF, D_AoI.
         chance: [S] 1 - PLR of each sensor's packet in the last step.
         energy: [n] J; utility: [n]; parts: [n, K]; reward: [n]; of the last step.
@@ -222,6 +223,8 @@ class ReferenceFarm:
         first = world.communication_uavs
         distances = [self.distance(first + k, int(r), self.position) for k, r in enumerate(self.assignment)]
         self.linked = np.array(distances) <= (relay.link_range if relay.require_link else math.inf)
+        loss = free_space_loss(self.config.radio, np.maximum(distances, 1.0))
+        self.link_quality = self.config.energy.transmit_dbm - loss - 10.0 * math.log10(noise_mw(self.config.radio))
         self.service = np.array([self._service(r) for r in range(first)])
 
     def _service(self, relay: int) -> float:

@@ -9,8 +9,9 @@ from common import keys
 from common.bus import Bus
 from common.chunks import to_message
 from common.errors import BusClosedError, BusError, ProtocolError
+from common.history import Entry, History
 from common.messages import ChunkAck, Envelope
-from common.process import log
+from common.process import QUICK_SECONDS, log
 from common.team import TeamSpec
 from common.transitions import Chunk
 
@@ -18,6 +19,8 @@ ANSWER_SECONDS = 30.0
 """Time after which a chunk without an answer is sent again; a learner that is behind answers late on purpose."""
 LOCKSTEP_ANSWER_SECONDS = 3600.0
 """The same in lockstep, where the answer comes after the training that the chunk allows."""
+COMPLAINT_SECONDS = 10.0
+"""Pause before the same error is logged again."""
 RETRY_SECONDS = 0.2
 """Pause before a chunk is sent again after nobody answered."""
 
@@ -42,23 +45,41 @@ class Sender:
         door_closed: whether the learner said last that it takes no more chunks.
         required_version: parameter version that the learner asks for before the next chunk (lockstep), else 0.
         waiting: seconds that requests have waited for their answers.
+        untaken: requests in a row that nobody took.
+        key: where requests go.
     """
 
     def __init__(
-        self, bus: Bus, run: str, worker: str, incarnation: int, team: TeamSpec, capacity: int, patience: float
+        self,
+        bus: Bus,
+        run: str,
+        worker: str,
+        incarnation: int,
+        team: TeamSpec,
+        capacity: int,
+        patience: float,
+        history: History | None = None,
     ) -> None:
         self.flown = self.produced = self.accepted = self.rejected = self.retries = self.required_version = 0
         self.waiting = 0.0
+        self.untaken = 0
         self.door_closed = False
         self._bus, self._team, self._capacity, self._patience = bus, team, capacity, patience
-        self._key = keys.TRANSITION.key(run, worker=worker)
+        self.key = keys.TRANSITION.key(run, worker=worker)
         self._worker, self._incarnation = worker, incarnation
         self._held: deque[_Held] = deque()
         self._sequence = 0
+        self._complaint, self._complained = "", 0.0
+        self._history = history or History(None)
         self._changed = threading.Condition()
         self._ended = False
         self._thread = threading.Thread(target=self._run, name="sender", daemon=True)
         self._thread.start()
+
+    def note_made(self, steps: int) -> None:
+        """Write into the history that the next chunk to be offered has been made, and has so many steps."""
+        number, made = self._sequence + 1, self.produced + steps
+        self._history.add(Entry("made", self._worker, self._incarnation, number, number, steps, made, self.flown))
 
     def offer(self, chunk: Chunk, version: int) -> bool:
         """Hand a chunk over; return False, and leave it with the caller, when the spool is full."""
@@ -117,9 +138,11 @@ class Sender:
         while not self._ended:
             started = time.monotonic()
             ack = self._ask(payload, attachment)
-            self.waiting += time.monotonic() - started
+            waited = time.monotonic() - started
+            self.waiting += waited
+            self.untaken = self.untaken + 1 if ack is None and waited < QUICK_SECONDS else 0
             self.door_closed = ack is not None and ack.status == "closed"
-            if ack is not None and ack.status not in ("gap", "closed"):
+            if ack is not None and ack.status not in ("gap", "closed", "damaged"):
                 self._settle(head, ack)
                 return
             self.retries += 1
@@ -127,19 +150,29 @@ class Sender:
 
     def _ask(self, payload: bytes, attachment: bytes) -> ChunkAck | None:
         try:
-            answer = self._bus.ask(self._key, payload, self._patience, attachment)
+            answer = self._bus.ask(self.key, payload, self._patience, attachment)
             return None if answer is None else ChunkAck.decode(answer)
         except BusClosedError:
             raise
         except (BusError, ProtocolError) as error:
-            log(f"worker {self._worker}: {error}")
+            self._complain(str(error))
             return None
+
+    def _complain(self, text: str) -> None:
+        """Log an error, the same one not more often than every COMPLAINT_SECONDS."""
+        now = time.monotonic()
+        if text != self._complaint or now - self._complained >= COMPLAINT_SECONDS:
+            log(f"worker {self._worker}: {text}")
+            self._complaint, self._complained = text, now
 
     def _settle(self, head: _Held, ack: ChunkAck) -> None:
         steps = head.chunk.rows.steps
         with self._changed:
             # Before the spool looks empty: in lockstep the worker flies on as soon as it does.
             self.required_version = ack.required_version
+            verdict = "refused" if ack.status == "refused" else "told"
+            number = head.sequence
+            self._history.add(Entry(verdict, self._worker, self._incarnation, number, number, steps))
             self._held.popleft()
             if ack.status == "refused":
                 self.rejected += steps

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from common import keys
@@ -11,6 +12,7 @@ from common.config.files import from_toml
 from common.config.run import RunConfig
 from common.endpoint import Endpoint
 from common.errors import ProtocolError, UsageError
+from common.history import History, Start
 from common.messages import (
     ConfigurationMessage,
     EvaluationOrder,
@@ -20,8 +22,7 @@ from common.messages import (
     ProgressMessage,
 )
 from common.policy_store import PolicyStore
-from common.process import Presence, StopSignal, connect, fetch_configuration, incarnation, log
-from common.team import farm_team
+from common.process import Presence, StopSignal, connect, denial, fetch_configuration, incarnation, log
 from common.transitions import Chunk
 from rollout.collector import Collector, fly_noise_free
 from rollout.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, Sender
@@ -29,6 +30,10 @@ from rollout.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, Sender
 REPORT_SECONDS = 1.0
 DRAIN_SECONDS = 5.0
 IDLE_SECONDS = 0.002
+UNTAKEN = 20
+"""Chunks in a row that nobody took before the worker asks itself whether it is denied."""
+DENIED_SECONDS = 10.0
+"""Pause before it says so again."""
 
 
 @dataclass(frozen=True)
@@ -40,18 +45,24 @@ class WorkerOptions:
         name: the worker's name, unique in the run.
         endpoint: where the learner or a router listens.
         patience: seconds to wait for somebody to listen there.
+        env: the one environment besides the farm that this worker may load, or None. A configuration comes over the
+            network, and loading an environment runs its code.
+        history: where the worker's own account of its chunks goes, see `common.history`, or None.
     """
 
     run: str
     name: str
     endpoint: Endpoint
     patience: float = 60.0
+    env: str | None = None
+    history: Path | None = None
 
 
 @dataclass
 class _Clock:
     simulating: float = 0.0
     waiting: float = 0.0
+    too_old: float = 0.0
     evaluations: int = 0
     reported: float = field(default_factory=time.monotonic)
 
@@ -65,11 +76,16 @@ class Worker:
         self._options, self._config, self._lockstep, self._toml = options, config, told.lockstep, told.toml
         self._control = control
         start = incarnation()
-        team = farm_team(config.farm)
-        self._store = PolicyStore(team)
         self._collector = Collector(config, options.name, 0 if told.lockstep else start)
+        team = self._collector.team
+        if team.to_dict() != told.team:
+            raise UsageError(f"the learner of run {options.run} is for another team than {config.env.name} has here.")
+        self._store = PolicyStore(team)
         patience = LOCKSTEP_ANSWER_SECONDS if told.lockstep else ANSWER_SECONDS
-        self._sender = Sender(bulk, options.run, options.name, start, team, config.rollout.spool_chunks, patience)
+        self._history = History(options.history)
+        self._history.add(Start("rollout", options.name, start))
+        spool = config.rollout.spool_chunks
+        self._sender = Sender(bulk, options.run, options.name, start, team, spool, patience, self._history)
         self._parameters = control.subscribe_state(keys.PARAMETERS.key(options.run))
         self._events = control.subscribe_state(keys.IMITATION_EVENT.key(options.run))
         self._progress = control.subscribe_state(keys.PROGRESS.key(options.run))
@@ -78,8 +94,10 @@ class Worker:
         self._postponed: list[Incoming] = []
         self._pending: tuple[Chunk, int] | None = None
         self._state = "starting"
-        self._epoch = 0
-        self._malformed = 0
+        self._epoch = self._newest = self._malformed = 0
+        self._heard = time.monotonic()
+        self._paused = ""
+        self._denied = 0.0
         self._clock = _Clock()
 
     def run(self, stop: StopSignal) -> None:
@@ -99,15 +117,37 @@ class Worker:
                 self._idle()
             if time.monotonic() - self._clock.reported >= REPORT_SECONDS:
                 self._report()
+        self._offer_last()
         if not self._sender.wait_empty(DRAIN_SECONDS):
             log(f"worker {self._options.name}: {self._sender.in_flight} steps were not delivered.")
         self._report()
         self._sender.close()
+        self._history.close()
+
+    def _offer_last(self) -> None:
+        """Put the chunk in hand into the spool as soon as there is room."""
+        deadline = time.monotonic() + DRAIN_SECONDS
+        while self._pending is not None and not self._sender.door_closed and time.monotonic() < deadline:
+            if self._sender.offer(*self._pending):
+                self._pending = None
+            else:
+                self._idle()
 
     def _may_fly(self) -> bool:
         if not self._lockstep:
-            return True
+            self._paused = self._too_old()
+            return not self._paused
         return self._sender.spooled == 0 and self._store.version >= max(1, self._sender.required_version)
+
+    def _too_old(self) -> str:
+        """Return why the worker's actors are too old to fly with, or nothing."""
+        config, lag = self._config.rollout, self._newest - self._store.version
+        if 0 < config.max_lag_versions < lag and self._store.epoch == self._epoch:
+            return f"its actors are {lag} versions old, more than {config.max_lag_versions}"
+        silence = time.monotonic() - self._heard
+        if 0 < config.max_silence_seconds < silence:
+            return f"nothing was heard of the learner for {silence:.0f} s"
+        return ""
 
     def _fly(self, bank: ActorBank) -> None:
         started = time.monotonic()
@@ -116,11 +156,14 @@ class Worker:
         chunk = self._collector.collect(bank, config.exploration.deviation(store.progress), uniform)
         self._pending = (chunk, store.version)
         self._sender.flown = self._collector.environment_steps
+        self._sender.note_made(chunk.rows.steps)
         self._clock.simulating += time.monotonic() - started
 
     def _idle(self) -> None:
         time.sleep(IDLE_SECONDS)
         self._clock.waiting += IDLE_SECONDS
+        if self._paused:
+            self._clock.too_old += IDLE_SECONDS
 
     def _listen(self) -> None:
         try:
@@ -143,13 +186,17 @@ class Worker:
             if answer is not None and answer.toml != self._toml:
                 raise UsageError(f"run {self._options.run} has a new learner with another configuration.")
         self._epoch, self._state = message.epoch, message.state
+        self._newest, self._heard = message.version, time.monotonic()
 
     def _evaluate(self) -> None:
         while (incoming := self._orders.poll()) is not None:
             self._postponed.append(incoming)
+        # The coordinator asks one worker for one thing at a time: before a newer order it has given up the older ones.
         waiting, self._postponed = self._postponed, []
-        for incoming in waiting:
-            self._answer(incoming)
+        for incoming in waiting[:-1]:
+            incoming.refuse("a newer order has come.")
+        if waiting:
+            self._answer(waiting[-1])
 
     def _answer(self, incoming: Incoming) -> None:
         try:
@@ -166,9 +213,9 @@ class Worker:
         if bank is None or (self._store.epoch, self._store.version) < (order.epoch, order.version):
             self._postponed.append(incoming)
             return
-        reward = fly_noise_free(self._config, bank, order.farms, order.episodes)
+        reward, steps = fly_noise_free(self._config, bank, order.farms, order.episodes)
         self._clock.evaluations += len(order.farms)
-        incoming.reply(EvaluationResult(order.event, self._store.version, reward).encode())
+        incoming.reply(EvaluationResult(order.event, self._store.version, reward, steps).encode())
 
     def _report(self) -> None:
         clock, sender = self._clock, self._sender
@@ -189,7 +236,14 @@ class Worker:
             "stale": self._store.stale,
             "missed": self._parameters.missed,
             "malformed": self._malformed,
+            "paused": self._paused,
+            "paused_seconds": clock.too_old,
+            "alarms": [text for text in (self._history.failure, self._paused) if text],
         }
+        if sender.untaken >= UNTAKEN and clock.reported >= self._denied + DENIED_SECONDS:
+            self._denied = clock.reported
+            if (sentence := denial(self._control, self._options.run, sender.key)) is not None:
+                log(f"worker {self._options.name}: {sentence}")
         self._presence.report(values, self._store.version)
         clock.reported = time.monotonic()
 
@@ -199,7 +253,8 @@ def serve(options: WorkerOptions) -> None:
 
     Raises:
         EndpointError: when nobody listens at the endpoint in time.
-        UsageError: when the learner's configuration cannot be read, or is another one after the learner was replaced.
+        UsageError: when the learner's configuration cannot be read, is another one after the learner was replaced, or
+            names an environment that this worker may not load or that has another team here.
     """
     stop = StopSignal()
     stop.install()
@@ -211,5 +266,10 @@ def serve(options: WorkerOptions) -> None:
             config = from_toml(answer.toml, RunConfig())
         except UsageError as error:
             raise UsageError(f"the learner of run {options.run} speaks of another configuration: {error}") from error
+        if not config.env.is_farm and config.env.name != options.env:
+            raise UsageError(
+                f"run {options.run} is about {config.env.name}; a worker loads it when started with "
+                f"--env {config.env.name}."
+            )
         with connect(options.endpoint, "bulk", stop, options.patience) as bulk:
             Worker(options, config, answer, control, bulk).run(stop)

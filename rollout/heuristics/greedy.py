@@ -1,88 +1,82 @@
-"""Every UAV flies to the target with the best value / (distance + c)."""
+"""Every UAV flies to the target with the best value / (time + c), and stays with it until it is worth nothing.
+
+Source: nearest-task allocation weighed by reward, as in greedy multi-robot task allocation (Gerkey and Mataric 2004).
+"""
 
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from common.config import FarmConfig, WorldConfig
-from common.team import Float32
-from rollout.farms import FarmBatch
-from rollout.heuristics.steering import Array, keep_apart, relay_targets, towards
+from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
+from rollout.heuristics.steering import Array, aim, steps_to
+from rollout.heuristics.targets import Targets
 
-OFFSET: Final = 10.0
-"""c, m: the distance at which a target scores half of what it would score from right above. Between 2 and 80 m the mean
-reward on farms 2000 to 2019 varies by 1 %; 10 m did best. Adding up the AoI around a sensor did not raise it."""
-SEPARATION: Final = 40.0
+OFFSET: Final = 1.0
+"""c, steps."""
+SEPARATION: Final = 60.0
 """Targets of two UAVs of a type are at least this far apart, m, so that none is shared and paths stay apart."""
 
 
-def choose_targets(position: Array, target: Array, value: Array, offset: float, separation: float) -> Array:
+def monitors(situation: Situation) -> Crew:
+    """Return monitors that choose among plots."""
+    return GreedyCrew(situation, MONITORS)
+
+
+def collectors(situation: Situation) -> Crew:
+    """Return collectors that choose among stops."""
+    return GreedyCrew(situation, COLLECTORS)
+
+
+class GreedyCrew:
+    """UAVs that look one target ahead.
+
+    Args:
+        situation: the start.
+        kind: the crew's type.
+    """
+
+    def __init__(self, situation: Situation, kind: int) -> None:
+        self._kind = kind
+        self._targets = Targets(situation, kind)
+        self._chosen: NDArray[np.int64] = np.full(len(situation.of(kind)), -1)
+
+    def goals(self, situation: Situation) -> Array:
+        """Return a place in each UAV's target, or its own place when nothing is worth a flight: [n_v, 2] m."""
+        position, world, box = situation.of(self._kind), situation.config.world, self._targets.box
+        value = self._targets.value(situation)
+        steps = steps_to(position[:, None], box[:, None], world)
+        self._chosen = best_targets(value, steps, self._targets.centre, self._chosen, OFFSET, SEPARATION)
+        goals = position.copy()
+        for uav, target in enumerate(self._chosen):
+            if target >= 0:
+                onward = value / (steps_to(self._targets.centre[target], box, world) + OFFSET)
+                onward[target] = 0.0
+                goals[uav] = aim(position[uav], box[:, target], box[:, onward.argmax()], world)
+        return goals
+
+
+def best_targets(
+    value: Array, steps: Array, centre: Array, kept: NDArray[np.int64], offset: float, separation: float
+) -> NDArray[np.int64]:
     """Give each UAV in turn the best target that lies apart from those already given.
 
     Args:
-        position: UAVs of one type, [E, n, 2] m.
-        target: candidate places, [E, K, 2] m.
-        value: what a visit is worth, [E, K]; nobody flies to a target worth 0.
-        offset: c, m.
-        separation: least distance between two given targets, m.
+        value: what a visit is worth, [K]; nobody flies to a target worth 0.
+        steps: how far it is, [n, K].
+        centre: where it is, [K, 2] m.
+        kept: [n] target of the step before, -1 for none; it is kept as long as it is worth anything.
+        offset: c, steps.
+        separation: least distance between two targets that are given anew, m.
 
     Returns:
-        [E, n, 2] m: each UAV's target, or its own place when nothing is worth a flight.
+        [n] target of each UAV, -1 when nothing is worth a flight.
     """
-    free = value > 0
-    rows = np.arange(len(position))
-    chosen = position.copy()
-    for uav in range(position.shape[1]):
-        distance = np.linalg.norm(target - position[:, None, uav], axis=2)
-        score = np.where(free, value / (distance + offset), 0.0)
-        best = score.argmax(axis=1)
-        place = target[rows, best]
-        worth = score[rows, best] > 0
-        chosen[worth, uav] = place[worth]
-        taken = np.linalg.norm(target - place[:, None], axis=2) < separation
-        free &= ~(taken & worth[:, None])
+    free = value > 0.0
+    chosen = np.where((kept >= 0) & free[kept], kept, -1)
+    for uav in np.argsort(chosen < 0, kind="stable"):
+        if chosen[uav] < 0 and free.any():
+            chosen[uav] = np.where(free, value / (steps[uav] + offset), 0.0).argmax()
+        if chosen[uav] >= 0:
+            free &= np.linalg.norm(centre - centre[chosen[uav]], axis=1) >= separation
     return chosen
-
-
-def plot_centres(world: WorldConfig) -> Array:
-    """Return the centres of all plots in the order of a flattened VDF map, [n_px * n_py, 2] m."""
-    x = (np.arange(world.plots_x) + 0.5) * world.field_x / world.plots_x
-    y = (np.arange(world.plots_y) + 0.5) * world.field_y / world.plots_y
-    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-
-
-class GreedyPolicy:
-    """Monitoring UAVs value a plot by its VDF, data collection UAVs a sensor by its AoI.
-
-    Args:
-        config: the farm.
-    """
-
-    def __init__(self, config: FarmConfig) -> None:
-        self._world = config.world
-        self._plots = plot_centres(config.world)
-        self._sensors: dict[int, Array] = {}
-
-    def reset(self, farms: FarmBatch, index: int) -> None:
-        """Look up where one environment's sensors are."""
-        self._sensors[index] = farms.layout(index).sensor_xy
-
-    def act(self, farms: FarmBatch) -> Float32:
-        """Return the actions [E, A] of this step."""
-        world, count = self._world, len(farms.position)
-        first = world.communication_uavs
-        second = first + world.monitoring_uavs
-        groups = slice(0, first), slice(first, second), slice(second, world.uavs)
-        relays, monitors, collectors = (farms.position[:, agents] for agents in groups)
-        plots = np.broadcast_to(self._plots, (count, *self._plots.shape))
-        sensors = np.stack([self._sensors[index] for index in range(count)])
-        targets = (
-            relay_targets(farms),
-            choose_targets(monitors, plots, farms.vdf.reshape(count, -1), OFFSET, SEPARATION),
-            choose_targets(collectors, sensors, farms.aoi, OFFSET, SEPARATION),
-        )
-        parts = [
-            keep_apart(position, towards(position, target, world), world)
-            for position, target in zip((relays, monitors, collectors), targets, strict=True)
-        ]
-        return np.concatenate(parts, axis=1).reshape(count, -1).astype(np.float32)

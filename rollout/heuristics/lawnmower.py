@@ -1,159 +1,122 @@
-"""The field divided among the UAVs of a type; each sweeps its part to and fro."""
+"""The field divided among the UAVs of a type; each sweeps its part lane by lane, returns to its start, and so on.
 
-from dataclasses import dataclass
+Source: boustrophedon coverage (Choset and Pignon 1998) over a partition of the field.
+"""
+
 from typing import Final
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from common.config import FarmConfig, WorldConfig
-from common.team import Float32
-from rollout.farms import FarmBatch
-from rollout.heuristics.steering import Array, keep_apart, relay_targets, towards
+from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
+from rollout.heuristics.rounds import Rounds
+from rollout.heuristics.sites import plot_boxes
+from rollout.heuristics.steering import Array, aim, steps_to
 
-SWATH: Final = 50.0
-"""Widest lane of a data collection UAV, m: from 18 m height a sensor 25 m aside is 31 m away and its PLR under 1 %."""
+LANE_PLOTS: Final = 2
+"""Plots side by side in a monitor's lane. A step is half a plot long, and a plot is imaged from anywhere around its
+middle, so a UAV that weaves between two columns images a plot in every step; over one column, in every second."""
+LANE: Final = 50.0
+"""Widest lane of a collector, m."""
+INSET: Final = 33.0
+"""A collector turns at this distance from the border of its area, m."""
 ARRIVED: Final = 0.5
-"""A lane's end counts as reached within this distance, m."""
+"""A collector's turning point counts as reached within this distance along each axis, m."""
+
+Block = tuple[int, int, int, int]
+"""First and past-the-last column and row of a part of the field."""
 
 
-@dataclass(frozen=True)
-class Area:
-    """A part of the field, and how it is swept.
-
-    Attributes:
-        x: its borders along x, m.
-        y: its borders along y, m.
-        lanes: lanes along y, side by side.
-        inset: distance of a lane's ends from the border, m.
-    """
-
-    x: tuple[float, float]
-    y: tuple[float, float]
-    lanes: int
-    inset: float
-
-    def path(self) -> Array:
-        """Return the corners of one sweep, [2 * lanes, 2] m: up the first lane, down the second, and so on."""
-        low, high = self.y[0] + self.inset, self.y[1] - self.inset
-        width = (self.x[1] - self.x[0]) / self.lanes
-        corners = []
-        for lane in range(self.lanes):
-            x = self.x[0] + (lane + 0.5) * width
-            ends = [(x, low), (x, high)]
-            corners += ends if lane % 2 == 0 else ends[::-1]
-        return np.array(corners)
+def monitors(situation: Situation) -> Crew:
+    """Return monitors that weave along lanes of LANE_PLOTS plots."""
+    return Rounds(monitoring_routes(situation.config), MONITORS, situation)
 
 
-def monitoring_areas(world: WorldConfig) -> list[Area]:
-    """Return one area of whole plots for each monitoring UAV; its lanes run through the plots' centres."""
-    width, depth = world.field_x / world.plots_x, world.field_y / world.plots_y
-    return [
-        Area((a * width, b * width), (c * depth, d * depth), b - a, depth / 2)
-        for a, b, c, d in _blocks(world.monitoring_uavs, world.plots_x, world.plots_y)
+def collectors(situation: Situation) -> Crew:
+    """Return collectors that fly along lanes at most LANE wide."""
+    return Rounds(collection_routes(situation.config.world), COLLECTORS, situation)
+
+
+def monitoring_routes(config: FarmConfig) -> list[Array]:
+    """Return for each monitor the boxes of the plots of its part, in the order of a sweep: [2, L, 2] m."""
+    world, boxes = config.world, plot_boxes(config)
+    divisions = [
+        [boxes[:, woven(block, world.plots_y)] for block in blocks]
+        for blocks in divided(world.monitoring_uavs, world.plots_x, world.plots_y)
     ]
+    return shortest(divisions, world)
 
 
-def collection_areas(world: WorldConfig) -> list[Area]:
-    """Return one area for each data collection UAV, in lanes of at most SWATH."""
-    columns = min(world.collection_uavs, max(1, int(world.field_x // SWATH)))
-    rows = max(1, int(world.field_y // SWATH))
-    width, depth = world.field_x / columns, world.field_y / rows
-    lanes = int(np.ceil(width / SWATH))
-    return [
-        Area((a * width, b * width), (c * depth, d * depth), lanes * (b - a), min(SWATH, depth * (d - c)) / 2)
-        for a, b, c, d in _blocks(world.collection_uavs, columns, rows)
+def collection_routes(world: WorldConfig) -> list[Array]:
+    """Return for each collector boxes around the turning points of its lanes, [2, L, 2] m."""
+    size = np.array([world.field_x, world.field_y])
+    columns, rows = (max(1, int(np.ceil(length / LANE))) for length in size)
+    divisions = [
+        [_lanes(block, size / (columns, rows)) for block in blocks]
+        for blocks in divided(world.collection_uavs, columns, rows)
     ]
+    return shortest(divisions, world)
 
 
-def _blocks(uavs: int, columns: int, rows: int) -> list[tuple[int, int, int, int]]:
-    """Divide columns x rows cells among UAVs: strips of columns, and strips cut across when there are too few.
+def divided(uavs: int, columns: int, rows: int) -> list[list[Block]]:
+    """Return ways to divide columns x rows cells among UAVs: 1, 2, ... strips of columns, each cut across.
 
-    Returns:
-        for each UAV its first and past-the-last column and row; with more UAVs than cells some share one.
+    Where a strip has fewer rows than UAVs, some share a row.
     """
-    strips = min(uavs, columns)
-    borders = [strip * columns // strips for strip in range(strips + 1)]
-    blocks = []
-    for strip in range(strips):
-        sharing = uavs // strips + (strip < uavs % strips)
-        for part in range(sharing):
-            low = part * rows // sharing
-            high = max(low + 1, (part + 1) * rows // sharing)
-            blocks.append((borders[strip], borders[strip + 1], low, high))
-    return blocks
+    ways = []
+    for strips in range(1, min(uavs, columns) + 1):
+        blocks = []
+        for strip in range(strips):
+            sharing = uavs // strips + (strip < uavs % strips)
+            for part in range(sharing):
+                low = part * rows // sharing
+                high = max(low + 1, (part + 1) * rows // sharing)
+                blocks.append((strip * columns // strips, (strip + 1) * columns // strips, low, high))
+        ways.append(blocks)
+    return ways
 
 
-class _Sweep:
-    """The UAVs of one type on their areas.
+def shortest(divisions: list[list[Array]], world: WorldConfig) -> list[Array]:
+    """Return the division whose longest closed route takes the fewest steps."""
+    return min(divisions, key=lambda routes: max(round_steps(route, world) for route in routes))
 
-    Args:
-        areas: one for each UAV.
-        agents: where the type lies among all agents.
+
+def round_steps(route: Array, world: WorldConfig) -> int:
+    """Return the steps of one round through the boxes [2, L, 2] of a closed route."""
+    length = route.shape[1]
+    position, steps = route[:, 0].mean(axis=0), 0
+    for at in range(1, length + 1):
+        box, after = route[:, at % length], route[:, (at + 1) % length]
+        steps += int(steps_to(position, box, world))
+        position = aim(position, box, after, world)
+    return steps
+
+
+def woven(block: Block, rows: int) -> list[int]:
+    """Return the plots of a block, in row-major numbers, in the order of a sweep to and fro between its columns.
+
+    A lane ends on the side of the next one.
     """
-
-    def __init__(self, areas: list[Area], agents: slice) -> None:
-        tours = [_to_and_fro(area.path()) for area in areas]
-        self.agents = agents
-        self._length = np.array([len(tour) for tour in tours])
-        self._corner = np.zeros((len(tours), self._length.max(), 2))
-        for index, tour in enumerate(tours):
-            self._corner[index, : len(tour)] = tour
-        self._area: dict[int, Array] = {}
-        self._next: dict[int, Array] = {}
-
-    def reset(self, position: Array, index: int) -> None:
-        """Give each UAV of one environment the area to whose start the fleet's way is shortest."""
-        start = self._corner[:, 0]
-        _, area = linear_sum_assignment(np.linalg.norm(position[:, None] - start[None], axis=2))
-        self._area[index] = area
-        self._next[index] = np.zeros(len(area), np.int64)
-
-    def targets(self, position: Array) -> Array:
-        """Return the corners [E, n_v, 2] that the UAVs at [E, n_v, 2] fly to now."""
-        area = np.stack([self._area[index] for index in range(len(position))])
-        corner = np.stack([self._next[index] for index in range(len(position))])
-        arrived = np.linalg.norm(self._corner[area, corner] - position, axis=2) < ARRIVED
-        corner = (corner + arrived) % self._length[area]
-        self._next = dict(enumerate(corner))
-        target: Array = self._corner[area, corner]
-        return target
+    first, last, low, high = block
+    plots: list[int] = []
+    for number, column in enumerate(range(first, last, LANE_PLOTS)):
+        across = list(range(column, min(column + LANE_PLOTS, last)))
+        along = range(low, high) if number % 2 == 0 else range(high - 1, low - 1, -1)
+        for index, row in enumerate(along):
+            forth = index % 2 == 0 or index == len(along) - 1
+            plots += [x * rows + row for x in (across if forth else across[::-1])]
+    return plots
 
 
-def _to_and_fro(path: Array) -> Array:
-    """Return the closed tour along a path and back."""
-    return np.concatenate([path, path[-2:0:-1]])
-
-
-class LawnmowerPolicy:
-    """Monitoring and data collection UAVs sweep at full speed; relays stay with those they serve.
-
-    Args:
-        config: the farm.
-    """
-
-    def __init__(self, config: FarmConfig) -> None:
-        world = config.world
-        first = world.communication_uavs
-        second = first + world.monitoring_uavs
-        self._world = world
-        self._sweeps = (
-            _Sweep(monitoring_areas(world), slice(first, second)),
-            _Sweep(collection_areas(world), slice(second, world.uavs)),
-        )
-
-    def reset(self, farms: FarmBatch, index: int) -> None:
-        """Divide one environment's field anew."""
-        for sweep in self._sweeps:
-            sweep.reset(farms.position[index, sweep.agents], index)
-
-    def act(self, farms: FarmBatch) -> Float32:
-        """Return the actions [E, A] of this step."""
-        relays = farms.team.groups[0].count
-        targets = [(slice(0, relays), relay_targets(farms))]
-        targets += [(sweep.agents, sweep.targets(farms.position[:, sweep.agents])) for sweep in self._sweeps]
-        parts = []
-        for agents, target in targets:
-            position = farms.position[:, agents]
-            parts.append(keep_apart(position, towards(position, target, self._world), self._world))
-        return np.concatenate(parts, axis=1).reshape(len(farms.position), -1).astype(np.float32)
+def _lanes(block: Block, cell: Array) -> Array:
+    """Return boxes around the turning points of a block of cells of size [2] m; a lane follows each column."""
+    first, last, low, high = block
+    bottom, top = low * cell[1], high * cell[1]
+    inset = min(INSET, (top - bottom) / 2.0)
+    corners = []
+    for number, column in enumerate(range(first, last)):
+        x = (column + 0.5) * cell[0]
+        ends = [(x, bottom + inset), (x, top - inset)]
+        corners += ends if number % 2 == 0 else ends[::-1]
+    place = np.array(corners)
+    return np.stack([place - ARRIVED, place + ARRIVED])

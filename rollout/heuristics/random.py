@@ -4,7 +4,7 @@ import numpy as np
 
 from common.seeds import stream
 from common.team import Float32
-from rollout.farms import FarmBatch
+from rollout.environments import Environments
 
 
 class RandomPolicy:
@@ -13,13 +13,13 @@ class RandomPolicy:
     def __init__(self) -> None:
         self._streams: dict[int, np.random.Generator] = {}
 
-    def reset(self, farms: FarmBatch, index: int) -> None:
+    def reset(self, environments: Environments, index: int) -> None:
         """Start the stream of one environment's episode."""
-        episode = farms.summary(index)
+        episode = environments.summary(index)
         self._streams[index] = stream("random policy", episode.farm, episode.episode)
 
-    def act(self, farms: FarmBatch) -> Float32:
+    def act(self, environments: Environments) -> Float32:
         """Return uniform actions [E, A] in [-1, 1]."""
-        size = farms.team.action_size
-        rows = [self._streams[index].uniform(-1.0, 1.0, size) for index in range(farms.position.shape[0])]
+        size = environments.team.action_size
+        rows = [self._streams[index].uniform(-1.0, 1.0, size) for index in range(len(environments.time))]
         return np.stack(rows).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What the heuristics share: flying to a point, keeping apart, and the relays' place.
+"""What the heuristics share: flying to a place, loitering there, and keeping apart.
 
 Actions are velocities as shares of the largest speed along each axis, so a step moves a UAV by
 action * (V_x-max, V_y-max) * t_step.
@@ -9,8 +9,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import WorldConfig
-from rollout.farms import FarmBatch
+from common.config import FarmConfig, WorldConfig
+from rollout.kernel.constants import constants
+from rollout.kernel.motion import flight_power
+from rollout.layout import cell_counts
 
 Array = NDArray[np.float64]
 
@@ -18,6 +20,10 @@ STANDOFF: Final = 1e-9
 """Least distance by which a direction is divided, m."""
 EDGE: Final = 1e-3
 """Nobody flies nearer to the field's edge, m, so that rounding puts nobody out of range."""
+ROUNDING: Final = 1e-2
+"""A box counts as reached from this distance, m: actions are rounded to float32."""
+LOITER_MAX: Final = 1.0
+"""Who waits does not fly faster than this, m/s."""
 
 
 def reach(world: WorldConfig) -> Array:
@@ -72,12 +78,59 @@ def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
     return apart
 
 
-def relay_targets(farms: FarmBatch) -> Array:
-    """Return for each relay the centre of the UAVs it serves, or its own place when it serves none: [E, n_c, 2] m."""
-    relays = farms.team.groups[0].count
-    own, served = farms.position[:, :relays], farms.position[:, relays:]
-    serves = (farms.assignment[:, None, :] == np.arange(relays)[:, None]).astype(np.float64)
-    number = serves.sum(axis=2, keepdims=True)
-    centre = np.matmul(serves, served) / np.maximum(number, 1.0)
-    target: Array = np.where(number > 0, centre, own)
-    return target
+def aim(position: Array, box: Array, onward: Array, world: WorldConfig) -> Array:
+    """Return the place in a box that takes the fewest steps to reach and, among those, lies nearest to the next box.
+
+    Both axes have a speed limit of their own, so that each can be decided by itself.
+
+    Args:
+        position: [..., 2] m.
+        box: lowest and highest corner, [2, ..., 2] m.
+        onward: the same of the box to be visited afterwards.
+        world: geometry and speeds.
+
+    Returns:
+        [..., 2] m.
+    """
+    way = steps_to(position, box, world)[..., None] * reach(world)
+    then = np.clip(position, onward[0], onward[1])
+    place: Array = np.clip(then, np.maximum(box[0], position - way), np.minimum(box[1], position + way))
+    return place
+
+
+def steps_to(position: Array, box: Array, world: WorldConfig) -> Array:
+    """Return the least whole number of steps, 1 or more, after which a UAV can be in a box: [...]."""
+    gap = (np.maximum(box[0] - position, position - box[1]) - ROUNDING) / reach(world)
+    steps: Array = np.maximum(1.0, np.ceil(gap.max(axis=-1)))
+    return steps
+
+
+def inside(position: Array, box: Array) -> NDArray[np.bool_]:
+    """Return whether places [..., 2] lie in boxes [2, ..., 2]."""
+    within: NDArray[np.bool_] = ((position >= box[0] - ROUNDING) & (position <= box[1] + ROUNDING)).all(axis=-1)
+    return within
+
+
+def loiter_speed(config: FarmConfig) -> float:
+    """Return the speed of least flight power up to LOITER_MAX, m/s: the printed model charges most for hovering."""
+    flight = constants(config, cell_counts(config.world)).flight
+    speeds = np.linspace(0.0, LOITER_MAX, 101)
+    return float(speeds[np.argmin([flight_power(flight, speed) for speed in speeds])])
+
+
+def loiter(position: Array, goal: Array, time: NDArray[np.int64], step: float) -> Array:
+    """Return the goals, where a UAV with a way shorter than `step` flies that far along x instead, to and fro.
+
+    Args:
+        position: [E, n, 2] m.
+        goal: [E, n, 2] m.
+        time: [E] steps done; decides between to and fro.
+        step: way of a loitering UAV in one step, m.
+
+    Returns:
+        [E, n, 2] m.
+    """
+    there = np.abs(goal - position).max(axis=-1) < step
+    aside = np.where(time % 2 == 0, step, -step)[:, None, None] * np.array([1.0, 0.0])
+    kept: Array = np.where(there[..., None], position + aside, goal)
+    return kept

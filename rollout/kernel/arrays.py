@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.team import farm_team
-from rollout.kernel.constants import Array, Indices
+from rollout.kernel.constants import Array, Constants, Indices
 from rollout.kernel.rewards import REWARD_PARTS
 from rollout.layout import cell_counts
 
@@ -26,6 +26,8 @@ class State(NamedTuple):
         service: [E, n_c] D_c, m.
         sensor: [E, 2, S] m.
         cell_start: [E, cells + 1] first sensor of each cell.
+        by_row: [E, S] the sensors row by row of cells.
+        row_start: [E, cells + 1] where each cell's begin in that list, row by row.
         cycle: [E, S] T_UA, steps.
         age: [E, S] AoI.
         age_due: [E, S] step at which it rises next.
@@ -39,6 +41,14 @@ class State(NamedTuple):
         served: [E, n_d] sensors of AoI above 0 that delivered in the last step.
         returns: [E, n] sums of rewards of the episode.
         sums: [E, 5] sums over the episode's steps: mean AoI, mean VDF, crowded UAVs, UAVs outside, energy in J.
+        rising: [E, 2] step at which any AoI and any VDF rises next.
+        age_below: [E, cells_y + 1, cells_x] tally of AoI over the sensor cells.
+        age_above: [E, cells_y + 1, cells_x].
+        waiting: [E, 1] how many sensors hold data.
+        level_below: [E, n_py + 1, n_px] tally of VDF over the plots.
+        level_above: [E, n_py + 1, n_px].
+        listed: [E, n_d, observed sensors] sensors that each data collection UAV sees.
+        quality: [E, n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
     """
 
     key: NDArray[np.uint64]
@@ -49,6 +59,8 @@ class State(NamedTuple):
     service: Array
     sensor: Array
     cell_start: Indices
+    by_row: Indices
+    row_start: Indices
     cycle: Indices
     age: Array
     age_due: Indices
@@ -62,6 +74,14 @@ class State(NamedTuple):
     served: Array
     returns: Array
     sums: Array
+    rising: Indices
+    age_below: Array
+    age_above: Array
+    waiting: Indices
+    level_below: Array
+    level_above: Array
+    listed: Indices
+    quality: Array
 
 
 class Farm(NamedTuple):
@@ -75,6 +95,8 @@ class Farm(NamedTuple):
     service: Array
     sensor: Array
     cell_start: Indices
+    by_row: Indices
+    row_start: Indices
     cycle: Indices
     age: Array
     age_due: Indices
@@ -88,6 +110,40 @@ class Farm(NamedTuple):
     served: Array
     returns: Array
     sums: Array
+    rising: Indices
+    age_below: Array
+    age_above: Array
+    waiting: Indices
+    level_below: Array
+    level_above: Array
+    listed: Indices
+    quality: Array
+
+
+class Assigning(NamedTuple):
+    """Working memory of the assignment.
+
+    Attributes:
+        distance: [n_m + n_d, n_c] of each pair, m.
+        loss: [n_m + n_d, n_c] free-space loss of each pair, dB.
+        pair: [n_m + n_d, n_c] cost of each pair.
+        load: [n_c] UAVs that each relay serves.
+        exchange: [n_c, n_c] costs of moving a UAV.
+        mover: [n_c, n_c] which UAV.
+        cost: [n_m + n_d, n_c capacity] cost of each UAV at each place of a relay.
+        numbers: [3, n_c capacity].
+        indices: [4, n_c capacity].
+    """
+
+    distance: Array
+    loss: Array
+    pair: Array
+    load: Indices
+    exchange: Array
+    mover: Indices
+    cost: Array
+    numbers: Array
+    indices: Indices
 
 
 class Scratch(NamedTuple):
@@ -104,20 +160,16 @@ class Scratch(NamedTuple):
         earlier: [n_c] D_c(k-1), m.
         centroid: [n_c + 1, 3] m.
         farthest: [n_c] farthest UAV served.
-        quadrant: [n, 4] sums.
-        number: [n_d] sensors around each UAV.
-        around: [n_d, S] which they are.
-        square: [n_d, S] squares of their distances, m^2.
-        nearest: [observed sensors] entries of the nearest.
+        peer: [n] nearest UAV of the plane.
+        apart_square: [n] square of its distance, m^2.
+        around: [S + 1] sensors around a UAV; the last entry is never read.
+        square: [S + 1] squares of their distances, m^2.
+        nearest_square: [observed sensors] squares of the distances of the nearest, m^2.
         woken: [n_d] sensor woken by each UAV that is the strongest.
         power: [n_d] interference, mW.
         item: [max(S, P)] sensors or plots served.
         share: [S] shares delivered.
-        plots: [n_px + 1, n_py + 1] sums of VDF over the plots below and to the left.
-        cells: [cells_x + 1, cells_y + 1] sums of AoI over the sensor cells below and to the left.
-        cost: [n_m + n_d, n_c capacity] of the assignment.
-        numbers: [3, n_c capacity].
-        indices: [4, n_c capacity].
+        assigning: of the assignment.
     """
 
     previous: Array
@@ -130,20 +182,16 @@ class Scratch(NamedTuple):
     earlier: Array
     centroid: Array
     farthest: Indices
-    quadrant: Array
-    number: Indices
+    peer: Indices
+    apart_square: Array
     around: Indices
     square: Array
-    nearest: Indices
+    nearest_square: Array
     woken: Indices
     power: Array
     item: Indices
     share: Array
-    plots: Array
-    cells: Array
-    cost: Array
-    numbers: Array
-    indices: Indices
+    assigning: Assigning
 
 
 def make_state(config: FarmConfig, environments: int) -> State:
@@ -161,6 +209,8 @@ def make_state(config: FarmConfig, environments: int) -> State:
         service=np.zeros((count, world.communication_uavs)),
         sensor=np.zeros((count, 2, sensors)),
         cell_start=np.zeros((count, columns * rows + 1), np.int64),
+        by_row=np.zeros((count, sensors), np.int64),
+        row_start=np.zeros((count, columns * rows + 1), np.int64),
         cycle=np.ones((count, sensors), np.int64),
         age=np.zeros((count, sensors)),
         age_due=np.zeros((count, sensors), np.int64),
@@ -174,6 +224,14 @@ def make_state(config: FarmConfig, environments: int) -> State:
         served=np.zeros((count, world.collection_uavs)),
         returns=np.zeros((count, uavs)),
         sums=np.zeros((count, 5)),
+        rising=np.zeros((count, 2), np.int64),
+        age_below=np.zeros((count, rows + 1, columns)),
+        age_above=np.zeros((count, rows + 1, columns)),
+        waiting=np.zeros((count, 1), np.int64),
+        level_below=np.zeros((count, world.plots_y + 1, world.plots_x)),
+        level_above=np.zeros((count, world.plots_y + 1, world.plots_x)),
+        listed=np.zeros((count, world.collection_uavs, config.observation.sensors), np.int64),
+        quality=np.zeros((count, served)),
     )
 
 
@@ -183,7 +241,7 @@ def make_scratch(config: FarmConfig) -> Scratch:
     uavs, sensors, collectors = world.uavs, world.sensors, world.collection_uavs
     served = world.monitoring_uavs + collectors
     places = world.communication_uavs * config.relay.capacity_for(world)
-    relays, (columns, rows) = world.communication_uavs, cell_counts(world)
+    relays = world.communication_uavs
     return Scratch(
         previous=np.zeros((uavs, 2)),
         outside=np.zeros(uavs),
@@ -195,18 +253,40 @@ def make_scratch(config: FarmConfig) -> Scratch:
         earlier=np.zeros(relays),
         centroid=np.zeros((relays + 1, 3)),
         farthest=np.zeros(relays, np.int64),
-        quadrant=np.zeros((uavs, 4)),
-        number=np.zeros(collectors, np.int64),
-        around=np.zeros((collectors, sensors), np.int64),
-        square=np.zeros((collectors, sensors)),
-        nearest=np.zeros(config.observation.sensors, np.int64),
+        apart_square=np.zeros(uavs),
+        peer=np.zeros(uavs, np.int64),
+        around=np.zeros(sensors + 1, np.int64),
+        square=np.zeros(sensors + 1),
+        nearest_square=np.zeros(config.observation.sensors),
         woken=np.zeros(collectors, np.int64),
         power=np.zeros(collectors),
         item=np.zeros(max(sensors, world.plots_x * world.plots_y), np.int64),
         share=np.zeros(sensors),
-        plots=np.zeros((world.plots_x + 1, world.plots_y + 1)),
-        cells=np.zeros((columns + 1, rows + 1)),
-        cost=np.zeros((served, places)),
-        numbers=np.zeros((3, places)),
-        indices=np.zeros((4, places), np.int64),
+        assigning=Assigning(
+            distance=np.zeros((served, relays)),
+            loss=np.zeros((served, relays)),
+            pair=np.zeros((served, relays)),
+            load=np.zeros(relays, np.int64),
+            exchange=np.zeros((relays, relays)),
+            mover=np.zeros((relays, relays), np.int64),
+            cost=np.zeros((served, places)),
+            numbers=np.zeros((3, places)),
+            indices=np.zeros((4, places), np.int64),
+        ),
     )
+
+
+class Frame(NamedTuple):
+    """All that one thread works with.
+
+    Attributes:
+        constants: numbers derived from the configuration.
+        state: the environments, which all threads share.
+        scratch: this thread's own.
+        action: [E, 2 n] of the next step.
+    """
+
+    constants: Constants
+    state: State
+    scratch: Scratch
+    action: Float32

@@ -2,33 +2,36 @@
 
 import math
 
-from rollout.kernel.compiled import compiled
+from rollout.kernel.compiled import sealed
 from rollout.kernel.constants import Array, CameraConstants, FleetConstants, Indices
 from rollout.kernel.neighbours import is_nearest
+from rollout.kernel.tallies import add, tally_plots
 
 
-@compiled
+@sealed
 def plot_quality(camera: CameraConstants, x: float, y: float, column: int, row: int) -> float:
     """Return Q_plot: the share of the plot's grid cells closer than d_th to a UAV over (x, y) (W21, W22)."""
     good = 0
-    for i in range(camera.grid_x):
-        dx = (column + (i + 0.5) / camera.grid_x) * camera.plot_width - x
-        for j in range(camera.grid_y):
-            dy = (row + (j + 0.5) / camera.grid_y) * camera.plot_depth - y
-            if dx * dx + dy * dy < camera.ground_square:
-                good += 1
-    return good / (camera.grid_x * camera.grid_y)
+    for cell in range(len(camera.grid_x)):
+        dx = (column + camera.grid_x[cell]) * camera.plot_width - x
+        dy = (row + camera.grid_y[cell]) * camera.plot_depth - y
+        good += 1 if dx * dx + dy * dy < camera.ground_square else 0
+    return good / len(camera.grid_x)
 
 
-@compiled
+@sealed
 def photograph(
     fleet: FleetConstants,
     camera: CameraConstants,
     position: Array,
+    apart_square: Array,
     linked: Array,
     step: int,
+    rising: Indices,
     level: Array,
     due: Indices,
+    below: Array,
+    above: Array,
     utility: Array,
     taken: Indices,
 ) -> None:
@@ -41,44 +44,64 @@ def photograph(
         fleet: the UAVs.
         camera: plots and cells.
         position: [n, 2] m.
+        apart_square: [n] square of the distance to the next UAV of the plane, m^2.
         linked: [n_m + n_d] 1 where images count (W4).
         step: number of this step, from 1.
+        rising: [2] the step at which any VDF rises next, in its second entry; updated.
         level: [n_px, n_py] VDF; updated.
         due: [n_px, n_py] step at which VDF rises next; updated.
+        below: tally of VDF; updated.
+        above: tally of VDF; updated.
         utility: [n] out for these UAVs: VMUF of this step.
         taken: [n_px n_py] scratch.
     """
-    successes, first, last = 0, fleet.relays, fleet.collectors
+    successes, first, last, due_now = 0, fleet.relays, fleet.collectors, rising[1] == step
     for u in range(first, last):
         utility[u] = 0.0
         if linked[u - first] == 0.0:
             continue
-        x, y = position[u]
+        x, y = position[u, 0], position[u, 1]
         left, right = _span(x, camera.reach, camera.plot_width, camera.plots_x)
         low, high = _span(y, camera.reach, camera.plot_depth, camera.plots_y)
         for column in range(left, right + 1):
             centre_x = (column + 0.5) * camera.plot_width
             for row in range(low, high + 1):
-                if level[column, row] == 0.0 and due[column, row] != step:
+                if level[column, row] == 0.0 and not (due_now and due[column, row] == step):
                     continue
                 centre_y = (row + 0.5) * camera.plot_depth
                 dx, dy = centre_x - x, centre_y - y
-                if not is_nearest(position, first, last, u, centre_x, centre_y, dx * dx + dy * dy):
+                square = dx * dx + dy * dy
+                if square > camera.centre_square:
+                    continue
+                if not is_nearest(position, apart_square, first, last, u, centre_x, centre_y, square):
                     continue
                 if plot_quality(camera, x, y, column, row) >= camera.threshold:
                     utility[u] += level[column, row]
                     taken[successes] = column * camera.plots_y + row
                     successes += 1
+    if due_now:
+        rising[1] = _rise(camera, step, level, due)
+        tally_plots(level, below, above)
+    for entry in range(successes):
+        column, row = taken[entry] // camera.plots_y, taken[entry] % camera.plots_y
+        add(below, above, column, row, -level[column, row])
+        level[column, row] = 0.0
+
+
+@sealed
+def _rise(camera: CameraConstants, step: int, level: Array, due: Indices) -> int:
+    """Let VDF rise where a cycle ends; return the step at which any rises next."""
+    soonest = step + camera.cycle
     for column in range(camera.plots_x):
         for row in range(camera.plots_y):
             if due[column, row] == step:
                 level[column, row] = min(level[column, row] + 1.0, camera.level_max)
                 due[column, row] += camera.cycle
-    for entry in range(successes):
-        level[taken[entry] // camera.plots_y, taken[entry] % camera.plots_y] = 0.0
+            soonest = min(soonest, due[column, row])
+    return soonest
 
 
-@compiled
+@sealed
 def _span(place: float, reach: float, size: float, plots: int) -> tuple[int, int]:
     """Return the first and last plot along an axis that a reach around a place touches."""
     low = int(max(0.0, math.floor((place - reach) / size)))

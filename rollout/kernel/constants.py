@@ -8,14 +8,11 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.errors import ConfigError
+from rollout.kernel.link import RadioConstants, loss_at_one_metre, noise, radio_constants
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-NEGLIGIBLE: Final = 1e-12
-"""A packet with a smaller chance to arrive is not sent (ours); it bounds the sensors that a UAV has to look at.
-
-Less utility than this counts as none."""
 LEAST_LINK: Final = 1.0
 """Least distance that enters the free-space loss between two UAVs, m (ours): there is no loss at distance 0."""
 
@@ -27,14 +24,18 @@ class FleetConstants(NamedTuple):
         relays: n_c.
         collectors: index of the first data collection UAV, n_c + n_m.
         uavs: n_UAV.
-        heights: of each type, m.
+        height: [n] of each UAV, m.
         payloads: of each type, power beside the flight power: P_comm + P_cmp and P_cam or P_ec, W.
         width: U_x-max, m.
         depth: U_y-max, m.
         diagonal: of the field, m.
+        per_width: 1 / width, 1/m.
+        per_depth: 1 / depth, 1/m.
+        per_diagonal: 1 / diagonal, 1/m.
         speed_x: V_x-max, m/s.
         speed_y: V_y-max, m/s.
         seconds: t_step, s.
+        steps: of an episode.
         safety: d_safety, m (W9).
         collision: collision distance, m.
         any_plane: whether the nearest UAV is looked for in all planes (W10).
@@ -43,14 +44,18 @@ class FleetConstants(NamedTuple):
     relays: int
     collectors: int
     uavs: int
-    heights: tuple[float, float, float]
+    height: Array
     payloads: tuple[float, float, float]
     width: float
     depth: float
     diagonal: float
+    per_width: float
+    per_depth: float
+    per_diagonal: float
     speed_x: float
     speed_y: float
     seconds: float
+    steps: int
     safety: float
     collision: float
     any_plane: bool
@@ -89,7 +94,9 @@ class RelayConstants(NamedTuple):
         capacity: UAVs that one relay serves.
         cost_distance: weight of the distance in the cost, 1/m.
         cost_link: weight of the free-space loss in the cost, 1/dB.
+        loss_scale: free-space loss per natural logarithm of the square of the distance, dB.
         loss_offset: free-space loss at 1 m, dB.
+        budget: transmission power over the noise: the signal-to-noise ratio of a link without loss, dB.
         weight_centroid: epsilon_1.
         weight_farthest: epsilon_2.
         weight_relays: epsilon_3.
@@ -99,39 +106,13 @@ class RelayConstants(NamedTuple):
     capacity: int
     cost_distance: float
     cost_link: float
+    loss_scale: float
     loss_offset: float
+    budget: float
     weight_centroid: float
     weight_farthest: float
     weight_relays: float
     link_range: float
-
-
-class RadioConstants(NamedTuple):
-    """The sensor link and AoI.
-
-    Attributes:
-        power: power received over 1 m of free space, mW.
-        vegetation: ln(10)/10 a_1 f_c^a_2, so that vegetation multiplies the power by exp(-vegetation d^a_3).
-        half_exponent: a_3 / 2.
-        noise: k_B T B, mW.
-        bits: 8 L.
-        interference: W14.
-        exact: exact Q function (W15).
-        expected: expected delivery (W17).
-        reach: horizontal distance beyond which no packet has more than a NEGLIGIBLE chance, m.
-        level_max: AoI_max.
-    """
-
-    power: float
-    vegetation: float
-    half_exponent: float
-    noise: float
-    bits: float
-    interference: bool
-    exact: bool
-    expected: bool
-    reach: float
-    level_max: float
 
 
 class CameraConstants(NamedTuple):
@@ -142,11 +123,12 @@ class CameraConstants(NamedTuple):
         plots_y: n_py.
         plot_width: m.
         plot_depth: m.
-        grid_x: n_gx.
-        grid_y: n_gy.
+        grid_x: [n_gx n_gy] middles of the grid cells along x, shares of the plot.
+        grid_y: [n_gx n_gy] the same along y.
         ground_square: d_th^2 - H_m^2, the square of the ground radius of a good image, m^2.
         threshold: Q_th.
         reach: horizontal distance from the UAV beyond which no cell matters, m.
+        centre_square: square of the distance from the UAV beyond which no plot whose centre lies there succeeds, m^2.
         cycle: t_v, steps.
         level_max: VDF_max.
     """
@@ -155,11 +137,12 @@ class CameraConstants(NamedTuple):
     plots_y: int
     plot_width: float
     plot_depth: float
-    grid_x: int
-    grid_y: int
+    grid_x: Array
+    grid_y: Array
     ground_square: float
     threshold: float
     reach: float
+    centre_square: float
     cycle: int
     level_max: float
 
@@ -195,7 +178,7 @@ class ObservationConstants(NamedTuple):
         sensors: n.
         printed: AoI only (W24).
         waiting: sensors with an AoI above 0 come first.
-        radius: where the search for the nearest sensors starts, m.
+        start_square: square of the distance to which the search for the nearest sensors starts, m^2.
         cells_x: sensor cells along x.
         cells_y: sensor cells along y.
     """
@@ -203,7 +186,7 @@ class ObservationConstants(NamedTuple):
     sensors: int
     printed: bool
     waiting: bool
-    radius: float
+    start_square: float
     cells_x: int
     cells_y: int
 
@@ -230,15 +213,18 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
     Raises:
         ConfigError: the field is so small that its diagonal has no free-space loss.
     """
-    radio = _radio(config)
-    world = config.world
-    density = world.sensors / (world.field_x * world.field_y)
-    holding = math.sqrt(2.0 * config.observation.sensors / (math.pi * density))
-    what = config.observation
-    seen = ObservationConstants(
-        what.sensors, what.form == "printed", what.choice == "waiting", max(radio.reach, holding), *cells
+    what, world = config.observation, config.world
+    start = 1.5 * what.sensors * world.field_x * world.field_y / (math.pi * world.sensors)
+    seen = ObservationConstants(what.sensors, what.form == "printed", what.choice == "waiting", start, *cells)
+    parts = (
+        _fleet(config),
+        _flight(config),
+        _relay(config),
+        radio_constants(config),
+        _camera(config),
+        _reward(config),
+        seen,
     )
-    parts = (_fleet(config), _flight(config), _relay(config), radio, _camera(config), _reward(config), seen)
     return Constants(*(_cast(part) for part in parts))
 
 
@@ -261,14 +247,21 @@ def _fleet(config: FarmConfig) -> FleetConstants:
         relays=world.communication_uavs,
         collectors=world.communication_uavs + world.monitoring_uavs,
         uavs=world.uavs,
-        heights=(float(world.height_communication), float(world.height_monitoring), float(world.height_collection)),
+        height=np.repeat(
+            np.array((world.height_communication, world.height_monitoring, world.height_collection), np.float64),
+            (world.communication_uavs, world.monitoring_uavs, world.collection_uavs),
+        ),
         payloads=(common, common + energy.camera_power, common + watts(energy.collection_dbm)),
         width=world.field_x,
         depth=world.field_y,
         diagonal=math.hypot(world.field_x, world.field_y),
+        per_width=1.0 / world.field_x,
+        per_depth=1.0 / world.field_y,
+        per_diagonal=1.0 / math.hypot(world.field_x, world.field_y),
         speed_x=world.speed_x_max,
         speed_y=world.speed_y_max,
         seconds=world.step_seconds,
+        steps=world.steps,
         safety=world.safety_distance,
         collision=world.collision_distance,
         any_plane=config.reward.nearest == "any",
@@ -292,18 +285,9 @@ def _flight(config: FarmConfig) -> FlightConstants:
     )
 
 
-def _frequency(config: FarmConfig) -> float:
-    """Return f_c in the unit in which it enters the path losses (W12)."""
-    return config.radio.carrier_mhz / (1000.0 if config.radio.frequency_unit == "ghz" else 1.0)
-
-
-def _loss_at_one_metre(config: FarmConfig) -> float:
-    return 20.0 * math.log10(1e-3) + 20.0 * math.log10(_frequency(config)) + 32.44
-
-
 def _relay(config: FarmConfig) -> RelayConstants:
     relay, world = config.relay, config.world
-    offset = _loss_at_one_metre(config)
+    offset = loss_at_one_metre(config)
     diagonal = math.hypot(world.field_x, world.field_y)
     loss = offset + 20.0 * math.log10(max(diagonal, LEAST_LINK))
     if loss <= 0.0:
@@ -312,50 +296,14 @@ def _relay(config: FarmConfig) -> RelayConstants:
         capacity=relay.capacity_for(world),
         cost_distance=relay.cost_distance / diagonal,
         cost_link=relay.cost_link / loss,
+        loss_scale=10.0 / math.log(10.0),
         loss_offset=offset,
+        budget=config.energy.transmit_dbm - 10.0 * math.log10(noise(config)),
         weight_centroid=relay.weight_centroid,
         weight_farthest=relay.weight_farthest,
         weight_relays=relay.weight_relays,
         link_range=relay.link_range if relay.require_link else math.inf,
     )
-
-
-def _radio(config: FarmConfig) -> RadioConstants:
-    radio, world = config.radio, config.world
-    made = RadioConstants(
-        power=10.0 ** ((radio.sensor_power_dbm + radio.sensor_gain_dbi - _loss_at_one_metre(config)) / 10.0),
-        vegetation=math.log(10.0)
-        / 10.0
-        * radio.vegetation_scale
-        * _frequency(config) ** radio.vegetation_frequency_exponent,
-        half_exponent=0.5 * radio.vegetation_distance_exponent,
-        noise=1000.0 * radio.boltzmann * radio.temperature_k * radio.bandwidth_hz,
-        bits=8.0 * radio.packet_bytes,
-        interference=radio.interference,
-        exact=radio.q_function == "exact",
-        expected=radio.delivery == "expected",
-        reach=math.hypot(world.field_x, world.field_y),
-        level_max=float(world.aoi_max),
-    )
-    return made._replace(reach=_reach(made, world.height_collection))
-
-
-def _reach(radio: RadioConstants, height: float) -> float:
-    """Return the horizontal distance beyond which packets have no chance: bisection on the monotonous power."""
-    if radio.half_exponent < 0.0:
-        return radio.reach  # vegetation that thins out with distance makes the power fall and rise
-    low, high = 0.0, radio.reach
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        square = middle * middle + height * height
-        signal = radio.power / square * math.exp(-radio.vegetation * square**radio.half_exponent)
-        sinr = signal / radio.noise
-        error = 0.5 * (math.erfc(math.sqrt(sinr)) if radio.exact else math.exp(-sinr))
-        if math.exp(radio.bits * math.log1p(-error)) < NEGLIGIBLE:
-            high = middle
-        else:
-            low = middle
-    return high * (1.0 + 1e-9)
 
 
 def _camera(config: FarmConfig) -> CameraConstants:
@@ -367,11 +315,12 @@ def _camera(config: FarmConfig) -> CameraConstants:
         plots_y=world.plots_y,
         plot_width=world.field_x / world.plots_x,
         plot_depth=world.field_y / world.plots_y,
-        grid_x=camera.grid_x,
-        grid_y=camera.grid_y,
+        grid_x=np.repeat((np.arange(camera.grid_x) + 0.5) / camera.grid_x, camera.grid_y),
+        grid_y=np.tile((np.arange(camera.grid_y) + 0.5) / camera.grid_y, camera.grid_x),
         ground_square=square,
         threshold=camera.plot_threshold,
         reach=math.hypot(world.field_x, world.field_y) if everywhere else math.sqrt(max(square, 0.0)),
+        centre_square=max(square, 0.0) * (1.0 + 1e-9) if camera.plot_threshold > 0.5 else math.inf,
         cycle=round(world.vdf_cycle / world.step_seconds),
         level_max=float(world.vdf_max),
     )

@@ -5,14 +5,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.kernel.compiled import compiled
+from rollout.kernel.compiled import sealed
 from rollout.kernel.constants import Array, FleetConstants, FlightConstants, Indices
 from rollout.kernel.planes import height_of, kind_of, plane_of
 
 Float32 = NDArray[np.float32]
 
 
-@compiled
+@sealed
 def flight_power(flight: FlightConstants, speed: float) -> float:
     """Return P_fly(|v|), W: as printed, or induced power m g v_i / eta plus body drag (W5)."""
     if flight.physical:
@@ -24,7 +24,7 @@ def flight_power(flight: FlightConstants, speed: float) -> float:
     return flight.c1 * speed * speed + flight.c2 / speed + flight.weight * speed
 
 
-@compiled
+@sealed
 def fly(
     fleet: FleetConstants,
     flight: FlightConstants,
@@ -63,7 +63,7 @@ def fly(
         outside[u] = 1.0 if position[u, 0] != x or position[u, 1] != y else 0.0
 
 
-@compiled
+@sealed
 def separation(fleet: FleetConstants, position: Array, a: int, b: int) -> float:
     """Return the 3-D distance between two UAVs, m."""
     dx, dy = position[a, 0] - position[b, 0], position[a, 1] - position[b, 1]
@@ -71,33 +71,53 @@ def separation(fleet: FleetConstants, position: Array, a: int, b: int) -> float:
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@compiled
-def find_nearest(fleet: FleetConstants, position: Array, neighbour: Indices, distance: Array, crowded: Array) -> None:
+@sealed
+def find_nearest(
+    fleet: FleetConstants,
+    position: Array,
+    peer: Indices,
+    apart_square: Array,
+    neighbour: Indices,
+    distance: Array,
+    crowded: Array,
+) -> None:
     """Find each UAV's closest UAV, UAV_N (W10).
 
     Args:
         fleet: the UAVs.
         position: [n, 2] m.
-        neighbour: [n] out: index of the closest, -1 if there is none; the lowest of several.
+        peer: [n] out: index of the closest of the same plane, -1 if there is none; the lowest of several.
+        apart_square: [n] out: square of its distance, m^2.
+        neighbour: [n] out: index of the closest, in the plane or anywhere.
         distance: [n] out: d_U, m.
         crowded: [n] out: 1 where a UAV of the same plane is closer than the collision distance.
     """
     for u in range(len(position)):
-        own_first, own_last = plane_of(fleet, u)
-        first = 0 if fleet.any_plane else own_first
-        last = len(position) if fleet.any_plane else own_last
-        neighbour[u], distance[u], crowded[u] = -1, math.inf, 0.0
+        first, last = plane_of(fleet, u)
+        x, y, closest, least = position[u, 0], position[u, 1], -1, math.inf
         for other in range(first, last):
-            if other == u:
-                continue
-            apart = separation(fleet, position, u, other)
-            if apart < distance[u]:
-                neighbour[u], distance[u] = other, apart
-            if apart < fleet.collision and own_first <= other < own_last:
-                crowded[u] = 1.0
+            dx, dy = x - position[other, 0], y - position[other, 1]
+            square = dx * dx + dy * dy if other != u else math.inf
+            closest, least = (other, square) if square < least else (closest, least)
+        peer[u], apart_square[u] = closest, least
+        neighbour[u], distance[u] = closest, math.sqrt(least)
+        crowded[u] = 1.0 if distance[u] < fleet.collision else 0.0
+        if fleet.any_plane:
+            neighbour[u], distance[u] = _nearest_anywhere(fleet, position, u)
 
 
-@compiled
+@sealed
+def _nearest_anywhere(fleet: FleetConstants, position: Array, u: int) -> tuple[int, float]:
+    """Return the UAV closest to a UAV, -1 if there is none, and its distance."""
+    nearest, least = -1, math.inf
+    for other in range(len(position)):
+        apart = separation(fleet, position, u, other)
+        if other != u and apart < least:
+            nearest, least = other, apart
+    return nearest, least
+
+
+@sealed
 def safety_risk(
     fleet: FleetConstants, closing: bool, previous: Array, neighbour: Indices, distance: Array, u: int
 ) -> float:

@@ -10,30 +10,32 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.kernel.compiled import compiled
+from rollout.kernel.compiled import sealed
 from rollout.kernel.constants import Array, CameraConstants, FleetConstants, Indices, ObservationConstants
+from rollout.kernel.neighbours import ALL, EMPTY, HOLDING, nearest_sensors
 from rollout.kernel.planes import height_of
 
 Float32 = NDArray[np.float32]
 
 SENSOR_SCALE: Final = 50.0
 """Offset of an observed sensor that is seen as 1, m; farther ones are clipped (ours, so that near ones differ)."""
+PER_SCALE: Final = 1.0 / SENSOR_SCALE
 
 
-@compiled
+@sealed
 def _put_place(fleet: FleetConstants, x: float, y: float, seen: Float32, at: int) -> int:
-    seen[at], seen[at + 1] = 2.0 * x / fleet.width - 1.0, 2.0 * y / fleet.depth - 1.0
+    seen[at], seen[at + 1] = 2.0 * x * fleet.per_width - 1.0, 2.0 * y * fleet.per_depth - 1.0
     return at + 2
 
 
-@compiled
+@sealed
 def _put_offset(fleet: FleetConstants, dx: float, dy: float, dz: float, seen: Float32, at: int) -> int:
-    seen[at], seen[at + 1] = dx / fleet.width, dy / fleet.depth
-    seen[at + 2] = math.sqrt(dx * dx + dy * dy + dz * dz) / fleet.diagonal
+    seen[at], seen[at + 1] = dx * fleet.per_width, dy * fleet.per_depth
+    seen[at + 2] = math.sqrt(dx * dx + dy * dy + dz * dz) * fleet.per_diagonal
     return at + 3
 
 
-@compiled
+@sealed
 def _put_uav(fleet: FleetConstants, position: Array, u: int, other: int, seen: Float32, at: int) -> int:
     if other < 0:
         seen[at], seen[at + 1], seen[at + 2] = 0.0, 0.0, 1.0
@@ -42,20 +44,11 @@ def _put_uav(fleet: FleetConstants, position: Array, u: int, other: int, seen: F
     return _put_offset(fleet, dx, dy, height_of(fleet, other) - height_of(fleet, u), seen, at)
 
 
-@compiled
-def _nearest_relay(fleet: FleetConstants, position: Array, u: int) -> int:
-    nearest, least = -1, math.inf
-    for other in range(fleet.relays):
-        dx, dy = position[other, 0] - position[u, 0], position[other, 1] - position[u, 1]
-        if other != u and dx * dx + dy * dy < least:
-            nearest, least = other, dx * dx + dy * dy
-    return nearest
-
-
-@compiled
+@sealed
 def see_relays(
     fleet: FleetConstants,
     position: Array,
+    peer: Indices,
     neighbour: Indices,
     centroid: Array,
     farthest: Indices,
@@ -67,6 +60,7 @@ def see_relays(
     Args:
         fleet: the UAVs.
         position: [n, 2] m.
+        peer: [n] nearest UAV of the plane.
         neighbour: [n] nearest UAV.
         centroid: [n_c + 1, 3] of those served, and of all relays; zeros are seen for a relay that serves nobody.
         farthest: [n_c] farthest served, -1 if none.
@@ -78,7 +72,7 @@ def see_relays(
     """
     for u in range(fleet.relays):
         at = _put_place(fleet, position[u, 0], position[u, 1], seen, at)
-        at = _put_uav(fleet, position, u, _nearest_relay(fleet, position, u), seen, at)
+        at = _put_uav(fleet, position, u, peer[u], seen, at)
         for point in (fleet.relays, u):
             dx, dy = centroid[point, 0] - position[u, 0], centroid[point, 1] - position[u, 1]
             dz = centroid[point, 2] - height_of(fleet, u)
@@ -93,7 +87,7 @@ def see_relays(
     return at
 
 
-@compiled
+@sealed
 def see_plots(
     fleet: FleetConstants,
     camera: CameraConstants,
@@ -136,22 +130,7 @@ def see_plots(
     return at
 
 
-@compiled
-def _select(square: Array, number: int, wanted: int, nearest: Indices) -> None:
-    """Write which entries of the list have the least squares, in rising order."""
-    held = 0
-    for entry in range(number):
-        if held == wanted and square[entry] >= square[nearest[held - 1]]:
-            continue
-        place = held if held < wanted else wanted - 1
-        held = min(held + 1, wanted)
-        while place > 0 and square[entry] < square[nearest[place - 1]]:
-            nearest[place] = nearest[place - 1]
-            place -= 1
-        nearest[place] = entry
-
-
-@compiled
+@sealed
 def see_sensors(
     fleet: FleetConstants,
     what: ObservationConstants,
@@ -160,43 +139,54 @@ def see_sensors(
     neighbour: Indices,
     direction: Array,
     sensor: Array,
+    cell_start: Indices,
+    age: Array,
+    waiting: Indices,
     around: Indices,
     square: Array,
-    number: Indices,
-    age: Array,
     nearest: Indices,
+    nearest_square: Array,
     seen: Float32,
     at: int,
 ) -> None:
-    """Write o_d of all data collection UAVs: own place, the n nearest sensors, D_AoI, nearest UAV.
+    """Write o_d of all data collection UAVs: own place, n sensors near, D_AoI, nearest UAV.
 
     Args:
         fleet: the UAVs.
-        what: n, and whether only AoI is seen.
+        what: n, which, and whether only AoI is seen.
         level_max: AoI_max.
         position: [n, 2] m.
         neighbour: [n] nearest UAV.
         direction: [n, 2] D_AoI.
         sensor: [2, S] m.
-        around: [n_d, S] sensors around each UAV, among them the n nearest.
-        square: [n_d, S] what they are sorted by: squares of their horizontal distances, m^2.
-        number: [n_d] how many.
+        cell_start: first sensor of each cell.
         age: [S] AoI.
-        nearest: [n] scratch.
+        waiting: [1] how many sensors hold data.
+        around: [S + 1] scratch.
+        square: [S + 1] scratch.
+        nearest: [n_d, n] the sensors seen by each in the step before; updated.
+        nearest_square: [n] scratch.
         seen: [O] out: the row.
         at: where to begin.
     """
-    for k in range(len(number)):
-        u = fleet.collectors + k
-        at = _put_place(fleet, position[u, 0], position[u, 1], seen, at)
-        _select(square[k], number[k], what.sensors, nearest)
-        for rank in range(what.sensors):
-            j = around[k, nearest[rank]]
-            seen[at] = age[j] / level_max
+    holding, wanted, per_level = waiting[0], what.sensors, 1.0 / level_max
+    for u in range(fleet.collectors, fleet.uavs):
+        x, y, listed = position[u, 0], position[u, 1], nearest[u - fleet.collectors]
+        at = _put_place(fleet, x, y, seen, at)
+        sort, total = (HOLDING, holding) if what.waiting else (ALL, len(age))
+        found = nearest_sensors(
+            fleet, what, x, y, sort, sensor, cell_start, age, total, around, square, listed, nearest_square
+        )
+        if found < wanted:
+            rest, total, squares = listed[found:], len(age) - holding, nearest_square[found:]
+            nearest_sensors(fleet, what, x, y, EMPTY, sensor, cell_start, age, total, around, square, rest, squares)
+        for rank in range(wanted):
+            j = listed[rank]
+            seen[at] = age[j] * per_level
             at += 1
             if not what.printed:
-                seen[at] = min(1.0, max(-1.0, (sensor[0, j] - position[u, 0]) / SENSOR_SCALE))
-                seen[at + 1] = min(1.0, max(-1.0, (sensor[1, j] - position[u, 1]) / SENSOR_SCALE))
+                seen[at] = min(1.0, max(-1.0, (sensor[0, j] - x) * PER_SCALE))
+                seen[at + 1] = min(1.0, max(-1.0, (sensor[1, j] - y) * PER_SCALE))
                 at += 2
         seen[at], seen[at + 1] = direction[u, 0], direction[u, 1]
         at = _put_uav(fleet, position, u, neighbour[u], seen, at + 2)

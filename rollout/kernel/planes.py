@@ -1,10 +1,10 @@
 """The three flight planes: communication (0), monitoring (1) and data collection UAVs (2), in row order."""
 
-from rollout.kernel.compiled import compiled
+from rollout.kernel.compiled import sealed
 from rollout.kernel.constants import FleetConstants
 
 
-@compiled
+@sealed
 def kind_of(fleet: FleetConstants, u: int) -> int:
     """Return the type of a UAV."""
     if u < fleet.relays:
@@ -12,13 +12,14 @@ def kind_of(fleet: FleetConstants, u: int) -> int:
     return 1 if u < fleet.collectors else 2
 
 
-@compiled
+@sealed
 def height_of(fleet: FleetConstants, u: int) -> float:
     """Return the flight height of a UAV: H_c, H_m or H_d, m."""
-    return fleet.heights[kind_of(fleet, u)]
+    height: float = fleet.height[u]
+    return height
 
 
-@compiled
+@sealed
 def plane_of(fleet: FleetConstants, u: int) -> tuple[int, int]:
     """Return the first UAV of the same plane and one past the last."""
     kind = kind_of(fleet, u)

@@ -1,13 +1,22 @@
 """Data collection: path loss, SINR, packet loss, and the age of information."""
 
 import math
+import sys
+from typing import Final
 
 import numpy as np
 
-from rollout.kernel.compiled import compiled
-from rollout.kernel.constants import NEGLIGIBLE, Array, FleetConstants, Indices, RadioConstants
-from rollout.kernel.neighbours import is_nearest
+from rollout.kernel.compiled import sealed
+from rollout.kernel.constants import (
+    Array,
+    FleetConstants,
+    Indices,
+    ObservationConstants,
+)
+from rollout.kernel.link import CHANCES, NEGLIGIBLE, RadioConstants
+from rollout.kernel.neighbours import block_around, gather, is_nearest
 from rollout.kernel.planes import height_of
+from rollout.kernel.tallies import add_sensor, tally_sensors
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -17,9 +26,11 @@ SHIFT_31 = np.uint64(31)
 SHIFT_30 = np.uint64(30)
 SHIFT_27 = np.uint64(27)
 SHIFT_11 = np.uint64(11)
+LEAST_AGE: Final = sys.float_info.min
+"""The least AoI above 0."""
 
 
-@compiled
+@sealed
 def draw(key: np.uint64, step: int, sensor: int) -> float:
     """Return the uniform number in [0, 1) of a packet: splitmix64 of the episode's key at counter (step, sensor).
 
@@ -33,13 +44,13 @@ def draw(key: np.uint64, step: int, sensor: int) -> float:
     return uniform
 
 
-@compiled
+@sealed
 def received_power(radio: RadioConstants, square: float) -> float:
     """Return the power received over a distance given by its square, m^2, in mW: free space and vegetation (W12)."""
     return radio.power / square * math.exp(-radio.vegetation * math.exp(radio.half_exponent * math.log(square)))
 
 
-@compiled
+@sealed
 def delivery(radio: RadioConstants, signal: float, interference: float) -> float:
     """Return 1 - PLR = (1 - BER)^(8 L) from the signal's and the interferers' power, mW; 0 below NEGLIGIBLE."""
     sinr = signal / (interference + radio.noise)
@@ -48,7 +59,7 @@ def delivery(radio: RadioConstants, signal: float, interference: float) -> float
     return chance if chance >= NEGLIGIBLE else 0.0
 
 
-@compiled
+@sealed
 def _square(position: Array, u: int, sensor: Array, j: int) -> float:
     """Return the square of the horizontal distance from a UAV to a sensor, m^2."""
     dx, dy = sensor[0, j] - position[u, 0], sensor[1, j] - position[u, 1]
@@ -56,7 +67,7 @@ def _square(position: Array, u: int, sensor: Array, j: int) -> float:
     return square
 
 
-@compiled
+@sealed
 def interfere(
     fleet: FleetConstants, radio: RadioConstants, position: Array, sensor: Array, woken: Indices, power: Array
 ) -> None:
@@ -92,31 +103,46 @@ def interfere(
                 power[k] += received_power(radio, square + height * height)
 
 
-@compiled
-def _share_delivered(radio: RadioConstants, chance: float, key: np.uint64, step: int, sensor: int) -> float:
-    """Return T_S: 1 or 0 by the packet's draw, or its chance itself in expected delivery (W17)."""
+@sealed
+def _share_delivered(
+    radio: RadioConstants, square: float, height: float, interference: float, key: np.uint64, step: int, sensor: int
+) -> float:
+    """Return T_S: 1 or 0 by the packet's draw, or its chance itself in expected delivery (W17).
+
+    Most draws lie outside the bounds of the chance at that distance and need no chance.
+    """
+    uniform = draw(key, step, sensor)
+    piece = min(CHANCES - 1, int(square * (CHANCES / (radio.reach * radio.reach))))
+    if uniform < radio.chances[piece, 0]:
+        return 1.0
+    if uniform > radio.chances[piece, 1]:
+        return 0.0
+    chance = delivery(radio, received_power(radio, square + height * height), interference)
     if radio.expected:
         return chance
-    return 1.0 if draw(key, step, sensor) < chance else 0.0
+    return 1.0 if uniform < chance else 0.0
 
 
-@compiled
+@sealed
 def send(
     fleet: FleetConstants,
+    seen: ObservationConstants,
     radio: RadioConstants,
     position: Array,
+    apart_square: Array,
     linked: Array,
     key: np.uint64,
     step: int,
     sensor: Array,
-    around: Indices,
-    square: Array,
-    number: Indices,
+    cell_start: Indices,
     interference: Array,
+    rising: Indices,
     age: Array,
     due: Indices,
     utility: Array,
     served: Array,
+    around: Indices,
+    square: Array,
     sent: Indices,
     share: Array,
 ) -> int:
@@ -126,68 +152,104 @@ def send(
 
     Args:
         fleet: the UAVs.
+        seen: the sensor cells.
         radio: the link.
         position: [n, 2] m.
+        apart_square: [n] square of the distance to the next UAV of the plane, m^2.
         linked: [n_m + n_d] 1 where deliveries count (W4).
         key: of the episode's packets.
         step: number of this step, from 1.
         sensor: [2, S] m.
-        around: [n_d, S] sensors around each UAV.
-        square: [n_d, S] squares of their horizontal distances, m^2.
-        number: [n_d] how many.
+        cell_start: first sensor of each cell.
         interference: [n_d] mW.
+        rising: [2] the step at which any AoI rises next, in its first entry.
         age: [S] AoI before the step.
         due: [S] step at which AoI rises next.
         utility: [n] out for these UAVs: DCUF of this step.
         served: [n_d] out: sensors of AoI above 0 that delivered (their shares, in expected delivery).
+        around: [S + 1] scratch.
+        square: [S + 1] scratch.
         sent: [S] out: the sensors that delivered.
         share: [S] out: which share, 1 but in expected delivery.
     """
-    delivered, first, limit = 0, fleet.collectors, radio.reach * radio.reach
-    height = height_of(fleet, first)
-    for k in range(len(number)):
-        utility[first + k], served[k] = 0.0, 0.0
-        for entry in range(number[k] if linked[first + k - fleet.relays] == 1.0 else 0):
-            j, apart = around[k, entry], square[k, entry]
-            idle = apart > limit or (age[j] == 0.0 and due[j] != step)
-            if idle or not is_nearest(position, first, fleet.uavs, first + k, sensor[0, j], sensor[1, j], apart):
+    delivered, first, limit, due_now = 0, fleet.collectors, radio.reach * radio.reach, rising[0] == step
+    height, least = height_of(fleet, first), 0.0 if due_now else LEAST_AGE
+    for k in range(len(served)):
+        u, credit, number = first + k, 0.0, 0.0
+        x, y = position[u, 0], position[u, 1]
+        block, found = block_around(fleet, seen, x, y, radio.reach), 0
+        if linked[u - fleet.relays] == 1.0:
+            found = gather(seen, block, x, y, least, math.inf, limit, sensor, cell_start, age, around, square)
+        for entry in range(found):
+            j, apart = around[entry], square[entry]
+            if age[j] == 0.0 and due[j] != step:
                 continue
-            chance = delivery(radio, received_power(radio, apart + height * height), interference[k])
-            part = _share_delivered(radio, chance, key, step, j)
+            if not is_nearest(position, apart_square, first, fleet.uavs, u, sensor[0, j], sensor[1, j], apart):
+                continue
+            part = _share_delivered(radio, apart, height, interference[k], key, step, j)
             if part > 0.0:
-                utility[first + k] += age[j] * part
-                served[k] += part if age[j] > 0.0 else 0.0
+                credit += age[j] * part
+                number += part if age[j] > 0.0 else 0.0
                 sent[delivered], share[delivered] = j, part
                 delivered += 1
+        utility[u], served[k] = credit, number
     return delivered
 
 
-@compiled
+@sealed
 def update_age(
+    fleet: FleetConstants,
+    seen: ObservationConstants,
     radio: RadioConstants,
     step: int,
     delivered: int,
     sent: Indices,
     share: Array,
+    sensor: Array,
+    cell_start: Indices,
+    rising: Indices,
     age: Array,
     due: Indices,
     cycle: Indices,
+    below: Array,
+    above: Array,
+    waiting: Indices,
 ) -> None:
     """Let AoI rise by 1, up to AoI_max, where a cycle ends, and fall to 0 where data arrived (W18).
 
     Args:
+        fleet: the field.
+        seen: the sensor cells.
         radio: AoI_max.
         step: number of this step, from 1.
         delivered: how many sensors delivered.
         sent: [S] which they are.
         share: [S] the share that each delivered.
+        sensor: [2, S] m.
+        cell_start: first sensor of each cell.
+        rising: [2] the step at which any AoI rises next, in its first entry; updated.
         age: [S] AoI; updated.
         due: [S] step at which it rises next; updated.
         cycle: [S] T_UA, steps.
+        below: tally of AoI; updated.
+        above: tally of AoI; updated.
+        waiting: [1] how many sensors hold data; updated.
     """
-    for j in range(len(age)):
-        if due[j] == step:
-            age[j] = min(age[j] + 1.0, radio.level_max)
-            due[j] += cycle[j]
+    due_now = rising[0] == step
+    if due_now:
+        soonest = due[0] + cycle[0]
+        for j in range(len(age)):
+            if due[j] == step:
+                age[j] = min(age[j] + 1.0, radio.level_max)
+                due[j] += cycle[j]
+            soonest = min(soonest, due[j])
+        rising[0] = soonest
+    if due_now and not radio.expected:
+        tally_sensors(seen, cell_start, age, below, above, waiting)
     for entry in range(delivered):
-        age[sent[entry]] *= 1.0 - share[entry]
+        j = sent[entry]
+        if not radio.expected and age[j] > 0.0:
+            add_sensor(fleet, seen, sensor[0, j], sensor[1, j], -age[j], -1, below, above, waiting)
+        age[j] *= 1.0 - share[entry]
+    if radio.expected and (due_now or delivered > 0):
+        tally_sensors(seen, cell_start, age, below, above, waiting)

@@ -2,54 +2,61 @@
 
 import math
 
-from rollout.kernel.assignment import assign
-from rollout.kernel.compiled import compiled
+from rollout.kernel.arrays import Assigning
+from rollout.kernel.assignment import assign, settle
+from rollout.kernel.compiled import sealed
 from rollout.kernel.constants import LEAST_LINK, Array, FleetConstants, Indices, RelayConstants
 from rollout.kernel.motion import separation
 from rollout.kernel.planes import height_of
 
 
-@compiled
+@sealed
 def assign_relays(
     fleet: FleetConstants,
     relay: RelayConstants,
     position: Array,
-    cost: Array,
-    numbers: Array,
-    indices: Indices,
+    fresh: bool,
+    work: Assigning,
     assignment: Indices,
     linked: Array,
+    quality: Array,
 ) -> None:
     """Assign every monitoring and data collection UAV to a relay (W2, W3).
 
     The cost of a pair is cost_distance d / diagonal + cost_link FSPL(d) / FSPL(diagonal); every relay stands in
-    `capacity` columns.
+    `capacity` columns. Where a few swaps make the assignment of the step before the only best one, that is it.
 
     Args:
         fleet: the UAVs.
         relay: weights and capacity.
         position: [n, 2] m.
-        cost: [n_m + n_d, n_c capacity] scratch.
-        numbers: scratch of `assign`.
-        indices: scratch of `assign`.
-        assignment: [n_m + n_d] out: relay of each served UAV.
+        fresh: whether there is no step before.
+        work: scratch.
+        assignment: [n_m + n_d] relay of each served UAV; updated.
         linked: [n_m + n_d] out: 1 where the relay is within link range (W4).
+        quality: [n_m + n_d] out: signal-to-noise ratio of the link to the relay, dB.
     """
     for served in range(len(assignment)):
         for i in range(fleet.relays):
             distance = separation(fleet, position, i, fleet.relays + served)
-            loss = 20.0 * math.log10(max(distance, LEAST_LINK)) + relay.loss_offset
-            value = relay.cost_distance * distance + relay.cost_link * loss
-            for place in range(relay.capacity):
-                cost[served, i * relay.capacity + place] = value
-    assign(cost, numbers, indices, assignment)
+            loss = relay.loss_scale * math.log(max(distance * distance, LEAST_LINK)) + relay.loss_offset
+            work.distance[served, i], work.loss[served, i] = distance, loss
+            work.pair[served, i] = relay.cost_distance * distance + relay.cost_link * loss
+    if fresh or not settle(work.pair, assignment, relay.capacity, work.load, work.exchange, work.mover):
+        for served in range(len(assignment)):
+            for i in range(fleet.relays):
+                for place in range(relay.capacity):
+                    work.cost[served, i * relay.capacity + place] = work.pair[served, i]
+        assign(work.cost, work.numbers, work.indices, assignment)
+        for served in range(len(assignment)):
+            assignment[served] //= relay.capacity
     for served in range(len(assignment)):
-        assignment[served] //= relay.capacity
-        distance = separation(fleet, position, assignment[served], fleet.relays + served)
-        linked[served] = 1.0 if distance <= relay.link_range else 0.0
+        i = assignment[served]
+        linked[served] = 1.0 if work.distance[served, i] <= relay.link_range else 0.0
+        quality[served] = relay.budget - work.loss[served, i]
 
 
-@compiled
+@sealed
 def serve(
     fleet: FleetConstants,
     relay: RelayConstants,
@@ -94,7 +101,7 @@ def serve(
         service[i] += relay.weight_relays * _to_point(fleet, position, i, centroid[count])
 
 
-@compiled
+@sealed
 def _to_point(fleet: FleetConstants, position: Array, u: int, point: Array) -> float:
     dx, dy, dz = point[0] - position[u, 0], point[1] - position[u, 1], point[2] - height_of(fleet, u)
     return math.sqrt(dx * dx + dy * dy + dz * dz)

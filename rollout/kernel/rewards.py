@@ -5,15 +5,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.kernel.compiled import compiled
-from rollout.kernel.constants import NEGLIGIBLE, Array, FleetConstants, Indices, RewardConstants
+from rollout.kernel.compiled import sealed
+from rollout.kernel.constants import Array, FleetConstants, Indices, RewardConstants
+from rollout.kernel.link import NEGLIGIBLE
 from rollout.kernel.motion import safety_risk
 
 REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "idle", "motivation")
 """The parts of a reward, in the order in which they are stored; each is weighted, and the reward is their sum."""
 
 
-@compiled
+@sealed
 def reward_step(
     fleet: FleetConstants,
     weight: RewardConstants,

@@ -1,0 +1,103 @@
+"""Farm files on disk: which format, how large, and what can go wrong before a line is looked at."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from common.config import FarmConfig
+from common.errors import ConfigError
+from rollout.farm_files.csv_text import format_csv, parse_csv
+from rollout.farm_files.geojson import format_geojson, parse_geojson
+from rollout.farm_files.projection import TangentPlane
+from rollout.farm_files.survey import GivenFarm, settle
+from rollout.layout import make_layout
+
+MAX_BYTES: Final = 8 * 1024 * 1024
+"""Largest farm file that is read; 10,000 sensors take 0.3 MB as CSV and 1.5 MB as GeoJSON."""
+GEOJSON: Final = (".geojson", ".json")
+CSV: Final = (".csv",)
+
+
+def read_farm(path: Path) -> GivenFarm:
+    """Return the farm that a file holds.
+
+    Args:
+        path: a file that ends in .csv, .geojson or .json.
+
+    Raises:
+        ConfigError: the file cannot be read or holds no farm; the sentence names the file and, where there is one,
+            the line.
+    """
+    kind = _format_of(path)
+    name = str(path)
+    text = _read(path)
+    return settle(parse_geojson(text, name) if kind == GEOJSON else parse_csv(text, name))
+
+
+def write_farm(path: Path, farm: FarmConfig, seed: int, corner: tuple[float, float] = (0.0, 0.0)) -> None:
+    """Write the farm of a seed; read again, every sensor is where it was to 1 mm.
+
+    Args:
+        path: a file that ends in .csv, .geojson or .json.
+        farm: the configuration.
+        seed: the farm's seed.
+        corner: longitude and latitude of the field's south-west corner, degrees; GeoJSON only.
+
+    Raises:
+        ConfigError: the file cannot be written, another ending, or a corner that is no place.
+    """
+    kind = _format_of(path)
+    layout, world = make_layout(farm, seed), farm.world
+    cycles = [world.sensor_cycles[sensor] for sensor in layout.sensor_type.tolist()]
+    if kind == CSV:
+        text = format_csv([(x, y) for x, y in layout.sensor_xy.tolist()], cycles, (world.field_x, world.field_y))
+    else:
+        text = format_geojson(*_on_earth(layout.sensor_xy.tolist(), cycles, (world.field_x, world.field_y), corner))
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"the farm file {path} cannot be written: {error.strerror}.") from error
+
+
+def _on_earth(
+    places: Sequence[Sequence[float]], cycles: list[int], field: tuple[float, float], corner: tuple[float, float]
+) -> tuple[list[tuple[float, float]], list[int], list[tuple[float, float]]]:
+    """Return longitude and latitude of the sensors, their cycles, and those of the field's corners."""
+    if not (abs(corner[0]) <= 180.0 and abs(corner[1]) <= 89.0):
+        raise ConfigError(f"no farm lies at longitude {corner[0]:g} and latitude {corner[1]:g}.")
+    size = np.array(field)
+    middle = TangentPlane(*corner).to_degrees(size[None] / 2.0)[0]
+    plane = TangentPlane(float(middle[0]), float(middle[1]))
+    corners = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]) * size
+    degrees = plane.to_degrees(np.concatenate([np.array(places), corners]) - size / 2.0)
+    degrees[:, 0] = (degrees[:, 0] + 180.0) % 360.0 - 180.0
+    pairs = [(float(longitude), float(latitude)) for longitude, latitude in degrees]
+    return pairs[:-4], cycles, pairs[-4:]
+
+
+def _format_of(path: Path) -> tuple[str, ...]:
+    for endings in (CSV, GEOJSON):
+        if path.suffix.lower() in endings:
+            return endings
+    raise ConfigError(f"the farm file {path} must end in {', '.join((*CSV, *GEOJSON))}.")
+
+
+def _read(path: Path) -> str:
+    try:
+        # Only a plain file: a pipe or a device could go on for ever.
+        if path.exists() and not path.is_file():
+            raise ConfigError(f"the farm file {path} is no plain file.")
+        with path.open("rb") as source:
+            content = source.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise ConfigError(f"the farm file {path} cannot be read: {reason}.") from error
+    if len(content) > MAX_BYTES:
+        raise ConfigError(f"the farm file {path} is larger than {MAX_BYTES // 1024**2} MiB.")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise ConfigError(f"{path}, line {line}: the text is not UTF-8.") from error

@@ -1,0 +1,226 @@
+"""Farms as GeoJSON (RFC 7946): a FeatureCollection of Points, WGS 84, and at most one Polygon, the field's boundary."""
+
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, Final, NoReturn
+
+from common.config.sites import MAX_SENSORS
+from common.errors import ConfigError
+from rollout.farm_files.survey import MARKS, Mark, Pair, Survey, quote
+
+MAX_CORNERS: Final = 10_000
+"""Most corners of a field's boundary."""
+DECIMALS: Final = 9
+"""Decimals of a degree that are written: 0.1 mm."""
+
+_SPACE: Final = re.compile(r"[ \t\n\r]*")
+_WGS84: Final = ("CRS84", "EPSG:4326", "EPSG::4326")
+
+
+def parse_geojson(text: str, name: str) -> Survey:
+    """Return what a GeoJSON text says.
+
+    Args:
+        text: the file's text.
+        name: the file, for error messages.
+
+    Raises:
+        ConfigError: text that is no JSON, or a feature that is none of a farm; the sentence names feature and line.
+    """
+    collection = _Collection(name)
+    members: dict[str, Any] = {}
+    try:
+        for key, feature, line in _Document(text).read():
+            if line:
+                collection.add(feature, line)
+            else:
+                members[key] = feature
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"{name}, line {error.lineno}: not JSON: {error.msg[:1].lower()}{error.msg[1:]}.") from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{name} is not JSON that can be read: {quote(str(error))}.") from error
+    if members.get("type") != "FeatureCollection" or not collection.found:
+        raise ConfigError(f"{name} is no GeoJSON FeatureCollection with features.")
+    if "crs" in members and not any(known in json.dumps(members["crs"]) for known in _WGS84):
+        raise ConfigError(f"{name} names another coordinate system; GeoJSON is longitude and latitude, WGS 84.")
+    return Survey(
+        name,
+        "geographic",
+        collection.points,
+        collection.where,
+        collection.mark or "",
+        tuple(collection.marks),
+        boundary=collection.boundary,
+    )
+
+
+class _Document:
+    """A JSON object that is read member by member, and its features one by one, so that each has a line."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.at = text, 0
+        self.decoder = json.JSONDecoder(parse_constant=_refuse_constant)
+
+    def read(self) -> Iterator[tuple[str, Any, int]]:
+        """Yield (name, value, 0) for each member, and ("features", feature, line) for each feature."""
+        self._expect("{")
+        more = not self._skip("}")
+        while more:
+            key = self._value()
+            if not isinstance(key, str):
+                raise json.JSONDecodeError("a member without a name", self.text, self.at)
+            self._expect(":")
+            if key == "features" and self._skip("["):
+                yield from self._features()
+            else:
+                yield key, self._value(), 0
+            more = self._skip(",")
+            if not more:
+                self._expect("}")
+        if self._next():
+            raise json.JSONDecodeError("something stands behind the end", self.text, self.at)
+
+    def _features(self) -> Iterator[tuple[str, Any, int]]:
+        line, counted = 1, 0
+        more = not self._skip("]")
+        while more:
+            self._next()
+            line, counted = line + self.text.count("\n", counted, self.at), self.at
+            yield "features", self._value(), line
+            more = self._skip(",")
+            if not more:
+                self._expect("]")
+
+    def _next(self) -> str:
+        """Go on to the next character that is no space and return it, or nothing at the end."""
+        space = _SPACE.match(self.text, self.at)
+        assert space is not None, "the pattern matches nothing as well"
+        self.at = space.end()
+        return self.text[self.at : self.at + 1]
+
+    def _skip(self, sign: str) -> bool:
+        found = self._next() == sign
+        self.at += found
+        return found
+
+    def _expect(self, sign: str) -> None:
+        if not self._skip(sign):
+            raise json.JSONDecodeError(f"{sign} is missing", self.text, self.at)
+
+    def _value(self) -> Any:
+        self._next()
+        value, self.at = self.decoder.raw_decode(self.text, self.at)
+        return value
+
+
+class _Collection:
+    """Sensors and boundary, feature by feature."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.found = 0
+        self.points: list[Pair] = []
+        self.where: list[str] = []
+        self.mark: Mark | None = None
+        self.marks: list[int] = []
+        self.boundary: list[Pair] = []
+        self._here = ""
+
+    def add(self, feature: Any, line: int) -> None:
+        """Take in a feature."""
+        self.found += 1
+        self._here = f"line {line}, feature {self.found}"
+        if not isinstance(feature, dict) or feature.get("type") != "Feature":
+            self._refuse("not a Feature.")
+        geometry = feature.get("geometry")
+        geometry = geometry if isinstance(geometry, dict) else {}
+        kind = geometry.get("type")
+        if kind == "Point":
+            if len(self.points) == MAX_SENSORS:
+                self._refuse(f"there are more than {MAX_SENSORS} sensors.")
+            self.points.append(self._position(geometry.get("coordinates")))
+            self.where.append(self._here)
+            self._take_mark(feature.get("properties"))
+        elif kind == "Polygon":
+            self._take_boundary(geometry.get("coordinates"))
+        else:
+            what = f"a geometry {quote(kind)}" if isinstance(kind, str) else "no geometry"
+            self._refuse(f"{what}, where a sensor is a Point and the field's boundary a Polygon.")
+
+    def _take_mark(self, properties: Any) -> None:
+        named = [mark for mark in MARKS if isinstance(properties, dict) and mark in properties]
+        if len(named) > 1:
+            self._refuse("the sensor has both a type and a cycle.")
+        mark: Mark = "type" if "type" in named else "cycle" if named else ""
+        if self.mark is None:
+            self.mark = mark
+        if mark != self.mark:
+            self._refuse("either every sensor has a type, or every one has a cycle, or none has any.")
+        if mark:
+            value, (low, high) = properties[mark], MARKS[mark]
+            if type(value) is not int or not low <= value <= high:
+                self._refuse(f"the {mark} must be a whole number from {low} to {high}, not {_show(value)}.")
+            self.marks.append(value)
+
+    def _take_boundary(self, rings: Any) -> None:
+        if self.boundary:
+            self._refuse("a second Polygon; a farm has one field.")
+        ring = rings[0] if isinstance(rings, list) and rings else None
+        if not isinstance(ring, list) or not 4 <= len(ring) <= MAX_CORNERS:
+            self._refuse(f"the boundary must be a ring of 4 to {MAX_CORNERS} positions, the last of them the first.")
+        self.boundary = [self._position(corner) for corner in ring]
+
+    def _position(self, value: Any) -> Pair:
+        numbers: list[Any] = value if isinstance(value, list) and 2 <= len(value) <= 4 else [None]
+        if any(type(number) not in (int, float) for number in numbers):
+            self._refuse(f"coordinates must be [longitude, latitude], not {_show(value)}.")
+        # Compared before it becomes a float, which a whole number of any size may not fit.
+        if not (abs(numbers[0]) <= 180 and abs(numbers[1]) <= 90):
+            self._refuse(f"[longitude, latitude] must lie within 180 and 90 degrees, not {_show(value)}.")
+        return float(numbers[0]), float(numbers[1])
+
+    def _refuse(self, sentence: str) -> NoReturn:
+        raise ConfigError(f"{self.name}, {self._here}: {sentence}")
+
+
+def format_geojson(points: Iterable[Pair], cycles: Iterable[int], corners: Sequence[Pair]) -> str:
+    """Return a farm as GeoJSON text, a feature a line.
+
+    Args:
+        points: longitude and latitude of each sensor, degrees.
+        cycles: update cycle of each, s.
+        corners: the field's four corners, counterclockwise.
+    """
+    ring = [_rounded(corner) for corner in (*corners, corners[0])]
+    features = [_feature({"type": "Polygon", "coordinates": [ring]}, {"name": "field"})]
+    for point, cycle in zip(points, cycles, strict=True):
+        features.append(_feature({"type": "Point", "coordinates": _rounded(point)}, {"cycle": cycle}))
+    body = ",\n".join(json.dumps(feature) for feature in features)
+    return f'{{"type": "FeatureCollection", "features": [\n{body}\n]}}\n'
+
+
+def _feature(geometry: dict[str, Any], properties: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+def _rounded(pair: Pair) -> list[float]:
+    return [round(pair[0], DECIMALS), round(pair[1], DECIMALS)]
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no number")
+
+
+def _show(value: Any) -> str:
+    """Return a value for a sentence."""
+    if isinstance(value, str):
+        return quote(value)
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**15:
+        return "a huge number"
+    if value is None or isinstance(value, bool | int | float):
+        return json.dumps(value) if not isinstance(value, float) or math.isfinite(value) else "an infinite number"
+    if isinstance(value, list) and len(value) <= 4 and all(isinstance(part, int | float) for part in value):
+        return "[" + ", ".join(map(_show, value)) + "]"
+    return "something else"

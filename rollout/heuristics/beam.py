@@ -1,0 +1,186 @@
+"""Beam search for the path of one UAV over a lattice of places that lie one step apart."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rollout.kernel.compiled import compiled, compiled_entry
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class Lattice(NamedTuple):
+    """Places, and the sites that can be served from each.
+
+    Attributes:
+        place: [K, 2] m, x outer.
+        rows: places along y.
+        first: [K + 1] first entry of each place in `site` and `chance`.
+        site: plots or sensors within reach.
+        chance: that a visit of one step serves them.
+    """
+
+    place: Array
+    rows: int
+    first: Indices
+    site: Indices
+    chance: Array
+
+
+class Worth(NamedTuple):
+    """What a step is worth, in units of reward.
+
+    Attributes:
+        unit: of one unit served.
+        idle: of serving nothing; not above 0.
+        risk: of closing in by 1 m on the nearest UAV; not above 0.
+        safety: distance from which on that costs nothing, m.
+        flight: of flying nowhere, along one axis, along both; not above 0.
+        discount: of what comes a step later.
+    """
+
+    unit: float
+    idle: float
+    risk: float
+    safety: float
+    flight: tuple[float, float, float]
+    discount: float
+
+
+@compiled
+def _units(lattice: Lattice, level: Array, rest: Array, node: int) -> float:
+    """Return the units that a step over a place is expected to serve."""
+    total = 0.0
+    for entry in range(lattice.first[node], lattice.first[node + 1]):
+        site = lattice.site[entry]
+        total += level[site] * rest[site] * lattice.chance[entry]
+    return total
+
+
+@compiled
+def _serve(lattice: Lattice, rest: Array, node: int) -> None:
+    """Take from the shares [S] that are left what a step over a place serves."""
+    for entry in range(lattice.first[node], lattice.first[node + 1]):
+        rest[lattice.site[entry]] *= 1.0 - lattice.chance[entry]
+
+
+@compiled
+def _closing(place: Array, node: int, before: int, others: Array, earlier: Array, safety: float) -> float:
+    """Return by how many metres a move closes in on whoever is nearest after it, if that is inside `safety`."""
+    nearest, closing = safety, 0.0
+    for other in range(len(others)):
+        now = np.hypot(place[node, 0] - others[other, 0], place[node, 1] - others[other, 1])
+        if now < nearest:
+            then = np.hypot(place[before, 0] - earlier[other, 0], place[before, 1] - earlier[other, 1])
+            nearest, closing = now, max(0.0, then - now)
+    return closing
+
+
+@compiled
+def _expand(
+    lattice: Lattice,
+    worth: Worth,
+    level: Array,
+    others: Array,
+    earlier: Array,
+    factor: float,
+    node: Indices,
+    score: Array,
+    rest: Array,
+    candidate: Array,
+    move: Indices,
+) -> int:
+    """Score every move of every path that is kept.
+
+    Args:
+        lattice: places and sites.
+        worth: what counts.
+        level: [S] counters that this step would be credited with.
+        others: [m, 2] where the other UAVs are after the step, m.
+        earlier: [m, 2] the same before it.
+        factor: discount of this step.
+        node: [b] last place of each path.
+        score: [b] of each path.
+        rest: [b, S] share of each site that a path has left.
+        candidate: [9 b] out: scores of the longer paths.
+        move: [9 b, 2] out: their path and new place.
+
+    Returns:
+        how many there are.
+    """
+    count, columns = 0, len(lattice.place) // lattice.rows
+    for b in range(len(node)):
+        column, row = node[b] // lattice.rows, node[b] % lattice.rows
+        for x in range(max(0, column - 1), min(columns, column + 2)):
+            for y in range(max(0, row - 1), min(lattice.rows, row + 2)):
+                to = x * lattice.rows + y
+                units = _units(lattice, level, rest[b], to)
+                value = worth.unit * units + worth.flight[abs(x - column) + abs(y - row)]
+                value += worth.idle if units < 0.5 else 0.0
+                value += worth.risk * _closing(lattice.place, to, node[b], others, earlier, worth.safety)
+                candidate[count] = score[b] + factor * value
+                move[count, 0], move[count, 1] = b, to
+                count += 1
+    return count
+
+
+@compiled
+def _choose(candidate: Array, move: Indices, width: int, same: int, used: Indices, chosen: Indices) -> int:
+    """Choose the best candidates, at most `same` that end in one place; return how many."""
+    kept = 0
+    for pick in np.argsort(-candidate):
+        to = move[pick, 1]
+        if used[to] < same:
+            used[to] += 1
+            chosen[kept] = pick
+            kept += 1
+            if kept == width:
+                break
+    for k in range(kept):
+        used[move[chosen[k], 1]] = 0
+    return kept
+
+
+@compiled_entry
+def best_path(
+    lattice: Lattice, worth: Worth, start: int, level: Array, claimed: Indices, others: Array, width: int, same: int
+) -> Indices:
+    """Return the best path that a beam search finds.
+
+    Args:
+        lattice: places and sites.
+        worth: what counts.
+        start: place of the UAV.
+        level: [H, S] counters with which each of the H steps would be credited if nobody served anything.
+        claimed: [M] places over which the plans of the other UAVs lead: what they serve is left to them.
+        others: [H + 1, m, 2] where the other UAVs are now and after each step, m.
+        width: paths that are kept.
+        same: how many of them may end in one place.
+
+    Returns:
+        [H] places after each step.
+    """
+    horizon, sites = level.shape
+    node, score, rest = np.full(1, start), np.zeros(1), np.ones((1, sites))
+    for place in claimed:
+        _serve(lattice, rest[0], place)
+    path = np.zeros((1, horizon), np.int64)
+    candidate, move = np.empty(9 * width), np.empty((9 * width, 2), np.int64)
+    used, chosen = np.zeros(len(lattice.place), np.int64), np.empty(width, np.int64)
+    factor = 1.0
+    for step in range(horizon):
+        count = _expand(
+            lattice, worth, level[step], others[step + 1], others[step], factor, node, score, rest, candidate, move
+        )
+        kept = _choose(candidate[:count], move, width, same, used, chosen)
+        score = candidate[chosen[:kept]]
+        parent, node = move[chosen[:kept], 0], move[chosen[:kept], 1].copy()
+        rest, path = rest[parent], path[parent]
+        for k in range(kept):
+            path[k, step] = node[k]
+            _serve(lattice, rest[k], node[k])
+        factor *= worth.discount
+    best: Indices = path[0].copy()
+    return best

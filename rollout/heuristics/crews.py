@@ -1,0 +1,119 @@
+"""How a heuristic is put together: one crew for the relays, one for the monitors, one for the collectors.
+
+A crew says where its UAVs should be next; flying there and keeping apart is the same for all (`steering`). Every
+environment has crews of its own and they see nothing of the others, so an episode does not depend on its batch.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig
+from common.team import Float32
+from rollout.farms import FarmBatch
+from rollout.heuristics.steering import Array, keep_apart, loiter, loiter_speed, towards
+from rollout.layout import Layout
+
+RELAYS: Final = 0
+MONITORS: Final = 1
+COLLECTORS: Final = 2
+"""The three types, as `Situation.agents` has them."""
+
+
+@dataclass(frozen=True)
+class Situation:
+    """One environment as a heuristic sees it.
+
+    Attributes:
+        config: the farm.
+        layout: its sensors.
+        seeds: farm and episode.
+        agents: rows of the relays, the monitors and the collectors.
+        time: steps done.
+        position: [n, 2] m.
+        aoi: [S].
+        vdf: [n_px n_py], plots in row-major order.
+        assignment: [n_m + n_d] relay of each served UAV.
+    """
+
+    config: FarmConfig
+    layout: Layout
+    seeds: tuple[int, int]
+    agents: tuple[slice, slice, slice]
+    time: int
+    position: Array
+    aoi: Array
+    vdf: Array
+    assignment: NDArray[np.int64]
+
+    def of(self, kind: int) -> Array:
+        """Return the positions of the UAVs of a type, [n_v, 2] m."""
+        return self.position[self.agents[kind]]
+
+
+class Crew(Protocol):
+    """The UAVs of one type in one environment, for one episode."""
+
+    def goals(self, situation: Situation) -> Array:
+        """Return where each UAV should be after this step, or later where that is too far: [n_v, 2] m."""
+
+
+MakeCrew = Callable[[Situation], Crew]
+"""Makes a crew for the episode that begins with a situation."""
+
+
+class CrewPolicy:
+    """Crews fly every environment of a batch.
+
+    Args:
+        config: the farm.
+        relays: makes the crew of communication UAVs.
+        monitors: makes the crew of monitoring UAVs.
+        collectors: makes the crew of data collection UAVs.
+    """
+
+    def __init__(self, config: FarmConfig, relays: MakeCrew, monitors: MakeCrew, collectors: MakeCrew) -> None:
+        self._config = config
+        self._loiter = loiter_speed(config) * config.world.step_seconds
+        self._make = relays, monitors, collectors
+        self._layouts: dict[int, Layout] = {}
+        self._seeds: dict[int, tuple[int, int]] = {}
+        self._crews: dict[int, list[Crew]] = {}
+
+    def reset(self, farms: FarmBatch, index: int) -> None:
+        """Make new crews for one environment."""
+        episode = farms.summary(index)
+        self._layouts[index] = farms.layout(index)
+        self._seeds[index] = episode.farm, episode.episode
+        situation = self._situation(farms, index)
+        self._crews[index] = [make(situation) for make in self._make]
+
+    def act(self, farms: FarmBatch) -> Float32:
+        """Return the actions [E, A] of this step."""
+        world, count = self._config.world, len(farms.position)
+        goals = np.stack([self._goals(farms, index) for index in range(count)])
+        waiting = loiter(farms.position, goals, farms.time, self._loiter)
+        action = towards(farms.position, waiting, world)
+        parts = [keep_apart(farms.position[:, rows], action[:, rows], world) for rows in farms.team.agent_slices()]
+        return np.concatenate(parts, axis=1).reshape(count, -1).astype(np.float32)
+
+    def _goals(self, farms: FarmBatch, index: int) -> Array:
+        situation = self._situation(farms, index)
+        return np.concatenate([crew.goals(situation) for crew in self._crews[index]])
+
+    def _situation(self, farms: FarmBatch, index: int) -> Situation:
+        relays, monitors, collectors = farms.team.agent_slices()
+        return Situation(
+            config=self._config,
+            layout=self._layouts[index],
+            seeds=self._seeds[index],
+            agents=(relays, monitors, collectors),
+            time=int(farms.time[index]),
+            position=farms.position[index],
+            aoi=farms.aoi[index],
+            vdf=farms.vdf[index].reshape(-1),
+            assignment=farms.assignment[index],
+        )

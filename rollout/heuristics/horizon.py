@@ -1,0 +1,181 @@
+"""Every UAV plans some steps ahead for what the reward pays, flies the first few of them, and plans anew.
+
+Source: receding-horizon control with beam search over a lattice, as for informative paths (Binney and Sukhatme 2012);
+one robot after the other as in sequential allocation (Singh et al. 2009).
+"""
+
+import functools
+from typing import Final
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from common.config import FarmConfig
+from rollout.heuristics import lawnmower
+from rollout.heuristics.beam import Array, Indices, Lattice, Worth, best_path
+from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
+from rollout.heuristics.sites import image_succeeds, packet_chances, plot_centres
+from rollout.heuristics.steering import reach
+from rollout.kernel.constants import constants
+from rollout.kernel.motion import flight_power
+from rollout.layout import cell_counts
+
+HORIZON: Final = 16
+"""Steps that a plan looks ahead."""
+WIDTH: Final = 32
+"""Paths that the search keeps."""
+LAST: Final = 60
+"""Steps before the end from which on plans look further ahead: what is left at the end is lost."""
+LAST_HORIZON: Final = 30
+"""Steps that these plans look ahead."""
+LAST_WIDTH: Final = 64
+"""Paths that their search keeps."""
+SAME: Final = 4
+"""Kept paths that may end in one place."""
+DISCOUNT: Final = 0.98
+"""Worth of what comes a step later."""
+NOBODY: Final[Indices] = np.zeros(0, np.int64)
+"""The plan of a UAV that has none yet."""
+FAINT: Final = 0.02
+"""Sensors that are heard with a smaller chance are left out."""
+
+
+def monitors(situation: Situation) -> Crew:
+    """Return monitors that sweep until the last steps: all plots are alike, so no plan finds a better round."""
+    return Handover(situation, lawnmower.monitors(situation), HorizonCrew(situation, MONITORS))
+
+
+def collectors(situation: Situation) -> Crew:
+    """Return collectors that plan ahead."""
+    return HorizonCrew(situation, COLLECTORS)
+
+
+class Handover:
+    """One crew flies until the last steps of the episode, another one from there on.
+
+    Args:
+        situation: the start.
+        early: flies first.
+        late: flies the last LAST steps.
+    """
+
+    def __init__(self, situation: Situation, early: Crew, late: Crew) -> None:
+        self._change = situation.config.world.steps - LAST
+        self._early, self._late = early, late
+
+    def goals(self, situation: Situation) -> Array:
+        """Return the goals of whoever flies now, [n_v, 2] m."""
+        return (self._early if situation.time < self._change else self._late).goals(situation)
+
+
+class HorizonCrew:
+    """One UAV after the other plans, one in each step; what the plans of the others will serve is left to them.
+
+    Args:
+        situation: the start.
+        kind: the crew's type.
+    """
+
+    def __init__(self, situation: Situation, kind: int) -> None:
+        world, layout = situation.config.world, situation.layout
+        self._kind = kind
+        self._worth = worth_of(situation.config, kind)
+        if kind == MONITORS:
+            self._lattice = plot_lattice(situation.config)
+            self._cycle: Indices = np.full(layout.plot_phase.size, round(world.vdf_cycle / world.step_seconds))
+            self._phase: Indices = layout.plot_phase.reshape(-1)
+            self._most = float(world.vdf_max)
+        else:
+            self._lattice = sensor_lattice(situation.config, layout.sensor_xy)
+            self._cycle, self._phase = layout.sensor_cycle_steps, layout.sensor_phase
+            self._most = float(world.aoi_max)
+        self._plans: list[Indices] = [NOBODY] * len(situation.of(kind))
+
+    def goals(self, situation: Situation) -> Array:
+        """Return the next place of each plan, [n_v, 2] m."""
+        count = len(self._plans)
+        self._plans = [plan[1:] for plan in self._plans]
+        for uav in range(count):
+            if situation.time % count == uav or len(self._plans[uav]) == 0:
+                self._plans[uav] = self._plan(situation, uav)
+        return self._lattice.place[[plan[0] for plan in self._plans]]
+
+    def _plan(self, situation: Situation, uav: int) -> Indices:
+        """Return the places [H] that a UAV will fly over."""
+        ahead = situation.config.world.steps - situation.time
+        most, width = (HORIZON, WIDTH) if ahead > LAST else (LAST_HORIZON, LAST_WIDTH)
+        horizon = max(1, min(most, ahead))
+        position, place = situation.of(self._kind), self._lattice.place
+        others = np.empty((horizon + 1, len(position) - 1, 2))
+        for column, other in enumerate(np.flatnonzero(np.arange(len(position)) != uav)):
+            plan = self._plans[other][:horizon]
+            others[0, column] = position[other]
+            others[1 : 1 + len(plan), column] = place[plan]
+            others[1 + len(plan) :, column] = others[len(plan), column]
+        claimed = np.concatenate([plan for index, plan in enumerate(self._plans) if index != uav] or [NOBODY])
+        start = int(np.abs(place - position[uav]).max(axis=1).argmin())
+        levels = self._levels(situation, horizon)
+        return best_path(self._lattice, self._worth, start, levels, claimed, others, width, SAME)
+
+    def _levels(self, situation: Situation, horizon: int) -> Array:
+        """Return the counters [horizon, S] with which the steps to come are credited if nobody serves anything."""
+        now = situation.vdf if self._kind == MONITORS else situation.aoi
+        then = situation.time + np.arange(horizon)[:, None]
+        rises = (then - self._phase) // self._cycle - (situation.time - self._phase) // self._cycle
+        levels: Array = np.minimum(now + rises, self._most)
+        return levels
+
+
+def worth_of(config: FarmConfig, kind: int) -> Worth:
+    """Return what the reward pays UAVs of a type; closing in is paid for by both of a pair."""
+    reward, world = config.reward, config.world
+    flight, across = constants(config, cell_counts(world)).flight, reach(world) / world.step_seconds
+    speeds = 0.0, float(across.mean()), float(np.hypot(*across))
+    still, straight, diagonal = (-reward.energy * flight_power(flight, v) * world.step_seconds for v in speeds)
+    monitoring = kind == MONITORS
+    return Worth(
+        unit=float(reward.monitoring if monitoring else reward.collection),
+        idle=-float(reward.monitoring_idle if monitoring else reward.collection_idle),
+        risk=-2.0 * reward.collision_risk,
+        safety=world.safety_distance,
+        flight=(still, straight, diagonal),
+        discount=DISCOUNT,
+    )
+
+
+@functools.lru_cache(maxsize=8)
+def plot_lattice(config: FarmConfig) -> Lattice:
+    """Return the lattice with the plots that are imaged from each place."""
+    place, rows = _places(config)
+    near = cdist(place, plot_centres(config.world)) < config.camera.image_distance + 2.0 * reach(config.world).max()
+    served = np.zeros(near.shape)
+    for node, plot in zip(*np.nonzero(near), strict=True):
+        served[node, plot] = image_succeeds(config, place[node], int(plot))
+    return _lattice(place, rows, served)
+
+
+@functools.lru_cache(maxsize=64)
+def _sensor_lattice(config: FarmConfig, sensors: bytes) -> Lattice:
+    place, rows = _places(config)
+    distance = cdist(place, np.frombuffer(sensors).reshape(-1, 2))
+    chance = packet_chances(config, distance)
+    return _lattice(place, rows, np.where(chance > FAINT, chance, 0.0))
+
+
+def sensor_lattice(config: FarmConfig, xy: Array) -> Lattice:
+    """Return the lattice with the sensors [S, 2] that are heard from each place."""
+    return _sensor_lattice(config, xy.tobytes())
+
+
+def _places(config: FarmConfig) -> tuple[Array, int]:
+    """Return the fewest places of an even lattice whose neighbours are one step apart, [K, 2] m, and those along y."""
+    size = np.array([config.world.field_x, config.world.field_y])
+    counts = np.ceil(size / reach(config.world) - 1e-9).astype(np.int64)
+    x, y = ((np.arange(count) + 0.5) * width / count for count, width in zip(counts, size, strict=True))
+    return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2), int(counts[1])
+
+
+def _lattice(place: Array, rows: int, chance: Array) -> Lattice:
+    node, site = np.nonzero(chance)
+    first = np.searchsorted(node, np.arange(len(place) + 1)).astype(np.int64)
+    return Lattice(place, rows, first, site.astype(np.int64), chance[node, site])

@@ -1,0 +1,109 @@
+"""Targets assigned by the Hungarian method, by what a short chain of visits from each of them is worth.
+
+Source: sequential assignment with the Hungarian method (Kuhn 1955), with look-ahead by rolling out a chain.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
+from rollout.heuristics.steering import Array, aim, steps_to
+from rollout.heuristics.targets import Targets
+
+Indices = NDArray[np.int64]
+
+CANDIDATES: Final = 12
+"""Targets that each UAV considers: those with the largest discounted value."""
+CHAIN: Final = 8
+"""Visits of a chain."""
+DISCOUNT: Final = 0.9
+"""Worth of what comes a step later."""
+FOREIGN: Final = 0.1
+"""Worth of a target that is nearer to another UAV of the type."""
+
+
+def monitors(situation: Situation) -> Crew:
+    """Return monitors that are assigned to plots."""
+    return HungarianCrew(situation, MONITORS)
+
+
+def collectors(situation: Situation) -> Crew:
+    """Return collectors that are assigned to stops."""
+    return HungarianCrew(situation, COLLECTORS)
+
+
+class HungarianCrew:
+    """All UAVs are assigned anew whenever one of them has done its work.
+
+    Args:
+        situation: the start.
+        kind: the crew's type.
+    """
+
+    def __init__(self, situation: Situation, kind: int) -> None:
+        self._kind = kind
+        self._targets = Targets(situation, kind)
+        steps = steps_to(self._targets.centre[:, None], self._targets.box[:, None], situation.config.world)
+        self._between = DISCOUNT**steps
+        self.chosen: Indices = np.full(len(situation.of(kind)), -1)
+        self._second = self.chosen
+
+    def goals(self, situation: Situation) -> Array:
+        """Return a place in each UAV's target, or its own place when nothing is worth a flight: [n_v, 2] m."""
+        position, box = situation.of(self._kind), self._targets.box
+        value = self._targets.value(situation)
+        if ((self.chosen < 0) | (value[self.chosen] <= 0.0)).any():
+            steps = steps_to(position[:, None], box[:, None], situation.config.world)
+            self.chosen, self._second = self._assign(value, steps)
+        goals = position.copy()
+        for uav in np.flatnonzero(self.chosen >= 0):
+            after = box[:, self._second[uav]]
+            goals[uav] = aim(position[uav], box[:, self.chosen[uav]], after, situation.config.world)
+        return goals
+
+    def _assign(self, value: Array, steps: Array) -> tuple[Indices, Indices]:
+        """Return each UAV's target, -1 for none, and the one after it, from values [K] and steps [n, K]."""
+        uavs, number = steps.shape
+        nearest = steps.argmin(axis=0) == np.arange(uavs)[:, None]
+        share = np.where(nearest, value, FOREIGN * value)
+        considered = min(CANDIDATES, number)
+        first = np.argpartition(-share * DISCOUNT**steps, considered - 1, axis=1)[:, :considered].reshape(-1)
+        uav = np.repeat(np.arange(uavs), considered)
+        total, onward = chain_worth(first, DISCOUNT ** steps[uav, first], share[uav], self._between, CHAIN)
+        worth, second = np.zeros((uavs, number)), np.full((uavs, number), -1)
+        worth[uav, first], second[uav, first] = total, onward
+        chosen, after = np.full(uavs, -1), np.full(uavs, -1)
+        rows, columns = linear_sum_assignment(worth, maximize=True)
+        chosen[rows], after[rows] = np.where(worth[rows, columns] > 0.0, columns, -1), second[rows, columns]
+        return chosen, after
+
+
+def chain_worth(first: Indices, factor: Array, value: Array, between: Array, length: int) -> tuple[Array, Indices]:
+    """Return what chains of visits are worth, and where each goes second.
+
+    A chain goes on to the target with the largest discounted value that it has not visited.
+
+    Args:
+        first: [C] first target of each chain.
+        factor: [C] discount of the flight to it.
+        value: [C, K] of each target for the UAV that would fly the chain.
+        between: [K, K] discount of the flight from target to target.
+        length: visits.
+
+    Returns:
+        [C] sums of discounted values, [C] second targets.
+    """
+    chains = np.arange(len(first))
+    left, at, second = value.copy(), first, first
+    total = factor * left[chains, at]
+    for visit in range(1, length):
+        left[chains, at] = 0.0
+        following = (left * between[at]).argmax(axis=1)
+        factor = factor * between[at, following]
+        total = total + factor * left[chains, following]
+        second = following if visit == 1 else second
+        at = following
+    return total, second

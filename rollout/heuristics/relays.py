@@ -1,0 +1,108 @@
+"""Where the communication UAVs go; any relay crew flies with any task heuristic."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from common.config import WorldConfig
+from rollout.heuristics.crews import Situation
+from rollout.heuristics.steering import Array
+from rollout.kernel.constants import LEAST_LINK, RelayConstants, constants
+from rollout.layout import cell_counts
+
+GAIN: Final = 0.02
+"""Share of the way to its centre that a relay flies in one step."""
+LAST: Final = 30
+"""Steps before the end in which the search goes on."""
+STRIDES: Final = (3.0, 6.0, 12.0, 25.0, 50.0)
+"""Lengths of the moves that are tried, m, one after the other step by step."""
+MOVES: Final = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
+"""Directions of the moves that are tried."""
+
+
+class CentroidRelays:
+    """Each relay follows the centre of the UAVs that it serves, and stays where it is when it serves none."""
+
+    def __init__(self, _: Situation) -> None:
+        """Remember nothing."""
+
+    def goals(self, situation: Situation) -> Array:
+        """Return places on the way to the centres, [n_c, 2] m."""
+        first = situation.agents[0].stop
+        own = situation.position[:first]
+        centre = served_centres(own, situation.position[first:], situation.assignment)
+        goals: Array = own + GAIN * (centre - own)
+        return goals
+
+
+class SearchRelays:
+    """Local search for the relays' places with the least sum of D_c, reached at the very end of the episode.
+
+    The changes of D_c that the reward pays add up to D_c at the start less D_c at the end, so until then a relay
+    flies no faster than it must.
+
+    Args:
+        situation: the start.
+    """
+
+    def __init__(self, situation: Situation) -> None:
+        self._relay = constants(situation.config, cell_counts(situation.config.world)).relay
+        self._places: Array | None = None
+
+    def goals(self, situation: Situation) -> Array:
+        """Return places on the way to those that the search has found so far, [n_c, 2] m."""
+        first = situation.agents[0].stop
+        own, served = situation.position[:first], situation.position[first:]
+        left = situation.config.world.steps - situation.time
+        if left > LAST:
+            return own.copy()
+        if self._places is None:
+            self._places = served_centres(own, served, situation.assignment)
+        stride = STRIDES[(left - 1) % len(STRIDES)]
+        self._places = self._improved(situation.config.world, self._places, served, stride)
+        goals: Array = own + (self._places - own) / left
+        return goals
+
+    def _improved(self, world: WorldConfig, places: Array, served: Array, stride: float) -> Array:
+        """Return the places after each relay in turn has made its best move of one length, or none."""
+        size = np.array([world.field_x, world.field_y])
+        for relay in range(len(places)):
+            tried = np.repeat(places[None], 1 + len(MOVES), axis=0)
+            tried[1:, relay] = np.clip(places[relay] + stride * MOVES, 0.0, size)
+            places = tried[np.argmin([total_service(world, self._relay, candidate, served) for candidate in tried])]
+        return places
+
+
+def served_centres(own: Array, served: Array, assignment: NDArray[np.int64]) -> Array:
+    """Return the centre of the UAVs that each relay serves, or its own place when it serves none: [n_c, 2] m."""
+    serves = (assignment == np.arange(len(own))[:, None]).astype(np.float64)
+    number = serves.sum(axis=1, keepdims=True)
+    centres: Array = np.where(number > 0, serves @ served / np.maximum(number, 1.0), own)
+    return centres
+
+
+def total_service(world: WorldConfig, relay: RelayConstants, places: Array, served: Array) -> float:
+    """Return the sum of D_c over relays [n_c, 2] that stand somewhere, with the assignment that this would bring.
+
+    Relays nearer to each other than d_safety, which could not get there without risk, add what they lack.
+    """
+    numbers = world.monitoring_uavs, world.collection_uavs
+    heights = np.repeat([world.height_monitoring, world.height_collection], numbers)
+    across = np.linalg.norm(served[:, None] - places[None], axis=2)
+    apart = np.hypot(across, (heights - world.height_communication)[:, None])
+    loss = 20.0 * np.log10(np.maximum(apart, LEAST_LINK)) + relay.loss_offset
+    cost = relay.cost_distance * apart + relay.cost_link * loss
+    _, column = linear_sum_assignment(np.repeat(cost, relay.capacity, axis=1))
+    serves = (column // relay.capacity)[:, None] == np.arange(len(places))
+    number = serves.sum(axis=0)
+    middle = np.column_stack([served, heights])
+    centre = serves.T @ middle / np.maximum(number, 1)[:, None]
+    own = np.column_stack([places, np.full(len(places), world.height_communication)])
+    to_centre = np.where(number > 0, np.linalg.norm(centre - own, axis=1), 0.0)
+    farthest = np.where(serves, apart, 0.0).max(axis=0)
+    to_relays = np.linalg.norm(places - places.mean(axis=0), axis=1)
+    service = relay.weight_centroid * to_centre + relay.weight_farthest * farthest + relay.weight_relays * to_relays
+    gap = np.linalg.norm(places[:, None] - places[None], axis=2)[np.triu_indices(len(places), 1)]
+    return float(service.sum() + np.maximum(0.0, world.safety_distance - gap).sum())

@@ -1,0 +1,111 @@
+"""Where work can be done: the boxes from which a plot is imaged, and the reach of a sensor's radio."""
+
+import functools
+from typing import Final
+
+import numpy as np
+
+from common.config import FarmConfig, WorldConfig
+from rollout.heuristics.steering import Array, reach
+from rollout.kernel.camera import plot_quality
+from rollout.kernel.constants import constants
+from rollout.kernel.radio import delivery, received_power
+from rollout.layout import cell_counts
+
+SHARES: Final = np.linspace(0.0, 0.98, 50)
+"""Sizes of an imaging box that are tried, as shares of half a plot."""
+STOP_CHANCE: Final = 0.95
+"""A stop covers the sensors whose packets arrive there with at least this chance."""
+STOP_MARGIN: Final = 4.0
+"""A stop counts as reached within this distance along each axis, m."""
+CHANCE_STEP: Final = 0.25
+"""Distances at which the radio link is tabulated, m."""
+
+
+def plot_boxes(config: FarmConfig) -> Array:
+    """Return for each plot, in row-major order, a box from all of which it is imaged: [2, n_px * n_py, 2] m.
+
+    The box is the largest of the plot's own shape around its centre; a point where no place does.
+    """
+    centre, half = plot_centres(config.world), plot_half(config.world) * imaging_share(config)
+    return np.stack([centre - half, centre + half])
+
+
+def plot_centres(world: WorldConfig) -> Array:
+    """Return the centres of all plots in row-major order, [n_px * n_py, 2] m."""
+    x, y = ((np.arange(count) + 0.5) for count in (world.plots_x, world.plots_y))
+    grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    centres: Array = grid * 2.0 * plot_half(world)
+    return centres
+
+
+def plot_half(world: WorldConfig) -> Array:
+    """Return half the size of a plot, [2] m."""
+    return np.array([world.field_x / world.plots_x, world.field_y / world.plots_y]) / 2.0
+
+
+def imaging_share(config: FarmConfig) -> float:
+    """Return how far from a plot's centre its image still succeeds everywhere, as a share of half the plot."""
+    camera, half = constants(config, cell_counts(config.world)).camera, plot_half(config.world)
+    far = 0.0
+    for share in SHARES:
+        corner, edges = half * (1.0 + share), ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
+        places = [half + (corner - half) * np.array(edge) for edge in edges]
+        if min(plot_quality(camera, float(x), float(y), 0, 0) for x, y in places) < camera.threshold:
+            break
+        far = float(share)
+    return far
+
+
+def image_succeeds(config: FarmConfig, place: Array, plot: int) -> bool:
+    """Return whether a UAV over a place [2] m takes a good image of a plot, given in row-major order."""
+    camera, rows = constants(config, cell_counts(config.world)).camera, config.world.plots_y
+    return plot_quality(camera, float(place[0]), float(place[1]), plot // rows, plot % rows) >= camera.threshold
+
+
+def packet_chances(config: FarmConfig, distance: Array) -> Array:
+    """Return the chance that a packet arrives over each horizontal distance [...], m, to the nearest CHANCE_STEP."""
+    chances = _chance_table(config)
+    index = np.minimum(np.rint(distance / CHANCE_STEP).astype(np.int64), len(chances) - 1)
+    found: Array = chances[index]
+    return found
+
+
+def radio_reach(config: FarmConfig, chance: float) -> float:
+    """Return the horizontal distance within which a packet arrives with at least this chance, m."""
+    return CHANCE_STEP * max(0, int(np.argmin(_chance_table(config) >= chance)) - 1)
+
+
+@functools.lru_cache(maxsize=8)
+def _chance_table(config: FarmConfig) -> Array:
+    """Return the chance at each multiple of CHANCE_STEP, with a 0 behind the field's diagonal."""
+    radio, height = constants(config, cell_counts(config.world)).radio, config.world.height_collection
+    distances = np.arange(0.0, np.hypot(config.world.field_x, config.world.field_y), CHANCE_STEP)
+    squares = distances * distances + height * height
+    return np.array([*(delivery(radio, received_power(radio, square), 0.0) for square in squares), 0.0])
+
+
+def steps_between(places: Array, others: Array, world: WorldConfig) -> Array:
+    """Return the steps from each place [a, 2] to each other [b, 2], not rounded: [a, b]."""
+    steps: Array = (np.abs(places[:, None] - others[None]) / reach(world)).max(axis=-1)
+    return steps
+
+
+def sensor_stops(config: FarmConfig, xy: Array) -> Array:
+    """Return boxes around places from which all sensors [S, 2] are heard well: [2, L, 2] m.
+
+    Places of an even lattice are taken one after the other, always the one near most of the sensors that are left.
+    """
+    size = np.array([config.world.field_x, config.world.field_y])
+    x, y = (np.arange(step / 2.0, width, step) for step, width in zip(reach(config.world), size, strict=True))
+    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    covers = np.linalg.norm(places[:, None] - xy, axis=2) <= max(
+        radio_reach(config, STOP_CHANCE), reach(config.world).max()
+    )
+    left = covers.any(axis=0)
+    chosen: list[int] = []
+    while left.any():
+        chosen.append(int((covers & left).sum(axis=1).argmax()))
+        left &= ~covers[chosen[-1]]
+    stops = places[chosen] if chosen else size[None] / 2.0
+    return np.clip(np.stack([stops - STOP_MARGIN, stops + STOP_MARGIN]), 0.0, size)

@@ -1,0 +1,38 @@
+"""What a monitor or a collector can fly to, and what a visit is worth."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rollout.heuristics.crews import MONITORS, Situation
+from rollout.heuristics.sites import plot_boxes, sensor_stops
+from rollout.heuristics.steering import Array
+
+
+class Targets:
+    """For monitors every plot, worth its VDF; for collectors every stop, worth the AoI of the sensors nearest to it.
+
+    Args:
+        situation: the start.
+        kind: the type of UAV.
+
+    Attributes:
+        box: lowest and highest corners of the box in which a target is reached, [2, K, 2] m.
+        centre: of the boxes, [K, 2] m.
+    """
+
+    def __init__(self, situation: Situation, kind: int) -> None:
+        self._stop: NDArray[np.int64] | None = None
+        if kind == MONITORS:
+            self.box = plot_boxes(situation.config)
+        else:
+            self.box = sensor_stops(situation.config, situation.layout.sensor_xy)
+            apart = np.linalg.norm(situation.layout.sensor_xy[:, None] - self.box.mean(axis=0), axis=2)
+            self._stop = apart.argmin(axis=1)
+        self.centre: Array = self.box.mean(axis=0)
+
+    def value(self, situation: Situation) -> Array:
+        """Return what a visit of each target is worth now, [K] units."""
+        if self._stop is None:
+            return situation.vdf
+        value: Array = np.bincount(self._stop, situation.aoi, len(self.centre)).astype(np.float64)
+        return value

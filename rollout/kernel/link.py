@@ -1,0 +1,122 @@
+"""What the compiled simulator knows about the sensors' radio link."""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig
+
+Array = NDArray[np.float64]
+
+NEGLIGIBLE: Final = 1e-12
+"""A packet with a smaller chance to arrive is not sent (ours); it bounds the sensors that a UAV has to look at.
+
+Less utility than this counts as none."""
+CHANCES: Final = 256
+"""Pieces of the reach for which the chance of a packet is bounded beforehand."""
+
+
+class RadioConstants(NamedTuple):
+    """The sensor link and AoI.
+
+    Attributes:
+        power: power received over 1 m of free space, mW.
+        vegetation: ln(10)/10 a_1 f_c^a_2, so that vegetation multiplies the power by exp(-vegetation d^a_3).
+        half_exponent: a_3 / 2.
+        noise: k_B T B, mW.
+        bits: 8 L.
+        interference: W14.
+        exact: exact Q function (W15).
+        expected: expected delivery (W17).
+        reach: horizontal distance beyond which no packet has more than a NEGLIGIBLE chance, m.
+        level_max: AoI_max.
+        chances: bounds of the chance that a packet arrives if nothing interferes, over equal pieces of the square of
+            the reach: the least chance in piece b is above chances[b, 0], the largest below chances[b, 1].
+    """
+
+    power: float
+    vegetation: float
+    half_exponent: float
+    noise: float
+    bits: float
+    interference: bool
+    exact: bool
+    expected: bool
+    reach: float
+    level_max: float
+    chances: Array
+
+
+def _frequency(config: FarmConfig) -> float:
+    """Return f_c in the unit in which it enters the path losses (W12)."""
+    return config.radio.carrier_mhz / (1000.0 if config.radio.frequency_unit == "ghz" else 1.0)
+
+
+def loss_at_one_metre(config: FarmConfig) -> float:
+    """Return the free-space loss at 1 m, dB (W12)."""
+    return 20.0 * math.log10(1e-3) + 20.0 * math.log10(_frequency(config)) + 32.44
+
+
+def noise(config: FarmConfig) -> float:
+    """Return k_B T B, mW (W13)."""
+    return 1000.0 * config.radio.boltzmann * config.radio.temperature_k * config.radio.bandwidth_hz
+
+
+def radio_constants(config: FarmConfig) -> RadioConstants:
+    """Derive the radio link's numbers."""
+    radio, world = config.radio, config.world
+    made = RadioConstants(
+        power=10.0 ** ((radio.sensor_power_dbm + radio.sensor_gain_dbi - loss_at_one_metre(config)) / 10.0),
+        vegetation=math.log(10.0)
+        / 10.0
+        * radio.vegetation_scale
+        * _frequency(config) ** radio.vegetation_frequency_exponent,
+        half_exponent=0.5 * radio.vegetation_distance_exponent,
+        noise=noise(config),
+        bits=8.0 * radio.packet_bytes,
+        interference=radio.interference,
+        exact=radio.q_function == "exact",
+        expected=radio.delivery == "expected",
+        reach=math.hypot(world.field_x, world.field_y),
+        level_max=float(world.aoi_max),
+        chances=np.tile((0.0, 1.0), (CHANCES, 1)),
+    )
+    made = made._replace(reach=_reach(made, world.height_collection))
+    return made._replace(chances=_chances(made, world.height_collection))
+
+
+def _chance(radio: RadioConstants, square: float) -> float:
+    """Return 1 - PLR over a distance given by its square, m^2, if nothing interferes."""
+    signal = radio.power / square * math.exp(-radio.vegetation * square**radio.half_exponent)
+    sinr = signal / radio.noise
+    error = 0.5 * (math.erfc(math.sqrt(sinr)) if radio.exact else math.exp(-sinr))
+    return math.exp(radio.bits * math.log1p(-error))
+
+
+def _chances(radio: RadioConstants, height: float) -> Array:
+    """Return [CHANCES, 2] bounds, a little wider than the function, so that rounding cannot break them."""
+    bounds = np.tile((0.0, 1.0), (CHANCES, 1))
+    if radio.half_exponent < 0.0 or radio.interference or radio.expected:
+        return bounds  # not monotonous, or not known beforehand, or not drawn
+    squares = np.linspace(0.0, radio.reach * radio.reach, CHANCES + 1) + height * height
+    chance = np.array([_chance(radio, square) for square in squares.tolist()])
+    bounds[:, 0] = chance[1:] * (1.0 - 1e-6) - 1e-11
+    bounds[:, 1] = chance[:-1] * (1.0 + 1e-6) + 1e-11
+    return bounds
+
+
+def _reach(radio: RadioConstants, height: float) -> float:
+    """Return the horizontal distance beyond which packets have no chance: bisection on the monotonous power."""
+    if radio.half_exponent < 0.0:
+        return radio.reach  # vegetation that thins out with distance makes the power fall and rise
+    low, high = 0.0, radio.reach
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        square = middle * middle + height * height
+        if _chance(radio, square) < NEGLIGIBLE:
+            high = middle
+        else:
+            low = middle
+    return high * (1.0 + 1e-9)

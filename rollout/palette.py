@@ -1,0 +1,55 @@
+"""Colours, marks and names that every picture of the farm shares; nothing here needs a drawing library.
+
+Colours of the types are Okabe and Ito's, which people with any colour vision tell apart; every difference that a
+colour makes is also made by a marker, a line style or a label.
+"""
+
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.team import COLLECTION, COMMUNICATION, MONITORING
+
+LineStyle = Literal["-", "--", "-."]
+
+TYPES: Final = (COMMUNICATION, MONITORING, COLLECTION)
+"""The types in row order."""
+COLOURS: Final = {COMMUNICATION: "#0072B2", MONITORING: "#D55E00", COLLECTION: "#009E73", "mean": "#000000"}
+LABELS: Final = {
+    "mean": "all agents",
+    COMMUNICATION: "communication",
+    MONITORING: "monitoring",
+    COLLECTION: "data collection",
+}
+STYLES: Final[dict[str, LineStyle]] = {COMMUNICATION: "--", MONITORING: "-", COLLECTION: "-.", "mean": "-"}
+END_MARKERS: Final = {COMMUNICATION: "P", MONITORING: "s", COLLECTION: "^"}
+SENSOR_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
+"""Matplotlib's marker of each sensor type."""
+AGE_MAP: Final = "viridis_r"
+"""Matplotlib's colour map of AoI: fresh is yellow, old is dark."""
+AGE_STOPS: Final = ("#FDE725", "#5EC962", "#21918C", "#3B528B", "#440154")
+"""The same map at 0, 1/4, 1/2, 3/4 and 1, for whoever draws without matplotlib."""
+SOIL_STOPS: Final = ("#FCF9F1", "#EBDCB9", "#CBAA75")
+"""Colours of a plot from the freshest image to the oldest."""
+
+
+def shade(stops: tuple[str, ...], share: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Return colours between evenly spaced stops.
+
+    Args:
+        stops: colours as #RRGGBB.
+        share: [...] where between the first (0) and the last (1).
+
+    Returns:
+        [..., 3] red, green and blue.
+    """
+    known = np.array([rgb(stop) for stop in stops], np.float64)
+    places = np.linspace(0.0, 1.0, len(stops))
+    mixed = np.stack([np.interp(share, places, known[:, channel]) for channel in range(3)], axis=-1)
+    return np.rint(mixed).astype(np.uint8)
+
+
+def rgb(colour: str) -> tuple[int, int, int]:
+    """Return red, green and blue of #RRGGBB."""
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)

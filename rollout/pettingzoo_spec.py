@@ -1,0 +1,149 @@
+"""A PettingZoo parallel environment by its name, and its agents as a team of types."""
+
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from common.config import EnvConfig
+from common.errors import ConfigError
+from common.team import GroupSpec, TeamSpec
+
+CONTINUOUS: Final = "continuous_actions"
+"""The argument by which environments with a choice, those of MPE for instance, are asked for Box actions."""
+
+NAMELESS: Final = "agent"
+"""The type of agents whose names are mere numbers."""
+
+Parallel: TypeAlias = ParallelEnv[Any, Any, Any]
+
+
+@dataclass(frozen=True)
+class Agents:
+    """The agents of an environment in row order.
+
+    Attributes:
+        names: type by type.
+        team: the layout.
+        low: [A] least action of a row; an action in [-1, 1] is spread over low .. high.
+        high: [A] largest action of a row.
+    """
+
+    names: tuple[str, ...]
+    team: TeamSpec
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+
+
+def make_parallel(config: EnvConfig) -> Parallel:
+    """Return a new environment.
+
+    An environment whose agents act otherwise than in a Box is tried once more with `continuous_actions=True`.
+
+    Raises:
+        ConfigError: there is none of that name, it cannot be made with these arguments, or it is no parallel
+            environment with Box actions.
+    """
+    factory, keywords = _factory(config.name), config.keywords()
+    environment = _made(config.name, factory, keywords)
+    if _has_box_actions(environment):
+        return environment
+    if CONTINUOUS not in keywords:
+        try:
+            continuous = _made(config.name, factory, {**keywords, CONTINUOUS: True})
+        except ConfigError:
+            continuous = environment
+        if _has_box_actions(continuous):
+            return continuous
+    raise ConfigError(f"{config.name} has other actions than bounded boxes; only those can be trained.")
+
+
+def describe(environment: Parallel, prefixes: Mapping[str, str]) -> Agents:
+    """Return the agents of an environment, grouped into types.
+
+    Agents belong together whose names share the longest fitting prefix of the map, or without one differ only in
+    their number. Where such agents see or do different amounts, the type is divided by these.
+
+    Args:
+        environment: the environment.
+        prefixes: from prefix to type.
+
+    Raises:
+        ConfigError: when an observation cannot be flattened.
+    """
+    kinds: dict[str, list[str]] = {}
+    sizes = {name: _sizes(environment, name) for name in environment.possible_agents}
+    plain = {name: _type_of(str(name), prefixes) for name in sizes}
+    for name, kind in plain.items():
+        alike = {sizes[other] for other, same in plain.items() if same == kind}
+        kinds.setdefault(kind if len(alike) == 1 else f"{kind}-{sizes[name][0]}x{sizes[name][1]}", []).append(name)
+    names = tuple(name for members in kinds.values() for name in members)
+    team = TeamSpec(tuple(GroupSpec(kind, len(members), *sizes[members[0]]) for kind, members in kinds.items()))
+    boxes = [environment.action_space(name) for name in names]
+    low, high = (np.concatenate([np.ravel(getattr(box, end)) for box in boxes]) for end in ("low", "high"))
+    return Agents(names, team, low.astype(np.float32), high.astype(np.float32))
+
+
+def _factory(name: str) -> Callable[..., Any]:
+    module, _, member = name.partition(":")
+    try:
+        found: Any = importlib.import_module(module)
+        for part in member.split("."):
+            found = getattr(found, part, None) or importlib.import_module(f"{module}.{part}")
+    except ImportError as error:
+        hint = "install its package, or name its folder in PYTHONPATH"
+        raise ConfigError(f"there is no environment {name}: {error} ({hint}).") from None
+    except Exception as error:  # it is somebody else's code, and whatever it raises is a mistake of this name
+        raise ConfigError(f"{name} cannot be loaded: {type(error).__name__}: {error}.") from None
+    if isinstance(found, ModuleType):
+        found = getattr(found, "parallel_env", None)
+    if not callable(found):
+        raise ConfigError(f"{name} is neither a callable nor a module with a parallel_env.")
+    factory: Callable[..., Any] = found
+    return factory
+
+
+def _made(name: str, factory: Callable[..., Any], keywords: Mapping[str, Any]) -> Parallel:
+    try:
+        environment = factory(**keywords)
+    except Exception as error:  # it is somebody else's code, and whatever it raises is a mistake of these arguments
+        raise ConfigError(f"{name} cannot be made with {dict(keywords)}: {type(error).__name__}: {error}.") from None
+    if not isinstance(environment, ParallelEnv):
+        raise ConfigError(f"{name} is no PettingZoo ParallelEnv but {type(environment).__name__}.")
+    if not environment.possible_agents:
+        raise ConfigError(f"{name} does not name its possible agents.")
+    return environment
+
+
+def _has_box_actions(environment: Parallel) -> bool:
+    found = [environment.action_space(name) for name in environment.possible_agents]
+    return all(isinstance(space, spaces.Box) and bool(np.isfinite(_widths(space)).all()) for space in found)
+
+
+def _widths(space: spaces.Box) -> NDArray[np.float32]:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.asarray(space.high, np.float32) - np.asarray(space.low, np.float32)
+
+
+def _sizes(environment: Parallel, name: Any) -> tuple[int, int]:
+    """Return the flattened sizes of an agent's observation and action."""
+    try:
+        seen = spaces.flatten_space(environment.observation_space(name))
+    except NotImplementedError:
+        raise ConfigError(f"what agent {name} observes cannot be flattened into numbers.") from None
+    if not isinstance(seen, spaces.Box):
+        raise ConfigError(f"what agent {name} observes has no fixed length.")
+    return int(np.prod(seen.shape)), int(np.prod(environment.action_space(name).shape))
+
+
+def _type_of(name: str, prefixes: Mapping[str, str]) -> str:
+    fitting = [prefix for prefix in prefixes if name.startswith(prefix)]
+    if fitting:
+        return prefixes[max(fitting, key=len)]
+    return name.rstrip("0123456789").rstrip("_-") or NAMELESS
