@@ -6,22 +6,32 @@
 `tensors` is the SHA-256 of the tensors' file and `sha256` that of the manifest without this entry, so a flipped bit is
 noticed wherever it is. A checkpoint is written under a temporary name, flushed to the disk, renamed, and the rename is
 flushed too: what bears a checkpoint's name is complete, unless the disk itself damages it later.
+
+Tensors are hashed and written piece by piece. The library's own `save` would first copy all of them twice into memory,
+and hold the interpreter's lock meanwhile, under which no other thread trains.
 """
 
 import hashlib
 import json
+import math
 import os
 import re
 import shutil
+import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import safetensors.torch
+import torch
+from numpy.typing import NDArray
 from safetensors import SafetensorError
 from torch import Tensor
 
 from common.errors import CheckpointError
+from learner.frozen import Frozen
 
 FORMAT: Final = 1
 MAX_MANIFEST: Final = 64 * 2**20
@@ -30,6 +40,8 @@ MAX_TENSORS: Final = 64 * 2**30
 """Largest tensors' file that is read, bytes."""
 _NAME = re.compile(r"checkpoint-(\d{8,12})")
 _PARTIAL = "partial-"
+_DTYPES: Final = {torch.float64: "F64", torch.int64: "I64", torch.float32: "F32", torch.int32: "I32", torch.uint8: "U8"}
+_PIECE_BYTES: Final = 2**20
 
 
 @dataclass(frozen=True)
@@ -47,20 +59,24 @@ class Found:
     skipped: tuple[str, ...]
 
 
-def save(directory: Path, tensors: dict[str, Tensor], manifest: dict[str, Any], keep: int) -> Path:
+def save(
+    directory: Path, tensors: Mapping[str, Tensor | Frozen], manifest: dict[str, Any], keep: int, rest: float = 0.0
+) -> Path:
     """Write a checkpoint and remove all but the newest `keep`.
 
     Args:
         directory: where checkpoints live; made if missing.
-        tensors: contiguous tensors by name.
+        tensors: contiguous tensors by name; frozen ones are read here.
         manifest: what JSON can hold.
         keep: how many checkpoints stay.
+        rest: seconds to rest after each piece, which leave the processor to other threads.
 
     Returns:
         the checkpoint's folder.
 
     Raises:
         OSError: when the disk does not take it; the checkpoints before it are untouched.
+        CheckpointError: when a number is not finite; likewise.
     """
     directory.mkdir(parents=True, exist_ok=True)
     for leftover in directory.glob(f"{_PARTIAL}*"):
@@ -69,14 +85,13 @@ def save(directory: Path, tensors: dict[str, Tensor], manifest: dict[str, Any], 
     number = existing[-1][0] + 1 if existing else 1
     final = directory / f"checkpoint-{number:08d}"
     partial = directory / f"{_PARTIAL}{number:08d}"
-    data = safetensors.torch.save(tensors)
     try:
         partial.mkdir()
-        _write(partial / "tensors.safetensors", data)
-        _write(partial / "manifest.json", _manifest(manifest, data))
+        size, digest = _write_tensors(partial / "tensors.safetensors", tensors, rest)
+        _write(partial / "manifest.json", _manifest(manifest, size, digest))
         _flush_folder(partial)
         partial.rename(final)
-    except OSError:
+    except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise
     _flush_folder(directory)
@@ -126,14 +141,14 @@ def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
 def _verified(manifest: Any, text: bytes, data: bytes) -> dict[str, Any]:
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or not isinstance(manifest["body"], dict):
         raise ValueError("its manifest is of another format")
-    if _manifest(manifest["body"], data) != text:
+    if _manifest(manifest["body"], len(data), hashlib.sha256(data).hexdigest()) != text:
         raise ValueError("its contents do not have the checksums in its manifest")
     body: dict[str, Any] = manifest["body"]
     return body
 
 
-def _manifest(body: dict[str, Any], data: bytes) -> bytes:
-    content = {"format": FORMAT, "body": body, "bytes": len(data), "tensors": hashlib.sha256(data).hexdigest()}
+def _manifest(body: dict[str, Any], size: int, digest: str) -> bytes:
+    content = {"format": FORMAT, "body": body, "bytes": size, "tensors": digest}
     content["sha256"] = hashlib.sha256(_canonical(content)).hexdigest()
     return _canonical(content)
 
@@ -153,6 +168,51 @@ def _read(path: Path, limit: int) -> bytes:
     if path.stat().st_size > limit:
         raise ValueError(f"{path.name} is larger than {limit} bytes")
     return path.read_bytes()
+
+
+def _header(tensors: Mapping[str, Tensor | Frozen]) -> tuple[list[str], bytes]:
+    """Return the names in the order of the file, the widest types first as the format wishes, and the file's header."""
+    types = list(_DTYPES)
+    names = sorted(tensors, key=lambda name: (types.index(tensors[name].dtype), name))
+    header, start = {}, 0
+    for name in names:
+        shape, dtype = list(tensors[name].shape), tensors[name].dtype
+        end = start + math.prod(shape) * dtype.itemsize
+        header[name] = {"dtype": _DTYPES[dtype], "shape": shape, "data_offsets": [start, end]}
+        start = end
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return names, len(text).to_bytes(8, "little") + text
+
+
+def _pieces(name: str, tensor: Tensor | Frozen) -> Iterator[NDArray[np.uint8]]:
+    """Yield a tensor's bytes; raise CheckpointError when a number is not finite."""
+    parts = tensor.pieces() if isinstance(tensor, Frozen) else [tensor.detach().cpu()]
+    for part in parts:
+        array = part.numpy().reshape(-1)
+        step = _PIECE_BYTES // array.itemsize
+        for start in range(0, array.size, step):
+            piece = array[start : start + step]
+            if piece.dtype.kind == "f" and not np.isfinite(piece).all():
+                raise CheckpointError(f"{name} holds a number that is not finite.")
+            yield piece.view(np.uint8)
+
+
+def _write_tensors(path: Path, tensors: Mapping[str, Tensor | Frozen], rest: float) -> tuple[int, str]:
+    """Write a safetensors file; return its size in bytes and its SHA-256."""
+    names, header = _header(tensors)
+    state, size = hashlib.sha256(header), len(header)
+    with path.open("xb") as file:
+        file.write(header)
+        for name in names:
+            for piece in _pieces(name, tensors[name]):
+                state.update(piece.data)
+                file.write(piece.data)
+                size += piece.nbytes
+                time.sleep(rest)
+        file.flush()
+        os.fsync(file.fileno())
+    return size, state.hexdigest()
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -1,172 +1,105 @@
-"""Local critics and the shared ensemble critic (SEC) of all types: predictions, mixture and gradients.
+"""Critics of single agents: one or two for each, local or joint.
 
-For agent i of type v, with members k = 1 .. k_s shared by the type (eq. (value), A6):
-
-    Q_P,i = eps Q_i + (1 - eps) mean_k Q_s,k
-
-Without an ensemble Q_P,i is Q_i. Predictions of all agents are tensors [agents, B] in the team's order.
+Predictions of all agents are tensors [k, agents, B] in the team's order, k being the critics of an agent. Their
+parameters are one flat vector; they are initialised, loaded and exported in the order of an agent's own view (see
+`learner.inputs`), whatever the order of the rows that they see.
 """
 
-from dataclasses import dataclass
-
+import numpy as np
 import torch
 from torch import Tensor
 
+from common.actors import initial_parameters
 from common.config import AlgorithmConfig
+from common.seeds import stream
 from common.team import TeamSpec
-from learner.inputs import Inputs, critic_width
-from learner.networks import Bank, Layers, Pass, Stack, Workspace
-
-
-@dataclass(frozen=True)
-class CriticParameters:
-    """Parameters phi of all local critics and SEC members, or of their targets, or a gradient of the same layout.
-
-    Attributes:
-        flat: [P], the local critics first, then each type's members.
-        local: views of the local critics' layers.
-        members: for each type, views of its members' layers; empty without an ensemble.
-        member_parts: for each type, its members' part of `flat`.
-    """
-
-    flat: Tensor
-    local: Layers
-    members: list[Layers]
-    member_parts: list[Tensor]
+from learner.compiled import make_pass
+from learner.inputs import Inputs, critic_width, view_columns
+from learner.networks import Bank, Parameters, Stack
 
 
 class Critics:
-    """Layout and working memory of all critics.
-
-    The local critics of all types are computed together. The members of one type see the rows of all its agents,
-    so types take turns in one workspace, which then stays in the processor's cache.
+    """Layout and working memory of every agent's own critics.
 
     Args:
-        algorithm: the method's configuration.
+        config: the algorithm's configuration.
         team: the layout of the team.
         like: a tensor of the wanted device and type.
+        each: critics of one agent, k.
+        compiled: whether to compute by compiled kernels.
     """
 
-    def __init__(self, algorithm: AlgorithmConfig, team: TeamSpec, like: Tensor) -> None:
-        self._team, self._algorithm = team, algorithm
-        joint, hidden = algorithm.critic_scope == "joint", algorithm.hidden
-        batch, k = algorithm.batch, algorithm.ensemble_members
-        pairs = [(group, critic_width(team, kind, joint)) for kind, group in enumerate(team.groups)]
-        self.local = Bank([Stack(g.count, w, 1, batch) for g, w in pairs], hidden, join_inputs=joint)
-        self._local_pass = Pass(self.local, Workspace(self.local.rows, hidden, like))
-        self._local = self._local_pass.output.view(team.agents, batch)
-        members = pairs if algorithm.ensemble else []
-        self.members = [Bank([Stack(k, w, 1, g.count * batch, shared=True)], hidden) for g, w in members]
-        workspace = Workspace(max((bank.rows for bank in self.members), default=0), hidden, like)
-        self._member_passes = [Pass(bank, workspace) for bank in self.members]
-        self._values = [
-            run.output.view(k, g.count, batch) for run, (g, _) in zip(self._member_passes, members, strict=True)
+    def __init__(self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, each: int, compiled: bool) -> None:
+        self._config, self._team, self.each = config, team, each
+        self._joint = config.joint_critics
+        self.bank = Bank([self._stack(kind) for _ in range(each) for kind in range(len(team.groups))], config.hidden)
+        self._orders = [
+            torch.tensor([[0, *(1 + c for c in own)] for own in view_columns(team, kind)], device=like.device)
+            for kind in range(len(team.groups) if self._joint else 0)
         ]
-        self._mean, self._prediction = torch.empty_like(self._local), torch.empty_like(self._local)
-        self._slices = team.agent_slices()
-        self.size = self.local.size + sum(bank.size for bank in self.members)
+        self._pass = make_pass(self.bank, like, compiled=compiled)
+        self.values = self._pass.output.view(each, team.agents, config.batch)
 
-    def parameters(self, flat: Tensor) -> CriticParameters:
-        """Return views of a flat vector [size]."""
-        parts = list(torch.split(flat[self.local.size :], [bank.size for bank in self.members])) if self.members else []
-        members = [bank.layers(part) for bank, part in zip(self.members, parts, strict=True)]
-        return CriticParameters(flat, self.local.layers(flat), members, parts)
+    def _stack(self, kind: int) -> Stack:
+        group, width = self._team.groups[kind], critic_width(self._team, kind, self._joint)
+        own, step = 1 + group.observation_size, 0
+        if self._joint:
+            own = 1 + self._team.observation_size + self._team.action_slices()[kind].start
+            step = group.action_size
+        return Stack(group.count, width, 1, self._config.batch, own, step, group.action_size)
 
-    def predict(self, parameters: CriticParameters, inputs: Inputs, *, mixture: bool) -> Tensor:
-        """Return Q_P, or Q_i alone unless `mixture`, as [agents, B]; valid until the next call."""
-        self._local_pass.forward(parameters.local, inputs.joined)
-        if not mixture or not self.members:
-            return self._local
-        for kind, run in enumerate(self._member_passes):
-            run.forward(parameters.members[kind], [inputs.pooled[kind]])
-            torch.mean(self._values[kind], dim=0, out=self._mean[self._slices[kind]])
-        return torch.lerp(self._mean, self._local, self._algorithm.mixture_epsilon, out=self._prediction)
+    def initialise(self, flat: Tensor, seed: int) -> None:
+        """Draw all parameters: the critics of a type alike or each its own (A4), those of one agent different."""
+        hidden, alike = self._config.hidden, self._config.initialisation == "type"
+        for kind, group in enumerate(self._team.groups):
+            width = critic_width(self._team, kind, self._joint)
+            for k in range(self.each):
+                role = "critic" if k == 0 else f"critic {k}"
+                names = [0 if alike else index for index in range(group.count)]
+                draws = [initial_parameters(width, hidden, 1, stream(seed, role, group.name, name)) for name in names]
+                self.load(flat, k, kind, torch.from_numpy(np.stack(draws)))
 
-    def loss_gradient(
-        self, parameters: CriticParameters, inputs: Inputs, target: Tensor, gradient: CriticParameters
-    ) -> Tensor:
-        """Write the gradient of every critic's loss and return the errors [agents, B] that the local critics descend.
+    def load(self, flat: Tensor, k: int, kind: int, parameters: Tensor) -> None:
+        """Write the k-th critics of a type, [n_v, P] in the order of `common.actors`."""
+        self.bank.load(flat, self._index(k, kind), self._reordered(kind, parameters, inward=True))
 
-        ensemble_loss "member": each critic regresses to Y by itself, a member on the rows of all agents of its type.
-        "mixture": the loss is mean (Q_P - Y)^2 of each agent; a member descends the mean over its type's agents (A7).
+    def export(self, flat: Tensor, k: int, kind: int) -> Tensor:
+        """Return a copy of the k-th critics of a type, [n_v, P] in the order of `common.actors`."""
+        return self._reordered(kind, self.bank.export(flat, self._index(k, kind)), inward=False)
 
-        Args:
-            parameters: phi.
-            inputs: the batch.
-            target: Y [agents, B].
-            gradient: where the gradient goes; the members' part stays untouched without `ensemble_gradient`.
-        """
-        blend = self._algorithm.ensemble_loss == "mixture" and bool(self.members)
-        error = self._local_pass.forward(parameters.local, inputs.joined).view_as(target) - target
-        if blend or self._algorithm.ensemble_gradient:
-            for kind in range(len(self.members)):
-                self._member_gradient(kind, parameters, inputs, target, error, gradient)
-        share = self._algorithm.mixture_epsilon if blend else 1.0
-        upstream = error * (2.0 * share / self._algorithm.batch)
-        self._local_pass.parameter_gradient(parameters.local, inputs.joined, upstream, gradient.local)
-        return error
+    def _index(self, k: int, kind: int) -> int:
+        return k * len(self._team.groups) + kind
 
-    def _member_gradient(
-        self,
-        kind: int,
-        parameters: CriticParameters,
-        inputs: Inputs,
-        target: Tensor,
-        error: Tensor,
-        gradient: CriticParameters,
-    ) -> None:
-        """Write the gradient of one type's members; with the mixture's loss, turn its `error` into Q_P - Y."""
-        algorithm, run, values, part = (
-            self._algorithm,
-            self._member_passes[kind],
-            self._values[kind],
-            self._slices[kind],
-        )
-        run.forward(parameters.members[kind], [inputs.pooled[kind]])
-        scale = 2.0 / (values.shape[1] * algorithm.batch)
-        if algorithm.ensemble_loss == "member":
-            values.sub_(target[part]).mul_(scale)
-        else:
-            epsilon = algorithm.mixture_epsilon
-            error[part] = torch.lerp(values.mean(dim=0), self._local[part], epsilon) - target[part]
-            values.copy_(error[part] * (scale * (1.0 - epsilon) / algorithm.ensemble_members))
-        if algorithm.ensemble_gradient:
-            run.parameter_gradient(parameters.members[kind], [inputs.pooled[kind]], run.output, gradient.members[kind])
+    def _reordered(self, kind: int, parameters: Tensor, *, inward: bool) -> Tensor:
+        """Return the parameters with the first layer's rows in the order of joint rows, or back in the agent's own."""
+        if not self._joint:
+            return parameters
+        width, hidden = critic_width(self._team, kind, True), self._config.hidden
+        result = parameters.clone()
+        for agent, columns in enumerate(view_columns(self._team, kind)):
+            source = parameters[agent, : width * hidden].view(width, hidden)
+            target = result[agent, : width * hidden].view(width, hidden)
+            if inward:
+                target[columns] = source
+            else:
+                target.copy_(source[columns])
+        return result
 
-    def action_gradient(
-        self, parameters: CriticParameters, inputs: Inputs, *, mixture: bool, value: bool
-    ) -> tuple[list[Tensor], Tensor | None]:
-        """Return the gradient of -mean_B(Q_P) of every agent by its own action, eq. (up3) with A12.
+    def own_order(self, kind: int, first: Tensor) -> Tensor:
+        """Return a type's first layers [n_v, 1 + width, hidden] with their rows in the order of each agent's view."""
+        if not self._joint:
+            return first
+        return first.gather(1, self._orders[kind][:, :, None].expand_as(first))
 
-        Args:
-            parameters: phi.
-            inputs: the batch with the actors' actions.
-            mixture: whether Q_P is climbed, or Q_i alone.
-            value: whether to return what is climbed, too.
+    def forward(self, parameters: Parameters, inputs: Inputs, delta: list[Tensor] | None = None) -> Tensor:
+        """Return all predictions [k, agents, B], valid until the next call; see `Pass` for `delta`."""
+        self._pass.forward(parameters, inputs.critic * self.each, delta * self.each if delta else ())
+        return self.values
 
-        Returns:
-            for each type [n_v, B, a_v]; and Q [agents, B] or None.
-        """
-        algorithm = self._algorithm
-        mixture = mixture and bool(self.members)
-        climbed = self.predict(parameters, inputs, mixture=mixture).clone() if value else None
-        share = algorithm.mixture_epsilon if mixture else 1.0
-        scale = -1.0 / algorithm.batch
-        self._local_pass.hidden_layers(parameters.local, inputs.joined)
-        sums = self._local_pass.first_layer_gradient(parameters.local, share * scale)
-        slopes = [self._by_action(kind, self.local, kind, parameters.flat, z) for kind, z in enumerate(sums)]
-        if mixture:
-            share = (1.0 - share) / algorithm.ensemble_members
-            for kind, (run, slope) in enumerate(zip(self._member_passes, slopes, strict=True)):
-                run.hidden_layers(parameters.members[kind], [inputs.pooled[kind]])
-                (z,) = run.first_layer_gradient(parameters.members[kind], share * scale)
-                shared = self._by_action(kind, self.members[kind], 0, parameters.member_parts[kind], z)
-                slope.add_(torch.unflatten(shared[0], 0, slope.shape[:2]))
-        return slopes, climbed
+    def parameter_gradient(self, parameters: Parameters, inputs: Inputs, upstream: Tensor, into: Parameters) -> None:
+        """Write the gradient of sum(upstream * prediction) by the parameters."""
+        self._pass.parameter_gradient(parameters, inputs.critic * self.each, upstream.reshape(-1), into)
 
-    def _by_action(self, kind: int, bank: Bank, index: int, flat: Tensor, sums: Tensor) -> Tensor:
-        """Return the gradient by the own action [count, rows, a_v], given the one by the first layer's sums."""
-        group = self._team.groups[kind]
-        start = 1 + group.observation_size
-        weights = bank.typed[0][index].weights(flat)[:, start : start + group.action_size]
-        return torch.bmm(weights, sums.transpose(1, 2)).transpose(1, 2)
+    def action_gradient(self, parameters: Parameters, upstream: Tensor, into: list[Tensor]) -> None:
+        """Add the gradient of sum(upstream * prediction) by every agent's own action to `into`."""
+        self._pass.action_gradient(parameters, upstream.reshape(-1), into * self.each)

@@ -23,6 +23,8 @@ class WorkerLedger:
         rejected: steps in chunks that were refused.
         duplicates: chunks that came again.
         refused: chunks that were refused.
+        aged: those of them that were refused because their policy was too old.
+        damaged: frames that could not be read; they are sent again.
         pending_rejected: whether the next gap in `produced` is a refused chunk's.
     """
 
@@ -35,6 +37,8 @@ class WorkerLedger:
     rejected: int = 0
     duplicates: int = 0
     refused: int = 0
+    aged: int = 0
+    damaged: int = 0
     pending_rejected: bool = False
 
     @property
@@ -70,24 +74,23 @@ class Intake:
             return "gap"
         return "accepted"
 
-    def accept(self, sender: Envelope, steps: int, produced: int, flown: int) -> None:
-        """Book an accepted chunk of `steps` environment steps; for the rest see `ChunkMessage`."""
-        ledger = self._ledger(sender)
-        missing = max(0, produced - steps - ledger.produced)
-        rejected = missing if ledger.pending_rejected and sender.sequence == ledger.expected else 0
-        self.workers[sender.name] = replace(
-            ledger,
-            expected=sender.sequence + 1,
-            flown=max(ledger.flown, flown, produced),
-            produced=ledger.produced + missing + steps,
-            accepted=ledger.accepted + steps,
-            lost=ledger.lost + missing - rejected,
-            rejected=ledger.rejected + rejected,
-            pending_rejected=False,
-        )
+    def accept(self, sender: Envelope, steps: int, produced: int, flown: int) -> int:
+        """Book an accepted chunk of `steps` environment steps; for the rest see `ChunkMessage`.
+
+        Returns:
+            the steps before it that are lost, as became known only now.
+        """
+        ledger, lost = self._spent(sender, steps, produced, flown)
+        self.workers[sender.name] = replace(ledger, accepted=ledger.accepted + steps)
+        return lost
+
+    def lose(self, sender: Envelope, steps: int, produced: int, flown: int) -> None:
+        """Book a chunk as lost that an earlier start of the learner had accepted, after its last checkpoint."""
+        ledger, _ = self._spent(sender, steps, produced, flown)
+        self.workers[sender.name] = replace(ledger, lost=ledger.lost + steps)
 
     def refuse(self, sender: Envelope) -> None:
-        """Book a refused chunk; its number is spent."""
+        """Book a refused chunk of which only the sender is known; its number is spent."""
         ledger = self._ledger(sender)
         self.workers[sender.name] = replace(
             ledger,
@@ -96,6 +99,18 @@ class Intake:
             pending_rejected=True,
         )
 
+    def refuse_aged(self, sender: Envelope, steps: int, produced: int, flown: int) -> int:
+        """Book a chunk that is refused because its policy is too old; return the steps before it that are lost."""
+        ledger, lost = self._spent(sender, steps, produced, flown)
+        refused, aged = ledger.refused + 1, ledger.aged + 1
+        self.workers[sender.name] = replace(ledger, rejected=ledger.rejected + steps, refused=refused, aged=aged)
+        return lost
+
+    def note_damaged(self, sender: Envelope) -> None:
+        """Count a damaged frame; its number is not spent, so the chunk can come again."""
+        ledger = self._ledger(sender)
+        self.workers[sender.name] = replace(ledger, damaged=ledger.damaged + 1)
+
     def expected(self, sender: Envelope) -> int:
         """Return the next sequence number that this sender should use."""
         return self._ledger(sender).expected
@@ -103,9 +118,10 @@ class Intake:
     def totals(self) -> dict[str, int]:
         """Return the sums over all workers and all their starts.
 
-        produced = accepted + lost + rejected + in_flight, each in environment steps; duplicates and refused in chunks.
+        produced = accepted + lost + rejected + in_flight, each in environment steps; duplicates, refused, aged and
+        damaged in chunks.
         """
-        names = ("accepted", "lost", "rejected", "in_flight", "duplicates", "refused")
+        names = ("accepted", "lost", "rejected", "in_flight", "duplicates", "refused", "aged", "damaged")
         ledgers = [self.closed, *self.workers.values()]
         sums = {name: sum(getattr(ledger, name) for ledger in ledgers) for name in names}
         return {"produced": sums["accepted"] + sums["lost"] + sums["rejected"] + sums["in_flight"], **sums}
@@ -121,6 +137,22 @@ class Intake:
             self.workers = {str(name): WorkerLedger(**entry) for name, entry in state["workers"].items()}
         except (KeyError, TypeError, AttributeError) as error:
             raise CheckpointError(f"the checkpoint's ledger is not readable: {error}") from error
+
+    def _spent(self, sender: Envelope, steps: int, produced: int, flown: int) -> tuple[WorkerLedger, int]:
+        """Return the account with a chunk's number spent and what was missing before it booked, and the steps lost."""
+        ledger = self._ledger(sender)
+        missing = max(0, produced - steps - ledger.produced)
+        rejected = missing if ledger.pending_rejected and sender.sequence == ledger.expected else 0
+        spent = replace(
+            ledger,
+            expected=sender.sequence + 1,
+            flown=max(ledger.flown, flown, produced),
+            produced=ledger.produced + missing + steps,
+            lost=ledger.lost + missing - rejected,
+            rejected=ledger.rejected + rejected,
+            pending_rejected=False,
+        )
+        return spent, missing - rejected
 
     def _ledger(self, sender: Envelope) -> WorkerLedger:
         ledger = self.workers.get(sender.name)
@@ -142,4 +174,6 @@ def _add(total: WorkerLedger, part: WorkerLedger) -> WorkerLedger:
         rejected=total.rejected + part.rejected,
         duplicates=total.duplicates + part.duplicates,
         refused=total.refused + part.refused,
+        aged=total.aged + part.aged,
+        damaged=total.damaged + part.damaged,
     )

@@ -75,14 +75,7 @@ class Curves:
         reward = {"mean": sum(episode.reward) / len(episode.reward)}
         for group, part in zip(self._team.groups, self._team.agent_slices(), strict=True):
             reward[group.name] = sum(episode.reward[part]) / group.count
-        return {
-            "reward": reward,
-            "aoi": episode.aoi,
-            "vdf": episode.vdf,
-            "collisions": episode.collisions,
-            "boundary": episode.boundary,
-            "energy_j": episode.energy_j,
-        }
+        return {"reward": reward, "steps": episode.steps, **episode.figures}
 
 
 def imitation_record(team: TeamSpec, event: ImitationEvent) -> dict[str, Any]:

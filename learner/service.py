@@ -8,29 +8,36 @@ from pathlib import Path
 import torch
 
 from common import keys
-from common.bus import Bus
+from common.bus import Bus, Incoming
 from common.config import RunConfig
 from common.config.files import to_toml
 from common.endpoint import Endpoint
-from common.errors import BusError, ProtocolError
+from common.errors import BusError, ProtocolError, UsageError
+from common.history import History
 from common.imitation import ImitationSchedule
 from common.messages import (
     ChunkAck,
     CommandMessage,
     ConfigurationMessage,
+    Envelope,
     ImitationMessage,
     ParametersMessage,
     ProgressMessage,
     ReceiptMessage,
 )
 from common.process import Presence, StopSignal, connect, incarnation, log
-from common.team import farm_team
+from common.team import TeamSpec
+from learner.board import Board, flattened
 from learner.intake import Intake
+from learner.lease import Lease
+from learner.past import take_up
 from learner.receiver import Arrival, Receiver
 from learner.reports import Curves, Journal, imitation_record
 from learner.storage import RunStorage
 from learner.trainer import Trainer
 
+HISTORY = Path("history", "learner.jsonl")
+"""The learner's own account of chunks, in the run directory."""
 BURST_ROUNDS = 8
 """Update rounds between two looks at the mail."""
 PROGRESS_SECONDS = 0.1
@@ -63,15 +70,18 @@ class LearnerOptions:
 class Learner:
     """The learner's loop; all its methods run in the main thread."""
 
-    def __init__(self, options: LearnerOptions, config: RunConfig, control: Bus, bulk: Bus) -> None:
-        self._options, self._config = options, config
-        self._team = farm_team(config.farm)
+    def __init__(self, options: LearnerOptions, config: RunConfig, team: TeamSpec, control: Bus, bulk: Bus) -> None:
+        self._options, self._config, self._team = options, config, team
         self.trainer = Trainer(config, self._team)
         self._absorbed = Intake()
         self._storage = RunStorage(options.run_dir, config)
         elapsed, before = self._storage.restore(self.trainer, self._absorbed) if options.resume else (0.0, 0)
         self._epoch = max(incarnation(), before + 1)
-        self._schedule = ImitationSchedule(config.elite)
+        self._history = History(options.run_dir / HISTORY if options.run_dir else None)
+        take_up(self._history, self._absorbed, self._epoch, resumed=options.resume)
+        self._lease = Lease()
+        self._schedule = ImitationSchedule.of(config)
+        self._board = Board(options.run_dir)
         self._journal, self._curves = Journal(options.run_dir, elapsed), Curves(self._team)
         self._state = "training"
         self._draining = False
@@ -79,20 +89,21 @@ class Learner:
         self._lag = 0.0
         self._times = dict.fromkeys(("progress", "report", "publish", "checkpoint", "held"), time.monotonic())
         self._published_updates = -1
-        self._alarms: dict[str, str] = {}
         self._open(control, bulk)
 
     def _open(self, control: Bus, bulk: Bus) -> None:
         run = self._options.run
         self._parameters = control.publish_state(keys.PARAMETERS.key(run))
         self._progress = control.publish_state(keys.PROGRESS.key(run))
+        self._others = control.subscribe_state(keys.PROGRESS.key(run))
         self._commands = control.serve(keys.COMMAND.pattern(run), 64)
         self._imitations = control.serve(keys.IMITATION.key(run), 4)
         self._presence = Presence(control, run, "learner", "learner", self._epoch)
         intake = Intake()
         intake.restore(self._absorbed.state())
         server = bulk.serve(keys.TRANSITION.pattern(run), 256)
-        self._receiver = Receiver(server, self._team, intake, self._config.replay, self._options.lockstep)
+        lockstep, replay = self._options.lockstep, self._config.replay
+        self._receiver = Receiver(server, self._team, intake, replay, lockstep, self._history)
 
     def run(self, stop: StopSignal) -> bool:
         """Train until the run's episodes are done, a signal comes or somebody asks to drain.
@@ -164,7 +175,8 @@ class Learner:
 
     def _absorb(self, arrival: Arrival) -> None:
         trainer = self.trainer
-        trainer.absorb(arrival.chunk, arrival.sender.version)
+        sender = arrival.sender
+        trainer.absorb(arrival.chunk, sender.version, f"{sender.name}/{sender.incarnation}", sender.sequence)
         self._absorbed.closed = arrival.closed
         self._absorbed.workers[arrival.sender.name] = arrival.ledger
         self._lag += 0.05 * (trainer.version - arrival.sender.version - self._lag)
@@ -180,6 +192,7 @@ class Learner:
         if self.trainer.leads():
             self._waited["producers"] += now - self._times["held"]
         self._times["held"] = now
+        self._give_way()
         self._answer_commands()
         self._apply_imitations()
         if not self._options.lockstep and now - self._times["publish"] >= self._config.learner.publish_seconds:
@@ -191,6 +204,16 @@ class Learner:
         if now - self._times["checkpoint"] >= self._config.learner.checkpoint_seconds:
             self._checkpoint()
 
+    def _give_way(self) -> None:
+        """End when a newer start of the learner tells of its progress: this one was taken for dead and replaced."""
+        try:
+            sample = self._others.poll()
+            newer = sample is not None and ProgressMessage.decode(sample.payload).epoch > self._epoch
+        except ProtocolError:
+            return
+        if newer:
+            raise UsageError(f"a newer learner of run {self._options.run} has taken this one's place.")
+
     def _answer_commands(self) -> None:
         while (incoming := self._commands.poll()) is not None:
             try:
@@ -200,8 +223,12 @@ class Learner:
                 incoming.refuse(str(error))
                 continue
             if verb == "configuration":
-                answer = ConfigurationMessage(self._epoch, to_toml(self._config), self._options.lockstep)
+                answer = ConfigurationMessage(
+                    self._epoch, to_toml(self._config), self._team.to_dict(), self._options.lockstep
+                )
                 incoming.reply(answer.encode())
+            elif verb == "lead":
+                self._grant(incoming)
             elif verb == "drain":
                 log(f"draining, as {sender[:64]} asked.")
                 self._draining = True
@@ -209,12 +236,25 @@ class Learner:
             else:
                 incoming.refuse(f"the learner knows no command {verb}.")
 
+    def _grant(self, incoming: Incoming) -> None:
+        try:
+            claimant = Envelope.decode(incoming.attachment)
+        except ProtocolError as error:
+            incoming.refuse(str(error))
+            return
+        granted = self._lease.claim(claimant.name, claimant.incarnation, time.monotonic())
+        holder = self._lease.holder[0] if self._lease.holder else ""
+        incoming.reply(ReceiptMessage(granted, "" if granted else f"coordinator {holder[:64]} leads.").encode())
+
     def _apply_imitations(self) -> None:
         while (incoming := self._imitations.poll()) is not None:
             try:
                 message = ImitationMessage.decode(incoming.payload)
                 if message.epoch != self._epoch:
                     raise ProtocolError("the event is for another start of the learner.")
+                sender = Envelope.decode(incoming.attachment)
+                if not self._lease.holds(sender.name, sender.incarnation):
+                    raise ProtocolError("another coordinator leads.")
                 event = message.to_event()
                 applied = self.trainer.imitate(event)
             except ProtocolError as error:
@@ -243,9 +283,11 @@ class Learner:
             progress=min(1.0, trainer.episodes / self._config.episodes),
             team=self._team.digest,
             hidden=bank.hidden,
+            head=bank.head,
             flat=bank.flat,
         )
         self._parameters.put(message.encode())
+        self._receiver.version = version
         self._tell_progress()
 
     def _tell_progress(self) -> None:
@@ -267,18 +309,28 @@ class Learner:
             "event": t.events,
             "lag_versions": self._lag,
             "queue": self._receiver.arrivals.qsize(),
-            "malformed": self._receiver.malformed,
+            "malformed": self._receiver.malformed + self._receiver.server.wild,
+            "malformed_by": self._receiver.offenders.counts(),
             "elapsed": self._journal.elapsed,
             "waits": dict(self._waited),
             "ledger": {**self._receiver.intake.totals(), "unexplained": self._unexplained()},
             "curves": self._curves.smoothed(),
             "statistics": t.statistics(),
             "evaluation_steps": t.evaluation_steps,
-            "alarms": [text for text in (*self._alarms.values(), self._journal.failure) if text],
+            "checkpoints": self._storage.statistics(),
+            "alarms": [
+                text
+                for text in (self._storage.alarm, self._journal.failure, self._board.failure, self._history.failure)
+                if text
+            ]
+            + self._receiver.offenders.alarms(),
         }
         self._presence.report(values, t.version)
+        agents = t.figures.by_agent()
+        told = ("lag_versions", "queue", "curves", "statistics", "checkpoints", "waits", "ledger")
+        self._board.write(t.environment_steps, flattened({name: values[name] for name in told} | {"agents": agents}))
         del values["alarms"]
-        self._journal.write("status", **values)
+        self._journal.write("status", **values, agents=agents)
 
     def _unexplained(self) -> int:
         """Return accepted steps that are neither in replay's count nor in the queue; anything but 0 is a defect."""
@@ -288,10 +340,9 @@ class Learner:
             queued = sum(arrival.chunk.rows.steps for arrival in list(receiver.arrivals.queue))
         return int(accepted - self.trainer.environment_steps - queued)
 
-    def _checkpoint(self) -> None:
+    def _checkpoint(self, *, wait: bool = False) -> None:
         started = time.monotonic()
-        saved = self._storage.save(self.trainer, self._absorbed, self._journal.elapsed, self._epoch)
-        self._alarms["checkpoint"] = "" if saved else "the last checkpoint could not be written; the one before stands."
+        self._storage.save(self.trainer, self._absorbed, self._journal.elapsed, self._epoch, wait=wait)
         self._times["checkpoint"] = time.monotonic()
         self._waited["checkpoint"] += self._times["checkpoint"] - started
 
@@ -302,17 +353,24 @@ class Learner:
         self._state = state
         self._publish()
         self._tell_progress()
-        self._checkpoint()
+        self._checkpoint(wait=True)
         self._storage.write_policy(self.trainer)
         self._report()
         self._journal.write("end", state=state, episodes=self.trainer.episodes, digest=self.trainer.actors().digest())
         time.sleep(FAREWELL_SECONDS)
         self._answer_commands()
         self._journal.close()
+        self._board.close()
+        self._history.close()
 
 
-def serve(options: LearnerOptions, config: RunConfig) -> bool:
+def serve(options: LearnerOptions, config: RunConfig, team: TeamSpec) -> bool:
     """Run the learner until it is done; return whether the run is finished.
+
+    Args:
+        options: how to start.
+        config: the run.
+        team: the layout of the team of the run's environment.
 
     Raises:
         EndpointError: when the endpoint is taken, or the router does not answer.
@@ -328,7 +386,7 @@ def serve(options: LearnerOptions, config: RunConfig) -> bool:
         return connect(options.endpoint, name, stop, 60.0)
 
     with lane("control") as control, lane("bulk") as bulk:
-        learner = Learner(options, config, control, bulk)
+        learner = Learner(options, config, team, control, bulk)
         try:
             return learner.run(stop)
         finally:

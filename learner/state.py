@@ -11,21 +11,6 @@ from torch import Tensor
 
 from common.errors import CheckpointError
 from common.transitions import EpisodeSummary
-from learner.engine import Engine
-
-
-def engine_tensors(engine: Engine) -> dict[str, Tensor]:
-    """Return the engine's own tensors: parameters, targets and Adam's moments, all float and flat."""
-    return {
-        "actors": engine.actors,
-        "target_actors": engine.target_actors,
-        "critics": engine.phi.flat,
-        "target_critics": engine.target_phi.flat,
-        "actor_mean": engine.actor_adam.mean,
-        "actor_square": engine.actor_adam.square,
-        "critic_mean": engine.critic_adam.mean,
-        "critic_square": engine.critic_adam.square,
-    }
 
 
 def checked_tensors(targets: Mapping[str, Tensor], source: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -82,7 +67,7 @@ def restored_random(state: Any) -> np.random.Generator:
 
 def episode_record(episode: EpisodeSummary) -> dict[str, Any]:
     """Return an episode's summary as plain values."""
-    return {**asdict(episode), "reward": list(episode.reward)}
+    return {**asdict(episode), "reward": list(episode.reward), "figures": dict(episode.figures)}
 
 
 def episode_summaries(records: Any) -> list[EpisodeSummary]:
@@ -119,3 +104,15 @@ def finite(state: Mapping[str, Any], name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise CheckpointError(f"the checkpoint's {name} is not a number.")
     return float(value)
+
+
+def mapping(state: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return a part of the state that has parts itself.
+
+    Raises:
+        CheckpointError: when it is missing or has none.
+    """
+    value = state.get(name)
+    if not isinstance(value, dict):
+        raise CheckpointError(f"the checkpoint's {name} is not readable.")
+    return value

@@ -1,9 +1,8 @@
 """What the learner keeps in its run directory: checkpoints of the whole run, and the newest actors."""
 
+import time
 from pathlib import Path
 from typing import Any
-
-import torch
 
 from common.config import RunConfig
 from common.config.files import digest
@@ -13,6 +12,7 @@ from common.process import log
 from learner import checkpoint
 from learner.intake import Intake
 from learner.trainer import Trainer
+from learner.writer import CheckpointWriter
 
 CHECKPOINTS = "checkpoints"
 POLICY = "policy.safetensors"
@@ -24,43 +24,77 @@ class RunStorage:
     Args:
         directory: the run directory, or None.
         config: the run; a checkpoint of another configuration is refused.
+
+    Attributes:
+        skipped: checkpoints that fell due while the one before was still being written.
+        pause: seconds for which the newest checkpoint stopped the training.
+        longest_pause: the most that one did.
     """
 
     def __init__(self, directory: Path | None, config: RunConfig) -> None:
         self._directory = directory
         self._config = config
+        self._digest = digest(config)
+        self._writer = CheckpointWriter(directory / CHECKPOINTS, config.learner.keep_checkpoints) if directory else None
+        self.skipped = 0
+        self.pause = self.longest_pause = 0.0
 
-    def save(self, trainer: Trainer, intake: Intake, elapsed: float, epoch: int) -> bool:
-        """Write a checkpoint; return False, and log why, when it is not fit to be kept or the disk does not take it.
+    @property
+    def alarm(self) -> str:
+        """Why the newest checkpoint is missing, or empty."""
+        return self._writer.failure if self._writer else ""
 
-        Training goes on after a failure: the checkpoint before is still whole.
+    def save(self, trainer: Trainer, intake: Intake, elapsed: float, epoch: int, *, wait: bool = False) -> None:
+        """Begin to write a checkpoint of this instant, or count it as skipped while the one before is being written.
+
+        Training goes on meanwhile, and after a failure too (see `alarm`): the checkpoint before is still whole.
 
         Args:
             trainer: its whole state is kept.
             intake: the ledger of what is in that state.
             elapsed: seconds that the run has taken.
             epoch: the learner's fencing epoch.
+            wait: return only when it is on the disk, or has failed; it is not skipped then.
         """
-        if self._directory is None:
-            return True
-        tensors, state = trainer.state()
-        if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors.values() if tensor.is_floating_point()):
-            log("ALARM: no checkpoint is written, because a number of the training is no longer finite.")
-            return False
+        if self._writer is None:
+            return
+        if wait:
+            self._writer.join()
+        elif self._writer.busy:
+            self.skipped += 1
+            return
+        started = time.perf_counter()
+        tensors, state = trainer.snapshot()
         manifest: dict[str, Any] = {
-            "configuration": digest(self._config),
+            "configuration": self._digest,
             "trainer": state,
             "intake": intake.state(),
             "elapsed": elapsed,
             "epoch": epoch,
         }
-        try:
-            keep = self._config.learner.keep_checkpoints
-            checkpoint.save(self._directory / CHECKPOINTS, tensors, manifest, keep)
-        except OSError as error:
-            log(f"ALARM: the checkpoint could not be written: {error}")
-            return False
-        return True
+        self._writer.start(tensors, manifest)
+        self.pause = time.perf_counter() - started
+        self.longest_pause = max(self.longest_pause, self.pause)
+        if wait:
+            self._writer.join()
+
+    def close(self) -> None:
+        """Wait until nothing is being written."""
+        if self._writer is not None:
+            self._writer.join()
+
+    def statistics(self) -> dict[str, float]:
+        """Return figures of the checkpoints since this start; of the newest where nothing else is said."""
+        if self._writer is None:
+            return {}
+        return {
+            "checkpoints": self._writer.written,
+            "checkpoints_skipped": self.skipped,
+            "checkpoint_pause_ms": round(1e3 * self.pause, 3),
+            "checkpoint_longest_pause_ms": round(1e3 * self.longest_pause, 3),
+            "checkpoint_write_seconds": round(self._writer.seconds, 3),
+            "checkpoint_bytes": self._writer.bytes,
+        }
 
     def restore(self, trainer: Trainer, intake: Intake) -> tuple[float, int]:
         """Take up the newest whole checkpoint; return the seconds that the run has taken and the epoch it was in.
@@ -79,7 +113,7 @@ class RunStorage:
         for message in found.skipped:
             log(f"ALARM: {message}")
         manifest = found.manifest
-        if manifest.get("configuration") != digest(self._config):
+        if manifest.get("configuration") != self._digest:
             raise RunDirError(f"the checkpoint in {self._directory} belongs to another configuration.")
         try:
             trainer.restore(found.tensors, manifest["trainer"])
@@ -94,7 +128,7 @@ class RunStorage:
             return
         metadata = {
             "seed": str(self._config.seed),
-            "configuration": digest(self._config),
+            "configuration": self._digest,
             "episodes": str(trainer.episodes),
             "environment_steps": str(trainer.environment_steps),
             "updates": str(trainer.updates),

@@ -25,17 +25,19 @@ from common.errors import SchemaError
 from common.imitation import ImitationEvent
 from common.seeds import stream
 from common.team import TeamSpec
-from common.transitions import Chunk, EpisodeSummary
+from common.transitions import TRANSITION, Chunk, EpisodeSummary
 from learner.arithmetic import choose_products
 from learner.engine import Engine, Figures
+from learner.figures import RETURN_ROUNDS, SHARE, RunningFigures, newest_returns
+from learner.frozen import Frozen, whole
 from learner.replay import Replay
 from learner.state import (
     checked_tensors,
     counter,
-    engine_tensors,
     episode_record,
     episode_summaries,
     finite,
+    mapping,
     random_state,
     restored_random,
 )
@@ -44,8 +46,6 @@ COUNTERS = ("environment_steps", "updates", "episodes", "version", "events", "ev
 RECENT_EPISODES = 100
 FIGURE_ROUNDS = 16
 """Every this many rounds one round tells its figures."""
-FIGURE_SHARE = 0.05
-"""Share of the newest figures in their running means."""
 
 
 class Trainer:
@@ -63,6 +63,7 @@ class Trainer:
         events: imitation events applied.
         evaluation_steps: environment steps that these events' evaluations took; part of the run's budget (A3).
         recent: the newest finished episodes.
+        figures: running means of what rounds tell.
     """
 
     def __init__(self, config: RunConfig, team: TeamSpec) -> None:
@@ -70,23 +71,27 @@ class Trainer:
         if torch.device(config.learner.device).type == "cpu":
             choose_products()
         self.engine = Engine(config.algorithm, team, config.seed, config.learner.device)
-        self.replay = Replay(team, config.replay.capacity, config.learner.device)
+        algorithm, device = config.algorithm, config.learner.device
+        self.replay = Replay(team, config.replay.capacity, device, steps=algorithm.n_step, discount=algorithm.discount)
         self.random = stream(config.seed, "replay")
         self.environment_steps = self.updates = self.episodes = self.version = self.events = 0
         self.evaluation_steps = 0
         self.recent: deque[EpisodeSummary] = deque(maxlen=RECENT_EPISODES)
-        self._figures = torch.zeros(4, len(team.groups), device=config.learner.device)
-        self._figure_rounds = 0
-        self._age = 0.0
+        self.figures = RunningFigures(team, config.learner.device)
+        self._age = self._oldest = 0.0
 
-    def absorb(self, chunk: Chunk, version: int = 0) -> None:
+    def absorb(self, chunk: Chunk, version: int = 0, source: str = "", number: int = 0) -> None:
         """Take a chunk into replay and count it.
 
         Args:
             chunk: rows that fit the team, and the episodes that ended in them.
             version: policy version that acted in it.
+            source: who made it, each start of a worker by another name; empty for nobody whose chunks go on.
+            number: number of the chunk among those of the source.
         """
-        self.replay.add(chunk.rows, version)
+        self.replay.add(chunk.rows, version, source, number)
+        follows = (chunk.rows.flag & TRANSITION) != 0
+        self.engine.observe(chunk.rows.observation[follows], chunk.rows.reward[follows])
         self.environment_steps += chunk.rows.steps
         self.episodes += len(chunk.episodes)
         self.recent.extend(chunk.episodes)
@@ -112,25 +117,36 @@ class Trainer:
                 batch = self.replay.sample(self.config.algorithm.batch, self.random)
                 wanted = self.updates % FIGURE_ROUNDS == 0
                 figures = self.engine.round(batch, figures=wanted)
-                self.updates += 1
                 if figures is not None:
                     self._note(figures)
+                self.updates += 1
 
-    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
-        """Return everything from which `restore` continues bit-equal: tensors, and values that JSON can hold."""
-        tensors = {f"engine.{name}": tensor.cpu() for name, tensor in engine_tensors(self.engine).items()}
-        tensors |= {f"replay.{name}": tensor for name, tensor in self.replay.state().items()}
-        tensors["figures"] = self._figures.cpu()
+    def snapshot(self) -> tuple[dict[str, Tensor | Frozen], dict[str, Any]]:
+        """Return everything from which `restore` continues bit-equal: tensors, and values that JSON can hold.
+
+        It is the state of this instant, whatever training does afterwards; the large tensors are yet to be read.
+        """
+        rows, counts = self.replay.snapshot()
+        tensors: dict[str, Tensor | Frozen] = {f"replay.{name}": tensor for name, tensor in rows.items()}
+        tensors |= {f"engine.{name}": tensor.clone().cpu() for name, tensor in self.engine.tensors().items()}
+        tensors["figures"] = self.figures.means.clone().cpu()
         plain: dict[str, Any] = {name: getattr(self, name) for name in COUNTERS}
         plain |= {
-            "actor_adam_steps": self.engine.actor_adam.steps,
-            "critic_adam_steps": self.engine.critic_adam.steps,
-            "figure_rounds": self._figure_rounds,
+            "figure_rounds": self.figures.rounds,
+            "comparisons": self.figures.comparisons,
             "sample_age": self._age,
+            "sample_age_most": self._oldest,
             "random": random_state(self.random),
+            "round_noise": random_state(self.engine.random),
             "recent": [episode_record(episode) for episode in self.recent],
+            "replay": counts,
         }
         return tensors, plain
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Return the `snapshot` with every tensor read."""
+        tensors, plain = self.snapshot()
+        return {name: whole(tensor) for name, tensor in tensors.items()}, plain
 
     def restore(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
         """Continue from `state`; nothing is changed unless all of it fits.
@@ -139,44 +155,46 @@ class Trainer:
             CheckpointError: when something is missing or does not fit the configuration.
         """
         engine = self.engine
-        own = {f"engine.{name}": tensor for name, tensor in engine_tensors(engine).items()} | {"figures": self._figures}
+        own = {f"engine.{name}": tensor for name, tensor in engine.tensors().items()} | {"figures": self.figures.means}
         found = checked_tensors(own, tensors)
-        names = (*COUNTERS, "actor_adam_steps", "critic_adam_steps", "figure_rounds")
+        names = (*COUNTERS, "figure_rounds", "comparisons")
         counts = {name: counter(state, name) for name in names}
-        random = restored_random(state.get("random"))
+        random, noise = restored_random(state.get("random")), restored_random(state.get("round_noise"))
         recent = episode_summaries(state.get("recent"))
-        age = finite(state, "sample_age")
+        age, oldest = finite(state, "sample_age"), finite(state, "sample_age_most")
         prefix = "replay."
-        self.replay.restore({n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)})
+        rows = {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+        self.replay.restore(rows, mapping(state, "replay"))
         for name, tensor in own.items():
             tensor.copy_(found[name])
         for name in COUNTERS:
             setattr(self, name, counts[name])
-        engine.actor_adam.steps, engine.critic_adam.steps = counts["actor_adam_steps"], counts["critic_adam_steps"]
-        self._figure_rounds, self._age, self.random = counts["figure_rounds"], age, random
+        engine.random = noise
+        engine.restored()
+        self.figures.rounds, self.figures.comparisons = counts["figure_rounds"], counts["comparisons"]
+        self._age, self._oldest, self.random = age, oldest, random
         self.recent = deque(recent, maxlen=RECENT_EPISODES)
 
     def _note(self, figures: Figures) -> None:
-        parts = self.team.agent_slices()
-        rows = [
-            [figures.error[part].square().mean() for part in parts],
-            [figures.value[part].mean() for part in parts],
-            [figures.target[part].mean() for part in parts],
-            [figures.error[part].abs().mean() for part in parts],
-        ]
-        newest = torch.stack([torch.stack(row) for row in rows])
-        share = 1.0 if self._figure_rounds == 0 else FIGURE_SHARE
-        self._figures.lerp_(newest, share)
+        share = SHARE if self.figures.rounds else 1.0
         self._age += share * (self.version - self.replay.drawn_version - self._age)
-        self._figure_rounds += 1
+        self._oldest += share * (self.version - self.replay.drawn_oldest - self._oldest)
+        self.figures.note(figures)
+        if self.updates % RETURN_ROUNDS == 0:
+            discount, scale = self.config.algorithm.discount, self.config.algorithm.reward_scale
+            returns, chosen = newest_returns(self.replay, self.replay.drawn_places, discount)
+            self.figures.compare(figures, returns * scale, chosen)
 
     def actors(self) -> ActorBank:
         """Return a copy of all actors."""
-        return ActorBank(self.team, self.config.algorithm.hidden, self.engine.export_actors())
+        return self.engine.actors()
 
     def next_version(self) -> int:
         """Count up and return the version under which the present actors are published."""
         self.version += 1
+        most = self.config.replay.max_age_versions
+        if 0 < most < self.version:
+            self.replay.drop_before(self.version - most)
         return self.version
 
     def imitate(self, event: ImitationEvent) -> bool:
@@ -205,13 +223,15 @@ class Trainer:
 
     def statistics(self) -> dict[str, float]:
         """Return running means of losses and values for each type, and the state of replay."""
-        result: dict[str, float] = {}
-        names = ("critic_loss", "actor_objective", "target_mean", "critic_error")
-        for name, row in zip(names, self._figures.tolist(), strict=True):
-            result |= {f"{name}/{group.name}": value for group, value in zip(self.team.groups, row, strict=True)}
+        result = self.figures.by_type()
         result["replay_rows"] = float(self.replay.rows)
         result["replay_occupancy"] = self.replay.occupancy
+        result["replay_dropped"] = float(self.replay.dropped)
         result["sample_age_versions"] = self._age
+        result["sample_age_most_versions"] = self._oldest
+        result["samples_per_insert"] = self.replay.drawn / max(1, self.environment_steps)
+        if self.replay.reuse is not None:
+            result["replay_reuse"] = self.replay.reuse
         return result
 
 

@@ -1,0 +1,57 @@
+"""MATD3 (Ackermann et al., 2019, Reducing overestimation bias in multi-agent domains using double centralized critics).
+
+MADDPG with the three changes of TD3. One round, for every agent i at once:
+
+ 1. a'_j = clip(mu'_j(o'_j) + clip(smoothing_noise n, -smoothing_clip, smoothing_clip), -1, 1) for all agents j,
+    Y_i = reward_scale r_i + discount (1 - terminated) min_k Q'_i,k(x', a'), k = 1, 2.
+ 2. One Adam step of both critics on mean_B (Q_i,k(x, a) - Y_i)^2.
+ 3. In every `actor_delay`-th round one Adam step of each actor on -mean_B Q_i,1(x, a_1 .., mu_i(o_i), .. a_N), and soft
+    targets of critics and actors, with xi.
+"""
+
+import torch
+from torch import Tensor
+
+from learner.algorithm import Algorithm, Batch, Figures
+
+
+class Matd3(Algorithm):
+    """MATD3; see the module."""
+
+    critics_each = 2
+    noise_blocks = 1
+
+    def has_target_actors(self) -> bool:
+        """See `Algorithm`."""
+        return True
+
+    def phase(self, number: int) -> int:
+        """Return 0 in rounds with a step of the actors."""
+        return (number + 1) % self.config.actor_delay
+
+    def round(self, batch: Batch, noise: Tensor, phase: int, *, figures: bool) -> Figures | None:
+        """See `Algorithm`."""
+        config = self.config
+        self.observe(batch)
+        smooth = (noise[0] * config.smoothing_noise).clamp_(-config.smoothing_clip, config.smoothing_clip)
+        action = self.actors.forward(self.next.actor, next_action=True).tanh_().add_(smooth).clamp_(-1.0, 1.0)
+        self.next.decide(action)
+        value = self.critics.forward(self.target_views, self.next)
+        target = self.bootstrapped(batch, torch.minimum(value[0], value[1]))
+        error = self.regress(target)[0]
+        if phase:
+            self.critic_adam.step()
+        else:
+            self.critic_adam.step(self.target_phi, config.target_rate)
+        if phase and not figures:
+            return None
+        action = self.choose()
+        value = self.critics.forward(self.critic_views, self.current, self.change_views)
+        climbed = value[0].clone()
+        if not phase:
+            value[0].fill_(-1.0 / config.batch)
+            value[1].zero_()
+            self.slopes.zero_()
+            self.critics.action_gradient(self.critic_views, value, self.slope_views)
+            self.climb(action)
+        return self.told(error, climbed, target) if figures else None

@@ -1,0 +1,250 @@
+"""The learner's arithmetic compiled for one processor core: passes of small networks, and Adam.
+
+A network's products, its biases, its rectifiers and their gradients follow one another while its numbers are in the
+cache. All arrays are flat and contiguous; a table says where each network's parts start. The products are BLAS's.
+"""
+
+from collections.abc import Callable
+from typing import Any, Final, TypeVar, cast
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+Floats = NDArray[Any]
+"""A flat vector of float32 or float64, all of one call alike."""
+Table = NDArray[np.int64]
+
+ROWS, FAN_IN, FAN_OUT, FIRST, SECOND, HEAD, ROW, OUTPUT, OWN, OWN_SIZE, COLUMNS = range(11)
+"""Columns of a table: rows; inputs with the one; outputs; where the layers start in the flat parameters; where the rows
+start among all rows; where the outputs start; the first input of the own action and its size."""
+FASTMATH: Final = {"reassoc", "contract", "nsz"}
+"""Sums may be taken in another order, as vector instructions do; numbers that are not finite stay so."""
+
+
+def compiled(function: Function) -> Function:
+    """Compile a function; the machine code is kept on disk."""
+    return cast(Function, numba.njit(nogil=True, fastmath=FASTMATH, error_model="numpy", cache=True)(function))
+
+
+@compiled
+def forward(
+    table: Table,
+    starts: Table,
+    x: Floats,
+    parameters: Floats,
+    delta: Floats,
+    places: Table,
+    h1: Floats,
+    h2: Floats,
+    output: Floats,
+) -> None:
+    """Compute h1, h2 and the outputs of all networks.
+
+    Args:
+        table: one row for each network, see above.
+        starts: where each network's inputs start in `x`.
+        x: inputs, rows with a leading one.
+        parameters: all layers.
+        delta: what is added to the own actions; empty for nothing.
+        places: where each network's part of `delta` starts.
+        h1: activations of the first layer [all rows * hidden], written.
+        h2: those of the second, written.
+        output: written.
+    """
+    width = h1.shape[0] // (table[-1, ROW] + table[-1, ROWS])
+    none = np.zeros(width, h1.dtype)
+    for n in range(table.shape[0]):
+        rows, fan_in, fan_out = table[n, ROWS], table[n, FAN_IN], table[n, FAN_OUT]
+        start, end = table[n, ROW] * width, (table[n, ROW] + rows) * width
+        inputs = x[starts[n] : starts[n] + rows * fan_in].reshape((rows, fan_in))
+        first = parameters[table[n, FIRST] : table[n, FIRST] + fan_in * width].reshape((fan_in, width))
+        lower, upper = h1[start:end].reshape((rows, width)), h2[start:end].reshape((rows, width))
+        np.dot(inputs, first, lower)
+        if delta.shape[0] > 0:
+            size, own = table[n, OWN_SIZE], table[n, OWN]
+            change = delta[places[n] : places[n] + rows * size].reshape((rows, size))
+            for r in range(rows):
+                for k in range(size):
+                    for c in range(width):
+                        lower[r, c] += change[r, k] * first[own + k, c]
+        _rectify(lower, none)
+        begin = table[n, SECOND]
+        bias = parameters[begin : begin + width]
+        second = parameters[begin + width : begin + width + width * width].reshape((width, width))
+        np.dot(lower, second, upper)
+        _rectify(upper, bias)
+        begin = table[n, HEAD]
+        bias = parameters[begin : begin + fan_out]
+        head = parameters[begin + fan_out : begin + fan_out + width * fan_out]
+        result = output[table[n, OUTPUT] : table[n, OUTPUT] + rows * fan_out]
+        if fan_out == 1:
+            np.dot(upper, head, result)
+            result += bias[0]
+        else:
+            wide = result.reshape((rows, fan_out))
+            np.dot(upper, head.reshape((width, fan_out)), wide)
+            for r in range(rows):
+                for c in range(fan_out):
+                    wide[r, c] += bias[c]
+
+
+@compiled
+def parameter_gradient(
+    table: Table,
+    starts: Table,
+    x: Floats,
+    parameters: Floats,
+    upstream: Floats,
+    h1: Floats,
+    h2: Floats,
+    scratch: Floats,
+    into: Floats,
+) -> None:
+    """Write the gradient of sum(upstream * output) by all parameters.
+
+    `scratch` holds twice as many activations, and own actions, as a network has rows.
+    """
+    width = h1.shape[0] // (table[-1, ROW] + table[-1, ROWS])
+    for n in range(table.shape[0]):
+        rows, fan_in, fan_out = table[n, ROWS], table[n, FAN_IN], table[n, FAN_OUT]
+        start, end = table[n, ROW] * width, (table[n, ROW] + rows) * width
+        lower, upper = h1[start:end].reshape((rows, width)), h2[start:end].reshape((rows, width))
+        z2 = scratch[: rows * width].reshape((rows, width))
+        z1 = scratch[rows * width : 2 * rows * width].reshape((rows, width))
+        above = upstream[table[n, OUTPUT] : table[n, OUTPUT] + rows * fan_out]
+        begin = table[n, HEAD]
+        head = parameters[begin + fan_out : begin + fan_out + width * fan_out]
+        slope = into[begin + fan_out : begin + fan_out + width * fan_out]
+        bias = into[begin : begin + fan_out]
+        if fan_out == 1:
+            bias[0] = above.sum()
+            np.dot(upper.T, above, slope)
+            _outer(above, head, upper, z2)
+        else:
+            wide = above.reshape((rows, fan_out))
+            _column_sums(wide, bias)
+            np.dot(upper.T, wide, slope.reshape((width, fan_out)))
+            np.dot(wide, head.reshape((width, fan_out)).T, z2)
+            _mask(z2, upper)
+        begin = table[n, SECOND]
+        _column_sums(z2, into[begin : begin + width])
+        second = parameters[begin + width : begin + width + width * width].reshape((width, width))
+        np.dot(lower.T, z2, into[begin + width : begin + width + width * width].reshape((width, width)))
+        np.dot(z2, second.T, z1)
+        _mask(z1, lower)
+        inputs = x[starts[n] : starts[n] + rows * fan_in].reshape((rows, fan_in))
+        begin = table[n, FIRST]
+        np.dot(inputs.T, z1, into[begin : begin + fan_in * width].reshape((fan_in, width)))
+
+
+@compiled
+def action_gradient(
+    table: Table,
+    parameters: Floats,
+    upstream: Floats,
+    h1: Floats,
+    h2: Floats,
+    scratch: Floats,
+    into: Floats,
+    places: Table,
+) -> None:
+    """Add the gradient of sum(upstream * output) by the own actions to `into`, for scalar networks."""
+    width = h1.shape[0] // (table[-1, ROW] + table[-1, ROWS])
+    for n in range(table.shape[0]):
+        rows = table[n, ROWS]
+        start, end = table[n, ROW] * width, (table[n, ROW] + rows) * width
+        lower, upper = h1[start:end].reshape((rows, width)), h2[start:end].reshape((rows, width))
+        z2 = scratch[: rows * width].reshape((rows, width))
+        z1 = scratch[rows * width : 2 * rows * width].reshape((rows, width))
+        above = upstream[table[n, OUTPUT] : table[n, OUTPUT] + rows]
+        begin = table[n, HEAD]
+        _outer(above, parameters[begin + 1 : begin + 1 + width], upper, z2)
+        begin = table[n, SECOND] + width
+        np.dot(z2, parameters[begin : begin + width * width].reshape((width, width)).T, z1)
+        _mask(z1, lower)
+        size, own = table[n, OWN_SIZE], table[n, FIRST] + table[n, OWN] * width
+        part = scratch[2 * rows * width : 2 * rows * width + rows * size]
+        np.dot(z1, parameters[own : own + size * width].reshape((size, width)).T, part.reshape((rows, size)))
+        slope = into[places[n] : places[n] + rows * size]
+        for k in range(rows * size):
+            slope[k] += part[k]
+
+
+@compiled
+def _rectify(values: Floats, bias: Floats) -> None:
+    """Write max(values + bias, 0); adding a bias of zeros is what keeps the loop in vector instructions."""
+    for r in range(values.shape[0]):
+        for c in range(values.shape[1]):
+            value = values[r, c] + bias[c]
+            values[r, c] = value if value > 0 else values.dtype.type(0)
+
+
+@compiled
+def _mask(gradient: Floats, activation: Floats) -> None:
+    for r in range(gradient.shape[0]):
+        for c in range(gradient.shape[1]):
+            gradient[r, c] = gradient[r, c] if activation[r, c] > 0 else gradient.dtype.type(0)
+
+
+@compiled
+def _outer(above: Floats, head: Floats, activation: Floats, out: Floats) -> None:
+    """Write the gradient by a scalar head's sums below, above head^T, where the activation is above 0."""
+    for r in range(out.shape[0]):
+        slope, active, row = above[r], activation[r], out[r]
+        for c in range(head.shape[0]):
+            row[c] = slope * head[c] if active[c] > 0 else out.dtype.type(0)
+
+
+@compiled
+def _column_sums(values: Floats, out: Floats) -> None:
+    out[:] = 0
+    for r in range(values.shape[0]):
+        for c in range(values.shape[1]):
+            out[c] += values[r, c]
+
+
+@compiled
+def adam(
+    parameters: Floats,
+    gradient: Floats,
+    mean: Floats,
+    square: Floats,
+    settings: Floats,
+    target: Floats,
+) -> None:
+    """Take one Adam step in one sweep, and let the target follow where there is one.
+
+    Args:
+        parameters: [P], changed.
+        gradient: [P].
+        mean: first moments [P], changed.
+        square: second moments [P], changed.
+        settings: 1 - beta1, beta2, 1 - beta2, the scaled rate, the scaled epsilon, xi.
+        target: [P], or empty.
+    """
+    blend, keep, take, rate, epsilon, follow = settings
+    for i in range(parameters.shape[0]):
+        slope = gradient[i]
+        first = mean[i] + (slope - mean[i]) * blend
+        second = square[i] * keep + slope * slope * take
+        mean[i], square[i] = first, second
+        parameters[i] -= rate * first / (np.sqrt(second) + epsilon)
+    if target.shape[0] > 0:
+        for i in range(target.shape[0]):
+            target[i] += (parameters[i] - target[i]) * follow
+
+
+@compiled
+def spread(source: Floats, table: Table, rows: int, out: Floats) -> None:
+    """Copy pieces of rows from one flat buffer to another.
+
+    A line (from, step, size, to, stride) of the table copies source[from + b * step + 0 .. size] to
+    out[to + b * stride + 0 .. size] for each row b.
+    """
+    for n in range(table.shape[0]):
+        begin, step, size, start, stride = table[n, 0], table[n, 1], table[n, 2], table[n, 3], table[n, 4]
+        for b in range(rows):
+            for k in range(size):
+                out[start + b * stride + k] = source[begin + b * step + k]

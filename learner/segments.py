@@ -1,0 +1,93 @@
+"""Which segments of a new chunk go on where an earlier chunk of the same worker stopped.
+
+A worker cuts its environments' trajectories into chunks, and the observation at the cut stands in both chunks: as the
+last row of the earlier segment and as the first of the later one. Replay keeps it once. The two are the same when
+the chunks' numbers follow each other and the observations are equal to the last bit; otherwise, after a lost chunk for
+instance, the later segment begins anew.
+"""
+
+import hashlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.errors import CheckpointError
+from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
+
+MAX_SOURCES = 4096
+"""Sources whose open ends are remembered; beyond that the one heard from least recently is forgotten."""
+
+Indices = NDArray[np.int64]
+
+
+def segment_starts(flag: NDArray[np.uint8]) -> Indices:
+    """Return the first row of each segment."""
+    follows = (flag & TRANSITION) != 0
+    return np.flatnonzero(np.concatenate(([True], ~follows[:-1])))
+
+
+def open_ends(flag: NDArray[np.uint8]) -> Indices:
+    """Return the last row of each segment whose episode goes on."""
+    follows = (flag & TRANSITION) != 0
+    last = np.concatenate(([0], flag[:-1]))
+    return np.flatnonzero(~follows & ((last & TRANSITION) != 0) & ((last & (TERMINATED | TRUNCATED)) == 0))
+
+
+class OpenEnds:
+    """The rows at which the newest chunk of each source stopped, by running number of the row."""
+
+    def __init__(self) -> None:
+        self._ends: dict[str, tuple[int, list[tuple[str, int]]]] = {}
+
+    def continued(self, rows: Rows, source: str, number: int) -> tuple[Indices, Indices]:
+        """Return which rows of a chunk are in the ring already.
+
+        Args:
+            rows: the chunk.
+            source: who made it; empty for nobody who goes on.
+            number: its number among the chunks of that source.
+
+        Returns:
+            first rows of segments, and for each of them the running number of the row that holds its observation.
+        """
+        before, ends = self._ends.pop(source, (0, []))
+        if number != before + 1 or not ends:
+            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+        known: dict[str, list[int]] = {}
+        for name, row in ends:
+            known.setdefault(name, []).append(row)
+        found = []
+        for start in segment_starts(rows.flag).tolist():
+            candidates = known.get(_name(rows.observation[start]))
+            if candidates and rows.flag[start] & TRANSITION:
+                found.append((start, candidates.pop(0)))
+        pairs = np.array(found, np.int64).reshape(len(found), 2)
+        return pairs[:, 0], pairs[:, 1]
+
+    def remember(self, rows: Rows, numbers: Indices, source: str, number: int) -> None:
+        """Note where a chunk stops; `numbers` are the running numbers of its rows."""
+        if not source:
+            return
+        ends = [(_name(rows.observation[row]), int(numbers[row])) for row in open_ends(rows.flag).tolist()]
+        self._ends[source] = (number, ends)
+        if len(self._ends) > MAX_SOURCES:
+            del self._ends[next(iter(self._ends))]
+
+    def state(self) -> dict[str, Any]:
+        """Return the open ends as plain values."""
+        return {source: [number, [list(end) for end in ends]] for source, (number, ends) in self._ends.items()}
+
+    def restore(self, state: Any) -> None:
+        """Continue from `state`; raise CheckpointError when it is none."""
+        try:
+            self._ends = {
+                str(source): (int(number), [(str(name), int(row)) for name, row in ends])
+                for source, (number, ends) in state.items()
+            }
+        except (AttributeError, TypeError, ValueError) as error:
+            raise CheckpointError(f"the replay buffer's open segments are not readable: {error}.") from error
+
+
+def _name(observation: NDArray[np.float32]) -> str:
+    return hashlib.blake2b(np.ascontiguousarray(observation).tobytes(), digest_size=16).hexdigest()
