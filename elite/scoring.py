@@ -1,5 +1,7 @@
 """omega: how well and how steadily each agent does, and who is its type's elite."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +18,7 @@ def scores(reward: Float32, config: EliteConfig) -> NDArray[np.float64]:
     the type's mean absolute step reward, so that its weight means the same for every type and at every stage.
 
     Args:
-        reward: [F, T, n_v] step rewards of noise-free episodes on F farms.
+        reward: [..., n_v] step rewards of noise-free episodes.
         config: beta_1 and beta_2.
 
     Returns:
@@ -29,7 +31,7 @@ def scores(reward: Float32, config: EliteConfig) -> NDArray[np.float64]:
 
 
 def decide(
-    team: TeamSpec, config: EliteConfig, event: int, version: int, episode: int, reward: Float32
+    team: TeamSpec, config: EliteConfig, event: int, version: int, episode: int, rewards: Sequence[Float32]
 ) -> ImitationEvent:
     """Return the imitation event that an evaluation leads to.
 
@@ -39,14 +41,18 @@ def decide(
         event: number of the event.
         version: the parameter version that was evaluated.
         episode: the learner's episode count when the event fell due.
-        reward: [F, T, agents] step rewards.
+        rewards: [T, agents] step rewards of each episode.
 
     Raises:
         SchemaError: when the rewards do not fit the team or are not finite.
     """
-    if reward.ndim != 3 or reward.shape[2] != team.agents or 0 in reward.shape or not np.isfinite(reward).all():
-        raise SchemaError(f"an evaluation of shape {list(reward.shape)} does not fit {team.agents} agents.")
-    omegas = [scores(reward[:, :, part], config) for part in team.agent_slices()]
+    for reward in rewards:
+        if reward.ndim != 2 or reward.shape[1] != team.agents or len(reward) == 0 or not np.isfinite(reward).all():
+            raise SchemaError(f"an episode of shape {list(reward.shape)} does not fit {team.agents} agents.")
+    if len(rewards) == 0:
+        raise SchemaError("an evaluation needs at least one episode.")
+    steps = np.concatenate(rewards)
+    omegas = [scores(steps[:, part], config) for part in team.agent_slices()]
     return ImitationEvent(
         event=event,
         version=version,
@@ -54,5 +60,5 @@ def decide(
         rate=ImitationSchedule(config).rate(event),
         elites=tuple(int(np.argmax(omega)) for omega in omegas),
         scores=tuple(tuple(omega.tolist()) for omega in omegas),
-        evaluation_steps=reward.shape[0] * reward.shape[1],
+        evaluation_steps=len(steps),
     )

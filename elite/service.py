@@ -16,19 +16,27 @@ from common.endpoint import Endpoint
 from common.errors import BusClosedError, BusError, ProtocolError
 from common.imitation import ImitationEvent, ImitationSchedule
 from common.messages import (
+    CommandMessage,
+    Envelope,
     EvaluationOrder,
     EvaluationResult,
     ImitationMessage,
     ProgressMessage,
     ReceiptMessage,
 )
-from common.process import Presence, StopSignal, connect, fetch_configuration, incarnation, log
-from common.team import Float32, farm_team
+from common.process import Presence, StopSignal, connect, denial, fetch_configuration, incarnation, log
+from common.team import Float32, TeamSpec
 from elite.plan import evaluation_plan
 from elite.scoring import decide
 
 ANSWER_SECONDS = 30.0
-"""Longest wait for a worker's evaluation before its farms go to another worker."""
+"""Longest first wait for a worker's evaluation before its farms go to another worker."""
+LONGEST_SECONDS = 3600.0
+"""Longest wait of all; each round of an event in which nobody answers doubles the wait."""
+RETRY_SECONDS = 0.5
+"""Pause when workers cannot be asked at all, which have just died perhaps."""
+CLAIM_SECONDS = 1.0
+"""Time between two claims to lead."""
 REPORT_SECONDS = 1.0
 IDLE_SECONDS = 0.02
 
@@ -54,21 +62,25 @@ class Coordinator:
     """The coordinator's loop.
 
     It keeps no state of its own: which event is next follows from the learner's count of applied events, so a
-    coordinator that starts anew goes on where the last one was.
+    coordinator that starts anew goes on where the last one was. Of several coordinators the one that the learner has
+    granted the lead holds the events; the others stand by.
     """
 
-    def __init__(self, options: CoordinatorOptions, config: RunConfig, control: Bus) -> None:
-        self._options, self._config, self._bus = options, config, control
-        self._team = farm_team(config.farm)
-        self._schedule = ImitationSchedule(config.elite)
+    def __init__(self, options: CoordinatorOptions, config: RunConfig, team: TeamSpec, control: Bus) -> None:
+        self._options, self._config, self._team, self._bus = options, config, team, control
+        self._schedule = ImitationSchedule.of(config)
         self._progress = control.subscribe_state(keys.PROGRESS.key(options.run))
         self._tokens = control.watch(keys.LIVE.pattern(options.run, role="rollout"), 1024)
         self._announcer = control.publish_state(keys.IMITATION_EVENT.key(options.run))
-        self._presence = Presence(control, options.run, "elite", options.name, incarnation())
+        start = incarnation()
+        self._presence = Presence(control, options.run, "elite", options.name, start)
+        self._envelope = Envelope("elite", options.name, start, 1).encode()
+        self._leads, self._claimed = False, 0.0
         self._workers: set[str] = set()
         self._now: ProgressMessage | None = None
         self._last: ImitationEvent | None = None
         self._failures = 0
+        self._patience = ANSWER_SECONDS
         self._reported = 0.0
 
     def run(self, stop: StopSignal) -> None:
@@ -78,12 +90,36 @@ class Coordinator:
             now = self._now
             if now is not None and now.state == "finished":
                 break
-            if now is not None and now.state == "training" and self._schedule.is_due(now.events, now.episodes):
+            self._claim()
+            if (
+                self._leads
+                and now is not None
+                and now.state == "training"
+                and self._schedule.is_due(now.events, now.episodes)
+            ):
                 self._hold_event(now, stop)
             time.sleep(IDLE_SECONDS)
             if time.monotonic() - self._reported >= REPORT_SECONDS:
                 self._report()
         self._report()
+
+    def _claim(self) -> None:
+        """Ask the learner for the lead, or to keep it, when it is time to."""
+        if time.monotonic() - self._claimed < CLAIM_SECONDS:
+            return
+        key, payload = keys.COMMAND.key(self._options.run, verb="lead"), CommandMessage(self._options.name).encode()
+        try:
+            answer = self._bus.ask(key, payload, CLAIM_SECONDS, self._envelope)
+            leads = answer is not None and ReceiptMessage.decode(answer).done
+        except BusClosedError:
+            raise
+        except (BusError, ProtocolError) as error:
+            log(f"coordinator: the learner grants no lead: {error}")
+            leads = False
+        self._claimed = time.monotonic()
+        if leads != self._leads:
+            log(f"coordinator {self._options.name} {'leads' if leads else 'stands by'}.")
+        self._leads = leads
 
     def _listen(self) -> None:
         for sample in self._tokens.drain():
@@ -104,44 +140,54 @@ class Coordinator:
         found = self._evaluate(number, now, stop)
         if found is None or due is None:
             return
-        reward, version = found
-        event = decide(self._team, self._config.elite, number, version, due, reward)
+        rewards, version = found
+        event = decide(self._team, self._config.elite, number, version, due, rewards)
         message = ImitationMessage.of(event, now.epoch)
         if self._deliver(message):
             self._announcer.put(message.encode())
             self._last = event
-            self._await_applied(number, stop)
+        self._await_applied(number, stop)
 
     def _deliver(self, message: ImitationMessage) -> bool:
-        """Have the learner apply the event; the announcement to the workers follows only then."""
+        """Have the learner apply the event; return whether it applied this very one.
+
+        Only then it is announced to the workers. One that the learner had applied before may have been another: its
+        answer to the first delivery may have been lost, and the elites be others now.
+        """
         try:
-            answer = self._bus.ask(keys.IMITATION.key(self._options.run), message.encode(), timeout=10.0)
+            answer = self._bus.ask(keys.IMITATION.key(self._options.run), message.encode(), 10.0, self._envelope)
             receipt = None if answer is None else ReceiptMessage.decode(answer)
+            if answer is None:
+                key = keys.IMITATION.key(self._options.run)
+                log(denial(self._bus, self._options.run, key) or f"coordinator: nobody took event {message.event}.")
         except (BusError, ProtocolError) as error:
             log(f"coordinator: event {message.event}: {error}")
             return False
         if receipt is not None and not receipt.done:
             log(f"coordinator: the learner refused event {message.event}: {receipt.reason}")
-        return receipt is not None and receipt.done
+        return receipt is not None and receipt.done and not receipt.reason
 
     def _await_applied(self, number: int, stop: StopSignal) -> None:
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + (5.0 if self._leads else 0.0)
         while not stop and time.monotonic() < deadline:
             self._listen()
+            self._claim()
             if self._now is not None and self._now.events >= number:
                 return
             time.sleep(IDLE_SECONDS)
 
-    def _evaluate(self, event: int, now: ProgressMessage, stop: StopSignal) -> tuple[Float32, int] | None:
-        """Return step rewards [F, T, agents] in plan order and the oldest version flown, or None without an answer."""
+    def _evaluate(self, event: int, now: ProgressMessage, stop: StopSignal) -> tuple[list[Float32], int] | None:
+        """Return each episode's step rewards in plan order and the oldest version flown, or None without an answer."""
         farms, episodes = evaluation_plan(self._config, event)
         found: dict[int, Float32] = {}
         versions: list[int] = []
-        while len(found) < len(farms) and not stop:
-            workers = sorted(self._workers)
-            missing = [index for index in range(len(farms)) if index not in found]
-            if not workers:
+        silent: set[str] = set()
+        while len(found) < len(farms):
+            self._listen()
+            if stop or not self._workers or (self._now is not None and self._now.epoch != now.epoch):
                 return None
+            workers = sorted(self._workers - silent) or sorted(self._workers)
+            missing = [index for index in range(len(farms)) if index not in found]
             shares = [missing[k :: len(workers)] for k in range(len(workers))]
             orders = [
                 (
@@ -152,15 +198,26 @@ class Coordinator:
                 for worker, share in zip(workers, shares, strict=True)
                 if share
             ]
+            started = time.monotonic()
             answers = self._ask_all(orders, versions, stop)
-            if not answers:
-                self._failures += 1
-                self._listen()
-                return None
             found.update(answers)
-        if len(found) < len(farms):
-            return None
-        return np.stack([found[index] for index in range(len(farms))]), min(versions)
+            late = [worker for worker, share, _ in orders if share[0] not in answers]
+            if late and not stop:
+                self._note_late(event, late, silent, len(orders), time.monotonic() - started)
+        return [found[index] for index in range(len(farms))], min(versions)
+
+    def _note_late(self, event: int, late: Sequence[str], silent: set[str], asked: int, waited: float) -> None:
+        """Leave those who did not answer out of the next rounds; wait longer from now on when nobody did in time."""
+        self._failures += len(late)
+        log(f"coordinator: event {event}: no evaluation after {waited:.1f} s by {', '.join(late)}; asking on.")
+        silent.update(late)
+        if len(late) == asked:
+            silent.clear()
+            if waited >= self._patience:
+                self._patience = min(2.0 * self._patience, LONGEST_SECONDS)
+            else:
+                time.sleep(RETRY_SECONDS)
+        self._report()
 
     def _ask_all(
         self, orders: Sequence[tuple[str, list[int], EvaluationOrder]], versions: list[int], stop: StopSignal
@@ -173,6 +230,7 @@ class Coordinator:
         for thread in threads:
             thread.start()
         while not stop and any(thread.is_alive() for thread in threads):
+            self._claim()
             time.sleep(IDLE_SECONDS)
         return dict(answers) if not stop else {}
 
@@ -181,7 +239,7 @@ class Coordinator:
     ) -> None:
         key = keys.EVALUATION.key(self._options.run, worker=worker)
         try:
-            answer = self._bus.ask(key, order.encode(), ANSWER_SECONDS)
+            answer = self._bus.ask(key, order.encode(), self._patience)
             if answer is None:
                 return
             result = EvaluationResult.decode(answer)
@@ -190,12 +248,12 @@ class Coordinator:
         except (BusError, ProtocolError) as error:
             log(f"coordinator: worker {worker} did not evaluate: {error}")
             return
-        wanted = (len(share), self._config.farm.world.steps, self._team.agents)
-        if result.event != order.event or result.reward.shape != wanted or not np.isfinite(result.reward).all():
+        if result.event != order.event or not _fits(result, len(share), self._team):
             log(f"coordinator: worker {worker} answered with an evaluation that does not fit.")
             return
         versions.append(result.version)
-        answers.update(dict(zip(share, result.reward, strict=True)))
+        lengths = zip(result.reward, result.steps.tolist(), strict=True)
+        answers.update(dict(zip(share, (reward[:steps] for reward, steps in lengths), strict=True)))
 
     def _report(self) -> None:
         self._reported = time.monotonic()
@@ -205,11 +263,20 @@ class Coordinator:
             "events": 0 if self._now is None else self._now.events,
             "next_episode": self._schedule.due_episode((0 if self._now is None else self._now.events) + 1) or 0,
             "failures": self._failures,
+            "leads": self._leads,
             "rate": last.rate if last else 0.0,
             "elites": dict(zip([g.name for g in self._team.groups], last.elites, strict=True)) if last else {},
             "scores": [list(s) for s in last.scores] if last else [],
         }
         self._presence.report(values, 0 if self._now is None else self._now.version)
+
+
+def _fits(result: EvaluationResult, episodes: int, team: TeamSpec) -> bool:
+    """Return whether an evaluation holds so many whole episodes of finite rewards."""
+    reward, steps = result.reward, result.steps
+    if reward.ndim != 3 or reward.shape[::2] != (episodes, team.agents) or steps.shape != (episodes,):
+        return False
+    return bool((steps >= 1).all() and (steps <= reward.shape[1]).all() and np.isfinite(reward).all())
 
 
 def _pick(values: Sequence[int], indices: Sequence[int]) -> tuple[int, ...]:
@@ -228,4 +295,5 @@ def serve(options: CoordinatorOptions) -> None:
     with connect(options.endpoint, "control", stop, options.patience) as control:
         answer = fetch_configuration(control, options.run, options.name, lambda: not stop, 5.0)
         if answer is not None:
-            Coordinator(options, from_toml(answer.toml, RunConfig()), control).run(stop)
+            config, team = from_toml(answer.toml, RunConfig()), TeamSpec.from_dict(answer.team)
+            Coordinator(options, config, team, control).run(stop)
