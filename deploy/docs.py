@@ -1,4 +1,4 @@
-"""The generated pages of docs/: written by `python -m deploy.docs`, held up to date by a test."""
+"""The generated pages and pictures of docs/: written by `python -m deploy.docs`, held up to date by a test."""
 
 import ast
 import dataclasses
@@ -12,6 +12,9 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 from common.config import RunConfig
 from common.config.files import flatten, format_value
 from common.config.presets import PRESETS
+from common.config.sites import Sites
+from deploy.farm_figures import draw_densities
+from deploy.security_page import security_page
 
 _HEAD = """# Configuration
 
@@ -86,6 +89,8 @@ def _value(value: Any) -> str:
 def _type(wanted: Any) -> str:
     if get_origin(wanted) is Literal:
         return " or ".join(f"`{choice}`" for choice in get_args(wanted))
+    if wanted == Sites:
+        return "list of places"
     if get_origin(wanted) is tuple:
         return "list of integers"
     return {bool: "boolean", int: "integer", float: "number", str: "text"}[wanted]
@@ -95,16 +100,22 @@ def _cells(cells: list[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-PAGES: Final[dict[str, Callable[[], str]]] = {"configuration.md": configuration_page}
+PAGES: Final[dict[str, Callable[[], str]]] = {"configuration.md": configuration_page, "security.md": security_page}
 """Every generated page: its file name in docs/ and the function that returns its text."""
+
+PICTURES: Final[dict[str, Callable[[Path], None]]] = {"images/densities.png": draw_densities}
+"""Every generated picture: its file name in docs/ and the function that draws it."""
 
 
 def main(arguments: list[str]) -> None:
-    """Write every generated page into the folder given (docs when none is)."""
+    """Write every generated page and picture into the folder given (docs when none is)."""
     folder = Path(arguments[0]) if arguments else Path("docs")
     folder.mkdir(parents=True, exist_ok=True)
     for name, page in PAGES.items():
         (folder / name).write_text(page(), encoding="utf-8")
+    for name, draw in PICTURES.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        draw(folder / name)
 
 
 if __name__ == "__main__":

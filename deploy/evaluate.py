@@ -2,20 +2,24 @@
 
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 from rich.console import Console
 
-from common.config import FarmConfig, RunConfig
+from common.config import RunConfig
 from common.config.files import from_toml
 from common.errors import PolicyError, RunDirError, UsageError
+from common.policy_file import load_policy
 from deploy.exit_codes import DONE
+from deploy.options import require_env, with_farm_file
 from deploy.rundir import CONFIG, POLICY
 from deploy.tables import comparison_table
-from rollout.evaluation import Evaluation, evaluate
-from rollout.policies import policy_of, trained_policy
+from rollout.environments import Environments
+from rollout.evaluation import Evaluation, evaluate, evaluate_run
+from rollout.heuristics.random import RandomPolicy
+from rollout.policies import ActorPolicy, Decider, policy_of
 
 MAX_FARMS: Final = 100_000
 
@@ -27,15 +31,20 @@ class EvaluateArguments:
     run_dir: Path | None = None
     """A run's directory: its configuration and its newest policy."""
     policy: str | None = None
-    """static, random, lawnmower, greedy, trained, or a policy file; with --run-dir, instead of the run's policy."""
+    """static, random, lawnmower, greedy, tour, hungarian, horizon, trained, or a policy file; with --run-dir, instead
+    of the run's policy. horizon+centroid, for instance, names the relays too (docs/heuristics.md)."""
     farms: str = "1000:1020"
-    """Farm seeds A:B, from A to B - 1."""
+    """Farm seeds A:B, from A to B - 1; for other environments scenario seeds."""
     episodes: int = 1
     """Episodes on each farm."""
+    env: str | None = None
+    """Environment besides the farm, module:name; a run that is about one needs it, because loading it runs its code."""
     json: bool = False
     """Print JSON instead of a table."""
     config: Path | None = None
     """TOML file whose values replace those of the run or of the default preset."""
+    farm_file: Path | None = None
+    """CSV or GeoJSON file with the sensors' places; the seeds then decide starts, packets and phases."""
     set: tuple[str, ...] = ()
     """Single values, for instance farm.world.steps=100; they come last."""
 
@@ -63,17 +72,34 @@ def run(arguments: EvaluateArguments) -> Evaluation:
     farms = parse_farms(arguments.farms)
     if arguments.episodes < 1:
         raise UsageError(f"--episodes must be 1 or more, not {arguments.episodes}.")
-    farm = _farm_config(arguments)
+    config = _configuration(arguments)
+    name = _name(arguments)
+    shown = arguments.run_dir.name if arguments.run_dir and not arguments.policy else name
+    if config.env.is_farm:
+        policy = policy_of(name, config.farm)
+        return evaluate(config.farm, policy, farms, arguments.episodes, name=shown)
+    return evaluate_run(config, _decider(name), farms, arguments.episodes, name=shown)
+
+
+def _name(arguments: EvaluateArguments) -> str:
+    """Return the policy's name or the path of its file."""
     if arguments.policy is not None:
-        name, policy = arguments.policy, policy_of(arguments.policy, farm)
-    elif arguments.run_dir is not None:
-        path = arguments.run_dir / POLICY
-        if not path.is_file():
-            raise RunDirError(f"{arguments.run_dir} holds no {POLICY}: the run has not saved a policy yet.")
-        name, policy = arguments.run_dir.name, trained_policy(path, farm)
-    else:
+        return arguments.policy
+    if arguments.run_dir is None:
         raise PolicyError("nothing to evaluate: give --run-dir DIR or --policy NAME.")
-    return evaluate(farm, policy, farms, arguments.episodes, name=name)
+    path = arguments.run_dir / POLICY
+    if not path.is_file():
+        raise RunDirError(f"{arguments.run_dir} holds no {POLICY}: the run has not saved a policy yet.")
+    return str(path)
+
+
+def _decider(name: str) -> Decider[Environments]:
+    """Return a policy for an environment other than the farm."""
+    if name == "random":
+        return RandomPolicy()
+    if not Path(name).is_file():
+        raise PolicyError(f"outside the farm there is no policy {name!r}: give random, or a policy file.")
+    return ActorPolicy(load_policy(Path(name))[0])
 
 
 def parse_farms(text: str) -> range:
@@ -93,8 +119,8 @@ def parse_farms(text: str) -> range:
     return farms
 
 
-def _farm_config(arguments: EvaluateArguments) -> FarmConfig:
-    """Return the run's or the default farm with the file's and the single values in it."""
+def _configuration(arguments: EvaluateArguments) -> RunConfig:
+    """Return the run's or the default configuration with the file's and the single values in it."""
     config = RunConfig()
     if arguments.run_dir is not None:
         path = arguments.run_dir / CONFIG
@@ -103,6 +129,9 @@ def _farm_config(arguments: EvaluateArguments) -> FarmConfig:
         config = from_toml(path, config)
     if arguments.config is not None:
         config = from_toml(arguments.config, config)
+    require_env(config, arguments.env)
+    if arguments.env is not None:
+        config = replace(config, env=replace(config.env, name=arguments.env))
     for assignment in arguments.set:
         config = from_toml(assignment, config)
-    return config.farm
+    return with_farm_file(config, arguments.farm_file) if arguments.farm_file is not None else config

@@ -1,12 +1,11 @@
 """The two pictures of a run: how it learned, and where its UAVs flew.
 
-Colours are Okabe and Ito's, which people with any colour vision tell apart; every difference that a colour makes is
-also made by a marker, a line style or a label. Nothing here opens a window.
+Colours and marks are those of `rollout/palette.py`. Nothing here opens a window.
 """
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,33 +15,22 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from common.team import COLLECTION, COMMUNICATION, MONITORING, farm_team
+from common.team import COLLECTION, MONITORING, farm_team
 from rollout.evaluation import Trajectory
-
-LineStyle = Literal["-", "--", "-."]
+from rollout.palette import AGE_MAP, COLOURS, END_MARKERS, LABELS, SENSOR_MARKERS, STYLES, TYPES, LineStyle
 
 DPI: Final = 150
-COLOURS: Final = {COMMUNICATION: "#0072B2", MONITORING: "#D55E00", COLLECTION: "#009E73", "mean": "#000000"}
-LABELS: Final = {
-    "mean": "all agents",
-    COMMUNICATION: "communication",
-    MONITORING: "monitoring",
-    COLLECTION: "data collection",
-}
-SENSOR_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
+OTHER_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 SMOOTH_SHARE: Final = 0.05
 """Width of the smoothing window as a share of the curve."""
-STYLES: Final[dict[str, LineStyle]] = {COMMUNICATION: "--", MONITORING: "-", COLLECTION: "-.", "mean": "-"}
-END_MARKERS: Final = {COMMUNICATION: "P", MONITORING: "s", COLLECTION: "^"}
 TEXT: Final[dict[str, Any]] = {"fontsize": 9}
-_NAMES: Final = (COMMUNICATION, MONITORING, COLLECTION)
 _SHADES: Final = LinearSegmentedColormap.from_list("plots", ["#FFFFFF", "#B5B5B5"])
 
 Numbers = NDArray[np.float64]
 
 
 def curves(metrics: Sequence[Mapping[str, Any]], path: Path, levels: Mapping[str, float] | None = None) -> None:
-    """Draw reward, AoI and VDF against episodes.
+    """Draw reward, and AoI and VDF or where there are none the length of episodes, against episodes.
 
     Args:
         metrics: the run's records; those of kind "episodes" are drawn, those of kind "imitation" become ticks, all
@@ -60,18 +48,25 @@ def curves_figure(metrics: Sequence[Mapping[str, Any]], levels: Mapping[str, flo
     episodes = np.array([record["episodes"] for record in records], np.float64)
     figure = Figure(figsize=(8.0, 6.4), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
-    for name in (COMMUNICATION, MONITORING, COLLECTION, "mean"):
+    kinds = [name for name in (records[0]["reward"] if records else {}) if name != "mean"]
+    for index, name in enumerate([*kinds, "mean"] if len(kinds) != 1 else ["mean"]):
         values = np.array([record["reward"][name] for record in records], np.float64)
-        _curve(upper, episodes, values, COLOURS[name], LABELS[name], STYLES[name], 2.2 if name == "mean" else 1.5)
+        colour = COLOURS.get(name, OTHER_COLOURS[index % len(OTHER_COLOURS)])
+        style: LineStyle = STYLES.get(name, "--")
+        _curve(upper, episodes, values, colour, LABELS.get(name, name), style, 2.2 if name == "mean" else 1.5)
     _levels(upper, levels or {})
     _events(upper, events)
     upper.set_ylabel("reward of an episode, per agent")
-    for key, name, label in (("aoi", COLLECTION, "mean AoI"), ("vdf", MONITORING, "mean VDF")):
+    farm = bool(records) and all(key in records[0] for key in ("aoi", "vdf"))
+    shown = (
+        (("aoi", COLLECTION, "mean AoI"), ("vdf", MONITORING, "mean VDF")) if farm else (("steps", "mean", "steps"),)
+    )
+    for key, name, label in shown:
         values = np.array([record[key] for record in records], np.float64)
         _curve(lower, episodes, values, COLOURS[name], label, STYLES[name])
     lower.set_ylim(bottom=0.0)
     lower.set_xlabel("training episodes")
-    lower.set_ylabel("units (lower is fresher)")
+    lower.set_ylabel("units (lower is fresher)" if farm else "steps of an episode")
     for axes in (upper, lower):
         axes.grid(True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)
@@ -148,7 +143,7 @@ def _levels(axes: Axes, levels: Mapping[str, float]) -> None:
         axes.axhline(level, color="0.4", linestyle=(0, (5, 3)), linewidth=1.0, zorder=1)
         text_y = max(level, text_y + least)
         axes.annotate(
-            f"{name} {level:.0f}",
+            f"{name} {level:.{0 if abs(level) >= 20.0 else 1}f}",
             (1.0, level),
             (1.01, text_y),
             xycoords=axes.get_yaxis_transform(),
@@ -177,7 +172,7 @@ def _sensors(axes: Axes, trajectory: Trajectory) -> PathCollection:
             trajectory.sensor_xy[chosen, 0],
             trajectory.sensor_xy[chosen, 1],
             c=trajectory.final_aoi[chosen],
-            cmap="viridis_r",
+            cmap=AGE_MAP,
             vmin=0.0,
             vmax=trajectory.config.world.aoi_max,
             marker=SENSOR_MARKERS[kind % len(SENSOR_MARKERS)],
@@ -196,7 +191,7 @@ def _paths(axes: Axes, trajectory: Trajectory) -> None:
     relays = trajectory.config.world.communication_uavs
     for served, relay in enumerate(trajectory.assignment):
         axes.plot(*ends[[relay, relays + served]].T, color="0.15", linewidth=1.0, linestyle=":", zorder=4)
-    for name, agents in zip(_NAMES, farm_team(trajectory.config).agent_slices(), strict=True):
+    for name, agents in zip(TYPES, farm_team(trajectory.config).agent_slices(), strict=True):
         for agent in range(agents.start, agents.stop):
             path, colour = trajectory.position[:, agent], COLOURS[name]
             axes.plot(*path.T, color=colour, linestyle=STYLES[name], linewidth=1.1, alpha=0.8, zorder=3)
@@ -217,7 +212,7 @@ def _headline(trajectory: Trajectory) -> str:
     summary = trajectory.summary
     return (
         f"farm {trajectory.farm}, {summary.steps} steps: reward {np.mean(summary.reward):.0f} per agent, "
-        f"AoI {summary.aoi:.2f}, VDF {summary.vdf:.2f}"
+        f"AoI {summary.figures['aoi']:.2f}, VDF {summary.figures['vdf']:.2f}"
     )
 
 
@@ -234,7 +229,7 @@ def _legend(trajectory: Trajectory) -> list[Line2D]:
             markersize=9,
             label=f"{LABELS[name]} UAV, end",
         )
-        for name in _NAMES
+        for name in TYPES
     ]
     handles.append(
         Line2D([], [], color="0.3", marker="o", markerfacecolor="white", linestyle="", label="start of a UAV")

@@ -2,6 +2,7 @@
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -9,16 +10,18 @@ from common import keys
 from common.bus import Bus
 from common.errors import ProtocolError
 from common.messages import Envelope, MetricMessage
-from common.team import COLLECTION, COMMUNICATION, MONITORING
+from common.team import LETTERS
 from deploy.view import Imitation, Ledger, ProcessRow, Series, Snapshot
 
 HISTORY: Final = 240
 """Points of a curve that are kept."""
 GONE_SECONDS: Final = 30.0
 """A process without a token stays in the table for this long."""
-LETTERS: Final = {COMMUNICATION: "c", MONITORING: "m", COLLECTION: "d"}
-"""The types by the paper's letters."""
 FRESHNESS: Final = {"aoi": "AoI", "vdf": "VDF"}
+LENGTH: Final = {"steps": "episode steps"}
+"""What is shown in place of AoI and VDF where there are none."""
+NAME: Final = 14
+"""Most characters of a type's name."""
 
 
 @dataclass
@@ -46,7 +49,8 @@ class Fleet:
         self._metrics = bus.subscribe(keys.METRIC.pattern(run), 4096)
         self._tokens = bus.watch(keys.LIVE.pattern(run), 4096)
         self._seen: dict[tuple[str, str], _Seen] = {}
-        self._curves: dict[str, deque[float]] = {}
+        self._rewards: dict[str, deque[float]] = {}
+        self._figures: dict[str, deque[float]] = {}
         self._rates = {"environment_steps": 0.0, "updates": 0.0}
         self._malformed = 0
 
@@ -64,6 +68,8 @@ class Fleet:
             try:
                 parsed = keys.parse(sample.key)
                 sender, message = Envelope.decode(sample.attachment), MetricMessage.decode(sample.payload)
+                if (sender.role, sender.name) != (parsed.variables["role"], parsed.variables["name"]):
+                    raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}.")
                 self._take((parsed.variables["role"], parsed.variables["name"]), sender, message, now)
             except (ProtocolError, KeyError, TypeError, ValueError):
                 self._malformed += 1
@@ -85,8 +91,10 @@ class Fleet:
         seen.message, seen.values, seen.version, seen.at = message, message.values, sender.version, now
         if name[0] == "learner" and message.values.get("curves"):
             curves = message.values["curves"]
-            for kind, value in {**curves["reward"], "aoi": curves["aoi"], "vdf": curves["vdf"]}.items():
-                self._curves.setdefault(kind, deque(maxlen=HISTORY)).append(float(value))
+            figures = {kind: curves[kind] for kind in (*FRESHNESS, *LENGTH) if kind in curves}
+            for part, values in ((self._rewards, curves["reward"]), (self._figures, figures)):
+                for kind, value in values.items():
+                    part.setdefault(str(kind), deque(maxlen=HISTORY)).append(float(value))
 
     def snapshot(self, alarms: tuple[str, ...] = ()) -> Snapshot:
         """Return the present state for `deploy.view.render`, with the caller's alarms before its own."""
@@ -110,8 +118,11 @@ class Fleet:
             left=elapsed * (total - episodes) / episodes if episodes else None,
             episodes=episodes,
             episodes_total=total,
-            reward=tuple(Series(kind, self._curve(kind)) for kind in ("mean", *LETTERS)),
-            freshness=tuple(Series(name, self._curve(kind), 2) for kind, name in FRESHNESS.items()),
+            reward=tuple(
+                Series(LETTERS.get(kind, kind)[:NAME], tuple(points), _digits(points))
+                for kind, points in self._rewards.items()
+            ),
+            freshness=self._freshness(),
             steps=int(values.get("environment_steps", 0)),
             steps_rate=self._rates["environment_steps"],
             updates=int(values.get("updates", 0)),
@@ -134,8 +145,13 @@ class Fleet:
         found = [seen for (kind, _), seen in self._seen.items() if kind == role]
         return max(found, key=lambda seen: seen.at) if found else None
 
-    def _curve(self, kind: str) -> tuple[float, ...]:
-        return tuple(self._curves.get(kind, ()))
+    def _freshness(self) -> tuple[Series, ...]:
+        shown = FRESHNESS if all(kind in self._figures for kind in FRESHNESS) else LENGTH
+        return tuple(
+            Series(name, tuple(self._figures[kind]), 2 if shown is FRESHNESS else 0)
+            for kind, name in shown.items()
+            if kind in self._figures
+        )
 
     def _worker_wait(self) -> float | None:
         shares = [
@@ -183,6 +199,12 @@ class Fleet:
     def _alarms(self, learner: dict[str, Any]) -> tuple[str, ...]:
         found = [str(text)[:200] for text in learner.get("alarms", [])]
         found += [f"{role} {name} is gone." for (role, name), seen in self._seen.items() if not seen.alive]
+        elite = self._of("elite")
+        if elite is not None and elite.values.get("failures"):
+            found.append(f"{elite.values['failures']} evaluations for imitation were not answered in time.")
+        for (role, name), seen in self._seen.items():
+            if role != "learner":
+                found += [f"{role} {name}: {text}"[:200] for text in seen.values.get("alarms", [])]
         ledger = learner.get("ledger", {})
         if ledger.get("lost"):
             found.append(f"{ledger['lost']} environment steps are lost with processes that died.")
@@ -198,6 +220,11 @@ class Fleet:
         if self._malformed:
             found.append(f"{self._malformed} metric messages could not be read.")
         return tuple(found)
+
+
+def _digits(points: Sequence[float]) -> int:
+    """Return the decimals of a curve: none for hundreds, two for small numbers."""
+    return 0 if max(map(abs, points), default=0.0) >= 100.0 else 2
 
 
 def _share(part: Any, whole: float) -> float | None:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 from common.config import RunConfig
 from common.imitation import ImitationSchedule
-from common.team import farm_team
 from common.transitions import Chunk
 from elite.plan import evaluation_plan
 from elite.scoring import decide
@@ -31,22 +30,24 @@ def train_inprocess(
     Returns:
         The trainer with its final actors.
     """
-    trainer = Trainer(config, farm_team(config.farm))
     collector = Collector(config, WORKER, 0)
-    schedule = ImitationSchedule(config.elite)
+    trainer = Trainer(config, collector.team)
+    schedule = ImitationSchedule.of(config)
     version = trainer.next_version()
-    bank, seen_steps, progress = trainer.actors(), trainer.environment_steps, 0.0
+    bank, seen_steps, progress, chunks = trainer.actors(), trainer.environment_steps, 0.0, 0
     while trainer.episodes < config.episodes:
         uniform = seen_steps < config.replay.warmup_steps
         chunk = collector.collect(bank, config.exploration.deviation(progress), uniform)
-        trainer.absorb(chunk, version)
+        chunks += 1
+        trainer.absorb(chunk, version, WORKER, chunks)
         trainer.train(max(0, trainer.rounds_due()))
         version = trainer.next_version()
         while schedule.is_due(trainer.events, trainer.episodes):
             number = trainer.events + 1
             due = schedule.due_episode(number) or 0
-            reward = fly_noise_free(config, trainer.actors(), *evaluation_plan(config, number))
-            trainer.imitate(decide(trainer.team, config.elite, number, version, due, reward))
+            reward, steps = fly_noise_free(config, trainer.actors(), *evaluation_plan(config, number))
+            rewards = [episode[:length] for episode, length in zip(reward, steps, strict=True)]
+            trainer.imitate(decide(trainer.team, config.elite, number, version, due, rewards))
             version = trainer.next_version()
         bank, seen_steps = trainer.actors(), trainer.environment_steps
         progress = min(1.0, trainer.episodes / config.episodes)

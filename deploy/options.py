@@ -1,34 +1,79 @@
-"""How command lines become configurations: preset, then file, then options, each over the one before."""
+"""How command lines become configurations: preset, file, farm file, options, each over the one before."""
 
 import contextlib
 import io
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, Final, TypeVar, cast, get_type_hints
 
 import tyro
+from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
 
 from common.config import RunConfig
 from common.config.files import from_toml
 from common.config.presets import PRESETS
+from common.config.sites import Sites
 from common.errors import ConfigError, UsageError
 from deploy.rundir import RunDirectory
+from rollout.farm_files import read_farm
 
 T = TypeVar("T")
 
+SHORT: Final = {"--env": "--env.name", "--algorithm": "--algorithm.name"}
+"""Options by a shorter name."""
+
+_REGISTRY: Final = ConstructorRegistry()
+
+
+@_REGISTRY.struct_rule
+def _hide_sites(info: StructTypeInfo) -> StructConstructorSpec | None:
+    """Make no option of given places, of which there may be thousands; `--farm-file` brings them."""
+    return StructConstructorSpec(lambda: info.default, ()) if info.type == Sites else None
+
 
 def base_configuration(arguments: Sequence[str], default: str = "default") -> RunConfig:
-    """Return the configuration that `--preset` and `--config` name; the options then act on it.
+    """Return the configuration that `--preset`, `--config` and `--farm-file` name; the options then act on it.
 
-    With `--resume` and neither of them it is that of the run directory.
+    With `--resume` and neither of the first two it is that of the run directory.
 
     Raises:
         ConfigError: for a preset that does not exist, or a file with a mistake.
     """
+    farm_file = _value_of(arguments, "--farm-file")
+    config = _named_configuration(arguments, default)
+    return with_farm_file(config, Path(farm_file)) if farm_file else config
+
+
+def with_farm_file(config: RunConfig, path: Path) -> RunConfig:
+    """Return the configuration with the sensors and the field of a farm file; raise ConfigError for its mistakes."""
+    if not config.env.is_farm:
+        raise ConfigError(f"--farm-file brings sensors for the farm, and this run is about {config.env.name}.")
+    return replace(config, farm=read_farm(path).on(config.farm))
+
+
+def require_env(config: RunConfig, named: str | None) -> None:
+    """Refuse a configuration from a run directory that is about an environment which the command line does not name.
+
+    Loading an environment runs its code, and a run directory may be somebody else's.
+
+    Raises:
+        UsageError: it is about such an environment.
+    """
+    if not config.env.is_farm and config.env.name != named:
+        raise UsageError(f"this run is about {config.env.name}, whose code is run only with --env {config.env.name}.")
+
+
+def _named_configuration(arguments: Sequence[str], default: str) -> RunConfig:
     named, folder = _value_of(arguments, "--preset"), _value_of(arguments, "--run-dir")
     if "--resume" in arguments and folder and not named and not _value_of(arguments, "--config"):
         held = RunDirectory(Path(folder))
-        return held.configuration() if held.path.is_dir() and held.holds_run() else PRESETS[default]
+        if not (held.path.is_dir() and held.holds_run()):
+            return PRESETS[default]
+        config = held.configuration()
+        require_env(config, _value_of(arguments, "--env") or _value_of(arguments, "--env.name"))
+        return config
     preset = named or default
     if preset not in PRESETS:
         raise ConfigError(f"there is no preset {preset!r}; the presets are {', '.join(PRESETS)}.")
@@ -53,26 +98,42 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            parsed = tyro.cli(kind, args=list(arguments), prog=f"eia-sec {name}", default=default)
-            return cast(T, parsed)
+            spelt = _spelt_out(kind, arguments)
+            parsed = tyro.cli(kind, args=spelt, prog=f"eia-sec {name}", default=default, registry=_REGISTRY)
+        settings = getattr(parsed, "settings", None)
+        if isinstance(settings, RunConfig) and not settings.env.is_farm and _value_of(arguments, "--farm-file"):
+            raise UsageError(f"--farm-file brings sensors for the farm, and this run is about {settings.env.name}.")
+        return cast(T, parsed)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
         raise UsageError(f"{_sentence(complaint.getvalue())} (eia-sec {name} --help lists the options)") from None
 
 
+def _spelt_out(kind: type[Any], arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with SHORT options spelt out, for commands that take a whole configuration."""
+    if "settings" not in get_type_hints(kind):
+        return list(arguments)
+    words = [word.partition("=") for word in arguments]
+    return [
+        f"{SHORT[name]}{equals}{value}" if name in SHORT else name + equals + value for name, equals, value in words
+    ]
+
+
 def _sentence(box: str) -> str:
-    """Return tyro's complaint, which it draws in a box under a title, as one line."""
-    lines = [line.strip("│╭╮╰╯─ ") for line in box.splitlines()]
-    lines = [line for line in lines if line.strip("-")]
-    reason = lines[1] if len(lines) > 1 else "the command line cannot be used"
+    """Return tyro's complaint, which it draws in a box under a title and over a rule, as one line."""
+    rows = [line.strip("│╭╮╰╯─ ") for line in box.splitlines()]
+    lines = [line for line in rows if line.strip("-")]
+    reason = " ".join(itertools.takewhile(bool, rows[1:])) or "the command line cannot be used"
     close = next((line.split()[0] for line in lines[2:] if line.startswith("--")), None)
     meant = f"; perhaps you meant {close}" if close and reason.startswith("Unrecognized") else ""
     return reason.rstrip(".") + meant
 
 
 def _value_of(arguments: Sequence[str], option: str) -> str | None:
-    for index, word in enumerate(arguments):
+    for index, text in enumerate(arguments):
+        name, equals, value = text.partition("=")
+        word = name.replace("_", "-") + equals + value
         if word == option and index + 1 < len(arguments):
             return arguments[index + 1]
         if word.startswith(option + "="):

@@ -12,10 +12,13 @@ from common.policy_file import load_policy
 from deploy.figures import curves, trajectories
 from deploy.rundir import METRICS, POLICY, RunDirectory
 from deploy.tables import comparison_table
-from rollout.evaluation import Evaluation, evaluate, record
-from rollout.policies import HEURISTICS, ActorPolicy, policy_of
+from rollout.evaluation import Evaluation, evaluate, evaluate_run, record
+from rollout.heuristics.random import RandomPolicy
+from rollout.policies import ActorPolicy, policy_of
 
 TRAINED = "EIA-SEC (this run)"
+SHOWN = ("lawnmower", "greedy", "static", "random")
+"""The other policies of the report; those that plan ahead take minutes, and `eia-sec evaluate --policy` flies them."""
 
 
 def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[str], console: Console) -> None:
@@ -30,13 +33,17 @@ def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[s
     path = directory.path
     first = config.evaluation.first_farm
     farms = range(first, first + config.evaluation.farms)
-    console.print(f"evaluating on farms {first}..{first + config.evaluation.farms - 1}, which training never saw ...")
+    what = "farms" if config.env.is_farm else "scenario seeds"
+    console.print(f"evaluating on {what} {first}..{first + config.evaluation.farms - 1}, which training never saw ...")
     results = evaluate_all(config, path / POLICY, farms)
     metrics = read_metrics(path / METRICS)
     levels = {result.policy: result.total.reward for result in results if result.policy != TRAINED}
     curves(metrics, path / "curves.png", levels)
-    policy = ActorPolicy(load_policy(path / POLICY)[0])
-    trajectories(record(config.farm, policy, first, 0), path / "trajectories.png")
+    pictures = ["curves.png"]
+    if config.env.is_farm:
+        policy = ActorPolicy(load_policy(path / POLICY)[0])
+        trajectories(record(config.farm, policy, first, 0), path / "trajectories.png")
+        pictures.append("trajectories.png")
     outcome = {
         "command": " ".join(command),
         "seed": config.seed,
@@ -45,16 +52,20 @@ def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[s
     }
     (path / "evaluation.json").write_text(json.dumps(outcome, indent=1) + "\n", encoding="utf-8")
     console.print(comparison_table(results))
-    console.print(f"written to {path}: curves.png, trajectories.png, evaluation.json, {METRICS}, {POLICY}")
+    console.print(f"written to {path}: {', '.join(pictures)}, evaluation.json, {METRICS}, {POLICY}")
 
 
 def evaluate_all(config: RunConfig, policy: Path, farms: Sequence[int]) -> list[Evaluation]:
-    """Return the evaluations of a policy file and of every heuristic on the same farms and episodes."""
-    bank, _ = load_policy(policy)
-    contenders = [(TRAINED, ActorPolicy(bank)), *((name, policy_of(name, config.farm)) for name in HEURISTICS)]
-    return [
-        evaluate(config.farm, contender, farms, config.evaluation.episodes, name=name) for name, contender in contenders
-    ]
+    """Return the evaluations of a policy file and of every other policy there is on the same farms and episodes.
+
+    The other policies are the heuristics; on environments other than the farm, random actions.
+    """
+    trained, episodes = ActorPolicy(load_policy(policy)[0]), config.evaluation.episodes
+    results = [evaluate_run(config, trained, farms, episodes, name=TRAINED)]
+    if not config.env.is_farm:
+        return [*results, evaluate_run(config, RandomPolicy(), farms, episodes, name="random")]
+    others = ((name, policy_of(name, config.farm)) for name in SHOWN)
+    return results + [evaluate(config.farm, other, farms, episodes, name=name) for name, other in others]
 
 
 def read_metrics(path: Path) -> list[dict[str, Any]]:

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+from deploy.intervals import interval_table
+
 RUN: Final = "EIA-SEC (this run)"
 TAIL_EPISODES: Final = 40
 """Episodes at the end of a training curve whose mean is its final value."""
@@ -18,11 +20,12 @@ def refreshed(document: str, text: str, root: Path) -> str:
         text: its present text, with the block's two marks in it.
         root: the repository.
     """
-    name, data, block = BLOCKS[document]
+    name, sources, block = BLOCKS[document]
     begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
     head, _, rest = text.partition(begin)
     _, _, tail = rest.partition(end)
-    return f"{head}{begin}\n{block(json.loads((root / data).read_text(encoding='utf-8')))}{end}{tail}"
+    data = [json.loads((root / source).read_text(encoding="utf-8")) for source in sources]
+    return f"{head}{begin}\n{block(*data)}{end}{tail}"
 
 
 def _table(run: dict[str, Any], label: str) -> list[str]:
@@ -111,11 +114,58 @@ def _forms_block(data: dict[str, Any]) -> str:
     )
 
 
-BLOCKS: Final[dict[str, tuple[str, str, Callable[[dict[str, Any]], str]]]] = {
-    "README.md": ("results", "docs/results/default/evaluation.json", _run_block),
-    "docs/results/README.md": ("paper", "docs/results/paper/evaluation.json", _paper_block),
-    "docs/architecture.md": ("second-worker", "docs/results/second_worker.json", _second_worker_block),
-    "docs/method.md": ("forms", "docs/results/critic_forms/forms.json", _forms_block),
+def _tasks_block(*tasks: dict[str, Any]) -> str:
+    rows = [
+        "| task | trained | random actions | seeds | environment steps | minutes a seed |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for task in tasks:
+        results = task["results"]
+        scores = [[evaluation["reward"]["mean"] for evaluation in result["evaluations"]] for result in results]
+        trained, chance = zip(*scores, strict=True)
+        steps = results[0]["curve"]["environment_steps"][-1]
+        minutes = sum(result["seconds"] for result in results) / len(results) / 60
+        spread = f"{sum(trained) / len(trained):.1f} ({min(trained):.1f} to {max(trained):.1f})"
+        random = f"{sum(chance) / len(chance):.1f}"
+        cells = (task["task"], spread, random, str(len(results)), f"{steps:,}", f"{minutes:.0f}")
+        rows.append("| " + " | ".join(cells) + " |")
+    commands = ", ".join(f"`{task['command']}` (commit {task['commit']})" for task in tasks)
+    pictures = [f"![{task['task']}](results/tasks/{task['task']}/curves.png)" for task in tasks]
+    return "\n".join(
+        [
+            "Reward of an episode per agent without noise, on scenarios that training never saw; mean over the seeds",
+            f"and their range. Made by {commands}, on cores shared with other work.",
+            "",
+            *rows,
+            "",
+            *pictures,
+            "",
+        ]
+    )
+
+
+def _heuristics_block(data: dict[str, Any]) -> str:
+    return "\n".join(
+        [
+            f"`{data['command']}`, commit {data['commit']}: farms {data['first_farm']}..{data['last_farm']}, one",
+            f"episode each; mean over the farms and, in brackets, its {data['level']:.0%} bootstrap interval.",
+            "",
+            interval_table(data),
+        ]
+    )
+
+
+BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
+    "README.md": ("results", ("docs/results/default/evaluation.json",), _run_block),
+    "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
+    "docs/architecture.md": ("second-worker", ("docs/results/second_worker.json",), _second_worker_block),
+    "docs/heuristics.md": ("heuristics", ("docs/results/heuristics/results.json",), _heuristics_block),
+    "docs/method.md": ("forms", ("docs/results/critic_forms/forms.json",), _forms_block),
+    "docs/other_environments.md": (
+        "tasks",
+        ("docs/results/tasks/simple_spread/results.json", "docs/results/tasks/half_cheetah/results.json"),
+        _tasks_block,
+    ),
 }
 """For each document: the block's name, the data that it shows, and the function that writes it."""
 

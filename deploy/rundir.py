@@ -12,10 +12,12 @@ from common.errors import RunDirError
 CONFIG = "config.toml"
 METRICS = "metrics.jsonl"
 POLICY = "policy.safetensors"
+HISTORY = "history"
+"""Folder of the processes' own accounts, see `common.history`."""
 
 
 class RunDirectory:
-    """A folder with config.toml, metrics.jsonl, policy.safetensors, checkpoints/ and logs/."""
+    """A folder with config.toml, metrics.jsonl, policy.safetensors, checkpoints/, history/ and logs/."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -80,4 +82,6 @@ class RunDirectory:
             raise RunDirError(f"{self.path} belongs to another configuration: {'; '.join(found[:3])}{more}.")
 
     def _strangers(self) -> list[Path]:
-        return [entry for entry in self.path.iterdir() if entry.name != "logs" and entry.suffix != ".lock"]
+        return [
+            entry for entry in self.path.iterdir() if entry.name not in ("logs", HISTORY) and entry.suffix != ".lock"
+        ]

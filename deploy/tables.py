@@ -1,32 +1,28 @@
 """Evaluations side by side: a table for the terminal and one for a document."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from common.team import LETTERS
 from rollout.evaluation import Evaluation
 
-COLUMNS: Final = (
-    "policy",
-    "reward",
-    "c",
-    "m",
-    "d",
-    "AoI",
-    "VDF",
-    "collisions",
-    "boundary",
-    "energy, kJ",
-)
-"""Reward is the mean over all agents; c, m, d the mean over one type; collisions and boundary are UAV steps."""
+FIGURES: Final[dict[str, tuple[str, Callable[[float], str]]]] = {
+    "aoi": ("AoI", lambda value: f"{value:.2f}"),
+    "vdf": ("VDF", lambda value: f"{value:.2f}"),
+    "collisions": ("collisions", lambda value: f"{value:.1f}"),
+    "boundary": ("boundary", lambda value: f"{value:.1f}"),
+    "energy_j": ("energy, kJ", lambda value: f"{value / 1000.0:.0f}"),
+}
+"""The farm's figures: heading and form. Collisions and boundary are UAV steps."""
 
 
 def comparison_table(evaluations: Sequence[Evaluation]) -> Table:
     """Return the evaluations as a table for the terminal, best reward first."""
     table = Table(title=_title(evaluations), box=SIMPLE_HEAD, padding=0, show_edge=False)
-    for name in COLUMNS:
+    for name in _columns(evaluations):
         table.add_column(name.replace(", ", "\n"), justify="left" if name == "policy" else "right", no_wrap=True)
     for row in _rows(evaluations):
         table.add_row(*row)
@@ -35,24 +31,34 @@ def comparison_table(evaluations: Sequence[Evaluation]) -> Table:
 
 def comparison_markdown(evaluations: Sequence[Evaluation]) -> str:
     """Return the evaluations as a Markdown table, best reward first."""
-    lines = [list(COLUMNS), ["---", *["---:"] * (len(COLUMNS) - 1)], *_rows(evaluations)]
+    columns = _columns(evaluations)
+    lines = [columns, ["---", *["---:"] * (len(columns) - 1)], *_rows(evaluations)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
+def _columns(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Return the headings: reward over all agents and over each type, then the figures or the length of episodes."""
+    first = evaluations[0].total
+    figures = [FIGURES[name][0] if name in FIGURES else name for name in first.figures] or ["steps"]
+    return ["policy", "reward", *(LETTERS.get(name, name) for name in first.types), *figures]
+
+
 def _rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
+    largest = max(abs(evaluation.total.reward) for evaluation in evaluations)
+    digits = 0 if largest >= 100.0 else 2
     return [
         [
             evaluation.policy,
-            *(f"{value:.0f}" for value in (total.reward, total.communication, total.monitoring, total.collection)),
-            f"{total.aoi:.2f}",
-            f"{total.vdf:.2f}",
-            f"{total.collisions:.1f}",
-            f"{total.boundary:.1f}",
-            f"{total.energy_j / 1000.0:.0f}",
+            *(f"{value:.{digits}f}" for value in (total.reward, *total.types.values())),
+            *([_figure(name, value) for name, value in total.figures.items()] or [f"{total.steps:.0f}"]),
         ]
         for evaluation in sorted(evaluations, key=lambda item: -item.total.reward)
         for total in [evaluation.total]
     ]
+
+
+def _figure(name: str, value: float) -> str:
+    return FIGURES[name][1](value) if name in FIGURES else f"{value:.2f}"
 
 
 def _title(evaluations: Sequence[Evaluation]) -> str:

@@ -130,7 +130,7 @@ class Snapshot:
         left: estimated seconds to the end.
         episodes, episodes_total: training episodes finished, and lambda_max.
         reward: mean reward per agent, first over all agents, then for each type.
-        freshness: AoI and VDF, units.
+        freshness: AoI and VDF, units, or the length of episodes where there are none.
         steps, steps_rate: environment steps accepted, and per second.
         updates, updates_rate: update rounds done, and per second.
         staleness: mean over workers of the parameter versions by which they lag behind the learner.
@@ -235,7 +235,8 @@ def _learning(snapshot: Snapshot) -> Panel:
     for series in snapshot.freshness:
         grid.add_row(series.name, _number(series.latest, series.digits), Sparkline(series.values, "blue"))
     waiting = Text("No episode has ended yet.", style="dim")
-    return _panel("reward per agent, AoI and VDF", grid if grid.row_count else waiting)
+    title = " and ".join(["reward per agent", *(series.name for series in snapshot.freshness)])
+    return _panel(title, grid if grid.row_count else waiting)
 
 
 def _flow(snapshot: Snapshot) -> Panel:

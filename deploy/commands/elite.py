@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from common.endpoint import DEFAULT, Endpoint
 from common.keys import check_name
@@ -19,6 +20,8 @@ class EliteArguments:
     """Endpoint where the learner or a router listens."""
     name: str = "coordinator"
     """Name of the coordinator."""
+    tls: Path | None = None
+    """Folder with the coordinator's certificate, made by `eia-sec keys issue elite NAME`; links are TLS then."""
     patience: float = 60.0
     """Seconds to wait for somebody to listen at the endpoint."""
 
@@ -28,5 +31,8 @@ def command(arguments: Sequence[str]) -> int:
     options = parse(EliteArguments, arguments, "elite")
     check_name(options.run, "run")
     check_name(options.name, "name")
-    serve(CoordinatorOptions(options.run, Endpoint.parse(options.connect), options.name, options.patience))
+    endpoint = Endpoint.parse(options.connect, options.tls)
+    if endpoint.credentials is not None:
+        endpoint.credentials.require("elite", options.name)
+    serve(CoordinatorOptions(options.run, endpoint, options.name, options.patience))
     return 0

@@ -13,6 +13,7 @@ from common.errors import UsageError
 from deploy.options import base_configuration, parse
 from deploy.rundir import RunDirectory
 from learner.service import LearnerOptions, serve
+from rollout.environments import team_of
 
 
 @dataclass(frozen=True)
@@ -25,12 +26,16 @@ class LearnerArguments:
     """Endpoint to listen on (control lane; the bulk lane takes the next port). Default: tcp/127.0.0.1:7447."""
     connect: str | None = None
     """Endpoint of a router, instead of listening."""
+    tls: Path | None = None
+    """Folder with the learner's certificate, made by `eia-sec keys issue learner learner`; links are TLS then."""
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
     preset: str = "default"
     """Configuration to begin from: default, paper or quick."""
     config: Path | None = None
     """TOML file with values that replace the preset's."""
+    farm_file: Path | None = None
+    """CSV or GeoJSON file with the sensors' places; workers get them with the configuration."""
     run_dir: Path | None = None
     """Folder for checkpoints, metrics and the policy; without it nothing is kept."""
     resume: bool = False
@@ -50,7 +55,9 @@ def command(arguments: Sequence[str]) -> int:
         raise UsageError("--resume needs --run-dir.")
     if options.resume and options.lockstep:
         raise UsageError("a lockstep run cannot be resumed: its one worker begins again with its first episode.")
-    endpoint = Endpoint.parse(options.connect or options.listen or DEFAULT)
+    endpoint = Endpoint.parse(options.connect or options.listen or DEFAULT, options.tls)
+    if endpoint.credentials is not None:
+        endpoint.credentials.require("learner")
     if not options.connect:
         endpoint.require_private(options.insecure)
     if options.run_dir is not None:
@@ -67,5 +74,6 @@ def command(arguments: Sequence[str]) -> int:
             lockstep=options.lockstep,
         ),
         options.settings,
+        team_of(options.settings),
     )
     return 0

@@ -6,14 +6,16 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
 
+from common import keys
 from common.bus import Bus
 from common.endpoint import DEFAULT, Endpoint
 from common.keys import check_name
-from common.process import StopSignal
+from common.process import StopSignal, denial
 from deploy.fleet import Fleet
 from deploy.options import parse
 from deploy.view import render, summary
@@ -27,6 +29,8 @@ class MonitorArguments:
     """Name of the run."""
     connect: str = DEFAULT
     """Endpoint where the learner or a router listens."""
+    tls: Path | None = None
+    """Folder with a monitor's certificate, made by `eia-sec keys issue monitor NAME`; the link is TLS then."""
     patience: float = 10.0
     """Seconds to wait for somebody to listen at the endpoint."""
     json: bool = False
@@ -43,12 +47,13 @@ def command(arguments: Sequence[str]) -> int:
     check_name(options.run, "run")
     stop = StopSignal()
     stop.install()
-    with Bus.connect(Endpoint.parse(options.connect), "control", options.patience, lambda: not stop) as bus:
-        _show(options, Fleet(bus, options.run), stop)
+    endpoint = Endpoint.parse(options.connect, options.tls)
+    with Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus:
+        _show(options, Fleet(bus, options.run), stop, bus)
     return 0
 
 
-def _show(options: MonitorArguments, fleet: Fleet, stop: StopSignal) -> None:
+def _show(options: MonitorArguments, fleet: Fleet, stop: StopSignal, bus: Bus) -> None:
     console = Console()
     deadline = time.monotonic() + (options.seconds if options.seconds is not None else float("inf"))
     plain = options.json or not console.is_terminal
@@ -59,7 +64,9 @@ def _show(options: MonitorArguments, fleet: Fleet, stop: StopSignal) -> None:
         while not stop and time.monotonic() < deadline:
             stop.event.wait(options.refresh)
             fleet.update()
-            snapshot = fleet.snapshot()
+            silent = bus.credentials is not None and not fleet.learner_values()
+            denied = denial(bus, options.run, keys.METRIC.pattern(options.run)) if silent else None
+            snapshot = fleet.snapshot((denied,) if denied else ())
             if live is not None:
                 live.update(render(snapshot), refresh=True)
             elif options.json:

@@ -4,6 +4,7 @@ import os
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from common.endpoint import DEFAULT, Endpoint
 from common.keys import check_name
@@ -20,16 +21,26 @@ class RolloutArguments:
     connect: str = DEFAULT
     """Endpoint where the learner or a router listens."""
     name: str | None = None
-    """Name of the worker, unique in the run. Default: host name and process number."""
+    """Name of the worker, unique in the run. Default: that of the certificate, else host name and process number."""
+    tls: Path | None = None
+    """Folder with the worker's certificate, made by `eia-sec keys issue rollout NAME`; links are TLS then."""
     patience: float = 60.0
     """Seconds to wait for somebody to listen at the endpoint."""
+    env: str | None = None
+    """Environment besides the farm that this worker may load, module:name; the learner's run must be about it."""
+    history: Path | None = None
+    """File for the worker's own account of its chunks, which eia-sec audit reads."""
 
 
 def command(arguments: Sequence[str]) -> int:
     """Run the worker until the run is finished or a signal comes; return 0."""
     options = parse(RolloutArguments, arguments, "rollout")
+    endpoint = Endpoint.parse(options.connect, options.tls)
     name = options.name or f"{socket.gethostname()[:40]}-{os.getpid()}"
+    if endpoint.credentials is not None:
+        name = options.name or endpoint.credentials.identity.name
+        endpoint.credentials.require("rollout", name)
     check_name(options.run, "run")
     check_name(name, "name")
-    serve(WorkerOptions(options.run, name, Endpoint.parse(options.connect), options.patience))
+    serve(WorkerOptions(options.run, name, endpoint, options.patience, options.env, options.history))
     return 0

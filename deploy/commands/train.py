@@ -14,6 +14,7 @@ from common import keys
 from common.bus import Bus
 from common.config import RunConfig
 from common.config.checks import within
+from common.credentials import load
 from common.endpoint import Endpoint, free_endpoint
 from common.errors import BusError, ConfigError, EiaSecError, EndpointError, UsageError
 from common.messages import CommandMessage
@@ -22,9 +23,10 @@ from deploy.exit_codes import USAGE
 from deploy.fleet import Fleet
 from deploy.options import base_configuration, parse
 from deploy.report import write_report
-from deploy.rundir import CONFIG, RunDirectory
+from deploy.rundir import CONFIG, HISTORY, RunDirectory
 from deploy.supervisor import Supervisor
 from deploy.view import render, summary
+from rollout.environments import team_of
 
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
@@ -33,6 +35,8 @@ DRAIN_SECONDS = 8.0
 JOIN_SECONDS = 300.0
 """Time that workers and coordinator wait for the learner to listen."""
 RUN = "train"
+LEARNER, COORDINATOR, OPERATOR = "learner.learner", "elite.coordinator", "operator.train"
+"""Certificates that `--tls` needs, besides rollout.0, rollout.1, ..."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,8 @@ class TrainArguments:
     """Configuration to begin from: default, paper or quick."""
     config: Path | None = None
     """TOML file with values that replace the preset's."""
+    farm_file: Path | None = None
+    """CSV or GeoJSON file with the sensors' places; the run keeps them in its configuration."""
     workers: int = 1
     """Rollout workers."""
     run_dir: Path | None = None
@@ -53,6 +59,8 @@ class TrainArguments:
     """One worker and the learner take turns; the weights are bit-equal to those of a run inside one process."""
     endpoint: str | None = None
     """Loopback endpoint of the learner. Default: free ports."""
+    tls: Path | None = None
+    """Folder of `eia-sec keys`; each process takes its own certificate from there, and links are TLS."""
     report: bool = True
     """Evaluate against the heuristics and draw the pictures at the end."""
     settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
@@ -66,7 +74,8 @@ def command(arguments: Sequence[str]) -> int:
     within(1, 1024, workers=options.workers)
     if options.lockstep and options.workers != 1:
         raise ConfigError("--lockstep takes turns with exactly one worker; leave --workers at 1.")
-    endpoint = Endpoint.parse(options.endpoint) if options.endpoint else free_endpoint()
+    team_of(options.settings)  # an environment that cannot be trained is a mistake to tell before anything is made
+    endpoint = _endpoint(options)
     endpoint.require_private(insecure=False)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     directory = RunDirectory(options.run_dir or Path("runs") / f"{options.preset}-{stamp}")
@@ -81,8 +90,21 @@ def command(arguments: Sequence[str]) -> int:
         write_report(directory, options.settings, ["eia-sec", "train", *arguments], console)
     elif not finished:
         more = f" --workers {options.workers}" if options.workers != 1 else ""
+        more += "" if options.settings.env.is_farm else f" --env {options.settings.env.name}"
         console.print(f"stopped; go on with: eia-sec train --run-dir {directory.path} --resume{more}", highlight=False)
     return 0
+
+
+def _endpoint(options: TrainArguments) -> Endpoint:
+    """Return where the learner listens, with the operator's certificate; raise when a process has none."""
+    where = options.endpoint or str(free_endpoint())
+    if options.tls is None:
+        return Endpoint.parse(where)
+    for index in range(options.workers):
+        load(options.tls / f"rollout.{index}")
+    for process in (LEARNER, COORDINATOR):
+        load(options.tls / process)
+    return Endpoint.parse(where, options.tls / OPERATOR)
 
 
 class _Training:
@@ -122,16 +144,23 @@ class _Training:
     def _start(self) -> None:
         options, where = self._options, str(self._endpoint)
         learner = ["learner", "--run", RUN, "--listen", where, "--run-dir", str(self._directory.path)]
+        learner += self._tls(LEARNER)
         learner += ["--config", str(self._directory.path / CONFIG)]
         learner += ["--lockstep"] if options.lockstep else []
         learner += ["--resume"] if options.resume else []
         again = [] if options.resume or options.lockstep else ["--resume"]
         self._supervisor.start("learner", learner, options.settings.learner.threads, again)
         joining = ["--run", RUN, "--connect", where, "--patience", str(JOIN_SECONDS)]
-        self._supervisor.start("elite", ["elite", *joining])
+        self._supervisor.start("elite", ["elite", *joining, *self._tls(COORDINATOR)])
+        allowed = [] if options.settings.env.is_farm else ["--env", options.settings.env.name]
         for index in range(options.workers):
-            rollout = ["rollout", *joining, "--name", str(index)]
+            rollout = ["rollout", *joining, "--name", str(index), *allowed, *self._tls(f"rollout.{index}")]
+            rollout += ["--history", str(self._directory.path / HISTORY / f"rollout-{index}.jsonl")]
             self._supervisor.start(f"rollout-{index}", rollout, options.settings.rollout.threads)
+
+    def _tls(self, process: str) -> list[str]:
+        folder = self._options.tls
+        return [] if folder is None else ["--tls", str(folder / process)]
 
     def _connect(self) -> Bus | None:
         """Return a session with the learner, or None when it has ended or the user stops before there is one."""

@@ -1,0 +1,269 @@
+"""The offline audit of a run: the processes' histories held against one another, chunk by chunk.
+
+Every chunk has an id: worker, incarnation, sequence number. Each one that was made must be accepted once, or rejected,
+or declared lost, or still be in flight; whatever else is found is named.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from common.errors import RunDirError
+from common.history import End, Entry, Record, Resume, Start, read
+from deploy.rundir import HISTORY, METRICS
+
+NAMED: Final = 20
+"""Ids that are named one by one; all are counted."""
+FATES: Final = ("accepted", "lost", "rejected", "in_flight")
+
+Source = tuple[str, int]
+"""A worker's name and incarnation."""
+
+
+@dataclass
+class Audit:
+    """What an audit found.
+
+    Attributes:
+        chunks: for each fate, chunks.
+        steps: for each fate, environment steps.
+        lost_with: steps that were lost with the learner (acknowledged, not yet in a checkpoint), with a worker (made,
+            never delivered), or whose loss only the learner knows of.
+        workers: for each worker, steps by fate.
+        duplicates: chunks that came again and were not counted again.
+        starts: starts of the learner.
+        unexplained: one sentence for each id, or figure, without explanation.
+        doubled: one sentence for each id that was accepted twice.
+        damaged: lines of histories that cannot be read.
+    """
+
+    chunks: Counter[str] = field(default_factory=Counter)
+    steps: Counter[str] = field(default_factory=Counter)
+    lost_with: Counter[str] = field(default_factory=Counter)
+    workers: dict[str, Counter[str]] = field(default_factory=dict)
+    duplicates: int = 0
+    starts: int = 0
+    unexplained: list[str] = field(default_factory=list)
+    doubled: list[str] = field(default_factory=list)
+    damaged: int = 0
+
+    @property
+    def produced(self) -> int:
+        """Return the environment steps that were made."""
+        return sum(self.steps[fate] for fate in FATES)
+
+    @property
+    def clean(self) -> bool:
+        """Return whether everything is explained and nothing was counted twice."""
+        return not self.unexplained and not self.doubled
+
+    def book(self, worker: str, fate: str, steps: int) -> None:
+        """Count one chunk."""
+        self.chunks[fate] += 1
+        self.steps[fate] += steps
+        self.workers.setdefault(worker, Counter())[fate] += steps
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain values; of the sentences the first NAMED."""
+        return {
+            "clean": self.clean,
+            "produced": self.produced,
+            "steps": {fate: self.steps[fate] for fate in FATES},
+            "chunks": {fate: self.chunks[fate] for fate in FATES},
+            "lost_with": dict(self.lost_with),
+            "workers": {name: {fate: counts[fate] for fate in FATES} for name, counts in sorted(self.workers.items())},
+            "duplicates": self.duplicates,
+            "learner_starts": self.starts,
+            "unexplained": len(self.unexplained),
+            "doubled": len(self.doubled),
+            "damaged_lines": self.damaged,
+            "named": [*self.unexplained, *self.doubled][:NAMED],
+        }
+
+
+@dataclass
+class _Made:
+    """One start of a worker as its own history tells it: steps and verdicts by number, and whether it has ended."""
+
+    steps: dict[int, int] = field(default_factory=dict)
+    told: dict[int, str] = field(default_factory=dict)
+    over: bool = False
+
+
+@dataclass
+class _Taken:
+    """One start of a worker as the learner's history tells it: fate and steps by number."""
+
+    fate: dict[int, tuple[str, int]] = field(default_factory=dict)
+    missing: int = 0
+    missing_before: set[int] = field(default_factory=set)
+
+    def declared_missing(self, number: int) -> bool:
+        """Return whether the next number that the learner knows came with the word that those before are missing."""
+        later = [known for known in self.missing_before if known > number]
+        return bool(later) and not any(number < known < min(later) for known in self.fate)
+
+
+def audit(run_dir: Path) -> Audit:
+    """Audit a run directory.
+
+    Raises:
+        RunDirError: when it holds no history of a learner, or one that cannot be read.
+    """
+    folder = run_dir / HISTORY
+    if not (folder / "learner.jsonl").is_file():
+        raise RunDirError(f"{run_dir} holds no {HISTORY}/learner.jsonl; is it a run directory?")
+    found = Audit()
+    taken = _learner(_records(folder / "learner.jsonl", found), found)
+    made: dict[Source, _Made] = {}
+    for path in sorted(folder.glob("*.jsonl")):
+        if path.name != "learner.jsonl":
+            _worker(_records(path, found), made)
+    newest: dict[str, int] = {}
+    for worker, incarnation in [*made, *taken]:
+        newest[worker] = max(newest.get(worker, 0), incarnation)
+    for source in sorted({*made, *taken}):
+        _compare(source, made.get(source), taken.get(source, _Taken()), source[1] < newest[source[0]], found)
+    _hold_against_ledger(run_dir / METRICS, found)
+    return found
+
+
+def _records(path: Path, found: Audit) -> list[Record]:
+    try:
+        records, damaged = read(path)
+    except (OSError, ValueError) as error:
+        raise RunDirError(f"{path} cannot be read: {error}.") from error
+    found.damaged += damaged
+    return records
+
+
+def _numbers(entry: Entry) -> Iterator[tuple[Source, int]]:
+    for number in range(entry.first, entry.last + 1):
+        yield (entry.worker, entry.incarnation), number
+
+
+def _learner(records: list[Record], found: Audit) -> dict[Source, _Taken]:
+    taken: dict[Source, _Taken] = {}
+    for record in records:
+        match record:
+            case Start():
+                found.starts += 1
+            case Resume():
+                _roll_back(taken, record)
+            case Entry(verdict="duplicate"):
+                found.duplicates += record.steps
+            case Entry(verdict="missing"):
+                part = taken.setdefault((record.worker, record.incarnation), _Taken())
+                part.missing += record.steps
+                part.missing_before.add(record.first)
+            case Entry():
+                for source, number in _numbers(record):
+                    _take(taken.setdefault(source, _Taken()), source, number, record, found)
+    return taken
+
+
+def _take(part: _Taken, source: Source, number: int, record: Entry, found: Audit) -> None:
+    before = part.fate.get(number)
+    if before is not None and before[0] == "accepted":
+        found.doubled.append(f"{_name(source, number)} was {record.verdict} after it had been accepted.")
+    part.fate[number] = (record.verdict, record.steps)
+
+
+def _roll_back(taken: dict[Source, _Taken], resume: Resume) -> None:
+    for (worker, incarnation), part in taken.items():
+        held = resume.workers.get(worker, (0, 0))
+        for number, (fate, steps) in part.fate.items():
+            if fate == "accepted" and (incarnation, number) >= held:
+                part.fate[number] = ("rolled back", steps)
+
+
+def _worker(records: list[Record], made: dict[Source, _Made]) -> None:
+    now: _Made | None = None
+    for record in records:
+        match record:
+            case Start():
+                if now is not None:
+                    now.over = True
+                now = made.setdefault((record.name, record.incarnation), _Made())
+            case End() if now is not None:
+                now.over = True
+            case Entry():
+                for source, number in _numbers(record):
+                    part = made.setdefault(source, _Made())
+                    if record.verdict == "made":
+                        part.steps[number] = record.steps
+                    else:
+                        part.told[number] = record.verdict
+
+
+def _compare(source: Source, made: _Made | None, taken: _Taken, replaced: bool, found: Audit) -> None:
+    if made is None:
+        _without_worker(source, taken, found)
+        return
+    over = made.over or replaced
+    for number, steps in made.steps.items():
+        fate, counted = taken.fate.get(number, ("", 0))
+        if fate in ("accepted", "rolled back") and counted != steps:
+            found.unexplained.append(f"{_name(source, number)} has {steps} steps, and {counted} were counted.")
+        if fate == "accepted":
+            found.book(source[0], "accepted", steps)
+        elif fate == "rolled back":
+            found.book(source[0], "lost", steps)
+            found.lost_with["learner"] += steps
+        elif fate == "refused":
+            found.book(source[0], "rejected", steps)
+        elif taken.declared_missing(number):
+            found.book(source[0], "lost", steps)
+            found.lost_with["learner"] += steps
+        elif number in made.told:
+            found.unexplained.append(f"{_name(source, number)} was {made.told[number]}, and the learner knows nothing.")
+        else:
+            found.book(source[0], "lost" if over else "in_flight", steps)
+            if over:
+                found.lost_with["worker"] += steps
+    for number in sorted(set(taken.fate) - set(made.steps)):
+        found.unexplained.append(f"{_name(source, number)} was {taken.fate[number][0]}, and its worker never made it.")
+
+
+def _without_worker(source: Source, taken: _Taken, found: Audit) -> None:
+    """Book a worker of which there is no history of its own; numbers that the learner never saw must be missed."""
+    expected = 1
+    for number, (fate, steps) in sorted(taken.fate.items()):
+        if number > expected and number not in taken.missing_before and expected > 1:
+            found.unexplained.append(f"{_name(source, expected)} to {number - 1} never came, and nobody says why.")
+        expected = number + 1
+        kind = {"accepted": "accepted", "refused": "rejected"}.get(fate, "lost")
+        found.book(source[0], kind, steps)
+        if kind == "lost":
+            found.lost_with["learner"] += steps
+    if taken.missing:
+        found.steps["lost"] += taken.missing
+        found.workers.setdefault(source[0], Counter())["lost"] += taken.missing
+        found.lost_with["unknown"] += taken.missing
+
+
+def _hold_against_ledger(metrics: Path, found: Audit) -> None:
+    """Hold the learner's last ledger against the histories, when its last start came to an orderly end."""
+    try:
+        lines = metrics.read_text(encoding="utf-8", errors="replace").splitlines()[-2:]
+        last = [json.loads(line) for line in lines]
+    except (OSError, ValueError):
+        return
+    if [record.get("kind") for record in last if isinstance(record, dict)] != ["status", "end"]:
+        return
+    ledger = last[0].get("ledger", {})
+    told = {"accepted": ledger.get("accepted"), "steps in replay": last[0].get("environment_steps")}
+    for name, value in told.items():
+        if value != found.steps["accepted"]:
+            found.unexplained.append(f"{name}: the learner says {value}, the histories {found.steps['accepted']}.")
+    if ledger.get("unexplained"):
+        found.unexplained.append(f"the learner itself could not explain {ledger['unexplained']} steps.")
+    if ledger.get("lost", 0) > found.steps["lost"]:
+        found.unexplained.append(f"lost: the learner says {ledger['lost']}, the histories {found.steps['lost']}.")
+
+
+def _name(source: Source, number: int) -> str:
+    return f"chunk {source[0]}/{source[1]}/{number}"

@@ -1,0 +1,38 @@
+"""Names of the numbers that an actor sees and returns, for people who use it outside this project."""
+
+from common.config import RunConfig
+from common.team import COLLECTION, COMMUNICATION, MONITORING, GroupSpec
+
+
+def observation_names(config: RunConfig, group: GroupSpec) -> list[str]:
+    """Return a name for each number of an observation, in order (W24; scales are in `docs/export.md`)."""
+    if not config.env.is_farm:
+        return [f"observation_{index}" for index in range(group.observation_size)]
+    uav = _offset("nearest_uav")
+    if group.name == COMMUNICATION:
+        parts = ("nearest_relay", "relay_centroid", "served_centroid", "farthest_served")
+        return ["x", "y", *(name for part in parts for name in _offset(part)), *uav]
+    if group.name == MONITORING:
+        vdf = [f"vdf_{column}_{row}" for column in (-1, 0, 1) for row in (-1, 0, 1)]
+        return ["x", "y", *vdf, "d_vdf_x", "d_vdf_y", *uav]
+    seen = config.farm.observation
+    ends = ("aoi",) if seen.form == "printed" else ("aoi", "dx", "dy")
+    sensors = [f"sensor_{index}_{end}" for index in range(seen.sensors) for end in ends]
+    return ["x", "y", *sensors, "d_aoi_x", "d_aoi_y", *uav]
+
+
+def action_names(config: RunConfig, group: GroupSpec) -> list[str]:
+    """Return a name for each number of an action, in order."""
+    if config.env.is_farm and group.name in (COMMUNICATION, MONITORING, COLLECTION):
+        return ["velocity_x", "velocity_y"]
+    return [f"action_{index}" for index in range(group.action_size)]
+
+
+def action_scale(config: RunConfig, group: GroupSpec) -> list[float] | None:
+    """Return what an action of 1 means: m/s on the farm; None where -1..1 is the whole range of the environment's."""
+    world = config.farm.world
+    return [world.speed_x_max, world.speed_y_max] if config.env.is_farm else None
+
+
+def _offset(name: str) -> list[str]:
+    return [f"{name}_{end}" for end in ("dx", "dy", "distance")]
