@@ -1,0 +1,106 @@
+"""Where a step's time goes: the simulator's own step, compiled with the processor's clock read after every stage."""
+
+import ast
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+
+import rollout.kernel.step as kernel
+from common.config import FarmConfig
+from rollout.farms import FarmBatch
+from rollout.kernel.compiled import SEALED
+
+STAGED = ("_survey", "_serve_tasks", "_observe", "_step")
+"""Functions whose calls are stages, unless they call one of these themselves."""
+STAGES = 32
+PLACE = np.zeros(STAGES + 1, np.int64)
+"""Cycles spent in each stage, and the clock when the last stage ended."""
+ADDRESS: int = PLACE.ctypes.data
+
+
+@intrinsic
+def _cycles(typing: Any) -> Any:
+    """Return the processor's cycle counter."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind = ir.FunctionType(ir.IntType(64), [])
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, "llvm.readcyclecounter"), [])
+
+    return types.int64(), generate
+
+
+@intrinsic
+def _write(typing: Any, address: Any, value: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        builder.store(arguments[1], builder.inttoptr(arguments[0], ir.IntType(64).as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64), generate
+
+
+@intrinsic
+def _read(typing: Any, address: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.load(builder.inttoptr(arguments[0], ir.IntType(64).as_pointer()))
+
+    return types.int64(types.int64), generate
+
+
+@numba.njit(**SEALED)
+def _tick(stage: int) -> None:
+    """End a stage; a negative one only begins the first."""
+    now, last = _cycles(), ADDRESS + 8 * STAGES
+    if stage >= 0:
+        _write(ADDRESS + 8 * stage, _read(ADDRESS + 8 * stage) + now - _read(last))
+    _write(last, _cycles())
+
+
+def _called(statement: ast.stmt) -> str:
+    """Return the name of the function that a statement calls, "" if none."""
+    calls = [
+        node.func.id for node in ast.walk(statement) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    ]
+    return calls[0] if calls else ""
+
+
+def _instrumented() -> tuple[Any, list[str]]:
+    """Return the entrance of the instrumented simulator, and its stages."""
+    module, stages = ast.parse(Path(kernel.__file__).read_text()), list[str]()
+    for function in [node for node in module.body if isinstance(node, ast.FunctionDef) and node.name in STAGED]:
+        body = list[ast.stmt]()
+        for statement in function.body:
+            body.append(statement)
+            name = _called(statement)
+            if name and name != "range" and name not in STAGED:
+                body += ast.parse(f"_tick({len(stages)})").body
+                stages.append(name.strip("_"))
+        function.body = body if function.name != "_step" else [*ast.parse("_tick(-1)").body, *body]
+    module.body = [node for node in module.body if not ast.unparse(node).startswith("run = ")]
+    source = ast.unparse(ast.fix_missing_locations(module)).replace("@sealed_entry", "@sealed")
+    names: dict[str, Any] = {"_tick": _tick, "__name__": "instrumented"}
+    exec(compile(source, "instrumented step", "exec"), names)  # our own source, read from beside this file
+    return names["_compile_run"](1), stages
+
+
+def stage_shares(config: FarmConfig, environments: int) -> dict[str, float]:
+    """Return each stage's share of a step, over an episode of a batch."""
+    run, stages = _instrumented()
+    batch = FarmBatch(config, environments)
+    random = np.random.default_rng(0)
+    for _ in range(2):
+        for index in range(environments):
+            batch.reset(index, index, 0)
+        PLACE[:] = 0
+        for _ in range(config.world.steps):
+            batch._action[...] = random.uniform(-1.0, 1.0, batch._action.shape)
+            run(batch._frames[0].address, kernel.STEP, 0, environments)
+    cycles = dict.fromkeys(stages, 0.0)
+    for name, count in zip(stages, PLACE.tolist(), strict=False):
+        cycles[name] += count
+    total = sum(cycles.values())
+    return {name: count / total for name, count in cycles.items()}

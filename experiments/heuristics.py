@@ -1,0 +1,128 @@
+"""Every heuristic and the policy that ships, on farms that nothing was tuned or trained on.
+
+    python -m experiments.heuristics
+
+Writes results.json, table.md and figure.png. `--redraw` makes the latter two anew from results.json.
+"""
+
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import tyro
+from matplotlib.figure import Figure
+from scipy.stats import bootstrap
+
+from common.config import FarmConfig
+from common.seeds import stream
+from deploy.evaluate import parse_farms
+from deploy.intervals import COLUMNS, interval_table, ranked
+from experiments.provenance import provenance
+from rollout.evaluation import Evaluation, Score, evaluate
+from rollout.policies import POLICIES, RELAYS, policy_of
+
+RESAMPLES: Final = 10_000
+LEVEL: Final = 0.95
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Fly every named policy over the same farms."""
+
+    farms: str = "1000:1100"
+    """Farm seeds A:B, from A to B - 1; one episode on each."""
+    output: Path = Path("docs/results/heuristics")
+    """Where the results go."""
+    redraw: bool = False
+    """Make table and figure from the results that are there, and fly nothing."""
+
+
+def contenders() -> list[str]:
+    """Return every named policy, and one with the other relays."""
+    others = list(RELAYS)[1:]
+    return [*POLICIES, *(f"lawnmower+{relays}" for relays in others)]
+
+
+def interval(values: list[float]) -> list[float]:
+    """Return mean, lower and upper end of its bootstrap interval (percentiles) over the farms."""
+    data = np.array(values)
+    if np.ptp(data) == 0.0:
+        return [float(data[0])] * 3
+    found = bootstrap(
+        (data,),
+        np.mean,
+        n_resamples=RESAMPLES,
+        confidence_level=LEVEL,
+        method="percentile",
+        rng=stream("bootstrap"),
+    ).confidence_interval
+    return [float(data.mean()), float(found.low), float(found.high)]
+
+
+def summarised(evaluation: Evaluation, seconds: float) -> dict[str, Any]:
+    """Return the intervals of every shown field, and every farm's reward."""
+    per_farm = evaluation.per_farm
+    return {
+        "policy": evaluation.policy,
+        "cpu_seconds": round(seconds, 1),
+        **{name: interval([_field(score, name) for score in per_farm]) for name in COLUMNS},
+        "per_farm": [round(score.reward, 2) for score in per_farm],
+    }
+
+
+def _field(score: Score, name: str) -> float:
+    return score.reward if name == "reward" else {**score.types, **score.figures}[name]
+
+
+def draw(data: dict[str, Any], path: Path) -> None:
+    """Draw the mean reward of each policy and its interval; who stays far below the others is left to the table."""
+    shown = [result for result in ranked(data) if result["reward"][0] > 0.0][::-1]
+    figure = Figure(figsize=(7.0, 0.36 * len(shown) + 1.3), layout="constrained")
+    axes = figure.subplots()
+    for row, result in enumerate(shown):
+        mean, low, high = result["reward"]
+        colour = "tab:orange" if result["policy"] == "trained" else "tab:blue"
+        axes.plot([low, high], [row, row], color=colour, linewidth=3, solid_capstyle="butt", alpha=0.5)
+        axes.plot(mean, row, "o", color=colour, markersize=5)
+        axes.annotate(f"{mean:.0f}", (high, row), xytext=(6, 0), textcoords="offset points", va="center", fontsize=9)
+    axes.set_yticks(range(len(shown)), [result["policy"] for result in shown])
+    axes.margins(x=0.1)
+    axes.set_xlabel(f"reward per agent and episode: mean over {data['farms']} farms, {LEVEL:.0%} bootstrap interval")
+    axes.grid(axis="x", alpha=0.3)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=130)
+
+
+def fly(arguments: Arguments) -> dict[str, Any]:
+    """Return every policy's results."""
+    made = provenance("experiments.heuristics")
+    farms, config, results = parse_farms(arguments.farms), FarmConfig(), []
+    for name in contenders():
+        start = time.process_time()
+        evaluation = evaluate(config, policy_of(name, config), farms, 1, name=name)
+        results.append(summarised(evaluation, time.process_time() - start))
+        sys.stdout.write(f"{name}: {evaluation.total.reward:.0f}\n")
+        sys.stdout.flush()
+    seeds = {"first_farm": farms.start, "last_farm": farms.stop - 1, "farms": len(farms), "level": LEVEL}
+    return {**made, **seeds, "results": results}
+
+
+def main() -> None:
+    """Fly, write, and draw."""
+    arguments = tyro.cli(Arguments, prog="python -m experiments.heuristics")
+    path = arguments.output / "results.json"
+    if not arguments.redraw:
+        text = json.dumps(fly(arguments), indent=1)
+        arguments.output.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n", encoding="utf-8")
+    data = json.loads(path.read_text(encoding="utf-8"))
+    (arguments.output / "table.md").write_text(interval_table(data), encoding="utf-8")
+    draw(data, arguments.output / "figure.png")
+
+
+if __name__ == "__main__":
+    main()
