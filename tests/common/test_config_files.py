@@ -11,7 +11,10 @@ from hypothesis import strategies as st
 from common.config import AlgorithmConfig, FarmConfig, LearnerConfig, RewardConfig, RunConfig, WorldConfig
 from common.config.files import differences, digest, flatten, from_toml, to_toml
 from common.config.presets import PRESETS
+from common.config.sites import MAX_SENSORS
 from common.errors import ConfigError
+from common.frame import MAX_HEADER
+from common.messages import ConfigurationMessage
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -32,12 +35,16 @@ def test_round_trip_gives_back_the_preset(name):
     device=st.text(st.characters(exclude_categories=["Cs"])),
     cycles=st.lists(st.integers(1, 1000), min_size=1, max_size=5),
     flag=st.booleans(),
+    sites=st.sets(st.tuples(st.floats(0.0, 400.0), st.floats(0.0, 400.0)), min_size=30, max_size=40),
 )
-def test_round_trip_of_any_value(seed, weight, device, cycles, flag):
+def test_round_trip_of_any_value(seed, weight, device, cycles, flag, sites):
     """Any integer, number, text, list and truth value survives being written and read."""
     config = RunConfig(
         seed=seed,
-        farm=FarmConfig(world=WorldConfig(sensor_cycles=tuple(cycles)), reward=RewardConfig(boundary=weight)),
+        farm=FarmConfig(
+            world=WorldConfig(sensor_cycles=tuple(cycles), sites=tuple(sites), sensors=len(sites)),
+            reward=RewardConfig(boundary=weight),
+        ),
         algorithm=AlgorithmConfig(ensemble=flag),
         learner=LearnerConfig(device=device),
     )
@@ -81,6 +88,21 @@ REFUSED = [
         "[farm.world]\nsensor_cycles = [1.5]",
         "farm.world.sensor_cycles must be a list of whole numbers, not [1.5].",
     ),
+    ("[farm.world]\nsites = 3", "farm.world.sites must be a list of at most 10000 places, not 3."),
+    (
+        "[farm.world]\nsites = [3]",
+        "farm.world.sites must be a list of places [x, y] or [x, y, type], not of 3.",
+    ),
+    (
+        '[farm.world]\nsites = [[1, "2"]]',
+        'farm.world.sites must be a list of places [x, y] or [x, y, type], not of [1, "2"].',
+    ),
+    (f"[farm.world]\nsites = [[1, 1{'0' * 400}]]", "farm.world.sites names a number that is too large."),
+    (
+        f"[farm.world]\nsites = [{'[1, 2], ' * 10_001}]",
+        "farm.world.sites must be a list of at most 10000 places, not a list of 10001.",
+    ),
+    ("[farm.world]\nsites = [[1, 2]]", "in [farm.world], sites names 1 places, but sensors is 400."),
     ("algorithm = 3", "algorithm must be a section [algorithm], not 3."),
     ("[[farm]]\nx = 1", "farm must be a section [farm], not [a section]."),
     ("[algorithm]\nbatch = 0", "in [algorithm], batch must be between 1 and 65536, not 0."),
@@ -119,6 +141,19 @@ def test_file_that_cannot_be_read_is_refused(tmp_path, content):
         from_toml(path, RunConfig())
 
 
+def test_the_largest_given_farm_fits_a_message_and_is_told_in_short():
+    """Ten thousand places travel as every configuration does, and a difference in them is a line, not a book."""
+    sites = tuple((1234.567 + 0.001 * i, 2345.678, 1.0) for i in range(MAX_SENSORS))
+    world = WorldConfig(field_x=5000.0, field_y=5000.0, sensors=MAX_SENSORS, sites=sites)
+    config = RunConfig(farm=FarmConfig(world=world))
+    data = ConfigurationMessage(1, to_toml(config), {}, False).encode()
+    assert len(data) < MAX_HEADER / 8
+    assert from_toml(ConfigurationMessage.decode(data).toml, RunConfig()) == config
+    other = dataclasses.replace(config, farm=FarmConfig(world=dataclasses.replace(world, sites=sites[::-1])))
+    assert differences(config, other) == ["farm.world.sites: a list of 10000 -> a list of 10000"]
+    assert digest(config) != digest(other)
+
+
 def test_equal_configurations_have_no_differences_and_one_digest():
     """Equal configurations differ in nothing and share their digest; the presets all differ."""
     assert differences(RunConfig(), RunConfig()) == []
@@ -139,11 +174,11 @@ WORDS = (
     "any",
     "exact",
 )
-WORDS += ("expected", "ghz", "cuda")
+WORDS += ("expected", "ghz", "cuda", "mpe2:simple_spread_v3", "agent=runner", "banded", "maddpg")
 OTHER_VALUES = {
     bool: ["true", "false"],
-    str: [f'"{word}"' for word in WORDS],
-    tuple: ["[30]"],
+    str: [*(f'"{word}"' for word in WORDS), "'{\"N\": 5}'"],
+    tuple: ["[30]", str([[float(i % 20), float(i // 20)] for i in range(400)])],
     int: ["2", "3", "100", "2000000"],
     float: ["0.25", "0.75", "2.0", "4.0"],
 }

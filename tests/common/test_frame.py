@@ -54,8 +54,6 @@ def test_every_flipped_bit_is_noticed() -> None:
     """No single bit can change without an error."""
     data = whole()
     for position in range(len(data) * 8):
-        if position // 8 in (6, 7):
-            continue
         flipped = bytearray(data)
         flipped[position // 8] ^= 1 << position % 8
         with pytest.raises(ProtocolError):

@@ -27,10 +27,12 @@ TYPES = [
 EXAMPLES = [
     ChunkAck("accepted", 4, 0, ""),
     EvaluationOrder(9, 1, 2, (3, 4), (5, 6)),
-    EvaluationResult(1, 2, np.ones((2, 5, 3), np.float32)),
+    EvaluationResult(1, 2, np.ones((2, 5, 3), np.float32), np.array([5, 3], np.int64)),
     ImitationMessage(9, 1, 2, 10, 0.1, (0, 1), ((0.5, -1.0), (2.0,)), 500),
     MetricMessage(1, "host", 2, 3.0, {"a": {"b": 1.5}, "c": "text"}),
-    ParametersMessage(1, 2, 0, 4, 0.5, "ab", 8, (np.ones((2, 3), np.float32), np.zeros((1, 7), np.float32))),
+    ParametersMessage(
+        1, 2, 0, 4, 0.5, "ab", 8, "gaussian", (np.ones((2, 3), np.float32), np.zeros((1, 7), np.float32))
+    ),
     ProgressMessage(1, 2, 3, 4, 5, 6, "training"),
 ]
 

@@ -17,7 +17,7 @@ TEAM = TeamSpec((GroupSpec("a", 3, 4, 2), GroupSpec("b", 2, 5, 1)))
 
 def parameters(version: int, event: int = 0, epoch: int = 1, seed: int = 0) -> ParametersMessage:
     bank = ActorBank.initial(TEAM, 8, seed, per_type=False)
-    return ParametersMessage(epoch, version, event, 100, 0.5, TEAM.digest, 8, bank.flat)
+    return ParametersMessage(epoch, version, event, 100, 0.5, TEAM.digest, 8, bank.head, bank.flat)
 
 
 def event(number: int, rate: float = 0.25) -> ImitationEvent:

@@ -1,13 +1,15 @@
-"""The generated documentation equals what the dataclasses and the presets say."""
+"""The generated documentation equals what the dataclasses and the presets say, and what the farms are."""
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from common.config import RunConfig
 from common.config.files import flatten, format_value
 from common.config.presets import PRESETS
-from deploy.docs import PAGES, configuration_page, field_docs, main
+from deploy.docs import PAGES, PICTURES, configuration_page, field_docs, main
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -53,9 +55,15 @@ def test_field_docs_joins_lines_and_skips_methods():
     assert field_docs(Section) == {"first": "Spread over two lines."}
 
 
-def test_main_writes_every_page(tmp_path):
-    """The command writes every page into the folder that it is given, which it makes."""
+def test_main_writes_every_page_and_picture(tmp_path):
+    """The command writes everything into the folder that it is given, which it makes; pictures are those in docs/."""
     main([str(tmp_path / "pages")])
-    assert {path.name: path.read_text() for path in (tmp_path / "pages").iterdir()} == {
-        name: page() for name, page in PAGES.items()
-    }
+    written = {path.relative_to(tmp_path / "pages").as_posix() for path in (tmp_path / "pages").rglob("*.*")}
+    assert written == {*PAGES, *PICTURES}
+    for name, page in PAGES.items():
+        assert (tmp_path / "pages" / name).read_text() == page()
+    for name in PICTURES:
+        drawn, kept = imread(tmp_path / "pages" / name), imread(ROOT / "docs" / name)
+        assert drawn.shape == kept.shape, "run `make docs`"
+        # Fonts differ a little from machine to machine; one farm in another place would change more than this.
+        assert np.abs(drawn - kept).mean() < 0.002, "run `make docs`"

@@ -6,11 +6,12 @@ import pytest
 from rich.console import Console
 
 from common.config import FarmConfig, WorldConfig
-from common.transitions import EpisodeSummary
+from common.transitions import FARM_FIGURES, EpisodeSummary
 from deploy.figures import COLOURS, curves, curves_figure, smooth, trajectories, trajectories_figure
-from deploy.tables import COLUMNS, comparison_markdown, comparison_table
+from deploy.tables import comparison_markdown, comparison_table
 from rollout.evaluation import Evaluation, Score, Trajectory
 
+COLUMNS = ("policy", "reward", "c", "m", "d", "AoI", "VDF", "collisions", "boundary", "energy, kJ")
 TYPES = ("communication", "monitoring", "collection")
 
 
@@ -38,12 +39,17 @@ def trajectory():
         vdf=np.ones(21),
         final_aoi=generator.integers(0, 6, 30).astype(float),
         final_vdf=np.arange(20.0).reshape(4, 5) % 6,
-        summary=EpisodeSummary(1000, 1, 20, (1.0, 2.0, 3.0, 4.0), 1.5, 2.5, 0.0, 0.0, 1e3),
+        summary=EpisodeSummary(1000, 1, 20, (1.0, 2.0, 3.0, 4.0), {"aoi": 1.5, "vdf": 2.5}),
     )
 
 
 def evaluation(name, reward):
-    score = Score(reward, -120.0, 1500.4, 1300.0, 1.234, 2.345, 0.25, 1.0, 12345.0)
+    score = Score(
+        reward,
+        {"communication": -120.0, "monitoring": 1500.4, "collection": 1300.0},
+        500.0,
+        dict(zip(FARM_FIGURES, (1.234, 2.345, 0.25, 1.0, 12345.0), strict=True)),
+    )
     return Evaluation(name, (1000, 1001), 1, score, (score, score))
 
 
@@ -163,3 +169,23 @@ def test_markdown_table_has_one_line_a_policy():
     assert lines[0] == "| " + " | ".join(COLUMNS) + " |"
     assert [line.split(" | ")[0] for line in lines[2:]] == ["| b", "| a"]
     assert {line.count("|") for line in lines} == {len(COLUMNS) + 1}
+
+
+def test_other_environments_have_their_own_columns():
+    """Types by their names, small rewards with decimals, and the length of episodes where there are no figures."""
+    score = Score(-1.234, {"runner": -1.0, "chaser": -2.5}, 25.0, {})
+    text = comparison_markdown([Evaluation("random", (1, 2), 1, score, (score, score))])
+    assert text.splitlines()[0] == "| policy | reward | runner | chaser | steps |"
+    assert text.splitlines()[2] == "| random | -1.23 | -1.00 | -2.50 | 25 |"
+
+
+def test_curves_of_other_environments_show_their_types_and_lengths():
+    """Whatever types the records name are drawn, and the lower part shows the length of episodes."""
+    records = [
+        {"kind": "episodes", "episodes": k, "reward": {"mean": 1.0 * k, "runner": k, "chaser": 2 * k}, "steps": 25}
+        for k in range(1, 10)
+    ]
+    upper, lower = curves_figure(records, {"random": -3.25}).axes
+    assert [text.get_text() for text in upper.get_legend().get_texts()] == ["runner", "chaser", "all agents"]
+    assert lower.get_ylabel() == "steps of an episode"
+    assert "random -3.2" in [text.get_text() for text in upper.texts]

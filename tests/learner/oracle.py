@@ -79,7 +79,7 @@ class Oracle:
         self.actor_optimiser = torch.optim.Adam([p for n in self.actors for p in n.parameters()], lr=config.actor_rate)
 
     def _width(self, v: int) -> int:
-        if self.config.critic_scope == "joint":
+        if self.config.joint_critics:
             return self.team.observation_size + self.team.action_size
         return self.team.groups[v].observation_size + self.team.groups[v].action_size
 
@@ -90,7 +90,7 @@ class Oracle:
     def view(self, agent: int, observations: list[Tensor], actions: list[Tensor]) -> Tensor:
         """Return what the critic of an agent sees."""
         own = [observations[agent], actions[agent]]
-        if self.config.critic_scope == "local":
+        if not self.config.joint_critics:
             return torch.cat(own, dim=1)
         kind = self.kind[agent]
         peers = [j for j, v in enumerate(self.kind) if v == kind and j != agent]
@@ -132,7 +132,7 @@ class Oracle:
             for i, critic in enumerate(self.target_critics):
                 x = self.view(i, following, decided)
                 value = self.mix(critic(x), self.target_members[self.kind[i]], x, config.bootstrap == "mixture")
-                going_on = config.discount * (1 - batch.terminated)
+                going_on = batch.discount * (1 - batch.terminated)
                 targets.append(config.reward_scale * batch.reward[:, i] + going_on * value)
         return targets
 

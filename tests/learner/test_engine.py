@@ -59,24 +59,28 @@ def batches(team, config, count, dtype=torch.float64, seed=1):
             normal(rows, team.agents),
             normal(rows, team.observation_size),
             (normal(rows) > 1.0).to(dtype),
+            torch.where(normal(rows) > 0.0, config.discount, config.discount**3).to(dtype),
         )
 
 
-def critic_stacks(engine, parameters):
-    kinds = range(len(engine.team.groups))
-    local = [engine.critics.local.export(parameters.flat, kind) for kind in kinds]
-    members = [bank.export(part, 0) for bank, part in zip(engine.critics.members, parameters.member_parts, strict=True)]
-    return local, members or [torch.empty(0, 0) for _ in kinds]
+def critic_stacks(engine, flat):
+    method, kinds = engine.algorithm, range(len(engine.team.groups))
+    size = method.critics.bank.size
+    local = [method.critics.export(flat[:size], 0, kind) for kind in kinds]
+    if not getattr(method, "ensemble", None):
+        return local, [torch.empty(0, 0) for _ in kinds]
+    members, k_s = method.ensemble, range(engine.config.ensemble_members)
+    return local, [torch.cat([members.bank.export(flat[size:], members.index(k, kind)) for k in k_s]) for kind in kinds]
 
 
 def actor_stacks(engine, flat):
-    return [engine.bank.export(flat, kind) for kind in range(len(engine.team.groups))]
+    return [engine.algorithm.actors.bank.export(flat, kind) for kind in range(len(engine.team.groups))]
 
 
-def twins(team, config, dtype=torch.float64, seed=3):
-    engine = Engine(config, team, seed, dtype=dtype)
-    local, members = critic_stacks(engine, engine.phi)
-    return engine, Oracle(config, team, actor_stacks(engine, engine.actors), local, members)
+def twins(team, config, dtype=torch.float64, seed=3, compiled=None):
+    engine = Engine(config, team, seed, dtype=dtype, compiled=compiled)
+    local, members = critic_stacks(engine, engine.algorithm.phi)
+    return engine, Oracle(config, team, actor_stacks(engine, engine.algorithm.actors.flat), local, members)
 
 
 def differences(engine, oracle):
@@ -86,31 +90,39 @@ def differences(engine, oracle):
         rows = torch.cat([stack.flatten() for stack in stacks])
         return float((rows - torch.cat([network.flat() for network in networks])).abs().max())
 
-    local, members = critic_stacks(engine, engine.phi)
-    target_local, target_members = critic_stacks(engine, engine.target_phi)
-    yield "actors", gap(actor_stacks(engine, engine.actors), oracle.actors)
+    method = engine.algorithm
+    local, members = critic_stacks(engine, method.phi)
+    target_local, target_members = critic_stacks(engine, method.target_phi)
+    yield "actors", gap(actor_stacks(engine, method.actors.flat), oracle.actors)
     yield "critics", gap(local, oracle.critics)
     yield "target critics", gap(target_local, oracle.target_critics)
-    if engine.algorithm.target_actor:
-        yield "target actors", gap(actor_stacks(engine, engine.target_actors), oracle.target_actors)
-    if engine.algorithm.ensemble:
+    if method.actors.target is not None:
+        yield "target actors", gap(actor_stacks(engine, method.actors.target), oracle.target_actors)
+    if engine.config.uses_ensemble:
         yield "members", gap(members, [m for group in oracle.members for m in group])
         yield "target members", gap(target_members, [m for group in oracle.target_members for m in group])
+
+
+def same_state(a, b):
+    return all(torch.equal(tensor, b.tensors()[name]) for name, tensor in a.tensors().items())
 
 
 @pytest.mark.parametrize("team", [TEAM, UNEVEN], ids=["team", "uneven"])
 @pytest.mark.parametrize("switch", SWITCHES)
 def test_fifty_rounds_equal_the_loop_over_agents(switch, team):
-    """Fifty stacked rounds end at the parameters of the loop over agents, in each switch's position."""
+    """Fifty rounds end at the parameters of the loop over agents, compiled and stacked, in each switch's position."""
     config = replace(BASE, **SWITCHES[switch])
-    engine, oracle = twins(team, config)
-    start = engine.actors.clone()
+    compiled, oracle = twins(team, config, compiled=True)
+    stacked, _ = twins(team, config, compiled=False)
+    start = compiled.algorithm.actors.flat.clone()
     for batch in batches(team, config, 50):
-        engine.round(batch)
+        compiled.round(batch)
+        stacked.round(batch)
         oracle.round(batch)
-    assert float((engine.actors - start).abs().max()) > 1e-3
-    for name, gap in differences(engine, oracle):
-        assert gap < 1e-9, f"{name} differ by {gap}"
+    assert float((compiled.algorithm.actors.flat - start).abs().max()) > 1e-3
+    for engine in (compiled, stacked):
+        for name, gap in differences(engine, oracle):
+            assert gap < 1e-9, f"{name} differ by {gap}"
 
 
 def test_float32_follows_the_loop_for_a_few_rounds():
@@ -135,8 +147,7 @@ def test_figures_are_those_of_the_equations():
     figures = engine.round(batch, figures=True)
     silent.round(batch)
     assert figures is not None
-    assert torch.equal(engine.actors, silent.actors)
-    assert torch.equal(engine.phi.flat, silent.phi.flat)
+    assert same_state(engine, silent)
     for i, critic in enumerate(oracle.critics):
         x = oracle.view(i, observations, actions)
         prediction = oracle.mix(critic(x), oracle.members[oracle.kind[i]], x, True)
@@ -164,11 +175,11 @@ def test_actors_start_as_everybody_draws_them():
 def test_critics_start_alike_and_members_apart():
     """Local critics of a type start as one network, SEC members as different ones, targets as copies."""
     engine = Engine(BASE, TEAM, 5)
-    local, members = critic_stacks(engine, engine.phi)
+    local, members = critic_stacks(engine, engine.algorithm.phi)
     for stack, group in zip(local, members, strict=True):
         assert (stack == stack[0]).all()
         assert not torch.equal(group[0], group[1])
-    assert torch.equal(engine.phi.flat, engine.target_phi.flat)
+    assert torch.equal(engine.algorithm.phi, engine.algorithm.target_phi)
 
 
 def test_parameters_survive_loading_and_exporting():
@@ -187,6 +198,5 @@ def test_same_seed_same_rounds():
     for batch in batches(TEAM, BASE, 5, torch.float32):
         for engine in engines:
             engine.round(batch)
-    assert torch.equal(engines[0].actors, engines[1].actors)
-    assert torch.equal(engines[0].phi.flat, engines[1].phi.flat)
-    assert not torch.equal(engines[0].actors, engines[2].actors)
+    assert same_state(engines[0], engines[1])
+    assert not same_state(engines[0], engines[2])

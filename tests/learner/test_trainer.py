@@ -34,9 +34,7 @@ def chunk(steps, seed=0, episodes=0, reward=None):
     flag = np.full(steps + 1, TRANSITION, np.uint8)
     flag[-2] |= TRUNCATED
     flag[-1] = 0
-    done = tuple(
-        EpisodeSummary(n, n, steps, tuple(range(TEAM.agents)), 1.0, 1.0, 0.0, 0.0, 2.5) for n in range(episodes)
-    )
+    done = tuple(EpisodeSummary(n, n, steps, tuple(range(TEAM.agents)), {"energy_j": 2.5}) for n in range(episodes))
     return Chunk(Rows(observation, action, paid, flag), done)
 
 
@@ -234,6 +232,18 @@ def test_learns_to_match_a_given_action():
     trainer.train(800)
     assert before > 0.08
     assert miss() < 0.01
+
+
+def test_rows_of_old_versions_are_not_drawn():
+    """With a limit of two versions rows stay drawable until a third newer one is published, and are then counted."""
+    trainer = Trainer(replace(CONFIG, replay=replace(CONFIG.replay, max_age_versions=2)), TEAM)
+    for number in range(4):
+        trainer.absorb(chunk(20, number), trainer.version)
+        trainer.next_version()
+    assert trainer.version == 4
+    assert (trainer.replay.transitions, trainer.statistics()["replay_dropped"]) == (40, 40)
+    trainer.train(20)
+    assert trainer.statistics()["sample_age_most_versions"] <= 2
 
 
 def test_statistics_tell_losses_and_age():

@@ -38,7 +38,7 @@ def test_results_do_not_depend_on_batch_or_order(name):
 def test_json_has_exactly_the_promised_keys():
     """The dictionary has the documented keys at every level and survives JSON."""
     result = evaluate(SMALL, policy("random"), range(1000, 1002), 2, name="random").to_dict()
-    rest = {"aoi", "vdf", "collisions", "boundary", "energy_j"}
+    rest = {"steps", "aoi", "vdf", "collisions", "boundary", "energy_j"}
     assert set(result) == {"policy", "farms", "episodes", "reward", "per_farm"} | rest
     assert set(result["reward"]) == {"mean", "c", "m", "d"}
     assert [set(farm) for farm in result["per_farm"]] == [{"farm", "reward", "c", "m", "d"} | rest] * 2
@@ -64,7 +64,7 @@ def test_means_are_those_of_the_episodes():
     assert result["reward"]["m"] == pytest.approx(reward[1:3].mean())
     assert result["reward"]["d"] == pytest.approx(reward[3:].mean())
     for key in ("aoi", "vdf", "collisions", "boundary", "energy_j"):
-        assert result[key] == pytest.approx(np.mean([getattr(summary, key) for summary in summaries]))
+        assert result[key] == pytest.approx(np.mean([summary.figures[key] for summary in summaries]))
         assert result["per_farm"][0][key] == pytest.approx(result[key])
 
 

@@ -1,13 +1,16 @@
 """The batch: equal results in any company, its contract, and what a farm can pay at most."""
 
+import tracemalloc
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 
 from common.config import CameraConfig, FarmConfig, RadioConfig, RelayConfig, WorldConfig
 from common.errors import SimulationError
 from rollout.farms import FarmBatch, start_positions
+from rollout.kernel.compiled import sealed
 from rollout.kernel.radio import draw
 from rollout.reference import packet_draw
 
@@ -23,12 +26,15 @@ ARRAYS = (
     "energy",
     "utility",
     "served_sensors",
+    "link_quality",
 )
 
 
-def fly(config: FarmConfig, episodes: list[tuple[int, int]], steps: int) -> list[dict[str, np.ndarray]]:
+def fly(
+    config: FarmConfig, episodes: list[tuple[int, int]], steps: int, threads: int = 1
+) -> list[dict[str, np.ndarray]]:
     """Fly the episodes as one batch, each with actions that follow from its seeds; return what each looked like."""
-    batch = FarmBatch(config, len(episodes))
+    batch = FarmBatch(config, len(episodes), threads)
     action = np.empty((steps, len(episodes), batch.team.action_size), np.float32)
     for index, (farm, episode) in enumerate(episodes):
         batch.reset(index, farm, episode)
@@ -54,20 +60,71 @@ def test_an_episode_is_bit_equal_alone_in_company_and_twice():
             np.testing.assert_array_equal(alone[name], crowd[chosen][name])
 
 
-def test_a_used_environment_starts_like_a_fresh_one():
-    """A reset leaves nothing of the episode before."""
-    batch = FarmBatch(SHORT, 1)
-    random = np.random.default_rng(0)
-    for farm in (5, 6):
-        batch.reset(0, farm, 0)
-        for _ in range(20):
-            batch.step(random.uniform(-1.0, 1.0, (1, 24)).astype(np.float32))
-    batch.reset(0, 5, 9)
-    fresh = FarmBatch(SHORT, 1)
-    fresh.reset(0, 5, 9)
-    for name in (*ARRAYS, "time", "service", "direction"):
-        np.testing.assert_array_equal(getattr(batch, name), getattr(fresh, name))
-    assert batch.summary(0) == fresh.summary(0)
+@pytest.mark.parametrize("threads", [2, 3, 9])
+def test_results_do_not_depend_on_the_number_of_threads(threads):
+    """Seven environments on one thread, on two, on three, and on more threads than there are environments."""
+    episodes = [(farm, 1) for farm in range(7)]
+    for alone, together in zip(fly(SHORT, episodes, 40), fly(SHORT, episodes, 40, threads), strict=True):
+        for name in ARRAYS:
+            np.testing.assert_array_equal(alone[name], together[name])
+
+
+def test_threads_refuse_impossible_actions_before_any_environment_moves():
+    """One bad number in the last thread's share stops the first thread too."""
+    batch = FarmBatch(SHORT, 4, threads=2)
+    for index in range(4):
+        batch.reset(index, index, 0)
+    before = batch.position.copy()
+    action = np.ones((4, 24), np.float32)
+    action[3, 23] = np.nan
+    with pytest.raises(SimulationError):
+        batch.step(action)
+    np.testing.assert_array_equal(batch.position, before)
+    assert (batch.time == 0).all()
+
+
+def test_a_step_keeps_no_memory():
+    """Neither Python nor the compiler's runtime allocates anything that grows over steps, in any number of them."""
+    batch = FarmBatch(SHORT, 3)
+    for index in range(3):
+        batch.reset(index, index, 0)
+    action = np.full((3, 24), 0.5, np.float32)
+    batch.step(action)
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        tracemalloc.reset_peak()
+        for _ in range(30):
+            batch.step(action)
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 512
+    assert peak - before < 2048
+
+
+def test_what_allocates_does_not_compile():
+    """The kernel's functions are compiled without the allocating runtime, so an array made in a step is refused."""
+
+    @sealed
+    def allocate(count: int) -> float:
+        return np.zeros(count)[0]
+
+    with pytest.raises(numba.errors.NumbaError):
+        allocate(3)
+
+
+def test_actions_may_be_read_only_and_strided():
+    """The same step as with an array of one's own."""
+    batches = [FarmBatch(SHORT, 2) for _ in range(2)]
+    action = np.random.default_rng(0).uniform(-1.0, 1.0, (2, 24)).astype(np.float32)
+    strided = np.repeat(action, 2, axis=1)[:, ::2]
+    strided.setflags(write=False)
+    for batch, given in zip(batches, (action, strided), strict=True):
+        for index in range(2):
+            batch.reset(index, index, 0)
+        batch.step(given)
+    np.testing.assert_array_equal(batches[0].observation, batches[1].observation)
 
 
 def test_other_seeds_are_other_episodes():
@@ -208,9 +265,11 @@ def test_impossible_actions_are_refused_and_change_nothing(action):
 
 
 def test_an_empty_batch_is_refused():
-    """There is no batch of none."""
+    """There is no batch of none, and none that nobody steps."""
     with pytest.raises(SimulationError):
         FarmBatch(SHORT, 0)
+    with pytest.raises(SimulationError):
+        FarmBatch(SHORT, 1, threads=0)
 
 
 def test_observations_stay_in_bounds():

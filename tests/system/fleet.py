@@ -75,13 +75,17 @@ class Processes:
         self.config.write_text(toml, encoding="utf-8")
         self.endpoint: Endpoint = free_endpoint()
         self.running: dict[str, subprocess.Popen[bytes]] = {}
+        self.prefix: tuple[str, ...] = ()
 
     def start(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
         """Start one command, its output in a log file."""
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
         with (self.directory / f"{name}.log").open("ab") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "deploy.cli", *arguments], stdout=log, stderr=log, env=environment
+                [*self.prefix, sys.executable, "-m", "deploy.cli", *arguments],
+                stdout=log,
+                stderr=log,
+                env=environment,
             )
         self.running[name] = process
         return process
@@ -92,13 +96,15 @@ class Processes:
         where = ("--run", RUN, "--listen", str(self.endpoint))
         return self.start("learner", "learner", *where, *run_dir, "--config", str(self.config), *extra)
 
-    def worker(self, name: str = "0") -> subprocess.Popen[bytes]:
-        """Start a worker."""
-        return self.start(f"rollout-{name}", "rollout", "--run", RUN, "--connect", str(self.endpoint), "--name", name)
+    def worker(self, name: str = "0", *extra: str) -> subprocess.Popen[bytes]:
+        """Start a worker, its history in the run directory."""
+        where = ("--run", RUN, "--connect", str(self.endpoint), "--name", name)
+        history = ("--history", str(self.directory / "run" / "history" / f"rollout-{name}.jsonl"))
+        return self.start(f"rollout-{name}", "rollout", *where, *history, *extra)
 
-    def coordinator(self) -> subprocess.Popen[bytes]:
-        """Start the elite coordinator."""
-        return self.start("elite", "elite", "--run", RUN, "--connect", str(self.endpoint))
+    def coordinator(self, name: str = "elite") -> subprocess.Popen[bytes]:
+        """Start an elite coordinator."""
+        return self.start(name, "elite", "--run", RUN, "--connect", str(self.endpoint))
 
     def records(self, kind: str) -> list[dict[str, Any]]:
         """Return the records of one kind that the learner has written."""

@@ -1,0 +1,74 @@
+"""Histories say what happened, stay small, and survive torn lines and full disks."""
+
+from common import history
+from common.history import End, Entry, History, Resume, Start, parse, read, text
+
+
+def chunk(number: int, verdict: str = "accepted", steps: int = 10) -> Entry:
+    return Entry(verdict, "w", 1, number, number, steps, number * steps, number * steps + 5)
+
+
+def test_every_record_comes_back():
+    """A record and the record of its line are equal."""
+    for record in (Start("rollout", "w", 3), Resume({"w": (3, 7)}), End(), chunk(4)):
+        assert parse(text(record)) == record
+
+
+def test_consecutive_chunks_are_joined_when_the_file_is_written_anew(tmp_path, monkeypatch):
+    """However many chunks, the file keeps to a few lines, and nothing that it says is lost."""
+    monkeypatch.setattr(history, "REWRITE_LINES", 100)
+    path = tmp_path / "h.jsonl"
+    one = History(path)
+    one.add(Start("learner", "learner", 1))
+    for number in range(1, 1_001):
+        one.add(chunk(number))
+    for _ in range(200):
+        one.add(Entry("duplicate", "w", 1, 5, 5, 1))
+    one.close()
+    assert len(path.read_text().splitlines()) < 200
+    joined = History(path)
+    records, damaged = read(path)
+    assert damaged == 0
+    assert records[1] == Entry("accepted", "w", 1, 1, 1_000, 10, 10_000, 10_005)
+    assert records[2] == Entry("duplicate", "w", 1, 5, 5, 200)
+    assert joined.before[-1] == End()
+
+
+def test_other_steps_and_other_starts_are_not_joined(tmp_path):
+    """Only what a joined line can say exactly is joined."""
+    path = tmp_path / "h.jsonl"
+    one = History(path)
+    for record in (chunk(1), chunk(2), chunk(3, steps=5), Start("learner", "learner", 2), chunk(4, steps=5)):
+        one.add(record)
+    History(path)
+    assert [r.last for r in read(path)[0] if isinstance(r, Entry)] == [2, 3, 4]
+
+
+def test_a_torn_line_is_counted_and_healed(tmp_path):
+    """A line that a killed process left half written costs itself only."""
+    path = tmp_path / "h.jsonl"
+    path.write_text(text(chunk(1)) + "\n" + text(chunk(2))[:-4])
+    assert read(path) == ([chunk(1)], 1)
+    History(path).add(chunk(2))
+    assert read(path) == ([chunk(1), chunk(2)], 0)
+
+
+def test_a_disk_that_refuses_is_said_and_made_good(tmp_path, monkeypatch):
+    """While nothing can be written the process goes on, says so, and writes all of it when it can."""
+    path = tmp_path / "h.jsonl"
+    one = History(path)
+    one.add(chunk(1))
+
+    class Full:
+        def write(self, line: str) -> None:
+            raise OSError(28, "No space left on device")
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr(one, "_file", Full())
+    one.add(chunk(2))
+    assert "No space left" in one.failure
+    one.add(chunk(3))
+    assert one.failure == ""
+    assert [r.last for r in read(path)[0]] == [3]

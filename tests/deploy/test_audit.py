@@ -1,0 +1,86 @@
+"""The audit explains what can be explained, and names what cannot."""
+
+import json
+
+import pytest
+
+from common.history import End, Entry, History, Resume, Start
+from deploy.audit import audit
+from deploy.cli import dispatch
+
+
+def write(tmp_path, learner, worker=None, *, ended=False):
+    """Write histories: entries of the learner and of worker a, start 1, in short."""
+    folder = tmp_path / "history"
+    for name, role, records in (("learner", "learner", learner), ("rollout-a", "rollout", worker)):
+        if records is None:
+            continue
+        history = History(folder / f"{name}.jsonl")
+        history.add(Start(role, name.removeprefix("rollout-"), 1))
+        for record in records:
+            history.add(Entry(record[0], "a", 1, *record[1:]) if isinstance(record, tuple) else record)
+        if ended:
+            history.add(End())
+    return audit(tmp_path)
+
+
+def made(count):
+    return ("made", 1, count, 10)
+
+
+def test_all_fates(tmp_path):
+    """Accepted, rejected, lost with the learner and in flight are told apart, and their sum is what was made."""
+    learner = [("accepted", 1, 4, 10), ("refused", 5, 5, 0), Resume({"a": (1, 3)}), ("accepted", 6, 6, 10)]
+    found = write(tmp_path, learner, [made(8), ("told", 1, 4, 10), ("refused", 5, 5, 10), ("told", 6, 6, 10)])
+    assert found.clean, found.unexplained
+    assert dict(found.chunks) == {"accepted": 3, "lost": 2, "rejected": 1, "in_flight": 2}
+    assert found.produced == 80
+    assert found.lost_with == {"learner": 20}
+
+
+def test_what_an_ended_worker_held_is_lost(tmp_path):
+    """Nothing is in flight any more when its worker has ended."""
+    found = write(tmp_path, [("accepted", 1, 1, 10)], [made(3), ("told", 1, 1, 10)], ended=True)
+    assert found.clean
+    assert (found.chunks["lost"], found.chunks["in_flight"]) == (2, 0)
+
+
+@pytest.mark.parametrize(
+    ("learner", "worker", "said"),
+    [
+        ([("accepted", 1, 2, 10)], [made(3), ("told", 1, 3, 10)], "chunk a/1/3 was told"),
+        ([("accepted", 1, 4, 10)], [made(3), ("told", 1, 3, 10)], "chunk a/1/4 was accepted"),
+        ([("accepted", 1, 3, 20)], [made(3)], "chunk a/1/1 has 10 steps"),
+        ([("accepted", 1, 2, 10), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never came"),
+    ],
+)
+def test_what_nobody_can_explain_is_named(tmp_path, learner, worker, said):
+    """An acknowledgement without a record, a chunk from nowhere, other steps and a gap are each named."""
+    found = write(tmp_path, learner, worker)
+    assert not found.clean
+    assert found.unexplained[0].startswith(said)
+
+
+def test_a_chunk_that_was_taken_twice_is_named(tmp_path, capsys):
+    """A number that was accepted twice is doubled, and the command says so with exit code 1."""
+    found = write(tmp_path, [("accepted", 1, 3, 10), ("accepted", 2, 2, 10)], [made(3), ("told", 1, 3, 10)])
+    assert found.doubled == ["chunk a/1/2 was accepted after it had been accepted."]
+    assert dispatch(["audit", str(tmp_path)]) == 1
+    assert "counted twice: 1" in capsys.readouterr().out
+
+
+def test_the_ledger_is_held_against_the_histories(tmp_path):
+    """A learner whose own ledger says something else than the histories is not believed."""
+    status = {"kind": "status", "environment_steps": 20, "ledger": {"accepted": 20, "unexplained": 0, "lost": 0}}
+    (tmp_path / "metrics.jsonl").write_text(json.dumps(status) + "\n" + json.dumps({"kind": "end"}) + "\n")
+    assert write(tmp_path, [("accepted", 1, 2, 10)]).clean
+    status["ledger"]["accepted"] = 30
+    (tmp_path / "metrics.jsonl").write_text(json.dumps(status) + "\n" + json.dumps({"kind": "end"}) + "\n")
+    assert not audit(tmp_path).clean
+
+
+def test_the_command_in_json(tmp_path, capsys):
+    """A clean run gives exit code 0 and one object."""
+    write(tmp_path, [("accepted", 1, 2, 10)], [made(2), ("told", 1, 2, 10)])
+    assert dispatch(["audit", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["steps"]["accepted"] == 20

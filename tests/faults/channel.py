@@ -1,0 +1,193 @@
+"""A bad road for messages, without a network: frames between many workers and the learner's front door.
+
+The road duplicates, reorders, cuts and flips; it knows exactly what it did, so the receiver's counters can be held
+against it.
+"""
+
+import queue
+import random
+import threading
+from collections import Counter, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from common import keys
+from common.chunks import to_message
+from common.config import ReplayConfig
+from common.history import History
+from common.messages import ChunkAck, Envelope
+from common.team import GroupSpec, TeamSpec
+from common.transitions import TRANSITION, Chunk, Rows
+from learner.intake import Intake
+from learner.receiver import Receiver
+
+TEAM = TeamSpec((GroupSpec("one", 2, 3, 2),))
+RUN = "road"
+
+
+class Parcel:
+    """One request as the receiver sees it; the answer is kept."""
+
+    def __init__(self, key: str, payload: bytes, attachment: bytes) -> None:
+        self.key, self.payload, self.attachment = key, payload, attachment
+        self.answer: ChunkAck | None = None
+        self.refused = ""
+
+    def reply(self, payload: bytes) -> None:
+        self.answer = ChunkAck.decode(payload)
+
+    def refuse(self, reason: str) -> None:
+        self.refused = reason
+
+
+class Door:
+    """Stands in for the server: hands parcels to the receiver's thread, one after the other."""
+
+    def __init__(self) -> None:
+        self._waiting: queue.Queue[Parcel | None] = queue.Queue(64)
+
+    def __iter__(self) -> Iterator[Parcel]:
+        while (parcel := self._waiting.get()) is not None:
+            yield parcel
+            self._waiting.task_done()
+
+    def pass_on(self, parcel: Parcel) -> Parcel:
+        """Deliver a parcel and wait until it is dealt with."""
+        self._waiting.put(parcel)
+        self._waiting.join()
+        return parcel
+
+    def close(self) -> None:
+        self._waiting.put(None)
+
+
+def a_chunk(number: int) -> Chunk:
+    """Return a chunk of two rows that bears its number."""
+    flag = np.array([TRANSITION, 0], np.uint8)
+    shape = lambda size: np.full((2, size), 0.5, np.float32)  # noqa: E731  # three arrays of one kind, one line each
+    observation = shape(TEAM.observation_size)
+    observation[0, 0] = number
+    return Chunk(Rows(observation, shape(TEAM.action_size), shape(TEAM.agents), flag))
+
+
+@dataclass
+class Road:
+    """What the road does, each with its chance, and what it did.
+
+    Attributes:
+        duplicated, reordered, cut, flipped: chance of each for one sending.
+        done: how often each was done.
+    """
+
+    duplicated: float = 0.1
+    reordered: float = 0.1
+    cut: float = 0.01
+    flipped: float = 0.01
+    done: Counter[str] = field(default_factory=Counter)
+
+
+class Sending:
+    """One worker that keeps several chunks on the road at once, so that they can overtake one another."""
+
+    def __init__(self, name: str, chunks: int, window: int = 4) -> None:
+        self.name, self.chunks, self.window = name, chunks, window
+        self.held: deque[int] = deque()
+        self.made = 0
+
+    def parcel(self, number: int) -> Parcel:
+        message = to_message(a_chunk(number), TEAM, oldest=min([*self.held, number]), produced=number, flown=number)
+        envelope = Envelope("rollout", self.name, 1, number, 1)
+        return Parcel(keys.TRANSITION.key(RUN, worker=self.name), message.encode(), envelope.encode())
+
+    def fill(self) -> None:
+        while len(self.held) < self.window and self.made < self.chunks:
+            self.made += 1
+            self.held.append(self.made)
+
+
+def travel(road: Road, workers: int, chunks: int, receiver: Receiver, door: Door, seed: int = 0) -> dict[str, Any]:
+    """Send `chunks` chunks of each worker over the road until all are answered; return what came out.
+
+    Raises:
+        AssertionError: when a damaged frame is taken, or an answer is none that a worker could use.
+    """
+    draw = random.Random(seed)
+    sendings = [Sending(str(index), chunks) for index in range(workers)]
+    accepted: Counter[tuple[str, int]] = Counter()
+    seen: Counter[str] = Counter()
+    ended = threading.Event()
+
+    def absorb() -> None:
+        while not ended.is_set() or not receiver.arrivals.empty():
+            try:
+                arrival = receiver.arrivals.get(timeout=0.05)
+            except queue.Empty:
+                continue
+            number = int(arrival.chunk.rows.observation[0, 0])
+            assert number == arrival.sender.sequence
+            accepted[arrival.sender.name, number] += 1
+
+    absorber = threading.Thread(target=absorb)
+    absorber.start()
+    try:
+        while any(sending.held or sending.made < chunks for sending in sendings):
+            for sending in sendings:
+                sending.fill()
+                _turn(sending, road, door, draw, seen)
+    finally:
+        ended.set()
+        absorber.join()
+    return {"accepted": accepted, "answers": seen}
+
+
+def _turn(sending: Sending, road: Road, door: Door, draw: random.Random, seen: Counter[str]) -> None:
+    """Send everything that is held once, in an order that the road chooses, and let go of what was taken."""
+    numbers = list(sending.held)
+    for index in range(len(numbers) - 1):
+        if draw.random() < road.reordered:
+            road.done["reordered"] += 1
+            numbers[index], numbers[index + 1] = numbers[index + 1], numbers[index]
+    for number in numbers:
+        again = draw.random() < road.duplicated
+        for copy in range(1 + again):
+            road.done["duplicated"] += copy
+            parcel = sending.parcel(number)
+            kind = _damage(parcel, road, draw)
+            answer = door.pass_on(parcel).answer
+            assert answer is not None, parcel.refused
+            seen[f"{kind} {answer.status}".strip()] += 1
+            assert not (kind and answer.status == "accepted"), f"a {kind} frame was taken"
+            if answer.status in ("accepted", "duplicate") and number in sending.held:
+                sending.held.remove(number)
+
+
+def _damage(parcel: Parcel, road: Road, draw: random.Random) -> str:
+    chance = draw.random()
+    if chance < road.cut:
+        road.done["cut"] += 1
+        parcel.payload = parcel.payload[: draw.randrange(len(parcel.payload))]
+        return "cut"
+    if chance < road.cut + road.flipped:
+        road.done["flipped"] += 1
+        damaged = bytearray(parcel.payload)
+        damaged[draw.randrange(len(damaged))] ^= 1 << draw.randrange(8)
+        parcel.payload = bytes(damaged)
+        return "flipped"
+    return ""
+
+
+def front_door(intake: Intake | None = None, history: History | None = None, **replay: int) -> tuple[Receiver, Door]:
+    """Return a receiver and the door before it."""
+    door = Door()
+    bounds = ReplayConfig(**{"capacity": 256, "warmup_steps": 0, "intake_chunks": 64, **replay})
+    return Receiver(door, TEAM, intake or Intake(), bounds, lockstep=False, history=history), door  # type: ignore[arg-type]  # a door is all of a server that a receiver uses
+
+
+def shut(receiver: Receiver, door: Door) -> None:
+    """End the receiver's thread."""
+    receiver.close()
+    door.close()
+    receiver.join()

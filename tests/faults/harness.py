@@ -1,0 +1,113 @@
+"""What the fault tests share: a run of real processes, its figures, and a ledger that must close at the end."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from deploy.audit import Audit, audit
+from tests.system.fleet import TINY, Processes, until
+
+FIGURES = "EIA_SEC_FIGURES"
+"""Environment variable with the folder into which the figures of full doses go."""
+LONG = TINY.replace("episodes = 8", "episodes = 1000000").replace("capacity = 4096", "capacity = 8192")
+"""A run that ends only when it is told to."""
+
+
+def tell(name: str, **values: Any) -> None:
+    """Print a dose's figures as JSON, and keep them where the environment says so."""
+    values = {"name": name, **values}
+    sys.stdout.write(json.dumps(values) + "\n")
+    folder = os.environ.get(FIGURES)
+    if folder:
+        commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
+        current = os.environ.get("PYTEST_CURRENT_TEST", "").split(" ")[0]
+        values |= {"commit": commit.stdout.strip(), "command": f"python -m pytest -m nightly {current}"}
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        (Path(folder) / f"{name}.json").write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+
+
+def memory(process: subprocess.Popen[bytes]) -> float:
+    """Return a process's resident memory in MiB."""
+    return psutil.Process(process.pid).memory_info().rss / 2**20
+
+
+def spread(values: list[float]) -> dict[str, float]:
+    """Return the median and the largest of some figures."""
+    ordered = sorted(values) or [0.0]
+    return {"median": round(ordered[len(ordered) // 2], 3), "most": round(ordered[-1], 3)}
+
+
+class FaultRun(Processes):
+    """Real processes with faults done to them."""
+
+    def __init__(self, directory: Path, toml: str = LONG) -> None:
+        super().__init__(directory, toml)
+
+    def status(self) -> dict[str, Any]:
+        """Return the learner's newest status, empty before the first."""
+        path = self.directory / "run" / "metrics.jsonl"
+        if not path.exists():
+            return {}
+        with path.open("rb") as file:
+            file.seek(0, os.SEEK_END)
+            file.seek(max(0, file.tell() - 65_536))
+            lines = [line for line in file.read().decode().splitlines() if line.endswith("}")]
+        found = [line for line in lines if line.startswith('{"kind": "status"')]
+        return dict(json.loads(found[-1])) if found else {}
+
+    def taken(self, worker: str = "") -> int:
+        """Return the size of the learner's history, which grows with every chunk (of one worker: its lines)."""
+        path = self.directory / "run" / "history" / "learner.jsonl"
+        if not path.exists():
+            return 0
+        text = path.read_text(encoding="utf-8")
+        return sum(1 for line in text.splitlines() if f'["accepted","{worker}' in line)
+
+    def until_more(self, worker: str = "", seconds: float = 90.0) -> float:
+        """Wait until the learner has taken another chunk (of one worker); return the seconds."""
+        before, started = self.taken(worker), time.monotonic()
+        until(lambda: self.taken(worker) > before, f"another chunk {worker}", seconds)
+        return time.monotonic() - started
+
+    def steps_of(self, verdict: str, worker: str) -> int:
+        """Return the chunks of one verdict in a worker's own history."""
+        path = self.directory / "run" / "history" / f"rollout-{worker}.jsonl"
+        return sum(line.startswith(f'["{verdict}"') for line in path.read_text(encoding="utf-8").splitlines())
+
+    def end(self, seconds: float = 60.0) -> float:
+        """End the workers, which deliver what they hold, then everybody else; return the seconds that it took."""
+        started = time.monotonic()
+        workers = [name for name in self.running if name.startswith("rollout")]
+        others = [name for name in self.running if name not in workers]
+        for group in (workers, others):
+            for name in group:
+                self.running[name].send_signal(signal.SIGTERM)
+            for name in group:
+                assert self.wait(name, seconds) == 0, self.log(name)
+        return time.monotonic() - started
+
+    def audit(self) -> Audit:
+        """Return the audit of the run; fail unless everything is explained and nothing was counted twice."""
+        found = audit(self.directory / "run")
+        assert found.clean, found.to_dict()
+        assert found.produced > 0
+        return found
+
+
+@contextmanager
+def run(directory: Path, toml: str = LONG) -> Iterator[FaultRun]:
+    """Give processes that are gone afterwards, also those that stand still."""
+    processes = FaultRun(directory, toml)
+    try:
+        yield processes
+    finally:
+        processes.close()

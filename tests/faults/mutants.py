@@ -1,0 +1,143 @@
+"""Frames of every kind of message, and ways to spoil them, for the fuzz tests."""
+
+import random
+import struct
+import zlib
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from common import frame, messages
+from common.chunks import from_message, to_message
+from common.errors import ProtocolError
+from common.policy_store import PolicyStore
+from tests.faults.channel import TEAM, a_chunk
+
+KINDS: Final = tuple(
+    kind
+    for kind in vars(messages).values()
+    if isinstance(kind, type) and issubclass(kind, messages.Message) and kind.KIND
+)
+_PREFIX: Final = struct.Struct("<4sBBHIQI")
+
+
+def samples() -> dict[str, bytes]:
+    """Return one whole frame of each kind of message, by the kind's name."""
+    flat = (np.zeros((2, 40), np.float32),)
+    found = [
+        messages.Envelope("rollout", "w", 1, 1, 1),
+        to_message(a_chunk(1), TEAM, 1, 1, 1),
+        messages.ChunkAck("accepted", 2, 0, ""),
+        messages.ParametersMessage(1, 1, 0, 10, 0.5, TEAM.digest, 4, "deterministic", flat),
+        messages.ProgressMessage(1, 1, 0, 1, 10, 1, "training"),
+        messages.CommandMessage("somebody"),
+        messages.ConfigurationMessage(1, "seed = 1", TEAM.to_dict(), False),
+        messages.ReceiptMessage(True, ""),
+        messages.EvaluationOrder(1, 1, 1, (1, 2), (3, 4)),
+        messages.EvaluationResult(1, 1, np.zeros((1, 2, 2), np.float32), np.ones(1, np.int64)),
+        messages.ImitationMessage(1, 1, 1, 10, 0.1, (0,), ((0.5, 0.25),), 10),
+        messages.MetricMessage(1, "host", 2, 0.5, {"a": 1, "b": [1.5, "x"], "c": {"d": None}}),
+    ]
+    return {type(message).__name__: message.encode() for message in found}
+
+
+def feed(data: bytes) -> bool:
+    """Put bytes through every decoder and the checks behind it; return whether any takes them.
+
+    Anything but a ProtocolError is the defect that is looked for, and passes through.
+    """
+    taken = False
+    for kind in KINDS:
+        try:
+            message = kind.decode(data)
+            taken = True
+            if isinstance(message, messages.ChunkMessage):
+                from_message(message, TEAM)
+            elif isinstance(message, messages.ParametersMessage):
+                PolicyStore(TEAM).offer_parameters(message)
+            elif isinstance(message, messages.ImitationMessage):
+                message.to_event().check(TEAM)
+        except ProtocolError:
+            continue
+    return taken
+
+
+def sealed(data: bytes) -> bytes:
+    """Return a frame whose lengths and checksum fit its content again, so that what is behind them is reached."""
+    if len(data) < _PREFIX.size:
+        return data
+    magic, protocol, kind, reserved, header, _, _ = _PREFIX.unpack_from(data)
+    content = data[_PREFIX.size :]
+    header = min(header, len(content))
+    prefix = _PREFIX.pack(magic, protocol, kind, reserved, header, len(content) - header, zlib.crc32(content))
+    return prefix + content
+
+
+def _flip(data: bytearray, draw: random.Random) -> None:
+    data[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
+
+
+def _set(data: bytearray, draw: random.Random) -> None:
+    data[draw.randrange(len(data))] = draw.choice((0x00, 0x7F, 0x80, 0xC0, 0xC1, 0xDC, 0xDD, 0xDF, 0xFF))
+
+
+def _cut(data: bytearray, draw: random.Random) -> None:
+    del data[draw.randrange(len(data)) :]
+
+
+def _drop(data: bytearray, draw: random.Random) -> None:
+    start = draw.randrange(len(data))
+    del data[start : start + draw.randrange(1, 9)]
+
+
+def _repeat(data: bytearray, draw: random.Random) -> None:
+    start = draw.randrange(len(data))
+    data[start:start] = data[start : start + draw.randrange(1, 33)]
+
+
+def _grow(data: bytearray, draw: random.Random) -> None:
+    data[draw.randrange(len(data)) : 0] = draw.randbytes(draw.randrange(1, 9))
+
+
+_WAYS: Final[tuple[Callable[[bytearray, random.Random], None], ...]] = (
+    _flip,
+    _flip,
+    _set,
+    _set,
+    _cut,
+    _drop,
+    _repeat,
+    _grow,
+)
+
+
+def mutant(whole: bytes, draw: random.Random) -> bytes:
+    """Return a spoilt frame; half of them have lengths and checksum that fit."""
+    data = bytearray(whole)
+    for _ in range(draw.randrange(1, 5)):
+        if data:
+            draw.choice(_WAYS)(data, draw)
+    return sealed(bytes(data)) if draw.random() < 0.5 else bytes(data)
+
+
+def pass_through(count: int, seed: int) -> int:
+    """Feed so many mutants to the decoder of their own kind and to its checks; return how many were taken."""
+    draw, taken = random.Random(seed), 0
+    wholes = [(kind, data) for kind in KINDS for name, data in samples().items() if kind.__name__ == name]
+    for _ in range(count):
+        kind, whole = draw.choice(wholes)
+        data = mutant(whole, draw)
+        try:
+            message = kind.decode(data)
+            taken += 1
+            if isinstance(message, messages.ChunkMessage):
+                from_message(message, TEAM)
+            elif isinstance(message, messages.ParametersMessage):
+                PolicyStore(TEAM).offer_parameters(message)
+        except ProtocolError:
+            continue
+    return taken
+
+
+assert frame.PROTOCOL == 1  # the prefix above is that of protocol 1

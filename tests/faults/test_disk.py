@@ -1,0 +1,93 @@
+"""Full and read-only disks: training goes on, the checkpoint before stands, and an alarm says so."""
+
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from learner import checkpoint
+from tests.faults.harness import FaultRun, tell
+from tests.system.fleet import until
+
+MOUNT = Path("/bin/mount")
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 12 MiB, where this may be made."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=12m", "tmpfs", str(folder)], check=False, stderr=-3)
+    if made.returncode != 0:
+        pytest.skip("making a small file system needs more rights")
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=False)
+
+
+def fill(path: Path) -> int:
+    """Write into a file until the disk is full; return the bytes."""
+    size = 0
+    with path.open("wb", buffering=0) as file:
+        while True:
+            try:
+                size += file.write(bytes(65_536))
+            except OSError:
+                return size
+
+
+def alarms(fleet: FaultRun) -> str:
+    """Return what the learner has logged as alarms."""
+    return "\n".join(line for line in fleet.log("learner").splitlines() if "ALARM" in line)
+
+
+def test_a_full_disk(tmp_path, small_disk):
+    """The learner trains on while the disk is full, says so, and the checkpoint before loads; later ones follow."""
+    fleet = FaultRun(tmp_path)
+    try:
+        fleet.learner()
+        fleet.start("rollout-0", "rollout", "--run", "test", "--connect", str(fleet.endpoint), "--name", "0")
+        folder = small_disk / "checkpoints"
+        until(lambda: list(folder.glob("checkpoint-*")), "a checkpoint", 120.0)
+        until(fleet.taken, "chunks", 120.0)
+        size = fill(small_disk / "ballast")
+        until(lambda: alarms(fleet), "an alarm", 60.0)
+        found = checkpoint.load_latest(folder)
+        assert found is not None
+        assert fleet.running["learner"].poll() is None
+        steps = found.manifest["trainer"]["environment_steps"]
+        (small_disk / "ballast").unlink()
+        started = time.monotonic()
+        newest = lambda: checkpoint.load_latest(folder).manifest["trainer"]["environment_steps"]  # noqa: E731  # asked twice
+        until(lambda: newest() > steps, "a new checkpoint with more steps", 60.0)
+        recovery = round(time.monotonic() - started, 2)
+        fleet.end()
+        assert fleet.audit().clean
+        tell("full_disk", ballast_bytes=size, alarms=len(alarms(fleet).splitlines()), seconds_to_recover=recovery)
+    finally:
+        fleet.close()
+
+
+@pytest.mark.nightly
+def test_a_disk_that_becomes_read_only(tmp_path, small_disk):
+    """The same when nothing can be written at all any more."""
+    fleet = FaultRun(tmp_path)
+    try:
+        fleet.learner()
+        fleet.start("rollout-0", "rollout", "--run", "test", "--connect", str(fleet.endpoint), "--name", "0")
+        folder = small_disk / "checkpoints"
+        until(lambda: list(folder.glob("checkpoint-*")), "a checkpoint", 120.0)
+        until(fleet.taken, "chunks", 120.0)
+        closed = folder.with_name("elsewhere")
+        folder.rename(closed)
+        folder.write_bytes(b"a file where the folder was")  # root may write anywhere, but not below a file
+        until(lambda: alarms(fleet), "an alarm", 60.0)
+        assert checkpoint.load_latest(closed) is not None
+        folder.unlink()
+        os.replace(closed, folder)
+        fleet.end()
+        assert fleet.audit().clean
+    finally:
+        fleet.close()

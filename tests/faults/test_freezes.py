@@ -1,0 +1,140 @@
+"""Processes that stand still: the learner for seconds, a learner that is replaced meanwhile, a coordinator likewise."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from deploy.audit import audit
+from tests.faults.harness import LONG, FaultRun, memory, run, tell
+from tests.system.fleet import RUN, until
+
+EVENTS = LONG.replace("cycle = 2", "cycle = 4\ncycle_growth = 1.0\nrate_decay = 0.9")
+
+
+def freeze_learner(directory: Path, seconds: list[float]) -> dict[str, Any]:
+    """Freeze the learner for each time; return how the worker fared."""
+    with run(directory) as fleet:
+        learner, worker = fleet.learner(), fleet.worker()
+        until(fleet.taken, "chunks", 120.0)
+        rows = []
+        for span in seconds:
+            before = memory(worker)
+            learner.send_signal(signal.SIGSTOP)
+            time.sleep(span)
+            grown = memory(worker) - before
+            learner.send_signal(signal.SIGCONT)
+            recovery = fleet.until_more(seconds=60.0)
+            rows.append({"seconds": span, "worker_grew_mib": round(grown, 1), "seconds_to_recover": round(recovery, 2)})
+        fleet.end()
+        found = fleet.audit()
+        return {"freezes": rows, "lost_chunks": found.chunks["lost"], "unexplained": len(found.unexplained)}
+
+
+def check_freezes(figures: dict[str, Any]) -> None:
+    assert all(row["worker_grew_mib"] <= 64 for row in figures["freezes"])
+    assert figures["unexplained"] == 0
+
+
+def test_a_frozen_learner(tmp_path):
+    """While the learner stands still a worker waits in bounded memory, and goes on by itself afterwards."""
+    check_freezes(freeze_learner(tmp_path, [1.0]))
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(900)
+def test_a_frozen_learner_at_full_dose(tmp_path):
+    """Frozen for 3, 9 and 60 seconds: memory bounded, recovery within 10 seconds."""
+    figures = freeze_learner(tmp_path, [3.0, 9.0, 60.0])
+    tell("frozen_learner", **figures)
+    check_freezes(figures)
+    assert all(row["seconds_to_recover"] <= 10 for row in figures["freezes"])
+
+
+class Routed(FaultRun):
+    """Processes that meet at a router, so that one learner can take another's place."""
+
+    def router(self) -> None:
+        lanes = [self.endpoint.locator("control"), self.endpoint.locator("bulk")]
+        command = [sys.executable, "-m", "tests.faults.router", *lanes]
+        with (self.directory / "router.log").open("ab") as log:
+            self.running["router"] = subprocess.Popen(command, stdout=log, stderr=log, env=dict(os.environ))
+
+    def learner_at(self, folder: str, *extra: str) -> subprocess.Popen[bytes]:
+        where = ("--run", RUN, "--connect", str(self.endpoint), "--run-dir", str(self.directory / folder))
+        return self.start(f"learner-{folder}", "learner", *where, "--config", str(self.config), *extra)
+
+
+def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:
+    """Freeze a learner, let another take its place, thaw it; return the figures."""
+    fleet = Routed(directory)
+    try:
+        fleet.router()
+        old = fleet.learner_at("run")
+        fleet.worker()
+        until(fleet.taken, "chunks", 120.0)
+        until(lambda: list((directory / "run" / "checkpoints").glob("checkpoint-*")), "a checkpoint")
+        old.send_signal(signal.SIGSTOP)
+        shutil.copytree(directory / "run", directory / "second", ignore=shutil.ignore_patterns("*.lock"))
+        fleet.learner_at("second", "--resume")
+        history = directory / "second" / "history" / "learner.jsonl"
+        until(lambda: history.read_text().count('["start"') >= 2, "the second learner")
+        lines = len(history.read_text().splitlines())
+        until(lambda: len(history.read_text().splitlines()) > lines + 5, "chunks for the second learner")
+        old.send_signal(signal.SIGCONT)
+        code = fleet.wait("learner-run", 30.0)
+        time.sleep(seconds)
+        fleet.running.pop("learner-run")
+        second = fleet.running["learner-second"]
+        second.send_signal(signal.SIGTERM)
+        assert fleet.wait("learner-second", 60.0) == 0
+        fleet.running["rollout-0"].send_signal(signal.SIGTERM)
+        assert fleet.wait("rollout-0", 60.0) == 0
+        shutil.copy(directory / "run" / "history" / "rollout-0.jsonl", directory / "second" / "history")
+        found = audit(directory / "second")
+        return {
+            "old_learner_exit_code": code,
+            "old_learner_said": fleet.log("learner-run").splitlines()[-1],
+            "lost_chunks": found.chunks["lost"],
+            "unexplained": len(found.unexplained),
+            "doubled": len(found.doubled),
+        }
+    finally:
+        fleet.close()
+
+
+def test_a_learner_that_was_frozen_and_replaced(tmp_path):
+    """A thawed learner whose place is taken ends by itself; all chunks are with the new one, or counted as lost."""
+    figures = replace_a_frozen_learner(tmp_path, 0.5)
+    tell("replaced_learner", **figures)
+    assert figures["old_learner_exit_code"] == 2
+    assert "newer learner" in figures["old_learner_said"]
+    assert figures["unexplained"] == figures["doubled"] == 0
+
+
+def test_of_two_coordinators_one_leads(tmp_path):
+    """The second one stands by; when the first is frozen it takes over, and every event comes once."""
+    with run(tmp_path, EVENTS) as fleet:
+        fleet.learner()
+        fleet.worker()
+        first = fleet.coordinator("elite")
+        until(lambda: "leads" in fleet.log("elite"), "a leading coordinator", 120.0)
+        fleet.coordinator("second")
+        until(lambda: fleet.status().get("event", 0) >= 1, "an imitation event", 120.0)
+        first.send_signal(signal.SIGSTOP)
+        until(lambda: "leads" in fleet.log("second"), "the second coordinator's lead", 60.0)
+        before = fleet.status()["event"]
+        until(lambda: fleet.status()["event"] > before, "an event of the second coordinator")
+        first.send_signal(signal.SIGCONT)
+        until(lambda: "stands by" in fleet.log("elite"), "the first coordinator to stand by", 30.0)
+        before = fleet.status()["event"]
+        until(lambda: fleet.status()["event"] > before, "another event")
+        fleet.end()
+        numbers = [record["event"] for record in fleet.records("imitation")]
+        assert numbers == list(range(1, len(numbers) + 1))

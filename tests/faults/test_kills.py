@@ -1,0 +1,173 @@
+"""Kill -9, again and again: nothing unexplained, nothing twice, and everybody goes on."""
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.faults.harness import LONG, FaultRun, memory, run, spread, tell
+from tests.system.fleet import until
+
+
+def kill_workers(directory: Path, kills: int, workers: int) -> dict[str, Any]:
+    """Kill workers in turn and replace them; return the figures."""
+    with run(directory) as fleet:
+        fleet.learner()
+        names = [str(index) for index in range(workers)]
+        for name in names:
+            fleet.worker(name)
+        for name in names:
+            until(lambda name=name: fleet.taken(name), f"chunks of worker {name}", 240.0)
+        recovery, before = [], memory(fleet.running["learner"])
+        for index in range(kills):
+            name = names[index % workers]
+            fleet.kill(f"rollout-{name}")
+            started = time.monotonic()
+            fleet.worker(name)
+            fleet.until_more(name)
+            recovery.append(time.monotonic() - started)
+        grown = memory(fleet.running["learner"]) - before
+        fleet.end()
+        found = fleet.audit()
+        lost = found.to_dict()["lost_with"].get("worker", 0)
+        return {
+            "kills": kills,
+            "workers": workers,
+            "seconds_to_replace": spread(recovery),
+            "lost_chunks": found.chunks["lost"],
+            "lost_chunks_per_kill": round(found.chunks["lost"] / kills, 3),
+            "lost_steps": lost,
+            "learner_grew_mib": round(grown, 1),
+            "unexplained": len(found.unexplained),
+            "doubled": len(found.doubled),
+        }
+
+
+def check_workers(figures: dict[str, Any], spool: int = 8) -> None:
+    assert figures["unexplained"] == figures["doubled"] == 0
+    assert figures["lost_chunks"] <= figures["kills"] * (spool + 1)
+
+
+def test_killed_workers(tmp_path):
+    """Kills of workers lose no more than what each one held, and each replacement delivers."""
+    check_workers(kill_workers(tmp_path, kills=1, workers=2))
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+def test_killed_workers_at_full_dose(tmp_path):
+    """Fifty kills among eight workers lose no more than what each one held, and nothing is counted twice."""
+    figures = kill_workers(tmp_path, kills=50, workers=8)
+    tell("killed_workers", **figures)
+    check_workers(figures)
+
+
+def partial(fleet: FaultRun) -> bool:
+    """Return whether a checkpoint is being written this moment."""
+    return any((fleet.directory / "run" / "checkpoints").glob("partial-*"))
+
+
+def kill_learner(directory: Path, kills: int, inside: int, interrupt: float = 20.0) -> dict[str, Any]:
+    """Kill the learner, `inside` times while it writes a checkpoint; return the figures."""
+    quick = LONG.replace("checkpoint_seconds = 0.5", "checkpoint_seconds = 0.2")
+    with run(directory, quick) as fleet:
+        fleet.learner()
+        fleet.worker()
+        fleet.coordinator()
+        until(fleet.taken, "chunks", 120.0)
+        recovery, hit = [], 0
+        for index in range(kills):
+            until(lambda: list((directory / "run" / "checkpoints").glob("checkpoint-*")), "a checkpoint")
+            if index < inside:
+                deadline = time.monotonic() + interrupt
+                while time.monotonic() < deadline and not partial(fleet):
+                    time.sleep(0.0005)
+            fleet.kill("learner")
+            hit += partial(fleet)
+            started = time.monotonic()
+            fleet.learner("--resume")
+            fleet.until_more()
+            recovery.append(time.monotonic() - started)
+        until(lambda: fleet.status().get("ledger"), "a status")
+        fleet.end()
+        found = fleet.audit()
+        ledger = fleet.status()["ledger"]
+        return {
+            "kills": kills,
+            "inside_a_checkpoint_write": hit,
+            "seconds_to_resume": spread(recovery),
+            "lost_chunks": found.chunks["lost"],
+            "lost_with_the_learner_steps": found.lost_with["learner"],
+            "ledger_lost": ledger["lost"],
+            "unexplained": len(found.unexplained) + ledger["unexplained"],
+            "doubled": len(found.doubled),
+        }
+
+
+def check_learner(figures: dict[str, Any]) -> None:
+    assert figures["unexplained"] == figures["doubled"] == 0
+    # What the ledger declares is exactly what was acknowledged and not in a checkpoint.
+    assert figures["ledger_lost"] == figures["lost_with_the_learner_steps"]
+
+
+def test_killed_learner(tmp_path):
+    """A killed learner resumes, its workers go on, and the ledger tells exactly what was lost with it."""
+    check_learner(kill_learner(tmp_path, kills=1, inside=1))
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+def test_killed_learner_at_full_dose(tmp_path):
+    """Twenty kills of the learner, five of them inside a checkpoint's write, and the ledger is exact."""
+    figures = kill_learner(tmp_path, kills=20, inside=8)
+    tell("killed_learner", **figures)
+    check_learner(figures)
+    assert figures["inside_a_checkpoint_write"] >= 5
+
+
+def kill_coordinator(directory: Path, kills: int) -> dict[str, Any]:
+    """Kill the coordinator, and start it anew; return the figures."""
+    events = LONG.replace("cycle = 2", "cycle = 4\ncycle_growth = 1.0\nrate_decay = 0.9")
+    with run(directory, events) as fleet:
+        fleet.learner()
+        fleet.worker()
+        fleet.coordinator()
+        until(lambda: fleet.status().get("event", 0) >= 1, "an imitation event", 120.0)
+        recovery = []
+        for _ in range(kills):
+            fleet.kill("elite")
+            before, started = fleet.status()["event"], time.monotonic()
+            fleet.until_more()
+            fleet.coordinator()
+            until(lambda before=before: fleet.status()["event"] > before, "an imitation event")
+            recovery.append(time.monotonic() - started)
+        fleet.end()
+        numbers = [record["event"] for record in fleet.records("imitation")]
+        found = fleet.audit()
+        return {
+            "kills": kills,
+            "events": len(numbers),
+            "in_order": numbers == list(range(1, len(numbers) + 1)),
+            "seconds_to_next_event": spread(recovery),
+            "unexplained": len(found.unexplained),
+            "doubled": len(found.doubled),
+        }
+
+
+@pytest.mark.nightly
+def test_killed_coordinator(tmp_path):
+    """Training goes on without a coordinator, and the next one continues the schedule where it was."""
+    figures = kill_coordinator(tmp_path, kills=1)
+    assert figures["in_order"], json.dumps(figures)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(1800)
+def test_killed_coordinator_at_full_dose(tmp_path):
+    """Twenty kills of the coordinator: every event comes once, in order."""
+    figures = kill_coordinator(tmp_path, kills=20)
+    tell("killed_coordinator", **figures)
+    assert figures["in_order"]
+    assert figures["unexplained"] == 0

@@ -1,0 +1,51 @@
+"""Messages that are doubled, overtaken, cut and flipped: the accepted set is exact, and so are the counters."""
+
+import time
+from typing import Any
+
+import pytest
+
+from common.history import History
+from tests.faults.channel import Road, front_door, shut, travel
+from tests.faults.harness import tell
+
+
+def bad_road(workers: int, chunks: int, path: Any = None) -> dict[str, Any]:
+    """Send chunks over a bad road; return the figures, checked for exactness."""
+    road, started = Road(), time.process_time()
+    receiver, door = front_door(history=History(path))
+    out = travel(road, workers, chunks, receiver, door)
+    shut(receiver, door)
+    totals, answers = receiver.intake.totals(), out["answers"]
+    wanted = {(str(worker), number) for worker in range(workers) for number in range(1, chunks + 1)}
+    assert set(out["accepted"]) == wanted
+    assert set(out["accepted"].values()) == {1}
+    assert totals["accepted"] == totals["produced"] == workers * chunks
+    assert (totals["lost"], totals["rejected"], totals["refused"], totals["in_flight"]) == (0, 0, 0, 0)
+    assert totals["damaged"] == road.done["cut"] + road.done["flipped"]
+    assert totals["duplicates"] == answers["duplicate"] >= road.done["duplicated"] // 2
+    figures = {kind: road.done[kind] for kind in ("duplicated", "reordered", "cut", "flipped")}
+    figures |= {"counted_damaged": totals["damaged"], "counted_duplicates": totals["duplicates"]}
+    return {
+        "chunks": workers * chunks,
+        "sendings": sum(answers.values()),
+        **figures,
+        "accepted": totals["accepted"],
+        "accepted_twice": sum(count - 1 for count in out["accepted"].values()),
+        "processor_seconds": round(time.process_time() - started, 1),
+    }
+
+
+def test_a_bad_road(tmp_path):
+    """The accepted set is exact, and damaged frames are counted exactly, on a road that does everything wrong."""
+    figures = bad_road(4, 600, tmp_path / "learner.jsonl")
+    assert min(figures[kind] for kind in ("duplicated", "reordered", "cut", "flipped")) > 10
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+def test_a_bad_road_at_full_dose():
+    """A hundred thousand chunks on the bad road: the accepted set is exact."""
+    figures = bad_road(8, 12_500)
+    tell("bad_road", **figures)
+    assert figures["accepted"] == 100_000

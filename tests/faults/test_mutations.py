@@ -1,0 +1,94 @@
+"""The tests themselves: with a safeguard taken away, the test that is there for it fails."""
+
+import zlib
+
+import numpy as np
+import pytest
+
+from common import frame
+from common.actors import ActorBank
+from common.history import Entry, History
+from common.messages import ParametersMessage
+from common.policy_store import PolicyStore
+from learner import past
+from learner.intake import Intake
+from learner.lease import Lease
+from tests.faults.channel import TEAM
+from tests.faults.test_messages import bad_road
+from tests.learner import test_lease, test_past
+
+
+def stale_parameters_are_refused() -> None:
+    """Assert that a store takes nothing of a learner that has been replaced."""
+    store = PolicyStore(TEAM)
+    banks = [ActorBank.initial(TEAM, 4, seed, per_type=False) for seed in (0, 1)]
+    for epoch, version, bank in ((2, 5, banks[0]), (1, 999, banks[1])):
+        store.offer_parameters(ParametersMessage(epoch, version, 0, 1, 0.0, TEAM.digest, 4, "deterministic", bank.flat))
+    assert store.bank is not None
+    assert np.array_equal(store.bank.flat[0], banks[0].flat[0])
+    assert store.stale == 1
+
+
+def test_the_road_without_deduplication(monkeypatch):
+    """Without deduplication the bad road delivers something twice, and its test fails."""
+    judge = Intake.judge
+
+    def credulous(self, sender, oldest):
+        status = judge(self, sender, oldest)
+        return "accepted" if status == "duplicate" else status
+
+    monkeypatch.setattr(Intake, "judge", credulous)
+    with pytest.raises(AssertionError):
+        bad_road(2, 200)
+
+
+def test_the_road_without_checksum(monkeypatch):
+    """Without the checksum a flipped frame is taken, and the bad road's test fails."""
+    monkeypatch.setattr(frame, "zlib", type("Blind", (), {"crc32": staticmethod(lambda data, start=0: 0)}))
+    assert zlib.crc32(b"x") != 0
+    with pytest.raises(AssertionError, match="flipped frame was taken"):
+        bad_road(2, 1_000)
+
+
+def test_fencing(monkeypatch):
+    """With the epoch left out of the comparison, parameters of a replaced learner are taken, and the test fails."""
+    stale_parameters_are_refused()
+    offer = PolicyStore.offer_parameters
+
+    def unfenced(self, message):
+        self.epoch = min(self.epoch, message.epoch)
+        return offer(self, message)
+
+    monkeypatch.setattr(PolicyStore, "offer_parameters", unfenced)
+    with pytest.raises(AssertionError):
+        stale_parameters_are_refused()
+
+
+def test_the_lease(monkeypatch):
+    """A learner that grants the lead to everybody fails the test of the lease."""
+    monkeypatch.setattr(Lease, "claim", lambda self, name, incarnation, now: True)
+    with pytest.raises(AssertionError):
+        test_lease.test_the_first_claimant_leads_until_it_is_silent()
+
+
+def test_the_history_of_losses(tmp_path, monkeypatch):
+    """A resumed learner that does not look into its history fails the test of exact losses."""
+    monkeypatch.setattr(past, "_book", lambda intake, entry: None)
+    with pytest.raises(AssertionError):
+        test_past.test_what_was_acknowledged_after_the_checkpoint_is_lost_exactly(tmp_path, 2)
+
+
+def test_acknowledgement_before_booking(tmp_path, monkeypatch):
+    """A receiver that acknowledges what it does not write down fails the audit."""
+    from tests.deploy.test_audit import write  # noqa: PLC0415  # only this test needs it
+
+    kept = History.add
+
+    def forgetful(self, record):
+        if not (isinstance(record, Entry) and record.verdict == "accepted"):
+            kept(self, record)
+
+    entries = [("accepted", 1, 2, 10)], [("made", 1, 2, 10), ("told", 1, 2, 10)]
+    assert write(tmp_path / "whole", *entries).clean
+    monkeypatch.setattr(History, "add", forgetful)
+    assert len(write(tmp_path / "forgetful", *entries).unexplained) == 2

@@ -1,0 +1,169 @@
+"""Whole frames that do not belong here are refused with a typed error and counted, and the others go on."""
+
+import queue
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from common import frame, keys
+from common.chunks import to_message
+from common.config import ReplayConfig
+from common.messages import ChunkMessage, Envelope
+from common.transitions import Chunk, Rows
+from learner.intake import Intake
+from tests.faults.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut
+from tests.faults.harness import tell
+
+
+def spoilt(**parts: Any) -> Chunk:
+    """Return a chunk with some arrays replaced."""
+    rows = a_chunk(1).rows
+    return Chunk(Rows(**{**vars(rows), **parts}))
+
+
+def parcel(message: ChunkMessage | bytes, number: int = 1, name: str = "w", version: int = 1) -> Parcel:
+    payload = message if isinstance(message, bytes) else message.encode()
+    envelope = Envelope("rollout", name, 1, number, version)
+    return Parcel(keys.TRANSITION.key(RUN, worker=name), payload, envelope.encode())
+
+
+def of(chunk: Chunk, number: int = 1) -> ChunkMessage:
+    return to_message(chunk, TEAM, number, number, number)
+
+
+ROWS = a_chunk(1).rows
+NAN, INF = np.full_like(ROWS.observation, np.nan), np.full_like(ROWS.reward, np.inf)
+WRONG = {
+    "another observation size": of(spoilt(observation=np.zeros((2, 99), np.float32))),
+    "another action size": of(spoilt(action=np.zeros((2, 1), np.float32))),
+    "rows that do not agree": of(spoilt(reward=np.zeros((3, TEAM.agents), np.float32))),
+    "not a number": of(spoilt(observation=NAN)),
+    "infinite": of(spoilt(reward=INF)),
+    "an action out of range": of(spoilt(action=ROWS.action + 1.0)),
+    "impossible flags": of(spoilt(flag=np.array([9, 0], np.uint8))),
+    "too many rows": of(
+        Chunk(
+            Rows(
+                *(np.repeat(a, 300, axis=0) for a in (ROWS.observation, ROWS.action, ROWS.reward)),
+                np.zeros(600, np.uint8),
+            )
+        )
+    ),
+    "another team": ChunkMessage(**{**vars(of(a_chunk(1))), "team": "0" * 16}),
+    "a field too many": frame.encode(ChunkMessage.KIND, {"more": 1}, {}),
+    "arrays of another type": of(spoilt(observation=ROWS.observation.astype(np.float64))),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_does_not_fit_is_refused_and_the_next_chunk_taken(what):
+    """The number is spent, the reason told, and the worker's next whole chunk is accepted."""
+    receiver, door = front_door()
+    try:
+        answer = door.pass_on(parcel(WRONG[what])).answer
+        assert answer is not None
+        assert (answer.status, answer.expected) == ("refused", 2)
+        assert answer.reason
+        assert door.pass_on(parcel(of(a_chunk(2), 2), 2)).answer.status == "accepted"
+        totals = receiver.intake.totals()
+        assert (totals["refused"], totals["rejected"], totals["accepted"], totals["lost"]) == (1, 1, 1, 0)
+    finally:
+        shut(receiver, door)
+
+
+def test_a_frame_of_another_protocol_is_asked_for_again_and_then_refused():
+    """A frame that stays unreadable is refused after a few times, so that its worker is not held up for ever."""
+    receiver, door = front_door()
+    newer = bytearray(of(a_chunk(1)).encode())
+    newer[4] += 1
+    answers = [door.pass_on(parcel(bytes(newer))).answer.status for _ in range(8)]
+    assert answers == ["damaged"] * 7 + ["refused"]
+    assert door.pass_on(parcel(of(a_chunk(2), 2), 2)).answer.status == "accepted"
+    shut(receiver, door)
+
+
+def test_a_damaged_chunk_that_overtook_spends_no_number():
+    """An unreadable frame ahead of its turn leaves the numbers before it free."""
+    receiver, door = front_door()
+    for _ in range(20):
+        assert door.pass_on(parcel(b"junk", 3)).answer.status == "damaged"
+    for number in (1, 2, 3):
+        assert door.pass_on(parcel(of(a_chunk(number), number), number)).answer.status == "accepted"
+    shut(receiver, door)
+
+
+def test_chunks_of_a_policy_that_is_too_old_are_refused_and_counted():
+    """Beyond `replay.max_lag_versions` a chunk is refused with the reason; its steps are rejected, and exactly so."""
+    receiver, door = front_door(max_lag_versions=5)
+    receiver.version = 10
+    assert door.pass_on(parcel(of(a_chunk(1), 1), 1, version=4)).answer.status == "refused"
+    assert "6 versions old" in door.pass_on(parcel(of(a_chunk(2), 2), 2, version=4)).answer.reason
+    totals = receiver.intake.totals()
+    assert (totals["aged"], totals["rejected"], totals["produced"], totals["in_flight"]) == (2, 2, 2, 0)
+    assert door.pass_on(parcel(of(a_chunk(3), 3), 3, version=5)).answer.status == "accepted"
+    assert receiver.intake.totals()["lost"] == 0
+    shut(receiver, door)
+
+
+def test_no_limit_of_age_is_the_default():
+    """Without the setting a chunk of any version is taken."""
+    assert ReplayConfig().max_lag_versions == 0
+    receiver, door = front_door()
+    receiver.version = 1_000_000
+    assert door.pass_on(parcel(of(a_chunk(1)))).answer.status == "accepted"
+    shut(receiver, door)
+
+
+def flood(seconds: float) -> dict[str, Any]:
+    """Let three workers deliver, without and with a fourth that floods with junk; return their rates."""
+    rates = {}
+    for name in ("alone", "with a flood"):
+        receiver, door = front_door(intake=Intake())
+        ended, counts = threading.Event(), dict.fromkeys("abc", 0)
+        workers = [threading.Thread(target=_deliver, args=(door, who, counts, ended)) for who in counts]
+        workers.append(threading.Thread(target=_drain, args=(receiver, ended)))
+        if name != "alone":
+            workers.append(threading.Thread(target=_junk, args=(door, ended)))
+        for thread in workers:
+            thread.start()
+        time.sleep(seconds)
+        ended.set()
+        for thread in workers:
+            thread.join()
+        rates[name] = sum(counts.values()) / seconds
+        assert receiver.intake.totals()["accepted"] == sum(counts.values())
+        shut(receiver, door)
+    return {"share_kept": round(rates["with a flood"] / rates["alone"], 3), **{k: round(v) for k, v in rates.items()}}
+
+
+def _deliver(door: Any, name: str, counts: dict[str, int], ended: threading.Event) -> None:
+    while not ended.is_set():
+        number = counts[name] + 1
+        answer = door.pass_on(parcel(of(a_chunk(number), number), number, name)).answer
+        assert answer is not None
+        assert answer.status == "accepted"
+        counts[name] = number
+        time.sleep(0.01)  # a worker simulates between two chunks
+
+
+def _junk(door: Any, ended: threading.Event) -> None:
+    while not ended.is_set():
+        door.pass_on(parcel(b"junk" * 32_768, 1, "flood"))
+
+
+def _drain(receiver: Any, ended: threading.Event) -> None:
+    while not ended.is_set() or not receiver.arrivals.empty():
+        try:
+            receiver.arrivals.get(timeout=0.02)
+        except queue.Empty:
+            continue
+
+
+def test_a_flood_of_junk_by_one_worker():
+    """While one worker floods, everything of the others is taken, exactly; their share is told, not asserted."""
+    figures = flood(1.0)
+    tell("flood", **figures)
+    assert figures["with a flood"] > 0

@@ -1,0 +1,48 @@
+"""Minutes of training: memory, threads and descriptors stay flat."""
+
+import time
+
+import numpy as np
+import psutil
+import pytest
+
+from tests.faults.harness import run, tell
+from tests.system.fleet import until
+
+MINUTES = 6.0
+SETTLE = 2.0
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+def test_soak(tmp_path):
+    """After the first minutes neither threads nor descriptors grow; the slope of memory is told."""
+    with run(tmp_path) as fleet:
+        fleet.learner()
+        fleet.worker()
+        fleet.coordinator()
+        until(fleet.taken, "chunks", 120.0)
+        processes = {name: psutil.Process(process.pid) for name, process in fleet.running.items()}
+        rows = []
+        started = time.monotonic()
+        while time.monotonic() - started < 60 * MINUTES:
+            time.sleep(2.0)
+            minute = (time.monotonic() - started) / 60
+            for name, process in processes.items():
+                rows.append((name, minute, process.memory_info().rss / 2**20, process.num_threads(), process.num_fds()))
+        figures = {}
+        for name in processes:
+            late = np.array([row[1:] for row in rows if row[0] == name and row[1] > SETTLE])
+            slope = float(np.polyfit(late[:, 0], late[:, 1], 1)[0]) * 60
+            figures[name] = {
+                "mib_per_hour": round(slope, 2),
+                "mib": round(float(late[-1, 1]), 1),
+                "threads": [int(late[:, 2].min()), int(late[:, 2].max())],
+                "descriptors": [int(late[:, 3].min()), int(late[:, 3].max())],
+            }
+        fleet.end()
+        found = fleet.audit()
+        tell("soak", minutes=MINUTES, settled_after=SETTLE, processes=figures, steps=found.steps["accepted"])
+        for name, row in figures.items():
+            assert row["threads"][1] - row["threads"][0] <= 2, name
+            assert row["descriptors"][1] - row["descriptors"][0] <= 6, name

@@ -1,0 +1,165 @@
+"""No certificate, another authority's, an expired one, the wrong name, plaintext: no link, no message, one sentence."""
+
+import datetime
+import re
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from common import keys
+from common.bus import Bus
+from common.credentials import Credentials, Identity
+from common.endpoint import Endpoint, free_endpoint
+from common.errors import CredentialsError, EndpointError
+from common.zenoh_config import connecting
+from deploy import authority
+from deploy.commands import elite, rollout
+from tests.security.conftest import YEAR, make_authority
+from tests.security.probe import open_session
+
+METRIC = keys.METRIC.key("run", role="rollout", name="a")
+
+
+def unchecked(folder: Path) -> Credentials:
+    """Return a folder's credentials as somebody would use them who does not check."""
+    members = (Identity("rollout", "a"), Identity("rollout", "brief"))
+    return Credentials(folder, Identity.parse(folder.name), datetime.datetime.now(datetime.UTC), (), members)
+
+
+@pytest.fixture(scope="module")
+def bad(tmp_path_factory: pytest.TempPathFactory, other_folder: Path) -> Path:
+    """An authority with certificates that are wrong in one way each."""
+    folder = make_authority(tmp_path_factory.mktemp("bad") / "keys")
+    past = datetime.timedelta(minutes=-1)
+    authority.issue(folder, Identity.parse("rollout.old"), [], past)
+    authority.issue(folder, Identity.parse("router.old"), ["127.0.0.1"], past)
+    authority.issue(folder, Identity.parse("router.elsewhere"), ["farm.example", "192.0.2.1"], YEAR)
+    shutil.copytree(other_folder / "rollout.a", folder / "rollout.foreign")
+    shutil.copy(folder / "ca.pem", folder / "rollout.foreign" / "ca.pem")
+    return folder
+
+
+def endpoints(listener: Path | None, client: Path | None) -> tuple[Endpoint, Endpoint]:
+    """Return one place twice, with each side's credentials; None is plaintext."""
+    place = free_endpoint()
+    listening, connecting = (
+        place if folder is None else replace(place, protocol="tls", credentials=unchecked(folder))
+        for folder in (listener, client)
+    )
+    return listening, connecting
+
+
+def attempt(listener: Endpoint, client: Endpoint, patience: float = 10.0) -> tuple[str, int]:
+    """Return what a client is told, and how many messages the listener gets from it."""
+    with Bus.listen(listener, "control") as bus:
+        subscription = bus.subscribe(METRIC, 16)
+        told = ""
+        try:
+            with Bus.connect(client, "control", wait=patience) as link:
+                time.sleep(0.3)
+                link.publish(METRIC).put(b"message")
+                time.sleep(0.5)
+        except EndpointError as error:
+            told = str(error)
+        return told, len(list(subscription.drain()))
+
+
+def test_a_good_certificate_delivers(bad):
+    """With a certificate of the authority a message arrives; without this the refusals below would prove nothing."""
+    assert attempt(*endpoints(bad / "learner.learner", bad / "rollout.a")) == ("", 1)
+
+
+@pytest.mark.parametrize(
+    ("listener", "client", "sentence"),
+    [
+        ("learner.learner", "rollout.foreign", "did not accept rollout.foreign .*another authority signed"),
+        ("learner.learner", "rollout.old", "did not accept rollout.old .*has expired by the listener's clock"),
+        ("learner.learner", None, "speaks TLS; this process needs --tls"),
+        ("router.old", "rollout.a", "is not accepted: its certificate has expired"),
+        ("router.elsewhere", "rollout.a", "is not accepted: its certificate is not for this address"),
+        ("rollout.b", "rollout.a", "is that of a process that may only connect"),
+    ],
+)
+def test_a_wrong_certificate_delivers_nothing_and_says_why(bad, listener, client, sentence):
+    """One sentence long before a minute of patience is over, and no message."""
+    started = time.monotonic()
+    told, messages = attempt(*endpoints(bad / listener, bad / client if client else None), patience=60.0)
+    assert messages == 0
+    assert time.monotonic() - started < 30.0
+    assert re.search(sentence, told), told
+
+
+def test_a_listener_without_tls_gets_nothing(bad):
+    """A process with a certificate does not speak to a plaintext listener, and says what it found."""
+    told, messages = attempt(*endpoints(None, bad / "rollout.a"), patience=0.1)
+    assert (messages, "answers no TLS handshake" in told) == (0, True)
+
+
+def test_no_certificate_is_not_accepted(bad):
+    """A client that knows the authority and shows no certificate gets no link."""
+    listener, client = endpoints(bad / "learner.learner", bad / "rollout.a")
+    values = connecting(client, "control")
+    known = values["transport/link/tls"]["root_ca_certificate"]
+    values["transport/link/tls"] = {"root_ca_certificate": known, "enable_mtls": False}
+    with Bus.listen(listener, "control") as bus:
+        subscription = bus.subscribe(METRIC, 16)
+        with pytest.raises(Exception, match="Unable to connect"):
+            open_session(values)
+        assert list(subscription.drain()) == []
+
+
+@pytest.mark.nightly
+def test_a_link_ends_with_its_certificate(bad):
+    """A link that was made with a valid certificate is closed when that ends."""
+    folder = authority.issue(bad, Identity.parse("rollout.brief"), [], datetime.timedelta(seconds=8))
+    listener, client = endpoints(bad / "learner.learner", folder)
+    with Bus.listen(listener, "control") as bus:
+        watch = bus.watch(keys.LIVE.pattern("run"), 16)
+        with Bus.connect(client, "control", wait=3.0) as link:
+            token = link.announce(keys.LIVE.key("run", role="rollout", name="brief"))
+            seen: list[bool] = []
+            deadline = time.monotonic() + 40.0
+            while seen != [True, False] and time.monotonic() < deadline:
+                seen += [sample.present for sample in watch.drain()]
+                time.sleep(0.05)
+            assert (seen, token is None) == ([True, False], False)
+
+
+def eia_sec(*arguments: str) -> tuple[int, list[str]]:
+    """Return exit code and complaints of a command."""
+    done = subprocess.run(
+        [sys.executable, "-m", "deploy.cli", *arguments], capture_output=True, text=True, check=False, timeout=100
+    )
+    return done.returncode, done.stderr.splitlines()
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "wanted"),
+    [(rollout.command, ("--name", "b"), "rollout.b"), (elite.command, (), "elite.coordinator")],
+)
+def test_commands_refuse_somebody_elses_certificate(keys_folder, command, arguments, wanted):
+    """A command with another process's certificate ends before anything is sent, with one sentence."""
+    with pytest.raises(CredentialsError, match=f"is that of rollout.a, and this process is {wanted}"):
+        command([*arguments, "--tls", str(keys_folder / "rollout.a")])
+
+
+def test_a_worker_of_another_authority_ends_with_the_reason(keys_folder, other_folder):
+    """The command line says in one sentence why there is no link, with exit code 2."""
+    endpoint = Endpoint.parse(str(free_endpoint()), keys_folder / "learner.learner")
+    with Bus.listen(endpoint, "control"):
+        code, told = eia_sec("rollout", "--connect", str(endpoint), "--tls", str(other_folder / "rollout.a"))
+    assert (code, "another authority signed its certificate" in told[-1]) == (2, True)
+
+
+def test_defaults_are_loopback_and_silent():
+    """Sessions listen nowhere by default, find nobody, are found by nobody, and bound what they take in."""
+    values = connecting(Endpoint.parse("tcp/127.0.0.1:7447"), "bulk")
+    assert values["listen/endpoints"] == []
+    assert not values["scouting/multicast/enabled"]
+    assert not values["scouting/gossip/enabled"]
+    assert 0 < values["transport/link/rx/max_message_size"] <= 2**28

@@ -1,0 +1,101 @@
+"""Whoever keeps sending bad input is cut off and named, and comes back with a good one; wildcards are dropped."""
+
+import time
+
+import pytest
+
+from common import keys
+from common.bus import Bus, Sample, Server, Subscription
+from common.config import ReplayConfig, RunConfig
+from common.endpoint import free_endpoint
+from common.errors import BusError
+from common.messages import Envelope
+from learner.intake import Intake
+from learner.offenders import CUT_SECONDS, LIMIT, MOST_PEERS, Offenders
+from learner.receiver import Receiver
+from rollout.environments import team_of
+
+RUN = "run"
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_a_row_of_bad_requests_cuts_off_for_a_while():
+    """LIMIT in a row cut off; after the pause one more bad one does; a good one clears."""
+    clock = Clock()
+    offenders = Offenders(clock)
+    assert [offenders.bad("w", "cut") for _ in range(LIMIT)] == [False] * (LIMIT - 1) + [True]
+    assert f"after {LIMIT} bad requests in a row; the last: cut" in str(offenders.refusal("w"))
+    assert offenders.alarms() == [offenders.refusal("w")]
+    assert offenders.refusal("other") is None
+    clock.now = CUT_SECONDS
+    assert (offenders.refusal("w"), offenders.alarms()) == (None, [])
+    assert offenders.bad("w", "again")
+    assert offenders.refusal("w") is not None
+    clock.now = 2 * CUT_SECONDS
+    offenders.good("w")
+    assert not offenders.bad("w", "once")
+    assert offenders.counts() == {"w": LIMIT + 2}
+
+
+def test_the_account_is_bounded_and_loses_no_count():
+    """Beyond MOST_PEERS names the oldest goes, and the sum stays."""
+    offenders = Offenders()
+    for index in range(MOST_PEERS + 50):
+        offenders.bad(f"w{index}", "bad")
+    assert sum(offenders.counts().values()) == MOST_PEERS + 50
+    assert len(offenders.counts()) <= 9
+
+
+def test_the_receiver_cuts_off_one_worker_and_serves_the_others():
+    """A worker that sends rubbish is refused by name after LIMIT tries; another is still looked at."""
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "bulk") as bus, Bus.connect(endpoint, "bulk", wait=5.0) as worker:
+        receiver = Receiver(
+            bus.serve(keys.TRANSITION.pattern(RUN), 16), team_of(RunConfig()), Intake(), ReplayConfig(), False
+        )
+        try:
+            time.sleep(0.3)
+            told = [send(worker, "bad", number) for number in range(1, LIMIT + 3)]
+            assert "cut off" in told[-1]
+            assert not any("cut off" in text for text in told[:LIMIT])
+            assert "cut off" not in send(worker, "other", 1)
+            assert "cut off" in receiver.offenders.alarms()[0]
+            assert receiver.offenders.counts() == {"bad": LIMIT, "other": 1}
+        finally:
+            bus.close()
+            receiver.join()
+
+
+def send(bus: Bus, worker: str, number: int) -> str:
+    """Send rubbish in a worker's name; return the refusal."""
+    envelope = Envelope("elite", worker, 1, number)
+    with pytest.raises(BusError) as refused:
+        bus.ask(keys.TRANSITION.key(RUN, worker=worker), b"rubbish", 5.0, envelope.encode())
+    return str(refused.value)
+
+
+def test_samples_and_requests_with_wildcards_are_dropped_and_counted():
+    """A put on ** reaches no subscriber, and a request on ** is refused; both are counted."""
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control") as bus, Bus.connect(endpoint, "control", wait=5.0) as other:
+        subscription: Subscription = bus.subscribe("a/x", 8)
+        server: Server = bus.serve("a/x", 8)
+        session = other._open()
+        time.sleep(0.3)
+        session.put("a/*", b"wild")
+        session.put("a/x", b"tame")
+        replies = session.get("a/**", timeout=3.0)
+        deadline = time.monotonic() + 5.0
+        got: list[Sample] = []
+        while (not got or not server.wild) and time.monotonic() < deadline:
+            got += subscription.drain()
+            assert server.poll() is None
+            time.sleep(0.01)
+        assert ([sample.payload for sample in got], subscription.wild, server.wild) == ([b"tame"], 1, 1)
+        assert [reply.err.payload.to_string() for reply in replies if reply.err] != []

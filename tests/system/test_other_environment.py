@@ -1,0 +1,93 @@
+"""A PettingZoo environment through the real processes: trained to the end, resumed, and only by workers that may."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.system.fleet import Processes
+
+RELAY = """
+episodes = 120
+[env]
+name = "toy_env:Relay"
+[algorithm]
+hidden = 16
+batch = 32
+[elite]
+cycle = 20
+farms = 2
+[replay]
+capacity = 1024
+warmup_steps = 64
+updates_per_step = 0.5
+slack_steps = 200
+[rollout]
+environments = 3
+chunk_steps = 7
+[learner]
+publish_seconds = 0.05
+[evaluation]
+farms = 3
+"""
+TOYS = str(Path(__file__).parents[1] / "rollout")
+
+
+def test_trained_to_the_end_and_evaluated(tmp_path: Path) -> None:
+    """`eia-sec train --env` ends with a report; the policy earns more than random actions do."""
+    config, run_dir = tmp_path / "relay.toml", tmp_path / "run"
+    config.write_text(RELAY.replace('name = "toy_env:Relay"', "").replace("episodes = 120", "episodes = 300"))
+    where = os.pathsep.join([str(Path.cwd()), TOYS])
+    command = [sys.executable, "-m", "deploy.cli", "train", "--env", "toy_env:Relay", "--config", str(config)]
+    done = subprocess.run(
+        [*command, "--run-dir", str(run_dir), "--algorithm.actor-rate", "0.001"],
+        env={**os.environ, "PYTHONPATH": where},
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    outcome = json.loads((run_dir / "evaluation.json").read_text())
+    trained, chance = (result["reward"] for result in outcome["evaluations"])
+    assert set(trained) == {"mean", "runner", "keeper"}
+    assert trained["mean"] > chance["mean"] + 0.3
+    assert (run_dir / "curves.png").is_file()
+    status = [json.loads(line) for line in (run_dir / "metrics.jsonl").read_text().splitlines()]
+    ledger = [record for record in status if record["kind"] == "status"][-1]["ledger"]
+    assert (ledger["unexplained"], ledger["lost"], ledger["rejected"]) == (0, 0, 0)
+    events = [record for record in status if record["kind"] == "imitation"]
+    assert set(events[0]["elites"]) == {"runner", "keeper"}
+
+
+def test_a_worker_loads_no_environment_that_it_was_not_told_of(
+    processes: Processes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The configuration comes over the network, so what it names is loaded only where the command line names it too."""
+    processes.config.write_text(RELAY)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path.cwd()), TOYS]))
+    processes.learner()
+    processes.worker()
+    assert processes.wait("rollout-0") == 2
+    assert "a worker loads it when started with --env toy_env:Relay" in processes.log("rollout-0")
+
+
+def test_a_run_directory_does_not_decide_whose_code_is_run(tmp_path: Path) -> None:
+    """What a run directory names is loaded only where the command line names it too."""
+    witness = tmp_path / "witness"
+    toml = f'[env]\nname = "os:system"\narguments = \'{{"command": "touch {witness}"}}\'\n'
+    (tmp_path / "config.toml").write_text(toml)
+    for command in (["evaluate", "--policy", "random"], ["train", "--resume"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "deploy.cli", *command, "--run-dir", str(tmp_path)],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert done.returncode == 2
+        assert "--env os:system" in done.stderr
+        assert not witness.exists()
