@@ -1,8 +1,10 @@
 # make train   set up, then train EIA-SEC on this machine:  make train ARGS="--preset quick --workers 1"
 # make test    set up, then run every test:                 make test ARGS="tests/common -x"
 # make lint    set up, then ruff and mypy
-# make docs    set up, then write the generated pages of docs/ anew
-# make clean   remove the environment and all caches (runs/ stays)
+# make docs    set up, then write the generated pages and pictures of docs/ anew
+# make bench-peers  set up, then measure side by side with other projects, each in an environment of its own:
+#              make bench-peers ARGS="--write docs/results/peers"
+# make clean   remove the environments and all caches (runs/ stays)
 #
 # PYTHON    the interpreter that .venv is made from (3.11 or newer)
 # PIP_ARGS  added to every pip install, for instance the index of a CPU-only torch
@@ -15,7 +17,7 @@ VENV := .venv
 READY := $(VENV)/.ready
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check install --quiet -c constraints.txt $(PIP_ARGS)
 
-.PHONY: train test lint docs setup clean
+.PHONY: train test lint docs bench-peers setup clean
 
 train: $(READY)
 	@$(VENV)/bin/eia-sec train $(ARGS)
@@ -31,6 +33,10 @@ lint: $(READY)
 docs: $(READY)
 	@$(VENV)/bin/python -m deploy.docs
 	@$(VENV)/bin/python -m deploy.results
+	@$(VENV)/bin/python -m deploy.environment
+
+bench-peers: $(READY)
+	@$(VENV)/bin/python -m benchmarks.peers --pip-args="$(PIP_ARGS)" $(ARGS)
 
 setup: $(READY)
 
@@ -45,12 +51,12 @@ $(READY): pyproject.toml constraints.txt
 	@echo "Setting up $(VENV): a few minutes, only this once."
 	@"$(PYTHON)" -m venv $(VENV)
 	@$(PIP) torch==$$(sed -n 's/^torch==//p' constraints.txt) hatchling
-	@$(PIP) --no-build-isolation --editable '.[dev]'
+	@$(PIP) --no-build-isolation --editable '.[dev,export]'
 	@echo "Compiling the simulator once, so that no process has to."
 	@NUMBA_NUM_THREADS=1 $(VENV)/bin/python -c 'from common.config import FarmConfig; from rollout.farms import FarmBatch; \
 	  FarmBatch(FarmConfig(), 1).reset(0, 0, 0)'
 	@touch $(READY)
 
 clean:
-	rm -rf $(VENV) dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) benchmarks/.venvs dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
