@@ -1,10 +1,11 @@
 """A batch of simulated farms, stepped together by one compiled call."""
 
+import copy
 import functools
 import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,6 +185,15 @@ class FarmBatch:
 
     def close(self) -> None:
         """Do nothing: farms hold nothing outside this process's memory."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "FarmBatch":
+        """Return farms that go on as these would; threads are started anew."""
+        twin = object.__new__(FarmBatch)
+        memo[id(self)] = twin
+        fresh = ThreadPoolExecutor(len(self._frames) - 1, "farms") if self._pool else None
+        twin.__dict__ |= copy.deepcopy({name: item for name, item in self.__dict__.items() if name != "_pool"}, memo)
+        twin._pool = fresh
+        return twin
 
     def _begun(self, index: int) -> None:
         if self.time[index] < 0:

@@ -25,7 +25,6 @@ from common.errors import SimulationError
 from common.team import Float32
 from rollout.episodes import TRAINING_FARMS, EpisodeStream
 from rollout.farms import REWARD_PARTS, FarmBatch
-from rollout.links import link_quality
 from rollout.render import FRAMES_PER_SECOND, RENDER_MODES, Renderer, require_mode
 from rollout.spaces import action_box, observation_box, row_box
 
@@ -266,7 +265,7 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
         batch, names = self.batch, self.possible_agents
         relays = batch.team.groups[0].count
         assignment = batch.assignment[0].tolist()
-        quality = link_quality(batch.config, batch.position[0], batch.assignment[0]).tolist()
+        quality = batch.link_quality[0].tolist()
         served: list[tuple[list[str], list[float]]] = [([], []) for _ in range(relays)]
         for index, (relay, decibels) in enumerate(zip(assignment, quality, strict=True)):
             served[relay][0].append(names[relays + index])

@@ -24,7 +24,7 @@ from rollout.spaces import action_box, observation_box
 Observations = dict[str, Float32]
 Mask = NDArray[np.bool_]
 
-INFO_ARRAYS: Final = ("aoi", "vdf", "position", "assignment", "service", "energy", "utility", "parts")
+INFO_ARRAYS: Final = ("aoi", "vdf", "position", "assignment", "link_quality", "service", "energy", "utility", "parts")
 """Arrays of FarmBatch that every info holds as read-only views."""
 
 

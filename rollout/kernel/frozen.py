@@ -4,6 +4,7 @@ Taking some sixty arrays and a hundred numbers out of Python objects costs more 
 turned once into the machine's own form and stored, and the simulator's entrance only gets its address.
 """
 
+import copy
 from collections.abc import Callable
 from typing import Any, Final, cast
 
@@ -104,3 +105,7 @@ class FrozenFrame:
         self._memory = np.zeros(_freeze(frame, 0) // 8 + 1, np.int64)
         self.address: int = self._memory.ctypes.data
         _freeze(frame, self.address)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "FrozenFrame":
+        """Return a frame of copied arrays: the stored form points at arrays and cannot be copied as bytes."""
+        return FrozenFrame(copy.deepcopy(self.frame, memo))

@@ -1,5 +1,6 @@
 """The batch: equal results in any company, its contract, and what a farm can pay at most."""
 
+import copy
 import tracemalloc
 from dataclasses import replace
 
@@ -67,6 +68,27 @@ def test_results_do_not_depend_on_the_number_of_threads(threads):
     for alone, together in zip(fly(SHORT, episodes, 40), fly(SHORT, episodes, 40, threads), strict=True):
         for name in ARRAYS:
             np.testing.assert_array_equal(alone[name], together[name])
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_deep_copy_goes_on_as_the_original_would(threads):
+    """Both fly the same steps to the same end, and neither moves the other."""
+    batch = FarmBatch(SHORT, 3, threads)
+    for e in range(3):
+        batch.reset(e, e, 5)
+    random = np.random.default_rng(0)
+    actions = random.uniform(-1, 1, (8, 3, batch.team.action_size)).astype(np.float32)
+    batch.step(actions[0])
+    twin = copy.deepcopy(batch)
+    seen = batch.observation.copy()
+    for action in actions[1:]:
+        twin.step(action)
+    np.testing.assert_array_equal(batch.observation, seen)
+    for action in actions[1:]:
+        batch.step(action)
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(batch, name), getattr(twin, name), err_msg=name)
+    assert batch.summary(1) == twin.summary(1)
 
 
 def test_threads_refuse_impossible_actions_before_any_environment_moves():

@@ -19,7 +19,6 @@ from common.errors import ConfigError, SimulationError
 from common.transitions import EpisodeSummary
 from rollout.episodes import EpisodeStream
 from rollout.farms import REWARD_PARTS, FarmBatch
-from rollout.links import link_quality
 from rollout.parallel_env import env, parallel_env
 from rollout.spaces import observation_bounds, observation_parts
 
@@ -299,7 +298,7 @@ def test_infos_are_the_simulators_arrays():
     for _ in range(11):
         *_, infos = farm.step(sample(farm))
         batch, relays = farm.batch, farm.possible_agents[:4]
-        quality = link_quality(batch.config, batch.position, batch.assignment)[0]
+        quality = batch.link_quality[0]
         for index, (name, info) in enumerate(infos.items()):
             assert info["aoi"] == batch.aoi[0].mean()
             assert info["vdf"] == batch.vdf[0].mean()
@@ -319,18 +318,20 @@ def test_infos_are_the_simulators_arrays():
 
 
 def test_link_quality_by_hand():
-    """100 m apart in space: 20 dBm - (20 lg 0.1 + 20 lg 2800 + 32.44) dB + 100.85 dBm = 39.47 dB; 20 dB per decade."""
-    config = FarmConfig()
-    position = np.zeros((12, 2))
-    position[4, 0] = math.sqrt(100.0**2 - 2.0**2)
-    position[8, 1] = math.sqrt(1000.0**2 - 4.0**2)
-    quality = link_quality(config, position, np.zeros(8, np.int64))
+    """100 m apart in space: 20 dBm - (20 lg 0.1 + 20 lg 2800 + 32.44) dB + 100.85 dBm = 39.47 dB; 20 dB a decade."""
+    batch = FarmBatch(FarmConfig(), 1)
+    batch.reset(0, 0, 0)
+    batch.position[0] = 0.0
+    batch.position[0, 4, 0] = math.sqrt(100.0**2 - 2.0**2)
+    batch.position[0, 8, 1] = math.sqrt(300.0**2 - 4.0**2)
+    batch.step(np.zeros((1, 24), np.float32))
+    quality = batch.link_quality[0]
     loss = 20.0 * math.log10(0.1) + 20.0 * math.log10(2800.0) + 32.44
     noise = 10.0 * math.log10(1.38e-23 * 298.0 * 20e6 * 1000.0)
     assert noise == pytest.approx(-100.85, abs=0.01)
     assert quality[0] == pytest.approx(20.0 - loss - noise)
     assert quality[0] == pytest.approx(39.47, abs=0.01)
-    assert quality[4] == pytest.approx(quality[0] - 20.0)
+    assert quality[4] == pytest.approx(quality[0] - 20.0 * math.log10(3.0))
     assert np.isfinite(quality).all()
 
 
