@@ -85,9 +85,9 @@ def growth_table(scaling: Mapping[str, Any]) -> list[str]:
     lines = []
     for name, points in scaling.items():
         what, how = AXES[name]
-        cells = [f"{what}, {how}", *(f"{point['value']:,}" for point in points)]
-        lines += [f"| {' | '.join(cells)} |", "|---|" + "---:|" * len(points)]
-        lines += [f"| us a step | {' | '.join(f"{point['us_per_step']:.1f}" for point in points)} |", ""]
+        costs = ["us a step", *(f"{point['us_per_step']:.1f}" for point in points)]
+        sizes = [f"{what}, {how}", *(f"{point['value']:,}" for point in points)]
+        lines += [f"| {' | '.join(sizes)} |", "|---|" + "---:|" * len(points), f"| {' | '.join(costs)} |", ""]
     return lines
 
 
