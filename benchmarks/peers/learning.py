@@ -40,7 +40,7 @@ RATES: Final = (5e-4, 1e-3, 2e-3)
 TUNING_SEED: Final = 100
 SCENARIOS: Final = 200
 PEERS: Final = (
-    (Program("learner", "AgileRL", "benchmarks.peers.learn_agilerl", "agilerl"), ("maddpg", "matd3")),
+    (Program("learner", "AgileRL", "benchmarks.peers.learn_agilerl", "agilerl"), ("matd3", "maddpg")),
     (Program("learner", "BenchMARL", "benchmarks.peers.learn_benchmarl", "benchmarl"), ("maddpg",)),
 )
 OURS: Final = "EIA-SEC"
