@@ -1,0 +1,212 @@
+"""Environment steps a second that a learner accepts into replay, beside other ways to move them.
+
+    python -m benchmarks.intake [--json] [--write docs/results/intake] [--pip-args=...]
+
+Two processes on one machine, a player that stands for many workers and a sink, and a third where there is a router.
+Ours does all that a run does (checksum, checks, deduplication, ledger, acknowledgement, copy into replay); the peers
+move the same arrays and copy them into a preallocated ring. Ray and TorchRL run in environments of their own, which are
+made when they are missing; each with one player. Every case is measured in turn, the whole sequence several times, and
+the best of each counts.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks.intake.record import record, write
+from benchmarks.peers.catalogue import ROOT, Program
+from benchmarks.peers.report import table
+from benchmarks.peers.session import THREAD_VARIABLES
+from benchmarks.peers.venvs import interpreter, provide
+from common.endpoint import free_endpoint
+from common.errors import EiaSecError
+from experiments.provenance import provenance
+
+SIZES: Final = {"16 KB": 16_384, "128 KB": 131_072, "1 MB": 1_048_576}
+WORKERS: Final = 8
+LIMIT: Final = 180.0
+"""Seconds after which a case counts as failed."""
+RAY = Program("intake", "Ray", "benchmarks.intake.peer_ray", "intake")
+TORCHRL = Program("intake", "TorchRL", "benchmarks.intake.peer_torchrl", "benchmarl")
+ZMQ = Program("intake", "pyzmq", "benchmarks.intake.peer_zmq", "intake")
+Result = dict[str, float]
+
+
+class Bench:
+    """Measures one case at a time.
+
+    Args:
+        seconds: measuring time of a case.
+        venvs: where the peers' environments lie.
+        scratch: a folder for recorded chunks.
+    """
+
+    def __init__(self, seconds: float, venvs: Path, scratch: Path) -> None:
+        self._seconds, self._venvs, self._scratch = seconds, venvs, scratch
+        for label, size in SIZES.items():
+            write(record(size), scratch / label)
+
+    def _start(self, python: str, *arguments: str) -> "subprocess.Popen[str]":
+        environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "1"), "PYTHONPATH": str(ROOT)}
+        return subprocess.Popen(
+            [python, "-m", *arguments],
+            cwd=ROOT,
+            env=environment,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+
+    def _result(self, sink: "subprocess.Popen[str]") -> Result:
+        """Wait for a sink's last line; raise EiaSecError when there is none."""
+        try:
+            output, complaints = sink.communicate(timeout=LIMIT)
+        except subprocess.TimeoutExpired as error:
+            raise EiaSecError("nothing was measured in time.") from error
+        if sink.returncode:
+            raise EiaSecError(f"a sink failed: {complaints.strip().rpartition(chr(10))[2]}")
+        result: Result = json.loads(output.strip().rpartition("\n")[2])
+        return result
+
+    def ours(self, label: str, *, routed: bool, shared: bool) -> Result:
+        """Measure ours, through a router or direct, with shared memory or over TCP alone."""
+        endpoint = free_endpoint()
+        more = ["--shared-memory"] if shared else []
+        running = []
+        try:
+            if routed:
+                running.append(self._start(sys.executable, "benchmarks.intake.router", str(endpoint), *more))
+                time.sleep(1.0)
+            where = [str(endpoint), *more]
+            seconds = ("--seconds", str(self._seconds))
+            door = ["--routed"] if routed else []
+            sink = self._start(sys.executable, "benchmarks.intake.sink", *where, *seconds, *door)
+            running.append(sink)
+            assert sink.stdout is not None
+            sink.stdout.readline()
+            size = ("--bytes", str(SIZES[label]), "--workers", str(WORKERS))
+            running.append(self._start(sys.executable, "benchmarks.intake.player", *where, *size))
+            return self._result(sink)
+        finally:
+            end(running)
+
+    def peer(self, program: Program, label: str) -> Result:
+        """Measure a peer that starts its own processes."""
+        folder = ("--folder", str(self._scratch / label), "--seconds", str(self._seconds))
+        python = str(interpreter(program, self._venvs))
+        sink = self._start(python, program.module, *folder, "--workers", str(WORKERS))
+        try:
+            return self._result(sink)
+        finally:
+            end([sink])
+
+    def zmq(self, label: str) -> Result:
+        """Measure pyzmq."""
+        endpoint = free_endpoint()
+        address = f"tcp://{endpoint.host}:{endpoint.port}"
+        python, folder = str(interpreter(ZMQ, self._venvs)), ("--folder", str(self._scratch / label))
+        sink = self._start(python, ZMQ.module, "sink", address, *folder, "--seconds", str(self._seconds))
+        player = self._start(python, ZMQ.module, "player", address, *folder, "--workers", str(WORKERS))
+        try:
+            return self._result(sink)
+        finally:
+            end([player, sink])
+
+
+def end(processes: "list[subprocess.Popen[str]]") -> None:
+    """Kill what still runs."""
+    for process in reversed(processes):
+        process.kill()
+        process.communicate()
+
+
+def transports(bench: Bench) -> dict[str, Callable[[str], Result]]:
+    """Return how each transport is measured at a size."""
+    return {
+        "EIA-SEC, TCP": lambda label: bench.ours(label, routed=False, shared=False),
+        "EIA-SEC, shared memory": lambda label: bench.ours(label, routed=False, shared=True),
+        "EIA-SEC, TCP through a router": lambda label: bench.ours(label, routed=True, shared=False),
+        "EIA-SEC, shared memory through a router": lambda label: bench.ours(label, routed=True, shared=True),
+        "Ray actors": lambda label: bench.peer(RAY, label),
+        "TorchRL distributed collector": lambda label: bench.peer(TORCHRL, label),
+        "pyzmq": bench.zmq,
+    }
+
+
+def measure(bench: Bench, repeats: int, only: list[str] | None) -> tuple[dict[str, dict[str, Result]], list[str]]:
+    """Return the best of all repeats of each case, and what failed."""
+    found: dict[str, dict[str, Result]] = {}
+    failures = []
+    for repeat in range(repeats):
+        for name, run in transports(bench).items():
+            for label, size in SIZES.items():
+                if only and not any(word in name for word in only):
+                    continue
+                try:
+                    result = run(label)
+                except EiaSecError as error:
+                    failures.append(f"{name}, {label}: {error}")
+                    sys.stderr.write(f"{failures[-1]}\n")
+                    continue
+                sys.stderr.write(f"{repeat + 1}: {name}, {label}: {result['env_steps_per_second']:,.0f} steps/s\n")
+                before = found.setdefault(name, {}).get(str(size))
+                if before is None or result["env_steps_per_second"] > before["env_steps_per_second"]:
+                    found[name][str(size)] = {key: round(value, 1) for key, value in result.items()}
+    return found, failures
+
+
+def page(data: dict[str, Any]) -> str:
+    """Return the results as Markdown."""
+    rows = []
+    for name, by_size in data["transports"].items():
+        cells = [by_size.get(str(size)) for size in SIZES.values()]
+        told = [f"{c['env_steps_per_second']:,.0f} ({c['mb_per_second']:,.0f})" if c else "-" for c in cells]
+        rows.append([name, *told])
+    head = ["transport", *(f"{label} chunks" for label in SIZES)]
+    return "\n".join(
+        [
+            "# What a learner takes in",
+            "",
+            f"`{data['command']}`, commit {data['commit']}: environment steps a second into replay and, in brackets,",
+            f"MB a second; {data['cores']} cores for player and sink together, {WORKERS} workers with one chunk",
+            "under way each.",
+            "",
+            *table(head, rows, 1),
+            "",
+        ]
+    )
+
+
+def main() -> None:
+    """Measure and print; exit with 1 when a case has failed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.intake", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument("--write", type=Path, metavar="FOLDER")
+    parser.add_argument("--seconds", type=float, default=4.0)
+    parser.add_argument("--repeats", type=int, default=2)
+    parser.add_argument("--only", nargs="+", metavar="WORD", help="only transports whose name holds one of these")
+    parser.add_argument("--venvs", type=Path, default=ROOT / "benchmarks" / ".venvs")
+    parser.add_argument("--pip-args", default="", help="added to pip install")
+    asked = parser.parse_args()
+    for program in (RAY, TORCHRL):
+        provide(program, asked.venvs, asked.pip_args)
+    with tempfile.TemporaryDirectory() as scratch:
+        found, failures = measure(Bench(asked.seconds, asked.venvs, Path(scratch)), asked.repeats, asked.only)
+    data = {**provenance("benchmarks.intake"), "cores": os.cpu_count(), "transports": found, "failures": failures}
+    if asked.write:
+        asked.write.mkdir(parents=True, exist_ok=True)
+        (asked.write / "intake.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        (asked.write / "README.md").write_text(page(data), encoding="utf-8")
+    sys.stdout.write(json.dumps(found) + "\n" if asked.json else page(data))
+    sys.exit(1 if failures else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""A router of the bulk lane, until killed: `python -m benchmarks.intake.router ENDPOINT`."""
+
+import argparse
+import json
+import threading
+
+import zenoh
+
+from common.endpoint import Endpoint
+from common.zenoh_config import listening
+
+
+def main() -> None:
+    """Route."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("endpoint")
+    parser.add_argument("--shared-memory", action="store_true")
+    options = parser.parse_args()
+    config = zenoh.Config()
+    endpoint = Endpoint.parse(options.endpoint, shared_memory=options.shared_memory)
+    for key, value in listening(endpoint, "bulk", mode="router").items():
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config):
+        threading.Event().wait()
+
+
+if __name__ == "__main__":
+    main()
