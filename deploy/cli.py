@@ -28,11 +28,13 @@ COMMANDS: Final = {
     "learner": Command("deploy.commands.learner", "start the learner alone"),
     "rollout": Command("deploy.commands.rollout", "start one rollout worker"),
     "elite": Command("deploy.commands.elite", "start the elite coordinator"),
+    "router": Command("deploy.commands.router", "start a router, to which learner, workers and monitors connect"),
     "evaluate": Command("deploy.commands.evaluate", "fly a policy without noise on farms that training never saw"),
     "farm": Command("deploy.commands.farm", "draw, save or check farms: densities, and files of sensors' places"),
     "export": Command("deploy.commands.export", "write a run's actors for use without this project"),
     "keys": Command("deploy.commands.keys", "certificates for --tls: an authority, and one for each process"),
     "audit": Command("deploy.commands.audit", "check that every chunk of a run is explained, from the histories"),
+    "alive": Command("deploy.commands.alive", "probe one process of a run, for whatever starts it again"),
     "monitor": Command("deploy.commands.monitor", "watch a run live from anywhere, read-only"),
 }
 
