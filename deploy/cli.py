@@ -34,6 +34,12 @@ COMMANDS: Final = {
     "export": Command("deploy.commands.export", "write a run's actors for use without this project"),
     "keys": Command("deploy.commands.keys", "certificates for --tls: an authority, and one for each process"),
     "audit": Command("deploy.commands.audit", "check that every chunk of a run is explained, from the histories"),
+    "up": Command("deploy.commands.up", "start a fleet: the processes of fleet.toml, on its hosts, over SSH"),
+    "down": Command("deploy.commands.down", "end a fleet, workers first"),
+    "status": Command("deploy.commands.status", "show what runs on the hosts of a fleet"),
+    "logs": Command("deploy.commands.logs", "show what the processes of a fleet have written"),
+    "fleet": Command("deploy.commands.fleet", "check, keys, collect; render for systemd, Compose and Kubernetes"),
+    "host": Command("deploy.commands.host", "the far end of up, down, status and logs, called by them"),
     "alive": Command("deploy.commands.alive", "probe one process of a run, for whatever starts it again"),
     "monitor": Command("deploy.commands.monitor", "watch a run live from anywhere, read-only"),
 }

@@ -37,8 +37,8 @@ class AliveArguments:
     patience: float = 5.0
     """Seconds to wait for somebody to listen at the endpoint."""
     blame: bool = False
-    """Exit with 1 only when starting the process again could help: not while nobody answers at the endpoint, nor, for
-    a worker or coordinator, while no learner lives, for which they wait without a token."""
+    """Exit with 1 only when starting the process again could help: not while nobody answers at the endpoint, which is
+    another process's, nor, for a worker or coordinator, while no learner lives, for which they wait without a token."""
 
 
 def command(arguments: Sequence[str]) -> int:
@@ -57,8 +57,7 @@ def command(arguments: Sequence[str]) -> int:
     except CredentialsError:
         raise
     except EndpointError as error:
-        excused = options.blame and options.role not in ("router", "learner")
-        return _tell(f"{who}: {error}", DONE if excused else FAILED)
+        return _tell(f"{who}: {error}", DONE if options.blame else FAILED)
     if options.blame and waiting:
         return _tell(f"no learner of run {options.run} lives, for which {who} waits.", DONE)
     return _tell(f"{who} shows no sign of life at {endpoint}.", FAILED)
