@@ -1,7 +1,9 @@
 """Hosts that are network namespaces: a bridge between them, a relay with a delay on the way, and an `ssh` into each."""
 
+import contextlib
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -106,8 +108,12 @@ def _made(lab: Laboratory) -> bool:
 
 
 def _remove(lab: Laboratory) -> None:
+    """End what still runs in the namespaces, and remove them."""
     for name in (*lab.names, lab.hub):
-        subprocess.run(["ip", "netns", "pids", name], check=False, capture_output=True)
+        running = subprocess.run(["ip", "netns", "pids", name], check=False, capture_output=True, text=True)
+        for number in running.stdout.split():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(int(number), signal.SIGKILL)
         subprocess.run(["ip", "netns", "del", name], check=False, capture_output=True)
 
 

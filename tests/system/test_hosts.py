@@ -18,10 +18,7 @@ def on_hosts(folder: Path, cut: float) -> dict[str, Any]:
         if lab is None:
             pytest.skip("making network namespaces needs root and iproute2")
         fleet = Hosts(lab, "quick", LONG)
-        try:
-            return happen(fleet, cut) | finish(fleet)
-        finally:
-            fleet.eia_sec("down", str(fleet.file), "--kill", "--wait", "5")
+        return happen(fleet, cut) | finish(fleet)
 
 
 def check(figures: dict[str, Any]) -> None:
@@ -55,11 +52,8 @@ def test_they_learn(tmp_path):
         if lab is None:
             pytest.skip("making network namespaces needs root and iproute2")
         fleet = Hosts(lab, "quick", "episodes = 300")
-        try:
-            happen(fleet, cut=10.0)
-            fleet.until(lambda: fleet.state("learner.learner") == "finished", "the end", 3000.0)
-            check(finish(fleet))
-            rewards = evaluated(fleet, "1000:1010")
-        finally:
-            fleet.eia_sec("down", str(fleet.file), "--kill", "--wait", "5")
+        happen(fleet, cut=10.0)
+        fleet.until(lambda: fleet.state("learner.learner") == "finished", "the end", 3000.0)
+        check(finish(fleet))
+        rewards = evaluated(fleet, "1000:1010")
     assert rewards["trained"] > rewards["static"] > rewards["random"]
