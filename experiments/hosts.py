@@ -20,6 +20,7 @@ from typing import Any, Final
 import tyro
 
 from deploy.audit import audit
+from deploy.hosts.description import read
 from experiments.namespaces import PORT, RELAY, Laboratory, laboratory
 from experiments.provenance import provenance
 
@@ -191,6 +192,7 @@ def main() -> None:
         if lab is None:
             sys.exit("making network namespaces needs root and iproute2.")
         fleet = Hosts(lab, arguments.preset, arguments.set)
+        seed = read(fleet.file).config.seed
         started = time.monotonic()
         figures = happen(fleet, arguments.cut)
         fleet.until(lambda: time.sleep(2.0) or fleet.state("learner.learner") == "finished", "the end", 7200.0)
@@ -203,7 +205,7 @@ def main() -> None:
     result = {
         **provenance("experiments.hosts"),
         "preset": arguments.preset,
-        "seed": 0,
+        "seed": seed,
         "hosts": len(ROLES),
         "delay_seconds": arguments.delay,
         "farms": arguments.farms,
