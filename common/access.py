@@ -75,6 +75,7 @@ def _own(role: str) -> tuple[Grant, ...]:
     return (
         Grant(role, "put", keys.METRIC, {"role": role, "name": NAME}),
         Grant(role, "appear", keys.LIVE, {"role": role, "name": NAME}),
+        Grant(role, "watch", keys.LIVE, {"role": role, "name": NAME}),
     )
 
 

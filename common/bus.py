@@ -21,7 +21,7 @@ from common.credentials import Credentials
 from common.endpoint import Endpoint, Lane
 from common.errors import BusClosedError, BusError, EndpointError, ForkedProcessError
 from common.handshake import complaint, silence
-from common.zenoh_config import Values, connecting, listening
+from common.zenoh_config import Values, connecting, listening, routing
 
 LIVING_SECONDS: Final = 1.0
 """Longest wait for the tokens that stand."""
@@ -169,12 +169,22 @@ class Bus:
     @classmethod
     def listen(cls, endpoint: Endpoint, lane: Lane) -> "Bus":
         """Open a session that others connect to; raise EndpointError when the address is taken or not ours."""
+        return cls._listening(listening(endpoint, lane), endpoint, endpoint.locator(lane))
+
+    @classmethod
+    def route(cls, endpoint: Endpoint) -> "Bus":
+        """Open a router for both lanes; raise EndpointError when an address is taken or not ours.
+
+        Nothing else may be open in the same process: a router starves beside its own clients.
+        """
+        return cls._listening(routing(endpoint), endpoint, f"{endpoint} and the port after it")
+
+    @classmethod
+    def _listening(cls, values: Values, endpoint: Endpoint, where: str) -> "Bus":
         try:
-            return cls(_open(listening(endpoint, lane)), endpoint.credentials)
+            return cls(_open(values), endpoint.credentials)
         except zenoh.ZError as error:
-            raise EndpointError(
-                f"cannot listen on {endpoint.locator(lane)}: the address is taken or not of this machine."
-            ) from error
+            raise EndpointError(f"cannot listen on {where}: the address is taken or not of this machine.") from error
 
     @classmethod
     def connect(

@@ -13,6 +13,7 @@ EiaSecError
 │   ├── VersionError           another protocol version or another team layout
 │   └── KeyExpressionError     a key that no declaration covers
 ├── SimulationError            a simulated farm used against its contract
+├── HostError                  a host of a fleet that cannot be reached, or did not do what it was asked
 ├── CheckpointError            a checkpoint that is cut, flipped or of another layout
 └── BusError                   the bus cannot do what was asked
     ├── BusClosedError         the session is closed
@@ -70,6 +71,10 @@ class KeyExpressionError(ProtocolError):
 
 class SimulationError(EiaSecError):
     """A simulated farm used against its contract: stepped beyond its end, or with impossible actions."""
+
+
+class HostError(EiaSecError):
+    """A host of a fleet that cannot be reached, or that did not do what it was asked."""
 
 
 class CheckpointError(EiaSecError):

@@ -1,9 +1,10 @@
 """Zenoh's configuration of a session, as plain data; `common.bus` hands it over.
 
-`listening` is for everything that others connect to, a learner or a router; `connecting` for everything else. Neither
-finds nor is found by anybody: no multicast, no gossip.
+`listening` is for a learner that others connect to, `routing` for a router, `connecting` for everything else. None of
+them finds or is found by anybody: no multicast, no gossip.
 """
 
+import json
 from typing import Any, Final, Literal
 
 from common.access import access_control
@@ -37,6 +38,24 @@ def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = 
         values["transport/link/protocols"] = ["tls"]
         values["access_control"] = access_control(credentials.members)
     return values
+
+
+def routing(endpoint: Endpoint) -> Values:
+    """Return the configuration of a router, which takes both lanes; links of the two never mix."""
+    values = listening(endpoint, "control", "router")
+    return values | {"listen/endpoints": [endpoint.locator("control"), endpoint.locator("bulk")]}
+
+
+def document(values: Values) -> str:
+    """Return a configuration as the text of a file, JSON5, for Zenoh's own programs."""
+    nested: Values = {}
+    for path, value in values.items():
+        *folders, name = path.split("/")
+        table = nested
+        for folder in folders:
+            table = table.setdefault(folder, {})
+        table[name] = value
+    return json.dumps(nested, indent=2) + "\n"
 
 
 def connecting(endpoint: Endpoint, lane: Lane) -> Values:

@@ -19,6 +19,7 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from common import credentials
+from common.config.checks import within
 from common.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
 from common.errors import CredentialsError
 
@@ -26,6 +27,12 @@ CA_KEY: Final = "ca.key"
 CA_DAYS: Final = 3650
 BACKDATED: Final = datetime.timedelta(minutes=5)
 """Certificates begin this long ago, for machines whose clocks are a little behind."""
+
+
+def lasting(days: int) -> datetime.timedelta:
+    """Return how long a certificate of so many days is valid; raise ConfigError when its authority ends before."""
+    within(1, CA_DAYS, days=days)
+    return datetime.timedelta(days=days)
 
 
 def create(folder: Path, days: int = CA_DAYS) -> None:

@@ -155,11 +155,51 @@ def _heuristics_block(data: dict[str, Any]) -> str:
     )
 
 
+def _hosts_block(data: dict[str, Any]) -> str:
+    ledger, reward = data["ledger"], data["reward_per_agent"]
+    workers = ", ".join(f"{name} {steps:,}" for name, steps in data["accepted_by_worker"].items())
+    rows = [
+        ("`eia-sec up` on five hosts, until every keeper has its plan", f"{data['seconds_to_start']} s"),
+        (
+            "until the learner has the first chunk; the simulator was compiled meanwhile",
+            f"{data['seconds_to_first_chunk']} s",
+        ),
+        ("`eia-sec up` with a sixth host, until its first chunk", f"{data['seconds_to_join']} s"),
+        (
+            f"a host cut off for {data['seconds_cut_off']:.0f} s (link down), after healing until its next chunk",
+            f"{data['seconds_to_recover']} s",
+        ),
+        ("chunks of that host while it was cut off", f"{data['chunks_while_cut_off']}"),
+        ("environment steps made", f"{ledger['produced']:,}"),
+        ("accepted, by worker", workers),
+        ("lost with workers that held them at the end", f"{ledger['lost']:,}"),
+        ("unexplained, counted twice", f"{ledger['unexplained']}, {ledger['counted_twice']}"),
+        ("reward per agent, trained", f"{reward['trained']}"),
+        ("reward per agent, not moving, random", f"{reward['static']}, {reward['random']}"),
+    ]
+    return "\n".join(
+        [
+            f"`{data['command']}`, commit {data['commit']}, seed {data['seed']}: the {data['preset']} preset with",
+            f"{data['episodes']} episodes ({data['environment_steps']:,} environment steps, {data['updates']:,} update",
+            f"rounds, {data['minutes']} minutes), evaluated without noise on farms {data['farms']}, which training",
+            f"never saw. {data['hosts']} hosts are network namespaces of one machine with two cores, shared with other",
+            f"work; links are mutual TLS through a router, {1000 * data['delay_seconds']:.0f} ms from each host",
+            "to the router, each way.",
+            "",
+            "| | |",
+            "|---|---:|",
+            *(f"| {what} | {value} |" for what, value in rows),
+            "",
+        ]
+    )
+
+
 BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
     "README.md": ("results", ("docs/results/default/evaluation.json",), _run_block),
     "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
     "docs/architecture.md": ("second-worker", ("docs/results/second_worker.json",), _second_worker_block),
     "docs/heuristics.md": ("heuristics", ("docs/results/heuristics/results.json",), _heuristics_block),
+    "docs/hosts.md": ("hosts", ("docs/results/hosts/results.json",), _hosts_block),
     "docs/method.md": ("forms", ("docs/results/critic_forms/forms.json",), _forms_block),
     "docs/other_environments.md": (
         "tasks",

@@ -39,7 +39,8 @@ eia-sec monitor --connect tls/farm-1:7447 --tls monitor.alice                   
 ```
 
 Both ports, 7447 and 7448, must be reachable. `eia-sec train --tls keys` does the same on one machine; it needs
-`learner.learner`, `elite.coordinator`, `operator.train` and `rollout.0`, `rollout.1`, ...
+`learner.learner`, `elite.coordinator`, `operator.train` and `rollout.0`, `rollout.1`, ... With a file
+that describes the hosts, `eia-sec fleet keys` and `eia-sec up` do all of this, with a router: [hosts.md](hosts.md).
 
 **Renewal.** `eia-sec keys renew ROLE NAME` makes a new key and certificate for the same name and hosts; copy the
 folder and start that process again. A link ends when its certificate does. `eia-sec keys show` marks what ends

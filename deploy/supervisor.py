@@ -82,13 +82,20 @@ class Supervisor:
                 child.again_at = None
                 self._spawn(child)
 
-    def stop(self, names: Sequence[str] | None = None) -> None:
-        """End children: SIGTERM first, SIGKILL for those that do not go."""
+    def dismiss(self, name: str, number: int = signal.SIGTERM) -> None:
+        """Tell a child to end, and do not wait for it; it is not started again."""
+        child = self.children[name]
+        child.again_at, child.done = None, True
+        if child.process is not None and child.process.poll() is None:
+            child.process.send_signal(number)
+
+    def stop(self, names: Sequence[str] | None = None, seconds: float = TERMINATE_SECONDS) -> None:
+        """End children: SIGTERM first, SIGKILL for those that have not gone after some seconds."""
         chosen = [self.children[name] for name in (self.children if names is None else names)]
         running = [child.process for child in chosen if child.process is not None and child.process.poll() is None]
         for child in chosen:
             child.again_at, child.done = None, True
-        for number, patience in ((signal.SIGTERM, TERMINATE_SECONDS), (signal.SIGKILL, KILL_SECONDS)):
+        for number, patience in ((signal.SIGTERM, seconds), (signal.SIGKILL, KILL_SECONDS)):
             for process in running:
                 if process.poll() is None:
                     process.send_signal(number)

@@ -57,6 +57,7 @@ class LearnerOptions:
         run_dir: where checkpoints, metrics and the configuration go, or None to keep nothing.
         resume: whether to go on from the newest whole checkpoint.
         lockstep: whether one worker and the learner take turns.
+        patience: seconds to wait for a router.
     """
 
     run: str
@@ -65,6 +66,7 @@ class LearnerOptions:
     run_dir: Path | None
     resume: bool = False
     lockstep: bool = False
+    patience: float = 60.0
 
 
 class Learner:
@@ -383,7 +385,7 @@ def serve(options: LearnerOptions, config: RunConfig, team: TeamSpec) -> bool:
     def lane(name: str) -> Bus:
         if options.listen:
             return Bus.listen(options.endpoint, "bulk" if name == "bulk" else "control")
-        return connect(options.endpoint, name, stop, 60.0)
+        return connect(options.endpoint, name, stop, options.patience)
 
     with lane("control") as control, lane("bulk") as bulk:
         learner = Learner(options, config, team, control, bulk)

@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.table import Table
 
 from common import credentials
-from common.config.checks import within
 from common.credentials import CA, CERTIFICATE, LISTENING, MEMBERS, ROLES, SOON, Identity
 from common.errors import CredentialsError
 from deploy import authority
@@ -20,7 +19,6 @@ from deploy.options import parse
 
 Role = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROLE")]
 Name = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
-MAX_DAYS = authority.CA_DAYS
 
 
 @dataclass(frozen=True)
@@ -101,11 +99,11 @@ def command(arguments: Sequence[str]) -> int:
         console.print(f"written: {task.dir / CA} and {task.dir / authority.CA_KEY}; keep the latter to yourself.")
         _show(task.dir, console)
     elif isinstance(task, IssueArguments):
-        target = authority.issue(task.dir, _identity(task.role, task.name), task.host, _lifetime(task.days))
+        target = authority.issue(task.dir, _identity(task.role, task.name), task.host, authority.lasting(task.days))
         _tell(target, console)
         _remind(task.dir, console)
     elif isinstance(task, RenewArguments):
-        _tell(authority.renew(task.dir, _identity(task.role, task.name), _lifetime(task.days)), console)
+        _tell(authority.renew(task.dir, _identity(task.role, task.name), authority.lasting(task.days)), console)
     elif isinstance(task, RevokeArguments):
         identity = _identity(task.role, task.name)
         authority.revoke(task.dir, identity)
@@ -122,11 +120,6 @@ def _identity(role: str, name: str) -> Identity:
     if role == "learner" and name != "learner":
         raise CredentialsError("the learner's name is learner: eia-sec keys issue learner learner --host HOST.")
     return Identity.parse(f"{role}.{name}")
-
-
-def _lifetime(days: int) -> datetime.timedelta:
-    within(1, MAX_DAYS, days=days)
-    return datetime.timedelta(days=days)
 
 
 def _tell(target: Path, console: Console) -> None:

@@ -40,6 +40,10 @@ class LearnerArguments:
     """Folder for checkpoints, metrics and the policy; without it nothing is kept."""
     resume: bool = False
     """Go on from the newest whole checkpoint in the folder."""
+    resume_if_any: bool = False
+    """As --resume when the folder holds a run already, else begin one; for whatever starts it again unattended."""
+    patience: float = 60.0
+    """Seconds to wait for a router."""
     lockstep: bool = False
     """Take turns with exactly one worker, so that the outcome is bit-equal to a run inside one process."""
     settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
@@ -51,9 +55,12 @@ def command(arguments: Sequence[str]) -> int:
     options = parse(LearnerArguments, arguments, "learner", defaults)
     if options.listen and options.connect:
         raise UsageError("give --listen or --connect, not both.")
-    if options.resume and options.run_dir is None:
+    resume = options.resume
+    if (resume or options.resume_if_any) and options.run_dir is None:
         raise UsageError("--resume needs --run-dir.")
-    if options.resume and options.lockstep:
+    if options.resume_if_any and options.run_dir is not None:
+        resume = RunDirectory(options.run_dir).holds_run()
+    if resume and options.lockstep:
         raise UsageError("a lockstep run cannot be resumed: its one worker begins again with its first episode.")
     endpoint = Endpoint.parse(options.connect or options.listen or DEFAULT, options.tls)
     if endpoint.credentials is not None:
@@ -62,7 +69,7 @@ def command(arguments: Sequence[str]) -> int:
         endpoint.require_private(options.insecure)
     if options.run_dir is not None:
         directory = RunDirectory(options.run_dir)
-        directory.prepare(options.settings, resume=options.resume)
+        directory.prepare(options.settings, resume=resume)
         directory.lock("learner.lock")
     serve(
         LearnerOptions(
@@ -70,8 +77,9 @@ def command(arguments: Sequence[str]) -> int:
             endpoint=endpoint,
             listen=not options.connect,
             run_dir=options.run_dir,
-            resume=options.resume,
+            resume=resume,
             lockstep=options.lockstep,
+            patience=options.patience,
         ),
         options.settings,
         team_of(options.settings),

@@ -38,6 +38,19 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["learner", "--listen", "tcp/0.0.0.0:7447"], "--insecure"),
         (["learner", "--listen", "tcp/h:1", "--connect", "tcp/h:1"], "not both"),
         (["learner", "--resume"], "--run-dir"),
+        (["learner", "--resume-if-any"], "--run-dir"),
+        (["router", "--listen", "tcp/0.0.0.0:7447"], "--insecure"),
+        (["router", "--listen", "tls/127.0.0.1:7447"], "--tls FOLDER"),
+        (["up", "nowhere.toml"], "nowhere.toml cannot be read"),
+        (["down", "--wait", "-1"], "wait must be"),
+        (["status"], "fleet.toml cannot be read"),
+        (["logs", "--lines", "0"], "lines must be"),
+        (["fleet"], "check, keys, collect, render"),
+        (["fleet", "render", "swarm"], "'swarm'"),
+        (["host", "fly"], "'fly'"),
+        (["alive", "rollout"], "NAME"),
+        (["alive", "ox", "a"], "none of the roles"),
+        (["alive", "rollout", "a/b"], "name 'a/b'"),
         (["rollout", "--connect", "tcp/127.0.0.1:9", "--patience", "0"], "nobody answers"),
         (["rollout", "--run", "a/b"], "run 'a/b'"),
         (["elite", "--connect", "tcp/127.0.0.1:9", "--patience", "0"], "nobody answers"),
@@ -90,7 +103,8 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     with pytest.raises(SystemExit) as stop:
         dispatch([name, "--help"])
     assert stop.value.code == 0
-    named = {"farm": "check", "keys": "issue", "audit": "--json"}
+    named = {"farm": "check", "keys": "issue", "audit": "--json", "router": "--listen"}
+    named |= dict.fromkeys(("up", "down", "status", "logs"), "FLEET") | {"fleet": "render", "host": "--folder"}
     assert named.get(name, "--run") in capsys.readouterr().out
 
 

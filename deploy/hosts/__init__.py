@@ -1,0 +1,1 @@
+"""A run on many hosts: its description, what follows from it for each host, and the two ends of an SSH connection."""

@@ -1,0 +1,200 @@
+"""The far end of `eia-sec up`, `down`, `status` and `logs`: what they do in one host's folder, on that host."""
+
+import hashlib
+import io
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tarfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+from common.errors import HostError
+from common.keys import check_name
+from deploy.authority import replace
+from deploy.hosts import keeper
+from deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
+from deploy.rundir import CONFIG, HISTORY, METRICS, POLICY
+
+START_SECONDS: Final = 30.0
+"""Time that a keeper has to take a plan up."""
+KILL_SECONDS: Final = 5.0
+COLLECTED: Final = (CONFIG, METRICS, POLICY)
+"""What is collected of a run besides its histories."""
+MAX_LINES: Final = 10_000
+
+
+def up(folder: Path, processes: Mapping[str, dict[str, Any]], files: Mapping[str, str], start: str) -> dict[str, Any]:
+    """Write a plan and what its processes need, start a keeper when there is none, and wait until it has the plan.
+
+    Args:
+        folder: the host's folder; made when it is missing.
+        processes: for each name, arguments and threads.
+        files: texts by their paths in the folder; readable by the owner alone.
+        start: how to start the keeper, "detached" or "systemd".
+
+    Returns:
+        What `status` returns.
+
+    Raises:
+        HostError: a file cannot be written, or the keeper did not come up.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in files.items():
+            path = folder / _inside(name)
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            replace(path, text.encode())
+        (folder / "run" / HISTORY).mkdir(parents=True, exist_ok=True)
+        plan = keeper.new_plan(processes)
+        write_json(folder / PLAN, plan)
+    except OSError as error:
+        raise HostError(f"{folder} cannot be written: {error.strerror}.") from error
+    _ensure_keeper(folder, start)
+    deadline = time.monotonic() + START_SECONDS
+    while read_json(folder / STATE).get("issue") != plan["issue"]:
+        if time.monotonic() > deadline:
+            last = _tail(folder / LOG, 1)
+            raise HostError(
+                f"the keeper of {folder} did not come up in {START_SECONDS:.0f} s{': ' if last else ''}{last}"
+            )
+        # It may have ended between two looks, because the plan before was empty.
+        _ensure_keeper(folder, start)
+        time.sleep(0.1)
+    return status(folder)
+
+
+def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict[str, Any]:
+    """Take the processes of some roles out of the plan, and wait until they have ended.
+
+    Args:
+        folder: the host's folder.
+        roles: the roles.
+        seconds: how long to wait.
+        kill: whether to kill those that have not ended then.
+
+    Returns:
+        "ended" and "left": names of processes.
+    """
+    plan = read_json(folder / PLAN)
+    named = [name for name in plan.get("processes", {}) if name.split(".")[0] in roles]
+    if named:
+        rest = {name: process for name, process in plan["processes"].items() if name not in named}
+        write_json(folder / PLAN, keeper.new_plan(rest))
+    before = _pids(folder, roles)
+    left, deadline = before, time.monotonic() + seconds
+    while left and time.monotonic() < deadline:
+        time.sleep(0.1)
+        left = {name: pid for name, pid in _pids(folder, roles).items() if before.get(name) == pid}
+    if left and kill:
+        for pid in left.values():
+            os.kill(pid, signal.SIGKILL)
+        deadline = time.monotonic() + KILL_SECONDS
+        while left and time.monotonic() < deadline:
+            time.sleep(0.1)
+            left = _pids(folder, roles)
+    return {"ended": sorted(set(before) - set(left)), "left": sorted(left)}
+
+
+def status(folder: Path) -> dict[str, Any]:
+    """Return whether a keeper lives, the processes that it keeps, and what is wrong."""
+    if not folder.is_dir():
+        return {"keeper": 0, "processes": {}, "alarms": []}
+    state = read_json(folder / STATE)
+    alive = _has_keeper(folder)
+    processes = state.get("processes", {}) if alive else {}
+    return {"keeper": state.get("pid", 0) if alive else 0, "processes": processes, "alarms": state.get("alarms", [])}
+
+
+def logs(folder: Path, names: Sequence[str], lines: int) -> dict[str, str]:
+    """Return the last lines that processes (all of them when none is named) and the keeper have written."""
+    lines = max(1, min(lines, MAX_LINES))
+    known = sorted(path.stem for path in (folder / LOGS).glob("*.log"))
+    found = {name: _tail(folder / LOGS / f"{name}.log", lines) for name in known if not names or name in names}
+    if not names or "keeper" in names:
+        found["keeper"] = _tail(folder / LOG, lines)
+    return found
+
+
+def collect(folder: Path) -> bytes:
+    """Return a tar archive of the run's histories, metrics, configuration and policy, as far as they are there."""
+    packed = io.BytesIO()
+    run = folder / "run"
+    with tarfile.open(fileobj=packed, mode="w:gz") as archive:
+        for path in [*sorted((run / HISTORY).glob("*.jsonl")), *(run / name for name in COLLECTED)]:
+            if path.is_file():
+                # Read at once: a file that grows while it is packed would break the archive.
+                data = path.read_bytes()
+                entry = tarfile.TarInfo(path.relative_to(run).as_posix())
+                entry.size, entry.mtime = len(data), int(path.stat().st_mtime)
+                archive.addfile(entry, io.BytesIO(data))
+    return packed.getvalue()
+
+
+def _inside(name: str) -> PurePosixPath:
+    """Return a path that stays in the folder; raise HostError for any other."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or not path.parts or ".." in path.parts:
+        raise HostError(f"{name!r} is no place in a host's folder.")
+    for part in path.parts:
+        check_name(part, "file name")
+    return path
+
+
+def _ensure_keeper(folder: Path, start: str) -> None:
+    """Start a keeper unless one holds the folder's lock; of two that start at once one ends by itself."""
+    if _has_keeper(folder):
+        return
+    command = [sys.executable, "-P", "-m", "deploy.cli", "host", "keep", "--folder", str(folder.resolve())]
+    if start == "systemd":
+        _start_unit(folder, command)
+        process = None
+    else:
+        with (folder / LOG).open("ab") as output:
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
+            )
+    deadline = time.monotonic() + START_SECONDS
+    while not _has_keeper(folder) and time.monotonic() < deadline and (process is None or process.poll() is None):
+        time.sleep(0.05)
+
+
+def _start_unit(folder: Path, command: Sequence[str]) -> None:
+    """Start the keeper as a transient unit of the user's systemd."""
+    if shutil.which("systemd-run") is None:
+        raise HostError('there is no systemd-run on this host; write start = "detached" for it.')
+    unit = f"eia-sec-{hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:12]}"
+    log = f"--property=StandardError=append:{folder.resolve() / LOG}"
+    passed = [f"--setenv={name}={value}" for name, value in os.environ.items() if name.startswith("PYTHON")]
+    words = ["systemd-run", "--user", "--quiet", "--collect", f"--unit={unit}", log, *passed, "--", *command]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise HostError(f"systemd-run did not start the keeper: {done.stderr.strip()[-200:]}")
+
+
+def _has_keeper(folder: Path) -> bool:
+    held = keeper.lock(folder)
+    if held is None:
+        return True
+    held.close()
+    return False
+
+
+def _pids(folder: Path, roles: Sequence[str]) -> dict[str, int]:
+    """Return the process numbers of those that run, by name."""
+    found = status(folder)["processes"]
+    return {name: int(p["pid"]) for name, p in found.items() if p["pid"] and name.split(".")[0] in roles}
+
+
+def _tail(path: Path, lines: int) -> str:
+    try:
+        with path.open("rb") as source:
+            source.seek(max(0, path.stat().st_size - 400 * lines))
+            text = source.read().decode(errors="replace")
+    except OSError:
+        return ""
+    return "\n".join(text.splitlines()[-lines:])

@@ -1,0 +1,73 @@
+"""A Compose file of a fleet: every process as a service on one Docker host."""
+
+from typing import Any
+
+from common.config.files import to_toml
+from deploy.hosts import containers
+from deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, probe
+from deploy.hosts.description import Fleet
+from deploy.hosts.plan import Places, Process, processes
+from deploy.rundir import HISTORY
+
+
+def compose(fleet: Fleet) -> dict[str, bytes]:
+    """Return every file by its path: compose.yaml, config.toml, and a folder for each certificate.
+
+    Raises:
+        ConfigError: without certificates, when nobody said that this is meant.
+        CredentialsError: a certificate is missing or cannot be used.
+    """
+    places = inside(fleet, fleet.listener[0])
+    planned = processes(fleet, places)
+    services = {service_of(process): _service(fleet, places, process) for process in planned}
+    document = {"services": services}
+    files = {"compose.yaml": as_yaml([document]).encode(), "config.toml": to_toml(fleet.config).encode()}
+    for process in planned:
+        for name, data in key_files(fleet, process.identity).items():
+            files[f"keys/{process.identity}/{name}"] = data
+    return files
+
+
+def service_of(process: Process) -> str:
+    """Return the name of a process's service, which is also its host name: learner, router, rollout-farm-2-0."""
+    return process.role if process.role in ("learner", "router", "elite") else f"{process.role}-{process.name}"
+
+
+def _service(fleet: Fleet, places: Places, process: Process) -> dict[str, Any]:
+    listens = process.role == fleet.listener[0]
+    service: dict[str, Any] = {
+        "image": fleet.containers.image,
+        "command": list(process.arguments),
+        "user": f"${{EIA_SEC_UID:-{USER_ID}}}:${{EIA_SEC_GID:-{USER_ID}}}",
+        "environment": environment(process),
+        "volumes": _volumes(fleet, process),
+        "healthcheck": {
+            "test": ["CMD", *probe(fleet, places, process)],
+            "interval": "30s",
+            "timeout": "20s",
+            "retries": 4,
+            "start_period": "60s",
+        },
+        "restart": "on-failure",
+        "stop_grace_period": "90s",
+        "cap_drop": ["ALL"],
+        "security_opt": ["no-new-privileges:true"],
+    }
+    if listens and fleet.keys is not None:
+        port = containers.port_of(fleet)
+        service["ports"] = [f"{port}:{port}", f"{port + 1}:{port + 1}"]
+    if process.role == "learner" and fleet.learner.gpus:
+        device = {"driver": "nvidia", "count": fleet.learner.gpus, "capabilities": ["gpu"]}
+        service["deploy"] = {"resources": {"reservations": {"devices": [device]}}}
+    return service
+
+
+def _volumes(fleet: Fleet, process: Process) -> list[str]:
+    volumes = []
+    if process.role == "learner":
+        volumes += [f"./run:{containers.RUN_DIR}", f"./config.toml:{containers.CONFIG}:ro"]
+    if process.role == "rollout":
+        volumes.append(f"./run/{HISTORY}:{containers.RUN_DIR}/{HISTORY}")
+    if fleet.keys is not None:
+        volumes.append(f"./keys/{process.identity}:{containers.KEYS}:ro")
+    return volumes

@@ -1,0 +1,88 @@
+"""What Compose and Kubernetes share: where things lie inside a container, and the probe."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import yaml
+
+from common import credentials
+from common.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
+from common.endpoint import Endpoint
+from common.errors import ConfigError
+from deploy.hosts.description import Fleet
+from deploy.hosts.plan import Places, Process
+
+USER_ID: Final = 10_001
+"""The account in the image, see Dockerfile."""
+CONFIG: Final = "/config/config.toml"
+KEYS: Final = "/keys"
+RUN_DIR: Final = "/data/run"
+
+
+def inside(fleet: Fleet, host: str) -> Places:
+    """Return the places inside a container.
+
+    Args:
+        fleet: the fleet.
+        host: name under which other containers reach the listener.
+
+    Raises:
+        ConfigError: without certificates, when nobody said that this is meant: containers do not share a loopback.
+    """
+    if fleet.keys is None and not fleet.network.insecure:
+        raise ConfigError(
+            f"{fleet.path}: containers meet on a network that others may be on, too; name the folder of `eia-sec keys` "
+            "as network.keys, or say insecure = true if that is meant."
+        )
+    protocol, port = ("tls" if fleet.keys is not None else "tcp"), port_of(fleet)
+    return Places(RUN_DIR, KEYS, CONFIG, f"{protocol}/{host}:{port}", f"{protocol}/0.0.0.0:{port}")
+
+
+def port_of(fleet: Fleet) -> int:
+    """Return the port of the control lane."""
+    return Endpoint.parse(fleet.network.endpoint.replace("tls/", "tcp/", 1)).port
+
+
+def probe(fleet: Fleet, places: Places, process: Process, name: str = "") -> list[str]:
+    """Return the command that asks for a process's liveliness token (of the router: whether it answers)."""
+    listens = process.role == fleet.listener[0]
+    words = ["eia-sec", "alive", process.role, name or process.name, "--run", fleet.run, "--connect", places.endpoint]
+    words += ["--tls", KEYS] if fleet.keys is not None else []
+    return words if listens else [*words, "--blame"]
+
+
+def environment(process: Process) -> dict[str, str]:
+    """Return the environment of a process: its share of compute threads."""
+    names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+    return dict.fromkeys(names, str(process.threads))
+
+
+def key_files(fleet: Fleet, identity: Identity) -> dict[str, bytes]:
+    """Return the checked files of one certificate, by name; empty without TLS."""
+    if fleet.keys is None:
+        return {}
+    folder = fleet.keys / str(identity)
+    credentials.load(folder).require(identity.role, identity.name)
+    names = (CA, CERTIFICATE, KEY, *((MEMBERS,) if identity.role in LISTENING else ()))
+    return {name: credentials.read_bounded(folder / name, 1024**2) for name in names}
+
+
+class _Dumper(yaml.SafeDumper):  # type: ignore[misc]  # PyYAML comes without types
+    """Writes texts of several lines as blocks, and nothing by reference."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Return that nothing is written by reference."""
+        return True
+
+
+def _text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = "|" if "\n" in text else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Dumper.add_representer(str, _text)
+
+
+def as_yaml(documents: Sequence[Any]) -> str:
+    """Return documents as YAML, in the order in which their keys were given."""
+    return str(yaml.dump_all(documents, Dumper=_Dumper, sort_keys=False, width=120, explicit_start=len(documents) > 1))

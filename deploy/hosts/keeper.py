@@ -1,0 +1,180 @@
+"""The process that keeps a host's share of a fleet running: it makes so what the plan in its folder says.
+
+A host's folder holds
+
+    plan.json     the processes that should run, written by `eia-sec up` and `eia-sec down`
+    state.json    those that do, with their process numbers, written here
+    keeper.lock   held while this process lives
+    keeper.log    what it says, and logs/ what each process says
+    config.toml   the learner's configuration
+    keys/         a folder for each certificate
+    run/          checkpoints, metrics and histories
+
+When this process dies its children end, as those of `eia-sec train` do.
+"""
+
+import fcntl
+import json
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any, Final
+
+from common.errors import HostError
+from common.process import StopSignal, log
+from deploy.hosts.plan import ORDER
+from deploy.supervisor import Child, Supervisor
+
+PLAN, STATE, LOCK, LOG, LOGS = "plan.json", "state.json", "keeper.lock", "keeper.log", "logs"
+TICK_SECONDS: Final = 0.25
+LOCK_SECONDS: Final = 2.0
+FAREWELL_SECONDS: Final = 30.0
+"""Time that the processes of one role have to end when this process is told to."""
+
+
+def lock(folder: Path) -> IO[str] | None:
+    """Take the folder's lock; return None while a keeper has it. Closing the file gives it back."""
+    held = (folder / LOCK).open("a", encoding="utf-8")
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        held.close()
+        return None
+    return held
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Replace a file by one that holds a JSON value, whole or not at all."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file, an empty one when there is no file."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise HostError(f"{path} cannot be read: {error}") from error
+    if not isinstance(found, dict):
+        raise HostError(f"{path} holds no JSON object.")
+    return found
+
+
+class Keeper:
+    """The loop that makes the plan so.
+
+    Args:
+        folder: the host's folder, which is the working directory of every process.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._supervisor = Supervisor(folder / LOGS)
+        self._wanted: dict[str, dict[str, Any]] = {}
+        self._started: dict[str, dict[str, Any]] = {}
+        self._since: dict[str, tuple[int, float]] = {}
+        self._issue = 0
+        self._read_at = 0
+        self._told: dict[str, Any] = {}
+
+    def run(self, stop: StopSignal) -> None:
+        """Keep the processes of the plan running until it is empty or a signal comes."""
+        while not stop:
+            self._read()
+            self._supervisor.watch()
+            self._turn()
+            self._tell()
+            if not (self._wanted or self._running()):
+                return
+            stop.event.wait(TICK_SECONDS)
+        for role in ORDER:
+            named = [name for name in self._running() if name.startswith(f"{role}.")]
+            self._supervisor.stop(named, FAREWELL_SECONDS)
+        self._supervisor.watch()
+        self._wanted = {}
+        self._tell()
+
+    def _read(self) -> None:
+        """Take up the plan when it is a new one."""
+        changed = (self._folder / PLAN).stat().st_mtime_ns
+        if changed == self._read_at:
+            return
+        self._read_at = changed
+        plan = read_json(self._folder / PLAN)
+        self._issue, self._wanted = int(plan["issue"]), dict(plan["processes"])
+        for name in self._wanted:
+            child = self._supervisor.children.get(name)
+            if child is not None and child.given_up and child.process is None:
+                # Whoever writes a plan has mended what was wrong, perhaps.
+                self._started.pop(name, None)
+
+    def _turn(self) -> None:
+        """End what the plan does not name as it runs, and start what is missing."""
+        running = self._running()
+        for name, process in list(self._started.items()):
+            if self._wanted.get(name) != process:
+                log(f"keeper: ending {name}.")
+                self._supervisor.dismiss(name)
+                del self._started[name]
+        for name, process in self._wanted.items():
+            if name not in self._started and name not in running:
+                log(f"keeper: starting {name}.")
+                self._supervisor.start(name, process["arguments"], int(process["threads"]))
+                self._started[name] = process
+
+    def _running(self) -> list[str]:
+        return [name for name, child in self._supervisor.children.items() if _alive(child)]
+
+    def _tell(self) -> None:
+        """Write the state when it has changed."""
+        children = {name: self._state(name, child) for name, child in self._supervisor.children.items()}
+        kept = {name: state for name, state in children.items() if name in self._wanted or state["pid"]}
+        state = {
+            "pid": os.getpid(),
+            "issue": self._issue,
+            "processes": kept,
+            "alarms": self._supervisor.alarms[-10:],
+        }
+        if state != self._told:
+            self._told = state
+            write_json(self._folder / STATE, state)
+
+    def _state(self, name: str, child: Child) -> dict[str, Any]:
+        pid = child.process.pid if child.process is not None and _alive(child) else 0
+        if self._since.get(name, (-1, 0.0))[0] != pid:
+            self._since[name] = (pid, time.time())
+        if pid:
+            word = "running" if name in self._started else "ending"
+        elif child.given_up:
+            word = "given up"
+        else:
+            word = "finished" if child.done else "restarting"
+        return {"state": word, "pid": pid, "since": self._since[name][1], "deaths": child.deaths, "code": child.code}
+
+
+def _alive(child: Child) -> bool:
+    return child.process is not None and child.process.poll() is None
+
+
+def keep(folder: Path) -> None:
+    """Run the keeper of a folder until there is nothing to keep; raise HostError when there is one already."""
+    deadline = time.monotonic() + LOCK_SECONDS
+    # Whoever asks whether there is a keeper takes the lock for a moment.
+    while (held := lock(folder)) is None:
+        if time.monotonic() > deadline:
+            raise HostError(f"{folder} has a keeper already.")
+        time.sleep(0.02)
+    with held:
+        os.chdir(folder)
+        stop = StopSignal()
+        stop.install()
+        Keeper(Path()).run(stop)
+
+
+def new_plan(processes: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return a plan's JSON, with a number by which its keeper tells that it has taken it up."""
+    return {"issue": time.time_ns(), "processes": dict(processes)}

@@ -1,0 +1,182 @@
+"""Kubernetes manifests of a fleet: a StatefulSet for the learner, Deployments for everybody else, Secrets for keys."""
+
+import base64
+import re
+from typing import Any, Final
+
+from common.config.files import to_toml
+from common.errors import ConfigError
+from deploy.hosts import containers
+from deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, port_of, probe
+from deploy.hosts.description import Fleet
+from deploy.hosts.operations import service_name
+from deploy.hosts.plan import Places, Process, processes, worker
+
+_LABEL: Final = re.compile(r"[a-z]([-a-z0-9]{0,61}[a-z0-9])?")
+_POD: Final = "$(POD_NAME)"
+"""The pod's own name, which Kubernetes puts into arguments."""
+
+Object = dict[str, Any]
+
+
+def kubernetes(fleet: Fleet) -> dict[str, str]:
+    """Return the manifests: fleet.yaml, and secrets.yaml when there are keys.
+
+    With certificates every worker is a Deployment of its own, because it has a key of its own; without, one Deployment
+    for each host of the file has as many replicas as that has workers.
+
+    Raises:
+        ConfigError: without certificates, when nobody said that this is meant; a name that Kubernetes does not take.
+        CredentialsError: a certificate is missing or cannot be used.
+    """
+    places = inside(fleet, service_name(fleet, fleet.listener[0]))
+    planned = [process for process in processes(fleet, places) if fleet.keys is not None or process.role != "rollout"]
+    workloads = [(_name(fleet, process), process, 1) for process in planned]
+    if fleet.keys is None:
+        for host, described in fleet.hosts.items():
+            if described.workers:
+                process = worker(fleet, places, host, _POD)
+                workloads.append((_label(f"{fleet.run}-rollout-{host}"), process, described.workers))
+    names = [name for name, _, _ in workloads]
+    if len(set(names)) < len(names):
+        raise ConfigError(f"{fleet.path}: names that differ only in case or signs become one in Kubernetes.")
+    config = _object(
+        "v1", "ConfigMap", _label(f"{fleet.run}-config"), fleet, data={"config.toml": to_toml(fleet.config)}
+    )
+    objects = [config, _service(fleet)]
+    objects += [_workload(fleet, places, *workload) for workload in workloads]
+    files = {"fleet.yaml": as_yaml(objects)}
+    if fleet.keys is not None:
+        files["secrets.yaml"] = as_yaml([_secret(fleet, name, process) for name, process, _ in workloads])
+    return files
+
+
+def _label(text: str) -> str:
+    name = re.sub(r"[._]", "-", text.lower())
+    if not _LABEL.fullmatch(name):
+        raise ConfigError(f"{name!r} is no name for Kubernetes: a letter, then at most 62 letters, digits and '-'.")
+    return name
+
+
+def _name(fleet: Fleet, process: Process) -> str:
+    single = process.role in ("learner", "router", "elite")
+    return _label(f"{fleet.run}-{process.role}" if single else f"{fleet.run}-{process.role}-{process.name}")
+
+
+def _object(version: str, kind: str, name: str, fleet: Fleet, **parts: Any) -> Object:
+    labels = {"app.kubernetes.io/name": "eia-sec", "app.kubernetes.io/instance": _label(fleet.run)}
+    return {"apiVersion": version, "kind": kind, "metadata": {"name": name, "labels": labels}, **parts}
+
+
+def _secret(fleet: Fleet, name: str, process: Process) -> Object:
+    files = key_files(fleet, process.identity)
+    data = {file: base64.b64encode(content).decode() for file, content in files.items()}
+    return _object("v1", "Secret", f"{name}-keys", fleet, type="Opaque", data=data)
+
+
+def _service(fleet: Fleet) -> Object:
+    """Return the service under which the listener is reached, both lanes."""
+    role, port = fleet.listener[0], port_of(fleet)
+    ports = [{"name": lane, "port": port + k, "targetPort": port + k} for k, lane in enumerate(("control", "bulk"))]
+    spec = {"selector": _selector(fleet, service_name(fleet, role)), "ports": ports}
+    return _object("v1", "Service", service_name(fleet, role), fleet, spec=spec)
+
+
+def _selector(fleet: Fleet, name: str) -> Object:
+    return {"app.kubernetes.io/instance": _label(fleet.run), "app.kubernetes.io/component": name}
+
+
+def _workload(fleet: Fleet, places: Places, name: str, process: Process, replicas: int) -> Object:
+    selector = _selector(fleet, name)
+    template = {"metadata": {"labels": selector}, "spec": _pod(fleet, places, name, process)}
+    spec: Object = {"replicas": replicas, "selector": {"matchLabels": selector}}
+    if process.role != "learner":
+        # Two processes of one name must not run at the same time.
+        spec |= {"strategy": {"type": "Recreate"}, "template": template}
+        return _object("apps/v1", "Deployment", name, fleet, spec=spec)
+    claim: Object = {"accessModes": ["ReadWriteOnce"], "resources": {"requests": {"storage": fleet.containers.storage}}}
+    if fleet.containers.storage_class:
+        claim["storageClassName"] = fleet.containers.storage_class
+    volume = {"metadata": {"name": "data"}, "spec": claim}
+    spec |= {"serviceName": name, "template": template, "volumeClaimTemplates": [volume]}
+    return _object("apps/v1", "StatefulSet", name, fleet, spec=spec)
+
+
+def _pod(fleet: Fleet, places: Places, name: str, process: Process) -> Object:
+    learner, tls = process.role == "learner", fleet.keys is not None
+    mounts = [{"name": "data", "mountPath": "/data"}]
+    volumes: list[Object] = [] if learner else [{"name": "data", "emptyDir": {}}]
+    pod: Object = {
+        "terminationGracePeriodSeconds": 90,
+        "automountServiceAccountToken": False,
+        "securityContext": {
+            "runAsNonRoot": True,
+            "runAsUser": USER_ID,
+            "runAsGroup": USER_ID,
+            "fsGroup": USER_ID,
+            "seccompProfile": {"type": "RuntimeDefault"},
+        },
+    }
+    if learner:
+        mounts.append({"name": "config", "mountPath": "/config"})
+        volumes.append({"name": "config", "configMap": {"name": _label(f"{fleet.run}-config")}})
+    if tls:
+        mounts.append({"name": "keys", "mountPath": containers.KEYS})
+        volumes.append({"name": "keys", "emptyDir": {"medium": "Memory"}})
+        volumes.append({"name": "secret", "secret": {"secretName": f"{name}-keys"}})
+        pod["initContainers"] = [_copier(fleet)]
+    return pod | {"containers": [_container(fleet, places, process, mounts)], "volumes": volumes}
+
+
+def _copier(fleet: Fleet) -> Object:
+    """Return what copies the keys: files of a Secret are open to a group, which a process here refuses."""
+    command = f"cp /secret/* {containers.KEYS}/ && chmod 600 {containers.KEYS}/*"
+    mounts = [{"name": "secret", "mountPath": "/secret"}, {"name": "keys", "mountPath": containers.KEYS}]
+    return {
+        "name": "keys",
+        "image": fleet.containers.image,
+        "command": ["sh", "-c", command],
+        "volumeMounts": mounts,
+        "securityContext": _confined(),
+    }
+
+
+def _confined() -> Object:
+    return {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}}
+
+
+def _container(fleet: Fleet, places: Places, process: Process, mounts: list[dict[str, str]]) -> Object:
+    pod_name = {"name": "POD_NAME", "valueFrom": {"fieldRef": {"fieldPath": "metadata.name"}}}
+    variables: list[Object] = [pod_name] if process.name == _POD else []
+    variables += [{"name": key, "value": value} for key, value in environment(process).items()]
+    resources: Object = {"requests": {"cpu": "500m", "memory": "1Gi"}}
+    if process.role == "learner" and fleet.learner.gpus:
+        resources["limits"] = {"nvidia.com/gpu": fleet.learner.gpus}
+    container: Object = {
+        "name": process.role,
+        "image": fleet.containers.image,
+        "args": list(process.arguments),
+        "env": variables,
+        "resources": resources,
+        "volumeMounts": mounts,
+        "securityContext": _confined(),
+    }
+    if process.role == fleet.listener[0]:
+        port = port_of(fleet)
+        container["ports"] = [{"containerPort": port}, {"containerPort": port + 1}]
+        container["readinessProbe"] = {"tcpSocket": {"port": port}, "periodSeconds": 10}
+    container["livenessProbe"] = {
+        "exec": {"command": _probe(fleet, places, process)},
+        "initialDelaySeconds": 120,
+        "periodSeconds": 30,
+        "timeoutSeconds": 20,
+        "failureThreshold": 4,
+    }
+    return container
+
+
+def _probe(fleet: Fleet, places: Places, process: Process) -> list[str]:
+    """Return the probe's command; Kubernetes puts no names into it, so that a shell does where one is needed."""
+    if process.name != _POD:
+        return probe(fleet, places, process)
+    return ["sh", "-c", " ".join(probe(fleet, places, process, '"$POD_NAME"'))]

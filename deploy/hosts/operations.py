@@ -1,0 +1,172 @@
+"""What `eia-sec up`, `down`, `status`, `logs` and `fleet` do with all hosts of a fleet."""
+
+import hashlib
+import io
+import tarfile
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from common import credentials
+from common.config.files import to_toml
+from common.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
+from common.endpoint import Endpoint
+from common.errors import CredentialsError, HostError
+from deploy import authority
+from deploy.hosts.description import Fleet
+from deploy.hosts.plan import ORDER, Process, here, processes
+from deploy.hosts.remote import Link, everywhere, links
+
+Failures = dict[str, str]
+"""For each host that failed, why."""
+MAX_COLLECTED: Final = 8 * 1024**3
+"""Most that is unpacked of one host, bytes."""
+
+
+def up(fleet: Fleet) -> tuple[dict[str, dict[str, Any]], Failures]:
+    """Start what does not run yet, restart what has changed, and end what the fleet file no longer names.
+
+    Returns:
+        The state of each host that was reached, and why the others failed.
+
+    Raises:
+        CredentialsError: a certificate is missing or cannot be used; nothing was started then.
+    """
+    requests = {name: request_of(fleet, name) for name in fleet.hosts}
+    with links(fleet) as ways:
+        return everywhere(ways, lambda link: link.call("up", requests[link.name]))
+
+
+def request_of(fleet: Fleet, host: str) -> dict[str, Any]:
+    """Return what a host is told: its processes, and the files that they need."""
+    files: dict[str, str] = {}
+    found: dict[str, dict[str, Any]] = {}
+    for process in processes(fleet, here(fleet)):
+        if process.host != host:
+            continue
+        own = _key_files(fleet.keys, process) if fleet.keys is not None else {}
+        if process.role == "learner":
+            own["config.toml"] = to_toml(fleet.config)
+        files |= own
+        # A changed certificate is a reason to start a process again, a changed list of members to start the listener.
+        needed = [item for item in sorted(own.items()) if process.role == fleet.listener[0] or MEMBERS not in item[0]]
+        digest = hashlib.sha256(repr(needed).encode()).hexdigest()[:16]
+        found[str(process.identity)] = {
+            "arguments": list(process.arguments),
+            "threads": process.threads,
+            "files": digest,
+        }
+    return {"processes": found, "files": files, "start": fleet.hosts[host].start}
+
+
+def _key_files(keys: Path, process: Process) -> dict[str, str]:
+    folder = keys / str(process.identity)
+    credentials.load(folder).require(process.role, process.name)
+    names = (CA, CERTIFICATE, KEY, *((MEMBERS,) if process.role in LISTENING else ()))
+    far = Path("keys") / folder.name
+    return {(far / name).as_posix(): credentials.read_bounded(folder / name, 1024**2).decode() for name in names}
+
+
+def down(fleet: Fleet, seconds: float, kill: bool) -> tuple[list[str], list[str], Failures]:
+    """End a fleet: all workers first, then the coordinator, the learner, the router.
+
+    Args:
+        fleet: the fleet.
+        seconds: how long to wait for each of the four.
+        kill: whether to kill what has not ended then.
+
+    Returns:
+        "HOST NAME" of what has ended, and of what has not, and why hosts failed.
+    """
+    ended: list[str] = []
+    left: list[str] = []
+    failed: Failures = {}
+    with links(fleet) as ways:
+        states, failures = everywhere(ways, lambda link: link.call("status", {}))
+        failed |= failures
+        kept = {host: {name.split(".")[0] for name in state["processes"]} for host, state in states.items()}
+        for role in ORDER:
+            reachable = {host: ways[host] for host, roles in kept.items() if role in roles and host not in failed}
+            ask = partial(Link.call, verb="down", request={"roles": [role], "seconds": seconds, "kill": kill})
+            answers, failures = everywhere(reachable, partial(ask, seconds=seconds))
+            failed |= failures
+            for host, answer in answers.items():
+                ended += [f"{host} {name}" for name in answer["ended"]]
+                left += [f"{host} {name}" for name in answer["left"]]
+    return ended, left, failed
+
+
+def status(fleet: Fleet) -> tuple[dict[str, dict[str, Any]], Failures]:
+    """Return the state of each host that was reached, and why the others were not."""
+    with links(fleet) as ways:
+        return everywhere(ways, lambda link: link.call("status", {}))
+
+
+def logs(fleet: Fleet, names: Sequence[str], lines: int) -> tuple[dict[str, dict[str, Any]], Failures]:
+    """Return the last lines of each process, by host and name, and why hosts failed."""
+    with links(fleet) as ways:
+        return everywhere(ways, lambda link: link.call("logs", {"names": list(names), "lines": lines}))
+
+
+def collect(fleet: Fleet, target: Path) -> tuple[int, Failures]:
+    """Bring the histories of all hosts, and the learner's metrics and policy, into one folder, for `eia-sec audit`.
+
+    Returns:
+        The number of files, and why hosts failed.
+    """
+    with links(fleet) as ways:
+        archives, failed = everywhere(ways, lambda link: link.fetch("collect"))
+    files = 0
+    target.mkdir(parents=True, exist_ok=True)
+    for host, data in archives.items():
+        try:
+            with tarfile.open(fileobj=io.BytesIO(data), mode="r:gz") as archive:
+                entries = archive.getmembers()
+                if sum(entry.size for entry in entries) > MAX_COLLECTED:
+                    raise HostError(f"{host}: what it sent unpacks to more than {MAX_COLLECTED} bytes.")
+                archive.extractall(target, filter="data")
+                files += len(entries)
+        except tarfile.TarError as error:
+            raise HostError(f"{host}: what it sent is no archive: {error}") from error
+    return files, failed
+
+
+def listener_names(fleet: Fleet) -> tuple[str, ...]:
+    """Return the names and addresses for which the listener's certificate is issued, containers' included."""
+    host = Endpoint.parse(fleet.network.endpoint.replace("tls/", "tcp/", 1)).host.strip("[]")
+    role = fleet.listener[0]
+    wanted = (host, *fleet.network.names, "localhost", "127.0.0.1", role, service_name(fleet, role))
+    return tuple(dict.fromkeys(name for name in wanted if name != "0.0.0.0"))
+
+
+def service_name(fleet: Fleet, role: str) -> str:
+    """Return the name of a role's service in Kubernetes."""
+    return f"{fleet.run.lower().replace('_', '-').replace('.', '-')}-{role}"
+
+
+def issue_keys(fleet: Fleet, days: int) -> list[Identity]:
+    """Make the certificates that a fleet lacks, the authority included, and those of an operator and a monitor.
+
+    Returns:
+        Whom certificates were made for.
+
+    Raises:
+        CredentialsError: the fleet has no folder for keys, or one cannot be made.
+    """
+    if fleet.keys is None:
+        raise CredentialsError(f'{fleet.path} names no folder for keys; write keys = "keys" into [network].')
+    if not (fleet.keys / authority.CA_KEY).exists():
+        authority.create(fleet.keys)
+    needed = [process.identity for process in processes(fleet, here(fleet))]
+    needed += [Identity("operator", "operator"), Identity("monitor", "monitor")]
+    made = []
+    lifetime = authority.lasting(days)
+    for identity in needed:
+        if not (fleet.keys / str(identity) / CERTIFICATE).exists():
+            # A learner behind a router listens nowhere, and its certificate must serve somewhere.
+            elsewhere = ("localhost",) if identity.role in LISTENING else ()
+            hosts = listener_names(fleet) if identity.role == fleet.listener[0] else elsewhere
+            authority.issue(fleet.keys, identity, hosts, lifetime)
+            made.append(identity)
+    return made

@@ -1,0 +1,110 @@
+"""The processes that a fleet file asks for, with their command lines; every way to start them begins here."""
+
+from dataclasses import dataclass
+from typing import Final
+
+from common.credentials import Identity
+from deploy.hosts.description import Fleet
+from deploy.rundir import HISTORY
+
+PATIENCE: Final = "86400"
+"""Seconds for which everybody waits for the listener: hosts come up in any order, and some much later."""
+ORDER: Final = ("rollout", "elite", "learner", "router")
+"""Roles in the order in which they are stopped: workers deliver what they hold first."""
+
+
+@dataclass(frozen=True)
+class Process:
+    """One process.
+
+    Attributes:
+        role: router, learner, elite or rollout.
+        name: its name inside the role.
+        host: the name of its host in the fleet file.
+        arguments: what follows `eia-sec`.
+        threads: its share of compute threads.
+    """
+
+    role: str
+    name: str
+    host: str
+    arguments: tuple[str, ...]
+    threads: int = 1
+
+    @property
+    def identity(self) -> Identity:
+        """Return role and name, which are its certificate's, too."""
+        return Identity(self.role, self.name)
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where a process finds its things, in its own file system.
+
+    Attributes:
+        run_dir: folder of the run: checkpoints, metrics and histories.
+        keys: folder with a folder for each certificate; "{identity}" in it stands for role and name.
+        config: file with the learner's configuration.
+        endpoint: where others reach the listener.
+        listen: where the listener listens.
+    """
+
+    run_dir: str
+    keys: str
+    config: str
+    endpoint: str
+    listen: str
+
+
+def here(fleet: Fleet) -> Places:
+    """Return the places relative to a host's folder, as `eia-sec up` lays them out."""
+    return Places("run", "keys/{identity}", "config.toml", fleet.network.endpoint, fleet.network.listen)
+
+
+def processes(fleet: Fleet, places: Places) -> list[Process]:
+    """Return every process of a fleet, in the order in which they are named: listener first, workers last."""
+    found = []
+    if fleet.router is not None:
+        router = Identity("router", fleet.router.name)
+        arguments = ("router", "--listen", places.listen, *_insecure(fleet), *_tls(fleet, places, router))
+        found.append(Process("router", fleet.router.name, fleet.router.host, arguments))
+    found.append(_learner(fleet, places))
+    coordinator = fleet.coordinator
+    joining = _joining(fleet, places, Identity("elite", coordinator.name))
+    found.append(Process("elite", coordinator.name, coordinator.host, ("elite", *joining)))
+    for host, described in fleet.hosts.items():
+        found += [worker(fleet, places, host, f"{host}-{index}") for index in range(described.workers)]
+    return found
+
+
+def worker(fleet: Fleet, places: Places, host: str, name: str) -> Process:
+    """Return one worker."""
+    config = fleet.config
+    joining = _joining(fleet, places, Identity("rollout", name))
+    allowed = () if config.env.is_farm else ("--env", config.env.name)
+    history = ("--history", f"{places.run_dir}/{HISTORY}/rollout-{name}.jsonl")
+    return Process("rollout", name, host, ("rollout", *joining, *history, *allowed), config.rollout.threads)
+
+
+def _learner(fleet: Fleet, places: Places) -> Process:
+    if fleet.router is None:
+        met: tuple[str, ...] = ("--listen", places.listen, *_insecure(fleet))
+    else:
+        met = ("--connect", places.endpoint, "--patience", PATIENCE)
+    kept = ("--run-dir", places.run_dir, "--config", places.config, "--resume-if-any")
+    tls = _tls(fleet, places, Identity("learner", "learner"))
+    arguments = ("learner", "--run", fleet.run, *met, *kept, *tls)
+    return Process("learner", "learner", fleet.learner.host, arguments, fleet.config.learner.threads)
+
+
+def _joining(fleet: Fleet, places: Places, who: Identity) -> tuple[str, ...]:
+    where = ("--run", fleet.run, "--connect", places.endpoint, "--name", who.name)
+    return (*where, "--patience", PATIENCE, *_tls(fleet, places, who))
+
+
+def _tls(fleet: Fleet, places: Places, who: Identity) -> tuple[str, ...]:
+    return () if fleet.keys is None else ("--tls", places.keys.format(identity=who))
+
+
+def _insecure(fleet: Fleet) -> tuple[str, ...]:
+    return ("--insecure",) if fleet.network.insecure and fleet.keys is None else ()

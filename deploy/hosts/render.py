@@ -1,0 +1,64 @@
+"""Files of a fleet for other ways of starting it, written into a folder."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from common.errors import ConfigError
+from deploy.authority import replace
+from deploy.hosts.compose import compose
+from deploy.hosts.description import Fleet
+from deploy.hosts.kubernetes import kubernetes
+from deploy.hosts.systemd import units
+from deploy.rundir import HISTORY
+
+_OPEN: Final = (".service", ".target")
+"""Endings of files that everybody may read; systemd wants to."""
+
+
+def render(fleet: Fleet, form: str, folder: Path) -> list[Path]:
+    """Write the files of one form, systemd, compose or kubernetes; return their paths.
+
+    Raises:
+        ConfigError: the fleet cannot be put into this form, or the folder cannot be written.
+        CredentialsError: a certificate is missing or cannot be used.
+    """
+    files = FORMS[form](fleet)
+    written = []
+    try:
+        for name, data in sorted(files.items()):
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            replace(path, data)
+            if path.suffix in _OPEN:
+                path.chmod(0o644)
+            written.append(path)
+        if form == "compose":
+            # Docker would make them for itself, and nobody in a container could write into them.
+            (folder / "run" / HISTORY).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder} cannot be written: {error.strerror}.") from error
+    return written
+
+
+def _compose(fleet: Fleet) -> dict[str, bytes]:
+    """Return Compose's files, and the account for which they are readable."""
+    project = f"eia-sec-{fleet.run.lower().replace('.', '-')}"
+    settings = f"COMPOSE_PROJECT_NAME={project}\nEIA_SEC_UID={os.getuid()}\nEIA_SEC_GID={os.getgid()}\n"
+    return compose(fleet) | {".env": settings.encode()}
+
+
+def _systemd(fleet: Fleet) -> dict[str, bytes]:
+    return {name: text.encode() for name, text in units(fleet).items()}
+
+
+def _kubernetes(fleet: Fleet) -> dict[str, bytes]:
+    return {name: text.encode() for name, text in kubernetes(fleet).items()}
+
+
+FORMS: Final[dict[str, Callable[[Fleet], dict[str, bytes]]]] = {
+    "systemd": _systemd,
+    "compose": _compose,
+    "kubernetes": _kubernetes,
+}

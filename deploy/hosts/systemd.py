@@ -1,0 +1,109 @@
+"""Unit files of a fleet for systemd: a folder for each host, a unit for each process, a target for all of them."""
+
+from pathlib import PurePosixPath
+from typing import Final
+
+from common.config.files import to_toml
+from common.errors import ConfigError
+from deploy.hosts.description import Fleet
+from deploy.hosts.plan import ORDER, Places, Process, processes
+
+USER: Final = "eia-sec"
+"""The account that the processes run under."""
+
+_UNIT: Final = """[Unit]
+Description=EIA-SEC run {run}: {identity}
+Wants=network-online.target
+After={after}
+PartOf={target}
+StartLimitIntervalSec=0
+
+[Service]
+Type=exec
+User={user}
+StateDirectory=eia-sec/{run}
+StateDirectoryMode=0700
+CacheDirectory=eia-sec
+WorkingDirectory=/var/lib/eia-sec/{run}
+Environment=OMP_NUM_THREADS={threads} MKL_NUM_THREADS={threads} NUMBA_NUM_THREADS={threads}
+Environment=NUMBA_CACHE_DIR=/var/cache/eia-sec PYTHONUNBUFFERED=1
+ExecStart={command}
+Restart=on-failure
+RestartSec=5
+# Exit code 2 is a mistake in what it was told, which another start does not mend.
+RestartPreventExitStatus=2
+TimeoutStopSec=90
+UMask=0077
+NoNewPrivileges=yes
+ProtectSystem=strict
+ProtectHome=read-only
+ProtectKernelTunables=yes
+ProtectControlGroups=yes
+PrivateTmp=yes
+{devices}RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
+
+[Install]
+WantedBy={target}
+"""
+_TARGET: Final = """[Unit]
+Description=EIA-SEC run {run} on {host}
+
+[Install]
+WantedBy=multi-user.target
+"""
+
+
+def units(fleet: Fleet) -> dict[str, str]:
+    """Return every file by its path, HOST/NAME.
+
+    Raises:
+        ConfigError: a host's command is neither absolute nor a bare name.
+    """
+    folder, settings = f"/var/lib/eia-sec/{fleet.run}", f"/etc/eia-sec/{fleet.run}"
+    keys, config = f"{settings}/keys/{{identity}}", f"{settings}/config.toml"
+    places = Places(f"{folder}/run", keys, config, fleet.network.endpoint, fleet.network.listen)
+    planned = processes(fleet, places)
+    files: dict[str, str] = {}
+    for process in planned:
+        beside = [other for other in planned if other.host == process.host]
+        files[f"{process.host}/{unit_name(fleet, process)}"] = _unit(fleet, process, beside)
+        files[f"{process.host}/{_target(fleet)}"] = _TARGET.format(run=fleet.run, host=process.host)
+        if process.role == "learner":
+            files[f"{process.host}/config.toml"] = to_toml(fleet.config)
+    return files
+
+
+def unit_name(fleet: Fleet, process: Process) -> str:
+    """Return the name of a process's unit."""
+    return f"eia-sec-{fleet.run}-{process.identity}.service"
+
+
+def _target(fleet: Fleet) -> str:
+    return f"eia-sec-{fleet.run}.target"
+
+
+def _unit(fleet: Fleet, process: Process, beside: list[Process]) -> str:
+    command = fleet.hosts[process.host].command
+    words = command.split()
+    if "/" in words[0] and not PurePosixPath(words[0]).is_absolute():
+        raise ConfigError(
+            f"hosts.{process.host}.command must begin with an absolute path for systemd, not {command!r}."
+        )
+    # What is started first is stopped last: workers deliver before the learner ends.
+    before = [other for other in beside if ORDER.index(other.role) > ORDER.index(process.role)]
+    return _UNIT.format(
+        run=fleet.run,
+        identity=process.identity,
+        after=" ".join(["network-online.target", *(unit_name(fleet, other) for other in before)]),
+        target=_target(fleet),
+        user=USER,
+        threads=process.threads,
+        command=" ".join(_word(word) for word in [*words, *process.arguments]),
+        devices="" if process.role == "learner" and fleet.learner.gpus else "PrivateDevices=yes\n",
+    )
+
+
+def _word(word: str) -> str:
+    """Return a word as systemd reads it: specifiers and variables stay as they are written."""
+    word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
+    return f'"{word}"' if any(sign in word for sign in " \t'\";") else word

