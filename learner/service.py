@@ -299,6 +299,7 @@ class Learner:
     def _report(self) -> None:
         self._times["report"] = time.monotonic()
         t = self.trainer
+        ledger, ledgers = self._receiver.intake.accounts()
         values = {
             "state": self._state,
             "episodes": t.episodes,
@@ -313,7 +314,8 @@ class Learner:
             "malformed_by": self._receiver.offenders.counts(),
             "elapsed": self._journal.elapsed,
             "waits": dict(self._waited),
-            "ledger": {**self._receiver.intake.totals(), "unexplained": self._unexplained()},
+            "ledger": {**ledger, "unexplained": self._unexplained()},
+            "ledgers": ledgers,
             "curves": self._curves.smoothed(),
             "statistics": t.statistics(),
             "evaluation_steps": t.evaluation_steps,
