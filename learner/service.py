@@ -316,6 +316,7 @@ class Learner:
             "waits": dict(self._waited),
             "ledger": {**ledger, "unexplained": self._unexplained()},
             "ledgers": ledgers,
+            "imitations": list(self._journal.imitations),
             "curves": self._curves.smoothed(),
             "statistics": t.statistics(),
             "evaluation_steps": t.evaluation_steps,
@@ -331,7 +332,7 @@ class Learner:
         agents = t.figures.by_agent()
         told = ("lag_versions", "queue", "curves", "statistics", "checkpoints", "waits", "ledger")
         self._board.write(t.environment_steps, flattened({name: values[name] for name in told} | {"agents": agents}))
-        del values["alarms"]
+        del values["alarms"], values["imitations"]
         self._journal.write("status", **values, agents=agents)
 
     def _unexplained(self) -> int:
