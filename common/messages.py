@@ -294,7 +294,18 @@ class EvaluationResult(Message):
 
 @dataclass(frozen=True)
 class ImitationMessage(Message):
-    """One imitation event, see `common.imitation.ImitationEvent`, and the learner's epoch that it belongs to."""
+    """One imitation event, see `common.imitation.ImitationEvent`, and the learner's epoch that it belongs to.
+
+    Attributes:
+        epoch: the learner's fencing epoch.
+        event: number e of the event, from 1.
+        version: parameter version that was evaluated.
+        episode: training episode at which it was due.
+        rate: vartheta, the share by which actors move towards the elite.
+        elites: for each type, the index of the elite inside it.
+        scores: for each type, omega of each of its agents.
+        evaluation_steps: environment steps flown for it.
+    """
 
     KIND = 11
     epoch: int

@@ -39,8 +39,10 @@ class Ledger:
     """Where produced environment steps are: produced = accepted + lost + rejected + in flight.
 
     Attributes:
-        produced, accepted, rejected: environment steps.
-        lost: environment steps that are declared lost; None where only a worker's own account is known.
+        produced: environment steps that were flown.
+        accepted: environment steps that the learner has taken in.
+        rejected: environment steps in chunks that it refused.
+        lost: environment steps that are declared lost; unknown where only a worker's own account is known.
         in_flight: environment steps that were flown and have neither arrived nor been given up.
         unexplained: accepted environment steps that are neither in replay nor on the way to it; 0 but for a defect.
         duplicates: chunks that came again and were not taken in.
@@ -142,16 +144,19 @@ class Snapshot:
         state: starting, training, draining or finished.
         elapsed: seconds since the start.
         left: estimated seconds to the end.
-        episodes, episodes_total: training episodes finished, and lambda_max.
+        episodes: training episodes finished.
+        episodes_total: training episodes of the whole run, lambda_max.
         reward: mean reward per agent, first over all agents, then for each type.
         freshness: AoI and VDF, units, or the length of episodes where there are none.
-        steps, steps_rate: environment steps accepted, and per second.
-        updates, updates_rate: update rounds done, and per second.
+        steps: environment steps accepted.
+        steps_rate: the same per second.
+        updates: update rounds done.
+        updates_rate: the same per second.
         staleness: mean over workers of the parameter versions by which they lag behind the learner.
         learner_wait: share of time in which the learner waits for data, 0..1.
         worker_wait: mean share of time in which the workers wait for the learner, 0..1.
         ledger: where the produced steps of the run are.
-        others: how many workers have no row of their own in the learner's account, and where their steps are.
+        others: how many workers the learner sums in its account, and where their steps are.
         imitation: the elite imitation so far.
         processes: one row for each process.
         alarms: sentences that somebody should read, newest last.
