@@ -114,6 +114,26 @@ FIGURES: Final[dict[str, tuple[Figure, ...]]] = {
         Figure("elites/*", "", "index of that event's elite inside each type"),
         Figure("scores", "", "omega of each agent then; a list for each type"),
     ),
+    "flight": (
+        Figure("period_seconds", "s", "between two set-points"),
+        Figure("periods", "periods", "begun"),
+        Figure("overruns", "periods", "left out because the one before took too long"),
+        Figure("decisions", "set-points", "that an actor decided"),
+        Figure("hovers", "set-points", "that command hover"),
+        Figure("refused", "observations", "that were not used: malformed, not finite, stale, not newer"),
+        Figure("missed", "observations", "that never came, by the gaps in their numbers"),
+        Figure(
+            "latency/*",
+            "ms",
+            "from taking an observation in to its set-point, over the newest 1,000: median, p99, most",
+        ),
+        Figure("age/*", "ms", "of the observation when its set-point was made, by both clocks, likewise"),
+        Figure("vehicles/*/agent", "", "the agent that flies it"),
+        Figure("vehicles/*/hovers", "set-points", "that command it to hover"),
+        Figure("vehicles/*/refused", "observations", "of it that were not used"),
+        Figure("vehicles/*/reason", "", "why it hovers now, or empty"),
+        _ALARMS,
+    ),
 }
 
 

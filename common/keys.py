@@ -9,6 +9,8 @@
     eia-sec/v1/{run}/imitation/event            state     coordinator -> everybody ImitationMessage
     eia-sec/v1/{run}/metric/{role}/{name}       lossy     every process            MetricMessage
     eia-sec/v1/{run}/live/{role}/{name}         token     every process            presence
+    eia-sec/v1/{run}/flight/{vehicle}/observation  lossy  vehicle -> flight node   ObservationMessage
+    eia-sec/v1/{run}/flight/{vehicle}/setpoint     lossy  flight node -> vehicle   SetpointMessage
 
 *request*: acknowledged, resent until answered. *state*: latest wins, late joiners get it. *lossy*: may be dropped, a
 running counter shows the gaps. *token*: Zenoh liveliness.
@@ -30,7 +32,7 @@ class KeyFamily:
     """One shape of key.
 
     Attributes:
-        plane: first segment after the run: transition, params, ctl, eval, imitation, metric or live.
+        plane: first segment after the run: transition, params, ctl, eval, imitation, metric, live or flight.
         template: the segments after the run, variables in braces.
         delivery: request, state, lossy or token.
         sender: who puts or asks.
@@ -116,6 +118,24 @@ METRIC: Final = KeyFamily(
     "metric", "metric/{role}/{name}", "lossy", "every process", "everybody", ("MetricMessage",), "1 per second"
 )
 LIVE: Final = KeyFamily("live", "live/{role}/{name}", "token", "every process", "everybody", (), "while it lives")
+OBSERVATION: Final = KeyFamily(
+    "flight",
+    "flight/{vehicle}/observation",
+    "lossy",
+    "vehicle",
+    "flight node",
+    ("ObservationMessage",),
+    "as often as the vehicle likes; the newest in each period counts",
+)
+SETPOINT: Final = KeyFamily(
+    "flight",
+    "flight/{vehicle}/setpoint",
+    "lossy",
+    "flight node",
+    "vehicle",
+    ("SetpointMessage",),
+    "every period of the flight node, 10 per second by default",
+)
 
 FAMILIES: Final = (
     TRANSITION,
@@ -127,6 +147,8 @@ FAMILIES: Final = (
     IMITATION_EVENT,
     METRIC,
     LIVE,
+    OBSERVATION,
+    SETPOINT,
 )
 
 

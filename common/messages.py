@@ -101,7 +101,7 @@ class Envelope(Message):
     """Who sent a payload; travels as its attachment.
 
     Attributes:
-        role: rollout, learner, elite or monitor.
+        role: rollout, learner, elite, flight or vehicle.
         name: the process's name inside its role.
         incarnation: a number that grows with every start of a process of this name.
         sequence: running number of what this sender sends on this key, from 1.
@@ -345,3 +345,45 @@ class MetricMessage(Message):
     pid: int
     uptime: float
     values: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ObservationMessage(Message):
+    """What one vehicle sees; its envelope bears the role `vehicle`, and a sequence number that grows.
+
+    Attributes:
+        agent: the agent whose actor is to decide, communication_0 for instance.
+        stamp: when it was observed, microseconds since 1970 by the vehicle's clock.
+        values: [o] float32 of the agent's observation, scaled as the actor knows them.
+    """
+
+    KIND = 13
+    agent: str
+    stamp: int
+    values: Float32
+
+
+@dataclass(frozen=True)
+class SetpointMessage(Message):
+    """What one vehicle is to do until the next one comes.
+
+    Attributes:
+        agent: the agent that decided.
+        velocity: along x and along y of the field, m/s; zeros command hover.
+        hover: whether the watchdog commands hover; the velocity is then zero.
+        reason: why, or empty.
+        answers: sequence number of the observation that was decided on; 0 with hover.
+        stamp: that observation's stamp; 0 with hover.
+        period: running number of the flight node's period, from 1.
+        latency: seconds from taking the observation in to this message; 0 with hover.
+    """
+
+    KIND = 14
+    agent: str
+    velocity: tuple[float, ...]
+    hover: bool
+    reason: str
+    answers: int
+    stamp: int
+    period: int
+    latency: float
