@@ -33,11 +33,11 @@ def examine(rows: Sequence[ProcessRow], training: bool) -> tuple[tuple[ProcessRo
             marked.update((row.role, row.name) for row in found)
             sentences.append(f"{_names(found)} {one if len(found) == 1 else many}")
 
-    complain([row for row in rows if not row.alive], "is gone.", "are gone.")
+    complain([row for row in rows if not (row.alive or row.left)], "is gone.", "are gone.")
     silent = [row for row in rows if row.alive and row.quiet]
     longest = max((row.age for row in silent), default=0.0)
     complain(silent, f"has said nothing for {longest:.0f} s.", f"have said nothing for up to {longest:.0f} s.")
-    workers = [row for row in rows if row.role == "rollout" and not row.quiet]
+    workers = [row for row in rows if row.role == "rollout" and not (row.quiet or row.left)]
     late = [row for row in workers if (row.behind or 0) >= BEHIND_VERSIONS]
     oldest = max((row.behind or 0 for row in late), default=0)
     complain(

@@ -128,6 +128,11 @@ class Fleet:
         episodes, total = int(values.get("episodes", 0)), int(values.get("episodes_total", 0))
         ledgers, learner = values.get("ledgers", {}), self._of("learner")
         rows = tuple(self._row(name, seen, values, ledgers) for name, seen in sorted(self._seen.items()))
+        before = sorted(name for name in ledgers if name != OTHERS and ("rollout", str(name)) not in self._seen)
+        rows += tuple(
+            ProcessRow("rollout", str(name), "-", 0, 0.0, alive=False, ledger=_ledger(ledgers[name]), left=True)
+            for name in before
+        )
         rows, complaints = examine(rows, training=values.get("state") == "training")
         return Snapshot(
             run=self._run,

@@ -61,6 +61,8 @@ def _of(field: Callable[[Ledger], int | None], style: str = "") -> Callable[[Pro
 
 
 def _heard(row: ProcessRow) -> Text:
+    if row.left:
+        return Text("left")
     return Text(f"{row.age:.0f} s" if row.alive else "gone", style=_TROUBLE if row.quiet else "")
 
 
@@ -69,7 +71,7 @@ _COLUMNS: Final = (
     _Column("name", NARROW, lambda row: Text(row.name, style=_TROUBLE if row.trouble else ""), right=False),
     _Column("host", NARROW, lambda row: Text(row.host), right=False),
     _Column("pid", WIDE, lambda row: str(row.pid or "-")),
-    _Column("up", NARROW, lambda row: duration(row.uptime)),
+    _Column("up", NARROW, lambda row: "-" if row.left else duration(row.uptime)),
     _Column("heard", NARROW, _heard),
     _Column("per s", NARROW, lambda row: number(row.rate)),
     _Column("version", WIDE, lambda row: short(row.version)),
@@ -129,7 +131,7 @@ class FleetTable:
         rows = list(self.snapshot.processes)
         if len(rows) <= self.rows:
             return rows, []
-        ordered = sorted(rows, key=lambda row: (not (row.quiet or row.trouble), row.role == "rollout"))
+        ordered = sorted(rows, key=lambda row: (not (row.quiet or row.trouble), row.left, row.role == "rollout"))
         return ordered[: self.rows - 1], ordered[self.rows - 1 :]
 
 
@@ -138,17 +140,18 @@ def _summed(rows: Sequence[ProcessRow]) -> ProcessRow:
     ledgers = [row.ledger for row in rows if row.ledger is not None]
     known = [ledger.lost for ledger in ledgers if ledger.lost is not None]
     behind = [row.behind for row in rows if row.behind is not None]
+    hosts = len({row.host for row in rows if not row.left})
     return ProcessRow(
         role=f"{len(rows)} others",
         name="",
-        host=f"{len({row.host for row in rows})} hosts",
+        host=f"{hosts} host{'s' if hosts != 1 else ''}",
         pid=0,
         uptime=max(row.uptime for row in rows),
         rate=sum(row.rate or 0.0 for row in rows),
         behind=max(behind, default=None),
         queue=sum(row.queue or 0 for row in rows),
         age=max(row.age for row in rows),
-        alive=all(row.alive for row in rows),
+        alive=all(row.alive or row.left for row in rows),
         ledger=Ledger(
             produced=sum(ledger.produced for ledger in ledgers),
             accepted=sum(ledger.accepted for ledger in ledgers),

@@ -112,6 +112,7 @@ class ProcessRow:
         alive: whether its liveliness token stands.
         ledger: where the steps of a worker are, over all its starts.
         trouble: whether an alarm is about it.
+        left: whether it is known from the learner's ledger alone: a worker that was there before this view looked.
     """
 
     role: str
@@ -128,11 +129,12 @@ class ProcessRow:
     alive: bool = True
     ledger: Ledger | None = None
     trouble: bool = False
+    left: bool = False
 
     @property
     def quiet(self) -> bool:
-        """Whether it is gone or has said nothing for QUIET_SECONDS."""
-        return not self.alive or self.age >= QUIET_SECONDS
+        """Whether it is gone or has said nothing for QUIET_SECONDS; one that has left long ago is no news."""
+        return not self.left and (not self.alive or self.age >= QUIET_SECONDS)
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,8 @@ KEPT: Final = 1000
 """Newest decisions whose latency is told."""
 ROWS: Final = 16
 """Vehicles that a report tells one by one, those that hover first."""
+REASONS: Final = 4
+"""Reasons to hover that alarms tell one by one."""
 REASON: Final = 160
 """Most characters of a reason."""
 
@@ -229,10 +231,23 @@ class Pilot:
         return SetpointMessage(self._names[held.agent], (0.0, 0.0), True, held.reason, 0, 0, self.period, 0.0)
 
     def _alarms(self) -> list[str]:
-        hovering = [(vehicle, held.reason) for vehicle, held in self._vehicles.items() if held.reason]
-        told = [f"{vehicle} hovers: {reason}." for vehicle, reason in hovering[:4]]
-        rest = len(hovering) - len(told)
-        return [*told, *([f"{rest} more vehicles hover."] if rest else [])]
+        """Return one sentence for each reason to hover, of the commonest ones."""
+        found: dict[str, list[str]] = {}
+        for vehicle, held in self._vehicles.items():
+            if held.reason:
+                found.setdefault(held.reason, []).append(vehicle)
+        common = sorted(found.items(), key=lambda item: -len(item[1]))[:REASONS]
+        told = [f"{_named(vehicles)}: {reason.rstrip('.')}." for reason, vehicles in common]
+        rest = sum(map(len, found.values())) - sum(len(vehicles) for _, vehicles in common)
+        return [*told, *([f"{rest} more hover for other reasons."] if rest else [])]
+
+
+def _named(vehicles: list[str]) -> str:
+    """Return "a, b and 7 others hover"."""
+    if len(vehicles) == 1:
+        return f"{vehicles[0]} hovers"
+    rest = len(vehicles) - 2
+    return f"{', '.join(vehicles[:2])} and {rest} others hover" if rest > 1 else f"{', '.join(vehicles)} hover"
 
 
 def _places(bank: ActorBank) -> list[slice]:

@@ -172,6 +172,18 @@ def test_every_kind_of_trouble_is_named():
     assert examine([worker(index, rate=0.0, uptime=5.0) for index in range(2)], training=True)[1] == []
 
 
+def test_a_worker_that_left_before_is_in_the_ledger_and_no_alarm():
+    """A worker known from the learner's ledger alone has its row, comes last of all, and is not called gone."""
+    left = ProcessRow("rollout", "old", "-", 0, 0.0, alive=False, ledger=Ledger(produced=70, accepted=70), left=True)
+    rows, sentences = examine([left, worker(0)], training=True)
+    assert sentences == []
+    assert not any(row.trouble for row in rows)
+    table = FleetTable(dataclasses.replace(SNAPSHOT, processes=(*rows, worker(1), worker(2))), 3)
+    assert [row.name for row in table.parts()[1]] == ["worker-2", "old"]
+    shown = line_with("old", drawn(dataclasses.replace(SNAPSHOT, processes=rows), 140))
+    assert shown.split()[1:7] == ["rollout", "old", "-", "-", "-", "left"]
+
+
 def test_record_is_json_of_known_fields():
     """What `--json` prints has every field, the latest value of a series, and null for what is not finite."""
     odd = dataclasses.replace(SNAPSHOT, reward=(Series("mean", (float("nan"),)), Series("m", (1.0, 2.0))))

@@ -76,13 +76,14 @@ class Processes:
         self.endpoint: Endpoint = free_endpoint()
         self.running: dict[str, subprocess.Popen[bytes]] = {}
         self.prefix: tuple[str, ...] = ()
+        self.module = "deploy.cli"
 
     def start(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
         """Start one command, its output in a log file."""
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
         with (self.directory / f"{name}.log").open("ab") as log:
             process = subprocess.Popen(
-                [*self.prefix, sys.executable, "-m", "deploy.cli", *arguments],
+                [*self.prefix, sys.executable, "-m", self.module, *arguments],
                 stdout=log,
                 stderr=log,
                 env=environment,
