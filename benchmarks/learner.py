@@ -30,6 +30,7 @@ from common.actors import ActorBank  # noqa: E402  (as above)
 from common.config import AlgorithmConfig, FarmConfig, ReplayConfig, RunConfig, WorldConfig  # noqa: E402  (as above)
 from common.team import TeamSpec, farm_team  # noqa: E402  (as above)
 from common.transitions import TRANSITION, Chunk, Rows  # noqa: E402  (as above)
+from experiments.provenance import provenance  # noqa: E402  (as above)
 from learner.algorithms import ALGORITHMS  # noqa: E402  (as above)
 from learner.arithmetic import choose_products  # noqa: E402  (as above)
 from learner.inputs import critic_width  # noqa: E402  (as above)
@@ -178,8 +179,10 @@ def keep_growth(folder: Path, rounds: int) -> None:
 
     found = growth(rounds)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "growth.json").write_text(json.dumps(found, indent=1) + "\n")
-    head = "Made by `python -m benchmarks.learner --growth`; the least of many rounds, one thread.\n\n"
+    origin = provenance("benchmarks.learner")
+    (folder / "growth.json").write_text(json.dumps({**origin, **found}, indent=1) + "\n")
+    made = f"Made by `{origin['command']}` (commit {origin['commit']})"
+    head = f"{made}; the least of many rounds, one thread.\n\n"
     (folder / "growth.md").write_text(head + table([line for lines in found.values() for line in lines]))
     figure, axes = plt.subplots(1, 3, figsize=(10, 3.2), layout="constrained")
     for axis, (by, lines) in zip(axes, found.items(), strict=True):

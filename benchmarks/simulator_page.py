@@ -7,6 +7,8 @@ from typing import Any, Final
 
 from matplotlib.figure import Figure
 
+from experiments.provenance import provenance
+
 AXES: Final = {
     "uavs": ("UAVs", "on the default field, a third of each type"),
     "sensors": ("sensors", "denser on the default field"),
@@ -78,15 +80,28 @@ def growth_figure(scaling: Mapping[str, Any]) -> Figure:
     return figure
 
 
+def growth_table(scaling: Mapping[str, Any]) -> list[str]:
+    """Return the growth as Markdown: microseconds a step at each size."""
+    lines = []
+    for name, points in scaling.items():
+        what, how = AXES[name]
+        costs = ["us a step", *(f"{point['us_per_step']:.1f}" for point in points)]
+        sizes = [f"{what}, {how}", *(f"{point['value']:,}" for point in points)]
+        lines += [f"| {' | '.join(sizes)} |", "|---|" + "---:|" * len(points), f"| {' | '.join(costs)} |", ""]
+    return lines
+
+
 def write(found: Mapping[str, Any], folder: Path) -> None:
     """Write simulator.json, README.md and, if growth was measured, growth.png."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "simulator.json").write_text(json.dumps(found, indent=2) + "\n")
-    page = ["# Speed of the simulator", "", "`python -m benchmarks.simulator --write docs/results/simulator`", ""]
+    origin = provenance("benchmarks.simulator")
+    (folder / "simulator.json").write_text(json.dumps({**origin, **found}, indent=2) + "\n")
+    page = ["# Speed of the simulator", "", f"`{origin['command']}`, commit {origin['commit']}", ""]
     page += ["| what | measured |", "|---|---|", *(f"| {name} | {text} |" for name, text in rows(found)), ""]
     if "scaling" in found:
         growth_figure(found["scaling"]).savefig(folder / "growth.png", dpi=150)
         page += ["![The cost of a step against UAVs, sensors and plots](growth.png)", ""]
+        page += growth_table(found["scaling"])
     if "parts_us" in found:
         page += ["| stage of a step | us |", "|---|---|"]
         page += [f"| {name.replace('_', ' ')} | {us:.2f} |" for name, us in found["parts_us"].items()] + [""]

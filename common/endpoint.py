@@ -29,20 +29,23 @@ class Endpoint:
         host: name or address; IPv6 in brackets.
         port: port of the control lane; the bulk lane has the next one.
         credentials: this process's certificate, when the protocol is tls.
+        shared_memory: whether processes on one machine pass large messages through its memory; both ends must.
     """
 
     protocol: str
     host: str
     port: int
     credentials: Credentials | None = None
+    shared_memory: bool = False
 
     @classmethod
-    def parse(cls, text: str, tls: Path | None = None) -> "Endpoint":
+    def parse(cls, text: str, tls: Path | None = None, *, shared_memory: bool = False) -> "Endpoint":
         """Parse "tcp/HOST:PORT".
 
         Args:
             text: the endpoint.
             tls: folder of this process's certificate; the protocol is tls then, whatever the text says.
+            shared_memory: see the attribute.
 
         Raises:
             EndpointError: when it is none, or asks for TLS without a certificate.
@@ -51,7 +54,7 @@ class Endpoint:
         match = _FORM.fullmatch(text)
         if match is None or not 1 <= int(match[3]) <= 65_534:
             raise EndpointError(f"{text!r} is not an endpoint; write tcp/HOST:PORT with a port of 1 to 65534.")
-        endpoint = cls(match[1], match[2], int(match[3]))
+        endpoint = cls(match[1], match[2], int(match[3]), shared_memory=shared_memory)
         if tls is not None:
             return replace(endpoint, protocol="tls", credentials=load(tls))
         if endpoint.protocol == "tls":

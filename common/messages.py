@@ -4,7 +4,9 @@ A message's scalar fields go into the frame's header, its arrays into the body, 
 against the dataclass, so a message that exists is a message that fits its declaration.
 """
 
+import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
@@ -45,32 +47,60 @@ class Message:
             SchemaError: when a field is missing, unknown or of another type.
         """
         scalars, arrays = frame.decode(data, cls.KIND)
-        values: dict[str, Any] = {}
-        hints = get_type_hints(cls)
-        for item in fields(cls):  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
-            values[item.name] = _take(item.name, hints[item.name], scalars, arrays)
+        values = {name: read(scalars, arrays) for name, read in _readers(cls)}
         if scalars or arrays:
             raise SchemaError(f"{cls.__name__} has no field {sorted([*scalars, *arrays])[0][:40]!r}.")
         return cls(**values)
 
 
-def _take(name: str, kind: Any, scalars: dict[str, Any], arrays: dict[str, frame.Array]) -> Any:
+Reader = Callable[[dict[str, Any], dict[str, frame.Array]], Any]
+"""Takes a field out of a frame's scalars or arrays, checked against its declaration."""
+
+
+@functools.cache
+def _readers(cls: type[Message]) -> tuple[tuple[str, Reader], ...]:
+    """Return how each field of a message type is read; looking into annotations takes longer than reading."""
+    hints = get_type_hints(cls)
+    names = [item.name for item in fields(cls)]  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
+    return tuple((name, _reader(name, hints[name])) for name in names)
+
+
+def _reader(name: str, kind: Any) -> Reader:
     if get_origin(kind) is np.ndarray:
-        if name not in arrays:
-            raise SchemaError(f"array {name} is missing.")
-        return _array(name, kind, arrays.pop(name))
+        return functools.partial(_read_array, name, _dtype(kind))
     if get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is np.ndarray:
-        parts: list[frame.Array] = []
-        while f"{name}.{len(parts)}" in arrays:
-            parts.append(_array(name, get_args(kind)[0], arrays.pop(f"{name}.{len(parts)}")))
-        return tuple(parts)
+        return functools.partial(_read_arrays, name, _dtype(get_args(kind)[0]))
+    return functools.partial(_read_scalar, name, kind)
+
+
+def _dtype(kind: Any) -> np.dtype[Any]:
+    return np.dtype(get_args(get_args(kind)[1])[0])
+
+
+def _read_array(
+    name: str, wanted: np.dtype[Any], scalars: dict[str, Any], arrays: dict[str, frame.Array]
+) -> frame.Array:
+    if name not in arrays:
+        raise SchemaError(f"array {name} is missing.")
+    return _array(name, wanted, arrays.pop(name))
+
+
+def _read_arrays(
+    name: str, wanted: np.dtype[Any], scalars: dict[str, Any], arrays: dict[str, frame.Array]
+) -> tuple[frame.Array, ...]:
+    parts: list[frame.Array] = []
+    while (key := f"{name}.{len(parts)}") in arrays:
+        parts.append(_array(name, wanted, arrays.pop(key)))
+    return tuple(parts)
+
+
+def _read_scalar(name: str, kind: Any, scalars: dict[str, Any], arrays: dict[str, frame.Array]) -> Any:
     if name not in scalars:
         raise SchemaError(f"field {name} is missing.")
     return _scalar(name, kind, scalars.pop(name))
 
 
-def _array(name: str, kind: Any, value: frame.Array) -> frame.Array:
-    wanted = np.dtype(get_args(get_args(kind)[1])[0])
+def _array(name: str, wanted: np.dtype[Any], value: frame.Array) -> frame.Array:
     if value.dtype != wanted:
         raise SchemaError(f"array {name} is {value.dtype}, not {wanted}.")
     return value

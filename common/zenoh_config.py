@@ -26,7 +26,7 @@ def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = 
     With credentials, it takes TLS links alone, asks for a certificate of the same authority, and lets each holder do
     what `common.access` grants to it.
     """
-    values = _base(mode) | {"listen/endpoints": [endpoint.locator(lane)], "listen/exit_on_failure": True}
+    values = _base(mode, endpoint) | {"listen/endpoints": [endpoint.locator(lane)], "listen/exit_on_failure": True}
     credentials = endpoint.credentials
     if credentials is not None:
         values["transport/link/tls"] = {
@@ -41,7 +41,7 @@ def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = 
 
 def connecting(endpoint: Endpoint, lane: Lane) -> Values:
     """Return the configuration of a session that connects to a listener or a router."""
-    values = _base("client") | {
+    values = _base("client", endpoint) | {
         "connect/endpoints": [endpoint.locator(lane)],
         "connect/timeout_ms": CONNECT_MS,
         "connect/exit_on_failure": True,
@@ -66,7 +66,7 @@ def _tls(credentials: Credentials) -> Values:
     }
 
 
-def _base(mode: str) -> Values:
+def _base(mode: str, endpoint: Endpoint) -> Values:
     return {
         "mode": mode,
         "listen/endpoints": [],
@@ -75,5 +75,5 @@ def _base(mode: str) -> Values:
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
         "transport/link/rx/max_message_size": MAX_FRAME,
-        "transport/shared_memory/enabled": False,
+        "transport/shared_memory/enabled": endpoint.shared_memory,
     }

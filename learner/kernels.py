@@ -248,3 +248,25 @@ def spread(source: Floats, table: Table, rows: int, out: Floats) -> None:
         for b in range(rows):
             for k in range(size):
                 out[start + b * stride + k] = source[begin + b * step + k]
+
+
+@compiled
+def put_in(places: Table, slot: Table, count: int, new: Table) -> int:
+    """Append places to the first `count` of a set's array, and note where each stands; return the new count."""
+    for n in range(new.shape[0]):
+        places[count + n] = new[n]
+        slot[new[n]] = count + n
+    return count + new.shape[0]
+
+
+@compiled
+def take_out(places: Table, slot: Table, count: int, gone: Table) -> int:
+    """Remove those places that are in a set, each hole filled by the last one; return the new count."""
+    for n in range(gone.shape[0]):
+        hole = slot[gone[n]]
+        if hole >= 0:
+            count -= 1
+            last = places[count]
+            places[hole], slot[last] = last, hole
+            slot[gone[n]] = -1
+    return count

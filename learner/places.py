@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import CheckpointError
+from learner import kernels
 
 Places = NDArray[np.int64]
 
@@ -11,7 +12,7 @@ Places = NDArray[np.int64]
 class PlaceSet:
     """A subset of the places 0 .. capacity - 1, held compactly, so that a draw is one index into an array.
 
-    What is removed leaves holes, which the last places of the array fill; the order is a function of the calls alone.
+    What is removed leaves a hole, which the last place of the array fills; the order is a function of the calls alone.
 
     Args:
         capacity: number of places.
@@ -27,24 +28,13 @@ class PlaceSet:
 
     def add(self, places: Places) -> None:
         """Put in places, each of them once and none of them in the set already."""
-        end = self.count + places.shape[0]
-        self._places[self.count : end] = places
-        self._slot[places] = np.arange(self.count, end)
-        self.count = end
+        self.count = kernels.put_in(self._places, self._slot, self.count, places)
 
     def remove(self, places: Places) -> int:
         """Take out those of the places that are in the set; return how many were."""
-        slots = self._slot[places]
-        slots = slots[slots >= 0]
-        left = self.count - slots.shape[0]
-        self._slot[self._places[slots]] = -1
-        last = self._places[left : self.count]
-        movers = last[self._slot[last] >= 0]
-        holes = slots[slots < left]
-        self._places[holes] = movers
-        self._slot[movers] = holes
-        self.count = left
-        return int(slots.size)
+        left = kernels.take_out(self._places, self._slot, self.count, places)
+        taken, self.count = self.count - left, left
+        return taken
 
     def draw(self, count: int, generator: np.random.Generator) -> Places:
         """Return `count` places, drawn uniformly with replacement; the set must not be empty."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from common.errors import CheckpointError, ConfigError, EiaSecError
-from common.team import TeamSpec
+from common.team import Float32, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, Rows
 from learner.engine import Batch
 from learner.frozen import Frozen
@@ -123,17 +123,15 @@ class Replay:
 
     def _append(self, rows: Rows, new: NDArray[np.bool_], version: int) -> None:
         """Write the new rows of a chunk behind the head."""
-        whole = bool(new.all())
-        flag = rows.flag if whole else rows.flag[new]
-        arrays = [array if whole else array[new] for array in (rows.observation, rows.action, rows.reward)]
-        count = flag.shape[0]
+        index = np.flatnonzero(new)
+        count = index.shape[0]
         first = min(count, self.capacity - self.head)
-        for start, part in ((self.head, slice(0, first)), (0, slice(first, count))):
-            place = slice(start, start + part.stop - part.start)
+        for start, part in ((self.head, index[:first]), (0, index[first:])):
+            place = slice(start, start + part.shape[0])
             self._retire(place)
-            for target, source in zip(self._large(), arrays, strict=True):
-                target[place].copy_(torch.from_numpy(np.require(source[part], requirements=["C", "W"])))
-            self.flag[place], self.version[place], self.uses[place] = flag[part], version, 0
+            for target, source in zip(self._large(), (rows.observation, rows.action, rows.reward), strict=True):
+                _write(target[place], source, part)
+            self.flag[place], self.version[place], self.uses[place] = rows.flag[part], version, 0
         self.head = (self.head + count) % self.capacity
         self.rows = min(self.capacity, self.rows + count)
         self.written += count
@@ -277,3 +275,11 @@ class Replay:
         if ((successor < 0) | (successor >= used)).any():
             raise CheckpointError("the replay buffer's successors do not fit the replay buffer.")
         return counts, used
+
+
+def _write(target: Tensor, source: Float32, index: Indices) -> None:
+    """Copy rows of an array into a tensor, in memory without a copy between."""
+    if target.device.type == "cpu":
+        np.take(source, index, axis=0, out=target.numpy(), mode="clip")
+    else:
+        target.copy_(torch.from_numpy(source[index]))

@@ -183,7 +183,7 @@ class Trainer:
         if self.updates % RETURN_ROUNDS == 0:
             discount, scale = self.config.algorithm.discount, self.config.algorithm.reward_scale
             returns, chosen = newest_returns(self.replay, self.replay.drawn_places, discount)
-            self.figures.compare(figures, returns * scale, chosen)
+            self.figures.compare(figures, self.engine.normalisation.rewarded(returns) * scale, chosen)
 
     def actors(self) -> ActorBank:
         """Return a copy of all actors."""

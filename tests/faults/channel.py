@@ -35,12 +35,15 @@ class Parcel:
         self.key, self.payload, self.attachment = key, payload, attachment
         self.answer: ChunkAck | None = None
         self.refused = ""
+        self.told = threading.Event()
 
     def reply(self, payload: bytes) -> None:
         self.answer = ChunkAck.decode(payload)
+        self.told.set()
 
     def refuse(self, reason: str) -> None:
         self.refused = reason
+        self.told.set()
 
 
 class Door:
@@ -52,12 +55,12 @@ class Door:
     def __iter__(self) -> Iterator[Parcel]:
         while (parcel := self._waiting.get()) is not None:
             yield parcel
-            self._waiting.task_done()
 
     def pass_on(self, parcel: Parcel) -> Parcel:
-        """Deliver a parcel and wait until it is dealt with."""
+        """Deliver a parcel and wait until it is answered."""
         self._waiting.put(parcel)
-        self._waiting.join()
+        if not parcel.told.wait(60.0):
+            raise AssertionError("a request was never answered")
         return parcel
 
     def close(self) -> None:

@@ -7,14 +7,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import psutil
 
 from deploy.audit import Audit, audit
-from tests.system.fleet import TINY, Processes, until
+from tests.system.fleet import RUN, TINY, Processes, until
 
 FIGURES = "EIA_SEC_FIGURES"
 """Environment variable with the folder into which the figures of full doses go."""
@@ -103,11 +103,31 @@ class FaultRun(Processes):
         return found
 
 
+class Routed(FaultRun):
+    """Processes that meet at a router, so that a learner or the router itself can be replaced."""
+
+    def router(self) -> None:
+        lanes = [self.endpoint.locator("control"), self.endpoint.locator("bulk")]
+        command = [sys.executable, "-m", "tests.faults.router", *lanes]
+        with (self.directory / "router.log").open("ab") as log:
+            self.running["router"] = subprocess.Popen(command, stdout=log, stderr=log, env=dict(os.environ))
+
+    def learner_at(self, folder: str, *extra: str) -> subprocess.Popen[bytes]:
+        where = ("--run", RUN, "--connect", str(self.endpoint), "--run-dir", str(self.directory / folder))
+        return self.start(f"learner-{folder}", "learner", *where, "--config", str(self.config), *extra)
+
+    def end(self, seconds: float = 60.0) -> float:
+        """End everybody in order, the router last."""
+        router = self.running.pop("router")
+        try:
+            return super().end(seconds)
+        finally:
+            router.kill()
+            router.wait(10.0)
+
+
 @contextmanager
 def run(directory: Path, toml: str = LONG) -> Iterator[FaultRun]:
     """Give processes that are gone afterwards, also those that stand still."""
-    processes = FaultRun(directory, toml)
-    try:
+    with closing(FaultRun(directory, toml)) as processes:
         yield processes
-    finally:
-        processes.close()

@@ -1,10 +1,7 @@
 """Processes that stand still: the learner for seconds, a learner that is replaced meanwhile, a coordinator likewise."""
 
-import os
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -12,8 +9,8 @@ from typing import Any
 import pytest
 
 from deploy.audit import audit
-from tests.faults.harness import LONG, FaultRun, memory, run, tell
-from tests.system.fleet import RUN, until
+from tests.faults.harness import LONG, Routed, memory, run, tell
+from tests.system.fleet import until
 
 EVENTS = LONG.replace("cycle = 2", "cycle = 4\ncycle_growth = 1.0\nrate_decay = 0.9")
 
@@ -55,20 +52,6 @@ def test_a_frozen_learner_at_full_dose(tmp_path):
     tell("frozen_learner", **figures)
     check_freezes(figures)
     assert all(row["seconds_to_recover"] <= 10 for row in figures["freezes"])
-
-
-class Routed(FaultRun):
-    """Processes that meet at a router, so that one learner can take another's place."""
-
-    def router(self) -> None:
-        lanes = [self.endpoint.locator("control"), self.endpoint.locator("bulk")]
-        command = [sys.executable, "-m", "tests.faults.router", *lanes]
-        with (self.directory / "router.log").open("ab") as log:
-            self.running["router"] = subprocess.Popen(command, stdout=log, stderr=log, env=dict(os.environ))
-
-    def learner_at(self, folder: str, *extra: str) -> subprocess.Popen[bytes]:
-        where = ("--run", RUN, "--connect", str(self.endpoint), "--run-dir", str(self.directory / folder))
-        return self.start(f"learner-{folder}", "learner", *where, "--config", str(self.config), *extra)
 
 
 def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:

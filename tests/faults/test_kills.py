@@ -2,18 +2,19 @@
 
 import json
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.faults.harness import LONG, FaultRun, memory, run, spread, tell
+from tests.faults.harness import LONG, FaultRun, Routed, memory, run, spread, tell
 from tests.system.fleet import until
 
 
 def kill_workers(directory: Path, kills: int, workers: int) -> dict[str, Any]:
-    """Kill workers in turn and replace them; return the figures."""
-    with run(directory) as fleet:
+    """Kill workers whose spools hold one chunk, in turn, and replace them; return the figures."""
+    with run(directory, LONG.replace("chunk_steps = 10", "chunk_steps = 10\nspool_chunks = 1")) as fleet:
         fleet.learner()
         names = [str(index) for index in range(workers)]
         for name in names:
@@ -45,20 +46,20 @@ def kill_workers(directory: Path, kills: int, workers: int) -> dict[str, Any]:
         }
 
 
-def check_workers(figures: dict[str, Any], spool: int = 8) -> None:
+def check_workers(figures: dict[str, Any]) -> None:
     assert figures["unexplained"] == figures["doubled"] == 0
-    assert figures["lost_chunks"] <= figures["kills"] * (spool + 1)
+    assert figures["lost_chunks"] <= figures["kills"]
 
 
 def test_killed_workers(tmp_path):
-    """Kills of workers lose no more than what each one held, and each replacement delivers."""
+    """A killed worker loses at most the one chunk that its spool holds, and its replacement delivers."""
     check_workers(kill_workers(tmp_path, kills=1, workers=2))
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 def test_killed_workers_at_full_dose(tmp_path):
-    """Fifty kills among eight workers lose no more than what each one held, and nothing is counted twice."""
+    """Fifty kills among eight workers lose at most one chunk each, and nothing is counted twice."""
     figures = kill_workers(tmp_path, kills=50, workers=8)
     tell("killed_workers", **figures)
     check_workers(figures)
@@ -171,3 +172,53 @@ def test_killed_coordinator_at_full_dose(tmp_path):
     tell("killed_coordinator", **figures)
     assert figures["in_order"]
     assert figures["unexplained"] == 0
+
+
+def kill_router(directory: Path, kills: int, outage: float) -> dict[str, Any]:
+    """Kill the router through which all talk, and start another after a while; return the figures."""
+    with closing(Routed(directory)) as fleet:
+        fleet.router()
+        fleet.learner_at("run")
+        fleet.worker()
+        fleet.coordinator()
+        until(lambda: fleet.status().get("event", 0) >= 1, "an imitation event", 120.0)
+        recovery, worker = [], fleet.running["rollout-0"]
+        before = memory(worker)
+        for _ in range(kills):
+            fleet.kill("router")
+            time.sleep(outage)
+            fleet.router()
+            recovery.append(fleet.until_more())
+        grown = memory(worker) - before
+        event = fleet.status()["event"]
+        until(lambda: fleet.status()["event"] > event, "an imitation event after the last kill")
+        fleet.end()
+        found = fleet.audit()
+        return {
+            "kills": kills,
+            "outage_seconds": outage,
+            "seconds_to_recover": spread(recovery),
+            "worker_grew_mib": round(grown, 1),
+            "lost_chunks": found.chunks["lost"],
+            "unexplained": len(found.unexplained),
+            "doubled": len(found.doubled),
+        }
+
+
+def check_router(figures: dict[str, Any]) -> None:
+    assert figures["unexplained"] == figures["doubled"] == figures["lost_chunks"] == 0
+    assert figures["worker_grew_mib"] <= 64
+
+
+def test_killed_router(tmp_path):
+    """While there is no router everybody waits, and goes on with the next one; nothing is lost."""
+    check_router(kill_router(tmp_path, kills=1, outage=0.5))
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(1800)
+def test_killed_router_at_full_dose(tmp_path):
+    """Twenty kills of the router with outages of five seconds lose nothing."""
+    figures = kill_router(tmp_path, kills=20, outage=5.0)
+    tell("killed_router", **figures)
+    check_router(figures)

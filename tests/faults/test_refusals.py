@@ -1,8 +1,10 @@
 """Whole frames that do not belong here are refused with a typed error and counted, and the others go on."""
 
-import queue
-import threading
+import json
+import subprocess
+import sys
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +15,13 @@ from common.chunks import to_message
 from common.config import ReplayConfig
 from common.messages import ChunkMessage, Envelope
 from common.transitions import Chunk, Rows
-from learner.intake import Intake
 from tests.faults.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut
-from tests.faults.harness import tell
+from tests.faults.harness import LONG, FaultRun, run, tell
+from tests.system.fleet import RUN as RUN_NAME
+from tests.system.fleet import until
+
+FAST = LONG.replace("updates_per_step = 0.5", "updates_per_step = 0.05")
+"""A run whose pace the workers set."""
 
 
 def spoilt(**parts: Any) -> Chunk:
@@ -117,53 +123,53 @@ def test_no_limit_of_age_is_the_default():
     shut(receiver, door)
 
 
-def flood(seconds: float) -> dict[str, Any]:
-    """Let three workers deliver, without and with a fourth that floods with junk; return their rates."""
-    rates = {}
-    for name in ("alone", "with a flood"):
-        receiver, door = front_door(intake=Intake())
-        ended, counts = threading.Event(), dict.fromkeys("abc", 0)
-        workers = [threading.Thread(target=_deliver, args=(door, who, counts, ended)) for who in counts]
-        workers.append(threading.Thread(target=_drain, args=(receiver, ended)))
-        if name != "alone":
-            workers.append(threading.Thread(target=_junk, args=(door, ended)))
-        for thread in workers:
-            thread.start()
-        time.sleep(seconds)
-        ended.set()
-        for thread in workers:
-            thread.join()
-        rates[name] = sum(counts.values()) / seconds
-        assert receiver.intake.totals()["accepted"] == sum(counts.values())
-        shut(receiver, door)
-    return {"share_kept": round(rates["with a flood"] / rates["alone"], 3), **{k: round(v) for k, v in rates.items()}}
+def flood(directory: Path, seconds: float) -> dict[str, Any]:
+    """Let three workers deliver, without and with a fourth process that floods with junk; return their rates."""
+    with run(directory, FAST) as fleet:
+        fleet.learner()
+        for name in "abc":
+            fleet.worker(name)
+        until(lambda: all(fleet.taken(name) > 20 for name in "abc"), "chunks of all")
+        rates, made = {}, 0
+        for case in ("alone", "with a flood"):
+            before, started = fleet.taken(), time.monotonic()
+            if case == "alone":
+                time.sleep(seconds)
+            else:
+                made = _junk(fleet, seconds)
+            rates[case] = (fleet.taken() - before) / (time.monotonic() - started)
+        offenders = fleet.status()["malformed_by"]
+        fleet.end()
+        audited = fleet.audit()
+    return {
+        "share_kept": round(rates["with a flood"] / rates["alone"], 3),
+        **{f"chunks_per_second {case}": round(rate, 1) for case, rate in rates.items()},
+        "junk_requests": made,
+        "offenders": offenders,
+        "unexplained": len(audited.unexplained),
+    }
 
 
-def _deliver(door: Any, name: str, counts: dict[str, int], ended: threading.Event) -> None:
-    while not ended.is_set():
-        number = counts[name] + 1
-        answer = door.pass_on(parcel(of(a_chunk(number), number), number, name)).answer
-        assert answer is not None
-        assert answer.status == "accepted"
-        counts[name] = number
-        time.sleep(0.01)  # a worker simulates between two chunks
+def _junk(fleet: FaultRun, seconds: float) -> int:
+    """Flood for some seconds from a process that comes after all others; return its requests."""
+    where = (fleet.endpoint.locator("bulk"), keys.TRANSITION.key(RUN_NAME, worker="flood"), str(seconds))
+    command = ["nice", "-n", "10", sys.executable, "-m", "tests.faults.flooder", *where]
+    done = subprocess.run(command, capture_output=True, check=True, timeout=seconds + 60.0)
+    return int(json.loads(done.stdout)["requests"])
 
 
-def _junk(door: Any, ended: threading.Event) -> None:
-    while not ended.is_set():
-        door.pass_on(parcel(b"junk" * 32_768, 1, "flood"))
+def test_a_flood_of_junk_by_one_worker(tmp_path):
+    """While one worker floods, everything of the others is taken, exactly; who floods is cut off and named."""
+    figures = flood(tmp_path, 2.0)
+    assert figures["junk_requests"] > 20
+    assert figures["offenders"]["flood"] >= 20
+    assert figures["unexplained"] == 0
 
 
-def _drain(receiver: Any, ended: threading.Event) -> None:
-    while not ended.is_set() or not receiver.arrivals.empty():
-        try:
-            receiver.arrivals.get(timeout=0.02)
-        except queue.Empty:
-            continue
-
-
-def test_a_flood_of_junk_by_one_worker():
-    """While one worker floods, everything of the others is taken, exactly; their share is told, not asserted."""
-    figures = flood(1.0)
+@pytest.mark.nightly
+def test_a_flood_at_full_dose(tmp_path):
+    """The others keep four fifths of their rate."""
+    figures = flood(tmp_path, 20.0)
     tell("flood", **figures)
-    assert figures["with a flood"] > 0
+    assert figures["unexplained"] == 0
+    assert figures["share_kept"] >= 0.8

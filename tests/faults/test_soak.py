@@ -1,5 +1,6 @@
 """Minutes of training: memory, threads and descriptors stay flat."""
 
+import os
 import time
 
 import numpy as np
@@ -9,12 +10,12 @@ import pytest
 from tests.faults.harness import run, tell
 from tests.system.fleet import until
 
-MINUTES = 6.0
-SETTLE = 2.0
+MINUTES = float(os.environ.get("EIA_SEC_SOAK_MINUTES", "6"))
+SETTLE = MINUTES / 3.0
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(3600)
+@pytest.mark.timeout(60 * MINUTES + 600)
 def test_soak(tmp_path):
     """After the first minutes neither threads nor descriptors grow; the slope of memory is told."""
     with run(tmp_path) as fleet:
@@ -42,7 +43,7 @@ def test_soak(tmp_path):
             }
         fleet.end()
         found = fleet.audit()
-        tell("soak", minutes=MINUTES, settled_after=SETTLE, processes=figures, steps=found.steps["accepted"])
+        tell("soak", minutes=MINUTES, settled_after=round(SETTLE, 1), processes=figures, steps=found.steps["accepted"])
         for name, row in figures.items():
             assert row["threads"][1] - row["threads"][0] <= 2, name
             assert row["descriptors"][1] - row["descriptors"][0] <= 6, name

@@ -7,13 +7,14 @@ import pytest
 import torch
 
 from common.actors import ActorBank, parameter_views
-from common.config import AlgorithmConfig
+from common.config import AlgorithmConfig, ReplayConfig, RunConfig
 from common.team import GroupSpec, TeamSpec
-from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
+from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Rows
 from learner.board import FOLDER, Board, Event, flattened
 from learner.engine import Batch, Engine, Figures
-from learner.figures import RunningFigures, horizon, newest_returns, realised_returns
+from learner.figures import RETURN_ROUNDS, RunningFigures, horizon, newest_returns, realised_returns
 from learner.replay import Replay
+from learner.trainer import Trainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 
@@ -139,6 +140,26 @@ def test_overestimation_is_q_less_what_was_realised():
     told = running.by_agent()
     assert all(told[f"overestimation/{name}"] == pytest.approx(1.0, abs=1e-5) for name in ("a-0", "a-1", "b-0", "b-2"))
     assert running.by_type()["realised_return/a"] == pytest.approx(float(returns[counted][:, :2].mean()), abs=1e-5)
+
+
+@pytest.mark.parametrize("normalised", [True, False])
+def test_realised_returns_are_in_the_units_of_the_targets(normalised):
+    """With reward normalisation ten times the rewards give the same figures; without it ten times as large ones."""
+    told = []
+    for factor in (1.0, 10.0):
+        algorithm = AlgorithmConfig(hidden=8, batch=64, reward_normalisation=normalised, reward_scale=0.5)
+        config = RunConfig(algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0))
+        trainer, random = Trainer(config, TEAM), np.random.default_rng(3)
+        shapes = ((256, TEAM.observation_size), (256, TEAM.action_size), (256, TEAM.agents))
+        seen, done, paid = (random.uniform(-0.9, 0.9, shape).astype(np.float32) for shape in shapes)
+        flag = np.full(256, TRANSITION, np.uint8)
+        flag[7::8] = 0
+        flag[6::8] |= TERMINATED
+        trainer.absorb(Chunk(Rows(seen, done, (paid + 1.0) * np.float32(factor), flag)))
+        trainer.train(RETURN_ROUNDS + 1)
+        told.append(trainer.figures.by_type()["realised_return/a"])
+    assert told[1] == pytest.approx(told[0] if normalised else 10.0 * told[0], rel=1e-3)
+    assert told[0] > 0.1
 
 
 def test_figures_that_an_algorithm_does_not_tell_are_left_out():

@@ -78,6 +78,10 @@ class Processes:
         self.prefix: tuple[str, ...] = ()
         self.module = "deploy.cli"
 
+    def lengthen(self, episodes: int) -> None:
+        """Let the run last long enough for what is to happen in it on a machine of any speed."""
+        self.config.write_text(self.config.read_text().replace("episodes = 8\n", f"episodes = {episodes}\n"))
+
     def start(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
         """Start one command, its output in a log file."""
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}

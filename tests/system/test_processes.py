@@ -17,6 +17,7 @@ def finish(processes: Processes) -> dict[str, int]:
 
 def test_any_order_and_a_clean_end(processes: Processes) -> None:
     """A worker that starts before the learner waits for it; when the run is done everybody ends with code 0."""
+    processes.lengthen(200)
     processes.worker()
     processes.coordinator()
     processes.learner()
@@ -50,7 +51,7 @@ def test_a_worker_that_is_killed_and_replaced(processes: Processes) -> None:
 
 def test_a_learner_that_is_killed_resumes(processes: Processes) -> None:
     """After kill -9 the learner goes on from its checkpoint; the waiting worker and coordinator go on by themselves."""
-    processes.config.write_text(processes.config.read_text().replace("episodes = 8", "episodes = 40"))
+    processes.lengthen(200)
     processes.learner()
     processes.coordinator()
     processes.worker()
@@ -61,7 +62,7 @@ def test_a_learner_that_is_killed_resumes(processes: Processes) -> None:
     ledger = finish(processes)
     assert ledger["unexplained"] == 0
     assert ledger["accepted"] == processes.records("status")[-1]["environment_steps"]
-    assert processes.records("end")[-1]["episodes"] >= 40
+    assert processes.records("end")[-1]["episodes"] >= 200
     events = [record["event"] for record in processes.records("imitation")]
     assert sorted(set(events)) == list(range(1, max(events) + 1))
     assert processes.wait("rollout-0") == 0
@@ -70,7 +71,7 @@ def test_a_learner_that_is_killed_resumes(processes: Processes) -> None:
 
 def test_sigterm_drains_and_checkpoints(processes: Processes) -> None:
     """A learner that is told to end writes a checkpoint and a policy and ends with code 0; so does a worker."""
-    processes.config.write_text(processes.config.read_text().replace("episodes = 8", "episodes = 100000"))
+    processes.lengthen(100_000)
     learner = processes.learner()
     worker = processes.worker()
     until(lambda: processes.records("episodes"), "training")
@@ -87,7 +88,7 @@ def test_sigterm_drains_and_checkpoints(processes: Processes) -> None:
 
 def test_the_learner_answers_commands(processes: Processes) -> None:
     """It tells its configuration, drains when asked, and the epoch is that of its start."""
-    processes.config.write_text(processes.config.read_text().replace("episodes = 8", "episodes = 100000"))
+    processes.lengthen(100_000)
     processes.learner()
     answer = processes.configuration()
     assert "episodes = 100000" in answer.toml

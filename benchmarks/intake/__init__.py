@@ -1,0 +1,1 @@
+"""How many environment steps a learner takes in, beside other ways to move them."""

@@ -1,0 +1,42 @@
+"""Record a chunk of real experience of a wanted size, for players to play."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.intake.chunks import NAMES
+from common.actors import ActorBank
+from common.config import FarmConfig, RunConfig
+from common.team import farm_team
+from common.transitions import Chunk
+from rollout.collector import Collector
+
+ENVIRONMENTS = 4
+
+
+def record(size: int) -> Chunk:
+    """Return a chunk of about `size` bytes, flown with random actions on the default farm.
+
+    Args:
+        size: bytes of observations, actions and rewards.
+    """
+    team = farm_team(FarmConfig())
+    row = 4 * (team.observation_size + team.action_size + team.agents)
+    config = RunConfig()
+    environments = ENVIRONMENTS if size >= 8 * ENVIRONMENTS * row else 1
+    steps = max(1, round(size / row / environments) - 1)
+    config = replace(config, rollout=replace(config.rollout, environments=environments, chunk_steps=steps))
+    bank = ActorBank.initial(team, config.algorithm.hidden, 0)
+    return Collector(config, "recorder", 0).collect(bank, 0.0, uniform=True)
+
+
+def write(chunk: Chunk, folder: Path) -> None:
+    """Write a chunk's arrays for the peers."""
+    folder.mkdir(parents=True, exist_ok=True)
+    arrays = {name: getattr(chunk.rows, name) for name in NAMES}
+    for name, array in arrays.items():
+        np.ascontiguousarray(array).tofile(folder / f"{name}.f4")
+    shapes = {name: list(array.shape) for name, array in arrays.items()} | {"steps": chunk.rows.steps}
+    (folder / "shapes.json").write_text(json.dumps(shapes), encoding="utf-8")

@@ -1,0 +1,59 @@
+"""Our intake: the learner's own receiver and replay, without training: `python -m benchmarks.intake.sink ...`.
+
+Everything that a run does with a chunk until it can be drawn: checksum, decoding, checks of shapes and numbers,
+deduplication, ledger, acknowledgement and the copy into replay.
+"""
+
+import argparse
+import queue
+import sys
+
+from benchmarks.intake.chunks import CAPACITY, Window, tell
+from common import keys
+from common.bus import Bus
+from common.config import FarmConfig, ReplayConfig
+from common.endpoint import Endpoint
+from common.team import farm_team
+from learner.intake import Intake
+from learner.receiver import Receiver
+from learner.replay import Replay
+
+RUN = "intake"
+WAITING = 64
+"""Requests that may wait, as in `learner.service`."""
+
+
+def main() -> None:
+    """Take in until the window is over."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("endpoint")
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--routed", action="store_true", help="the endpoint is a router's")
+    parser.add_argument("--shared-memory", action="store_true")
+    options = parser.parse_args()
+    endpoint = Endpoint.parse(options.endpoint, shared_memory=options.shared_memory)
+    team = farm_team(FarmConfig())
+    replay, taken = Replay(team, CAPACITY), [0, 0]
+    with Bus.connect(endpoint, "bulk", wait=30.0) if options.routed else Bus.listen(endpoint, "bulk") as bus:
+        receiver = Receiver(
+            bus.serve(keys.TRANSITION.pattern(RUN), WAITING), team, Intake(), ReplayConfig(capacity=CAPACITY), False
+        )
+        sys.stdout.write("ready\n")
+        sys.stdout.flush()
+        window = Window(lambda: (taken[0], taken[1]), options.seconds)
+        while not window.over():
+            try:
+                arrival = receiver.arrivals.get(timeout=0.02)
+            except queue.Empty:
+                continue
+            rows, sender = arrival.chunk.rows, arrival.sender
+            replay.add(rows, sender.version, f"{sender.name}/{sender.incarnation}", sender.sequence)
+            taken[0] += rows.steps
+            taken[1] += rows.observation.nbytes + rows.action.nbytes + rows.reward.nbytes
+        tell(window.report())
+        receiver.close()
+    receiver.join()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,282 @@
+"""What MADDPG and MATD3 reach on simple_spread: ours, run as the distributed system, beside AgileRL and BenchMARL.
+
+    python -m benchmarks.peers.learning [--write docs/results/spread] [--seeds 5] [--json]
+
+Every program gets the same environment (mpe2 simple_spread_v3, three agents), environment steps, update rounds, batch,
+width, discount, target rate and exploration noise, and the same tuning: the learning rate of actors and critics is the
+best of RATES on a seed that is not used again. What FOLDER/results.json already holds is not run again. Environments of
+the peers are those of `make bench-peers`.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.stats import bootstrap
+
+from benchmarks.peers.catalogue import ROOT, Program
+from benchmarks.peers.report import table
+from benchmarks.peers.session import THREAD_VARIABLES
+from benchmarks.peers.spread import EPISODE_STEPS, NOISE, curve
+from benchmarks.peers.venvs import interpreter, provide
+from common.errors import EiaSecError
+from common.seeds import derive
+from deploy.figures import DPI, OTHER_COLOURS
+from deploy.report import read_metrics
+from deploy.rundir import METRICS
+from experiments.provenance import provenance
+
+RATES: Final = (5e-4, 1e-3, 2e-3)
+"""Learning rates that every program may choose from."""
+TUNING_SEED: Final = 100
+SCENARIOS: Final = 200
+PEERS: Final = (
+    (Program("learner", "AgileRL", "benchmarks.peers.learn_agilerl", "agilerl"), ("matd3", "maddpg")),
+    (Program("learner", "BenchMARL", "benchmarks.peers.learn_benchmarl", "benchmarl"), ("maddpg",)),
+)
+OURS: Final = "EIA-SEC"
+Line = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What every program gets.
+
+    Attributes:
+        steps: environment steps, a multiple of an episode's.
+        every: environment steps for each update round.
+        warmup: environment steps of random actions at first.
+    """
+
+    steps: int
+    every: int
+    warmup: int
+
+
+@dataclass(frozen=True)
+class Case:
+    """One training."""
+
+    software: str
+    algorithm: str
+    rate: float
+    seed: int
+
+
+def scenarios() -> list[int]:
+    """Return the environment seeds of the evaluation: those that our evaluation of farms 1000.. comes to."""
+    return [derive(farm, 0, "reset") % 2**31 for farm in range(1000, 1000 + SCENARIOS)]
+
+
+def options_of_ours(case: Case, budget: Budget) -> list[str]:
+    """Return the command line of `eia-sec` for a case."""
+    return [
+        *("train", "--algorithm", case.algorithm, "--env", "mpe2:simple_spread_v3"),
+        *("--episodes", str(budget.steps // EPISODE_STEPS), "--seed", str(case.seed)),
+        *("--replay.updates-per-step", str(1.0 / budget.every), "--replay.warmup-steps", str(budget.warmup)),
+        *("--algorithm.actor-rate", str(case.rate), "--algorithm.critic-rate", str(case.rate)),
+        *("--algorithm.discount", "0.95", "--algorithm.target-rate", "0.005", "--algorithm.reward-scale", "1.0"),
+        *("--exploration.start", str(NOISE), "--exploration.end", str(NOISE)),
+        *("--rollout.chunk-steps", str(EPISODE_STEPS), "--evaluation.farms", str(SCENARIOS)),
+    ]
+
+
+def run_ours(case: Case, budget: Budget) -> Line:
+    """Train with learner, coordinator and worker as processes of their own."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "run"
+        command = [sys.executable, "-m", "deploy.cli", *options_of_ours(case, budget), "--run-dir", str(folder)]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise EiaSecError(f"eia-sec train failed: {done.stderr.strip().rpartition(chr(10))[2]}")
+        outcome = json.loads((folder / "evaluation.json").read_text(encoding="utf-8"))
+        episodes = [line["reward"]["mean"] for line in read_metrics(folder / METRICS) if line["kind"] == "episodes"]
+    found = outcome["evaluations"][0]
+    if len(found["farms"]) != SCENARIOS:
+        raise EiaSecError(f"our run was evaluated on {len(found['farms'])} scenarios, not {SCENARIOS}.")
+    return {"reward": found["reward"]["mean"], "seconds": outcome["seconds"], "curve": curve(episodes)}
+
+
+def run_peer(program: Program, case: Case, budget: Budget, venvs: Path) -> Line:
+    """Train with a peer in its own environment; raise EiaSecError if it fails."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment |= dict.fromkeys(THREAD_VARIABLES, "1")
+    asked = {**vars(case), **vars(budget)}
+    del asked["software"]
+    command = [str(interpreter(program, venvs)), "-m", program.module]
+    command += [text for name, value in asked.items() for text in (f"--{name}", str(value))]
+    command += ["--scenarios", *map(str, scenarios())]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise EiaSecError(f"{program.module} failed: {done.stderr.strip().rpartition(chr(10))[2]}")
+    result = json.loads(done.stdout.strip().rpartition("\n")[2])
+    line: Line = {**result["lines"][0], "versions": result["versions"]}
+    return line
+
+
+class Session:
+    """Cases, run at most once each.
+
+    Args:
+        budget: what every program gets.
+        venvs: where the peers' environments lie.
+        path: the file that holds what was run, if any.
+    """
+
+    def __init__(self, budget: Budget, venvs: Path, path: Path | None) -> None:
+        self.budget, self.venvs, self.path = budget, venvs, path
+        self.runs: list[Line] = []
+        if path is not None and path.is_file():
+            self.runs = [
+                run for run in json.loads(path.read_text(encoding="utf-8"))["runs"] if run["budget"] == vars(budget)
+            ]
+
+    def run(self, case: Case, program: Program | None) -> float:
+        """Return the reward that a case reaches."""
+        for line in self.runs:
+            if all(line[name] == value for name, value in vars(case).items()):
+                return float(line["reward"])
+        sys.stderr.write(f"{case.software} {case.algorithm}, rate {case.rate}, seed {case.seed}\n")
+        found = run_ours(case, self.budget) if program is None else run_peer(program, case, self.budget, self.venvs)
+        origin = provenance("benchmarks.peers.learning")
+        kept = {"commit": origin["commit"], "budget": vars(self.budget)}
+        self.runs.append({**vars(case), **found, **kept})
+        self.save()
+        return float(found["reward"])
+
+    def save(self) -> None:
+        """Write what was run so far."""
+        if self.path is not None:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            data = {**provenance("benchmarks.peers.learning"), "runs": self.runs}
+            self.path.write_text(json.dumps(data) + "\n", encoding="utf-8")
+
+    def compare(self, software: str, algorithm: str, program: Program | None, seeds: int) -> None:
+        """Tune a program's rate, and train it with that rate."""
+        tried = {rate: self.run(Case(software, algorithm, rate, TUNING_SEED), program) for rate in RATES}
+        rate = max(tried, key=lambda candidate: tried[candidate])
+        for seed in range(seeds):
+            self.run(Case(software, algorithm, rate, seed), program)
+
+
+def summary(runs: Sequence[Line]) -> list[Line]:
+    """Return mean and 95 % bootstrap interval over the seeds of every program and algorithm, best first."""
+    found = []
+    for name in dict.fromkeys((run["software"], run["algorithm"]) for run in runs):
+        mine = [run for run in runs if (run["software"], run["algorithm"]) == name and run["seed"] != TUNING_SEED]
+        rewards = np.array([run["reward"] for run in mine])
+        if len(rewards) < 2:
+            continue
+        interval = bootstrap((rewards,), np.mean, rng=np.random.default_rng(0)).confidence_interval
+        found.append(
+            {
+                **{"software": name[0], "algorithm": name[1], "rate": mine[0]["rate"], "seeds": len(mine)},
+                **{"reward": float(rewards.mean()), "low": float(interval.low), "high": float(interval.high)},
+                "minutes": float(np.median([run["seconds"] for run in mine])) / 60,
+            }
+        )
+    return sorted(found, key=lambda line: (line["algorithm"], -line["reward"]))
+
+
+def page(runs: Sequence[Line]) -> str:
+    """Return the results as Markdown."""
+    rows = [
+        [
+            *(line["algorithm"].upper(), line["software"], f"{line['rate']:g}", str(line["seeds"])),
+            *(f"{line['reward']:.2f}", f"{line['low']:.2f} to {line['high']:.2f}", f"{line['minutes']:.1f}"),
+        ]
+        for line in summary(runs)
+    ]
+    head = ["algorithm", "program", "rate", "seeds", "reward", "95 % interval", "minutes a seed"]
+    budget, rates = runs[0]["budget"], ", ".join(f"{rate:g}" for rate in RATES)
+    told = (
+        f"{budget['steps']:,} environment steps, one update round of all agents for each {budget['every']} of them\n"
+        f"after {budget['warmup']:,} steps of random actions. Reward of an episode without noise, mean over agents\n"
+        f"and {SCENARIOS} unseen scenarios, then over seeds. The rate is the best of {rates} on another seed.\n"
+        "Minutes are of one seed on cores shared with other work; ours runs learner and worker side by side.\n"
+    )
+    return "\n".join(
+        ["# simple_spread beside other projects", "", told, *table(head, rows, 3), "", "![Curves](curves.png)", ""]
+    )
+
+
+def picture(runs: Sequence[Line]) -> Figure:
+    """Return training reward, with exploration noise, against environment steps: mean over seeds and their range."""
+    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    algorithms = sorted({run["algorithm"] for run in runs})
+    colours = dict(zip((OURS, *(program.name for program, _ in PEERS)), OTHER_COLOURS, strict=False))
+    for axes, algorithm in zip(
+        figure.subplots(1, len(algorithms), sharey=True, squeeze=False)[0], algorithms, strict=True
+    ):
+        for software, colour in colours.items():
+            mine = [
+                run["curve"]
+                for run in runs
+                if (run["software"], run["algorithm"]) == (software, algorithm) and run["seed"] != TUNING_SEED
+            ]
+            if not mine:
+                continue
+            grid = np.array(mine[0]["environment_steps"])
+            values = np.array([np.interp(grid, c["environment_steps"], c["reward"]) for c in mine])
+            axes.plot(grid, values.mean(0), color=colour, linewidth=2.0, label=f"{software}, {len(mine)} seeds")
+            axes.fill_between(grid, values.min(0), values.max(0), color=colour, alpha=0.15, linewidth=0)
+        axes.set(xlabel="environment steps", title=algorithm.upper())
+        axes.grid(True, color="0.9")
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(frameon=False, fontsize=9, loc="lower right")
+    figure.axes[0].set_ylabel("reward of a training episode")
+    return figure
+
+
+def options() -> argparse.Namespace:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.peers.learning", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument("--write", type=Path, metavar="FOLDER", help="keep and continue data, page and picture here")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--steps", type=int, default=50_000)
+    parser.add_argument("--every", type=int, default=4)
+    parser.add_argument("--warmup", type=int, default=4_000)
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="only these programs")
+    parser.add_argument("--venvs", type=Path, default=ROOT / "benchmarks" / ".venvs")
+    parser.add_argument("--pip-args", default="", help="added to pip install")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Train whatever is missing, then print or write; exit with 2 when something failed."""
+    asked = options()
+    session = Session(
+        Budget(asked.steps, asked.every, asked.warmup), asked.venvs, asked.write and asked.write / "results.json"
+    )
+    wanted: list[tuple[str, str, Program | None]] = [(OURS, algorithm, None) for algorithm in ("maddpg", "matd3")]
+    wanted += [(program.name, algorithm, program) for program, algorithms in PEERS for algorithm in algorithms]
+    try:
+        for software, algorithm, program in wanted:
+            if not asked.only or software in asked.only:
+                if program is not None:
+                    provide(program, asked.venvs, asked.pip_args)
+                session.compare(software, algorithm, program, asked.seeds)
+    except EiaSecError as error:
+        sys.stderr.write(f"{error}\n")
+        sys.exit(2)
+    if asked.write:
+        session.save()
+        (asked.write / "README.md").write_text(page(session.runs), encoding="utf-8")
+        picture(session.runs).savefig(asked.write / "curves.png", dpi=DPI)
+    sys.stdout.write(json.dumps(summary(session.runs), indent=1) + "\n" if asked.json else page(session.runs))
+
+
+if __name__ == "__main__":
+    main()
