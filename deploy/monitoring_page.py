@@ -9,9 +9,10 @@ from typing import Any, Final, get_args, get_origin, get_type_hints
 import numpy as np
 
 from common import keys, messages
+from common.codec import Message
 from common.figures import FIGURES
 from common.frame import PROTOCOL
-from common.messages import Envelope, Message
+from common.messages import Envelope
 from deploy.snapshot import Imitation, ImitationRow, Ledger, ProcessRow, Snapshot
 
 EXAMPLE: Final = Path(__file__).resolve().parents[1] / "docs" / "examples" / "subscriber.py"

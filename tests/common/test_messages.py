@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from common import frame, messages
+from common.codec import Message
 from common.errors import SchemaError
 from common.messages import (
     ChunkAck,
     EvaluationOrder,
     EvaluationResult,
     ImitationMessage,
-    Message,
     MetricMessage,
     ObservationMessage,
     ParametersMessage,

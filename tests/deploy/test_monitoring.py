@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from common import figures, keys, messages
+from common import codec, figures, keys, messages
 from common.figures import Figure, undeclared
 from deploy import snapshot
 from deploy.monitoring_page import attribute_docs, monitoring_page
@@ -20,7 +20,7 @@ def test_every_family_says_who_sends_what_to_whom(family):
     assert family.sender
     assert family.receiver
     assert family.pace
-    assert all(issubclass(getattr(messages, name), messages.Message) for name in family.messages)
+    assert all(issubclass(getattr(messages, name), codec.Message) for name in family.messages)
     (row,) = (line for line in (keys.__doc__ or "").splitlines() if f"/{{run}}/{family.template} " in line)
     assert family.delivery in row
     assert all(name in row for name in family.messages[:1])

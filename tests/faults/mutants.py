@@ -8,16 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from common import frame, messages
+from common import codec, frame, messages
 from common.chunks import from_message, to_message
 from common.errors import ProtocolError
 from common.policy_store import PolicyStore
 from tests.faults.channel import TEAM, a_chunk
 
 KINDS: Final = tuple(
-    kind
-    for kind in vars(messages).values()
-    if isinstance(kind, type) and issubclass(kind, messages.Message) and kind.KIND
+    kind for kind in vars(messages).values() if isinstance(kind, type) and issubclass(kind, codec.Message) and kind.KIND
 )
 _PREFIX: Final = struct.Struct("<4sBBHIQI")
 
