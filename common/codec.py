@@ -8,7 +8,7 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import fields
-from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Final, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -54,9 +54,17 @@ Reader = Callable[[dict[str, Any], dict[str, frame.Array]], Any]
 """Takes a field out of a frame's scalars or arrays, checked against its declaration."""
 
 
-@functools.cache
+_PLANS: Final[dict[type[Any], tuple[tuple[str, Reader], ...]]] = {}
+
+
 def _readers(cls: type[Message]) -> tuple[tuple[str, Reader], ...]:
     """Return how each field of a message type is read; looking into annotations takes longer than reading."""
+    if (plan := _PLANS.get(cls)) is None:
+        plan = _PLANS[cls] = _plan(cls)
+    return plan
+
+
+def _plan(cls: type[Message]) -> tuple[tuple[str, Reader], ...]:
     hints = get_type_hints(cls)
     names = [item.name for item in fields(cls)]  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
     return tuple((name, _reader(name, hints[name])) for name in names)
@@ -71,7 +79,8 @@ def _reader(name: str, kind: Any) -> Reader:
 
 
 def _dtype(kind: Any) -> np.dtype[Any]:
-    return np.dtype(get_args(get_args(kind)[1])[0])
+    found: np.dtype[Any] = np.dtype(get_args(get_args(kind)[1])[0])
+    return found
 
 
 def _read_array(
