@@ -107,6 +107,11 @@ GRANTS: Final = (
     Grant("operator", "ask", keys.COMMAND, {"verb": "drain"}),
     Grant("monitor", "read", keys.METRIC),
     Grant("monitor", "watch", keys.LIVE),
+    Grant("vehicle", "put", keys.OBSERVATION, {"vehicle": NAME}),
+    Grant("vehicle", "read", keys.SETPOINT, {"vehicle": NAME}),
+    Grant("flight", "read", keys.OBSERVATION),
+    Grant("flight", "put", keys.SETPOINT),
+    *_own("flight"),
     Grant(ANYBODY, "watch", keys.LIVE, {"role": "learner"}),
 )
 """The whole table. That everybody may see whether a learner lives lets a process that is not on the list say so."""

@@ -14,9 +14,9 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from common.errors import CredentialsError
 from common.keys import check_name
 
-ROLES: Final = ("learner", "router", "rollout", "elite", "operator", "monitor")
-"""Whom a certificate can name; only the first two listen."""
-LISTENING: Final = ("learner", "router")
+ROLES: Final = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "vehicle")
+"""Whom a certificate can name; only the first three listen."""
+LISTENING: Final = ("learner", "router", "flight")
 CA, CERTIFICATE, KEY, MEMBERS = "ca.pem", "cert.pem", "key.pem", "members.txt"
 MAX_PEM: Final = 64 * 1024
 """Largest certificate or key file that is looked into, bytes."""

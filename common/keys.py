@@ -9,6 +9,8 @@
     eia-sec/v1/{run}/imitation/event            state     coordinator -> everybody ImitationMessage
     eia-sec/v1/{run}/metric/{role}/{name}       lossy     every process            MetricMessage
     eia-sec/v1/{run}/live/{role}/{name}         token     every process            presence
+    eia-sec/v1/{run}/flight/{vehicle}/observation  lossy  vehicle -> flight node   ObservationMessage
+    eia-sec/v1/{run}/flight/{vehicle}/setpoint     lossy  flight node -> vehicle   SetpointMessage
 
 *request*: acknowledged, resent until answered. *state*: latest wins, late joiners get it. *lossy*: may be dropped, a
 running counter shows the gaps. *token*: Zenoh liveliness.
@@ -30,14 +32,22 @@ class KeyFamily:
     """One shape of key.
 
     Attributes:
-        plane: first segment after the run: transition, params, ctl, eval, imitation, metric or live.
+        plane: first segment after the run: transition, params, ctl, eval, imitation, metric, live or flight.
         template: the segments after the run, variables in braces.
         delivery: request, state, lossy or token.
+        sender: who puts or asks.
+        receiver: who reads or answers.
+        messages: names of the types in `common.messages` that travel on it, an answer last.
+        pace: how often.
     """
 
     plane: str
     template: str
     delivery: str
+    sender: str = ""
+    receiver: str = ""
+    messages: tuple[str, ...] = ()
+    pace: str = ""
 
     def key(self, run: str, **variables: str) -> str:
         """Return the key for a run; raise ConfigError when a name cannot be a key segment."""
@@ -53,15 +63,79 @@ class KeyFamily:
         return f"{ROOT}/{run}/{self.template.format(**{**wanted, **variables})}"
 
 
-TRANSITION: Final = KeyFamily("transition", "transition/{worker}", "request")
-PARAMETERS: Final = KeyFamily("params", "params/actors", "state")
-PROGRESS: Final = KeyFamily("ctl", "ctl/progress", "state")
-COMMAND: Final = KeyFamily("ctl", "ctl/learner/{verb}", "request")
-EVALUATION: Final = KeyFamily("eval", "eval/{worker}", "request")
-IMITATION: Final = KeyFamily("imitation", "imitation/learner", "request")
-IMITATION_EVENT: Final = KeyFamily("imitation", "imitation/event", "state")
-METRIC: Final = KeyFamily("metric", "metric/{role}/{name}", "lossy")
-LIVE: Final = KeyFamily("live", "live/{role}/{name}", "token")
+TRANSITION: Final = KeyFamily(
+    "transition",
+    "transition/{worker}",
+    "request",
+    "worker",
+    "learner",
+    ("ChunkMessage", "ChunkAck"),
+    "one at a time, as fast as the learner answers",
+)
+PARAMETERS: Final = KeyFamily(
+    "params",
+    "params/actors",
+    "state",
+    "learner",
+    "everybody",
+    ("ParametersMessage",),
+    "at most every `learner.publish_seconds`, and after each imitation event",
+)
+PROGRESS: Final = KeyFamily(
+    "ctl", "ctl/progress", "state", "learner", "everybody", ("ProgressMessage",), "10 per second"
+)
+COMMAND: Final = KeyFamily(
+    "ctl",
+    "ctl/learner/{verb}",
+    "request",
+    "anybody",
+    "learner",
+    ("CommandMessage", "ConfigurationMessage", "ReceiptMessage"),
+    "when needed; the verbs are configuration, lead and drain",
+)
+EVALUATION: Final = KeyFamily(
+    "eval",
+    "eval/{worker}",
+    "request",
+    "coordinator",
+    "worker",
+    ("EvaluationOrder", "EvaluationResult"),
+    "for each imitation event",
+)
+IMITATION: Final = KeyFamily(
+    "imitation",
+    "imitation/learner",
+    "request",
+    "coordinator",
+    "learner",
+    ("ImitationMessage", "ReceiptMessage"),
+    "for each imitation event",
+)
+IMITATION_EVENT: Final = KeyFamily(
+    "imitation", "imitation/event", "state", "coordinator", "everybody", ("ImitationMessage",), "for each one applied"
+)
+METRIC: Final = KeyFamily(
+    "metric", "metric/{role}/{name}", "lossy", "every process", "everybody", ("MetricMessage",), "1 per second"
+)
+LIVE: Final = KeyFamily("live", "live/{role}/{name}", "token", "every process", "everybody", (), "while it lives")
+OBSERVATION: Final = KeyFamily(
+    "flight",
+    "flight/{vehicle}/observation",
+    "lossy",
+    "vehicle",
+    "flight node",
+    ("ObservationMessage",),
+    "as often as the vehicle likes; the newest in each period counts",
+)
+SETPOINT: Final = KeyFamily(
+    "flight",
+    "flight/{vehicle}/setpoint",
+    "lossy",
+    "flight node",
+    "vehicle",
+    ("SetpointMessage",),
+    "every period of the flight node, 10 per second by default",
+)
 
 FAMILIES: Final = (
     TRANSITION,
@@ -73,6 +147,8 @@ FAMILIES: Final = (
     IMITATION_EVENT,
     METRIC,
     LIVE,
+    OBSERVATION,
+    SETPOINT,
 )
 
 

@@ -1,129 +1,17 @@
 """Every message type of the protocol, one dataclass each; `common.keys` says where each one travels.
 
-A message's scalar fields go into the frame's header, its arrays into the body, by name. Decoding checks every type
-against the dataclass, so a message that exists is a message that fits its declaration.
+`common.codec` turns them into frames and back.
 """
 
-import functools
-import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from common import frame
-from common.errors import SchemaError
+from common.codec import Message
 from common.imitation import ImitationEvent
 from common.team import Float32
-
-
-class Message:
-    """Base of all messages: a frozen dataclass with a KIND that encodes and decodes itself."""
-
-    KIND: ClassVar[int] = 0
-
-    def encode(self) -> bytes:
-        """Return the message's frame."""
-        scalars: dict[str, Any] = {}
-        arrays: dict[str, frame.Array] = {}
-        for item in fields(self):  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
-            value = getattr(self, item.name)
-            if isinstance(value, np.ndarray):
-                arrays[item.name] = value
-            elif isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
-                arrays.update({f"{item.name}.{index}": part for index, part in enumerate(value)})
-            else:
-                scalars[item.name] = value
-        return frame.encode(self.KIND, scalars, arrays)
-
-    @classmethod
-    def decode(cls, data: bytes) -> Self:
-        """Rebuild a message from its frame.
-
-        Raises:
-            FrameError, VersionError: when the bytes are not such a frame.
-            SchemaError: when a field is missing, unknown or of another type.
-        """
-        scalars, arrays = frame.decode(data, cls.KIND)
-        values = {name: read(scalars, arrays) for name, read in _readers(cls)}
-        if scalars or arrays:
-            raise SchemaError(f"{cls.__name__} has no field {sorted([*scalars, *arrays])[0][:40]!r}.")
-        return cls(**values)
-
-
-Reader = Callable[[dict[str, Any], dict[str, frame.Array]], Any]
-"""Takes a field out of a frame's scalars or arrays, checked against its declaration."""
-
-
-@functools.cache
-def _readers(cls: type[Message]) -> tuple[tuple[str, Reader], ...]:
-    """Return how each field of a message type is read; looking into annotations takes longer than reading."""
-    hints = get_type_hints(cls)
-    names = [item.name for item in fields(cls)]  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
-    return tuple((name, _reader(name, hints[name])) for name in names)
-
-
-def _reader(name: str, kind: Any) -> Reader:
-    if get_origin(kind) is np.ndarray:
-        return functools.partial(_read_array, name, _dtype(kind))
-    if get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is np.ndarray:
-        return functools.partial(_read_arrays, name, _dtype(get_args(kind)[0]))
-    return functools.partial(_read_scalar, name, kind)
-
-
-def _dtype(kind: Any) -> np.dtype[Any]:
-    return np.dtype(get_args(get_args(kind)[1])[0])
-
-
-def _read_array(
-    name: str, wanted: np.dtype[Any], scalars: dict[str, Any], arrays: dict[str, frame.Array]
-) -> frame.Array:
-    if name not in arrays:
-        raise SchemaError(f"array {name} is missing.")
-    return _array(name, wanted, arrays.pop(name))
-
-
-def _read_arrays(
-    name: str, wanted: np.dtype[Any], scalars: dict[str, Any], arrays: dict[str, frame.Array]
-) -> tuple[frame.Array, ...]:
-    parts: list[frame.Array] = []
-    while (key := f"{name}.{len(parts)}") in arrays:
-        parts.append(_array(name, wanted, arrays.pop(key)))
-    return tuple(parts)
-
-
-def _read_scalar(name: str, kind: Any, scalars: dict[str, Any], arrays: dict[str, frame.Array]) -> Any:
-    if name not in scalars:
-        raise SchemaError(f"field {name} is missing.")
-    return _scalar(name, kind, scalars.pop(name))
-
-
-def _array(name: str, wanted: np.dtype[Any], value: frame.Array) -> frame.Array:
-    if value.dtype != wanted:
-        raise SchemaError(f"array {name} is {value.dtype}, not {wanted}.")
-    return value
-
-
-def _scalar(name: str, kind: Any, value: Any) -> Any:
-    if get_origin(kind) is tuple:
-        if not isinstance(value, list):
-            raise SchemaError(f"field {name} is not a list.")
-        return tuple(_scalar(name, get_args(kind)[0], part) for part in value)
-    if get_origin(kind) is dict:
-        if not isinstance(value, dict) or len(value) > 4096:
-            raise SchemaError(f"field {name} is not a map.")
-        return value
-    if kind is float and type(value) is int:
-        value = float(value)
-    if type(value) is not kind:
-        raise SchemaError(f"field {name} is {type(value).__name__}, not {kind.__name__}.")
-    if kind is int and not 0 <= value < 2**63:
-        raise SchemaError(f"field {name} is {value}, out of range.")
-    if kind is float and not math.isfinite(value):
-        raise SchemaError(f"field {name} is not finite.")
-    return value
 
 
 @dataclass(frozen=True)
@@ -131,7 +19,7 @@ class Envelope(Message):
     """Who sent a payload; travels as its attachment.
 
     Attributes:
-        role: rollout, learner, elite or monitor.
+        role: rollout, learner, elite, flight or vehicle.
         name: the process's name inside its role.
         incarnation: a number that grows with every start of a process of this name.
         sequence: running number of what this sender sends on this key, from 1.
@@ -324,7 +212,18 @@ class EvaluationResult(Message):
 
 @dataclass(frozen=True)
 class ImitationMessage(Message):
-    """One imitation event, see `common.imitation.ImitationEvent`, and the learner's epoch that it belongs to."""
+    """One imitation event, see `common.imitation.ImitationEvent`, and the learner's epoch that it belongs to.
+
+    Attributes:
+        epoch: the learner's fencing epoch.
+        event: number e of the event, from 1.
+        version: parameter version that was evaluated.
+        episode: training episode at which it was due.
+        rate: vartheta, the share by which actors move towards the elite.
+        elites: for each type, the index of the elite inside it.
+        scores: for each type, omega of each of its agents.
+        evaluation_steps: environment steps flown for it.
+    """
 
     KIND = 11
     epoch: int
@@ -364,3 +263,45 @@ class MetricMessage(Message):
     pid: int
     uptime: float
     values: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ObservationMessage(Message):
+    """What one vehicle sees; its envelope bears the role `vehicle`, and a sequence number that grows.
+
+    Attributes:
+        agent: the agent whose actor is to decide, communication_0 for instance.
+        stamp: when it was observed, microseconds since 1970 by the vehicle's clock.
+        values: [o] float32 of the agent's observation, scaled as the actor knows them.
+    """
+
+    KIND = 13
+    agent: str
+    stamp: int
+    values: Float32
+
+
+@dataclass(frozen=True)
+class SetpointMessage(Message):
+    """What one vehicle is to do until the next one comes.
+
+    Attributes:
+        agent: the agent that decided.
+        velocity: along x and along y of the field, m/s; zeros command hover.
+        hover: whether the watchdog commands hover; the velocity is then zero.
+        reason: why, or empty.
+        answers: sequence number of the observation that was decided on; 0 with hover.
+        stamp: that observation's stamp; 0 with hover.
+        period: running number of the flight node's period, from 1.
+        latency: seconds from taking the observation in to this message; 0 with hover.
+    """
+
+    KIND = 14
+    agent: str
+    velocity: tuple[float, ...]
+    hover: bool
+    reason: str
+    answers: int
+    stamp: int
+    period: int
+    latency: float

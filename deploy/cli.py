@@ -32,6 +32,8 @@ COMMANDS: Final = {
     "evaluate": Command("deploy.commands.evaluate", "fly a policy without noise on farms that training never saw"),
     "farm": Command("deploy.commands.farm", "draw, save or check farms: densities, and files of sensors' places"),
     "export": Command("deploy.commands.export", "write a run's actors for use without this project"),
+    "fly": Command("deploy.commands.fly", "fly vehicles with trained actors: observations in, set-points out"),
+    "simulator": Command("deploy.commands.simulator", "a simulated farm in the place of vehicles, for eia-sec fly"),
     "keys": Command("deploy.commands.keys", "certificates for --tls: an authority, and one for each process"),
     "audit": Command("deploy.commands.audit", "check that every chunk of a run is explained, from the histories"),
     "up": Command("deploy.commands.up", "start a fleet: the processes of fleet.toml, on its hosts, over SSH"),

@@ -14,6 +14,7 @@ from common.config.files import flatten, format_value
 from common.config.presets import PRESETS
 from common.config.sites import Sites
 from deploy.farm_figures import draw_densities
+from deploy.monitoring_page import monitoring_page
 from deploy.security_page import security_page
 
 _HEAD = """# Configuration
@@ -100,7 +101,11 @@ def _cells(cells: list[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-PAGES: Final[dict[str, Callable[[], str]]] = {"configuration.md": configuration_page, "security.md": security_page}
+PAGES: Final[dict[str, Callable[[], str]]] = {
+    "configuration.md": configuration_page,
+    "monitoring.md": monitoring_page,
+    "security.md": security_page,
+}
 """Every generated page: its file name in docs/ and the function that returns its text."""
 
 PICTURES: Final[dict[str, Callable[[Path], None]]] = {"images/densities.png": draw_densities}

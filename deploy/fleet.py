@@ -11,10 +11,16 @@ from common.bus import Bus
 from common.errors import ProtocolError
 from common.messages import Envelope, MetricMessage
 from common.team import LETTERS
-from deploy.view import Imitation, Ledger, ProcessRow, Series, Snapshot
+from deploy.alarms import examine
+from deploy.snapshot import Imitation, ImitationRow, Ledger, ProcessRow, Series, Snapshot
+from learner.intake import OTHERS
 
 HISTORY: Final = 240
 """Points of a curve that are kept."""
+RATE_SECONDS: Final = 10.0
+"""Time over which rates are taken: a worker reports chunks, and one second may hold none."""
+COUNTED: Final = {"learner": "updates", "rollout": "environment_steps", "flight": "decisions"}
+"""What each role makes, by the name of its counter."""
 GONE_SECONDS: Final = 30.0
 """A process without a token stays in the table for this long."""
 FRESHNESS: Final = {"aoi": "AoI", "vdf": "VDF"}
@@ -30,10 +36,29 @@ class _Seen:
     message: MetricMessage | None = None
     version: int = 0
     at: float = 0.0
-    rate: float = 0.0
     missed: int = 0
     alive: bool = True
     change: float = field(default_factory=time.monotonic)
+    track: deque[tuple[float, dict[str, Any]]] = field(default_factory=deque)
+
+    def follow(self, message: MetricMessage, version: int, now: float) -> None:
+        """Take in a newer message of the same process, or the first one of its next start."""
+        before = self.message
+        if before is not None and before.pid == message.pid:
+            self.missed += max(0, message.counter - before.counter - 1)
+        if before is None or before.pid != message.pid or message.uptime <= before.uptime:
+            self.track.clear()
+        self.track.append((message.uptime, message.values))
+        while len(self.track) > 2 and message.uptime - self.track[0][0] > RATE_SECONDS:
+            self.track.popleft()
+        self.message, self.values, self.version, self.at = message, message.values, version, now
+
+    def rate(self, counter: str) -> float | None:
+        """Return how fast a counter grows, per second, over the last RATE_SECONDS; None before the second message."""
+        if len(self.track) < 2:
+            return None
+        (began, first), (ended, last) = self.track[0], self.track[-1]
+        return float(last.get(counter, 0) - first.get(counter, 0)) / (ended - began)
 
 
 class Fleet:
@@ -51,7 +76,6 @@ class Fleet:
         self._seen: dict[tuple[str, str], _Seen] = {}
         self._rewards: dict[str, deque[float]] = {}
         self._figures: dict[str, deque[float]] = {}
-        self._rates = {"environment_steps": 0.0, "updates": 0.0}
         self._malformed = 0
 
     def update(self) -> None:
@@ -78,17 +102,7 @@ class Fleet:
                 del self._seen[name]
 
     def _take(self, name: tuple[str, str], sender: Envelope, message: MetricMessage, now: float) -> None:
-        seen = self._seen.setdefault(name, _Seen())
-        counted = "updates" if name[0] == "learner" else "environment_steps"
-        if seen.message is not None and seen.message.pid == message.pid:
-            seen.missed += max(0, message.counter - seen.message.counter - 1)
-            span = message.uptime - seen.message.uptime
-            if span > 0:
-                seen.rate = (message.values.get(counted, 0) - seen.values.get(counted, 0)) / span
-                if name[0] == "learner":
-                    for key in self._rates:
-                        self._rates[key] = (message.values[key] - seen.values[key]) / span
-        seen.message, seen.values, seen.version, seen.at = message, message.values, sender.version, now
+        self._seen.setdefault(name, _Seen()).follow(message, sender.version, now)
         if name[0] == "learner" and message.values.get("curves"):
             curves = message.values["curves"]
             figures = {kind: curves[kind] for kind in (*FRESHNESS, *LENGTH) if kind in curves}
@@ -100,17 +114,26 @@ class Fleet:
         """Return the present state for `deploy.view.render`, with the caller's alarms before its own."""
         try:
             return self._snapshot(alarms)
-        except (TypeError, ValueError, KeyError, AttributeError):
+        except (TypeError, ValueError, LookupError, AttributeError, OverflowError):
             # Somebody's figures are not figures: without them the view goes on.
             self._malformed += 1
             for seen in self._seen.values():
                 seen.values = {}
+                seen.track.clear()
             return self._snapshot(alarms)
 
     def _snapshot(self, alarms: tuple[str, ...]) -> Snapshot:
         values = self.learner_values()
         elapsed = float(values.get("elapsed", 0.0))
         episodes, total = int(values.get("episodes", 0)), int(values.get("episodes_total", 0))
+        ledgers, learner = values.get("ledgers", {}), self._of("learner")
+        rows = tuple(self._row(name, seen, values, ledgers) for name, seen in sorted(self._seen.items()))
+        before = sorted(name for name in ledgers if name != OTHERS and ("rollout", str(name)) not in self._seen)
+        rows += tuple(
+            ProcessRow("rollout", str(name), "-", 0, 0.0, alive=False, ledger=_ledger(ledgers[name]), left=True)
+            for name in before
+        )
+        rows, complaints = examine(rows, training=values.get("state") == "training")
         return Snapshot(
             run=self._run,
             state=str(values.get("state", "starting")),
@@ -124,16 +147,17 @@ class Fleet:
             ),
             freshness=self._freshness(),
             steps=int(values.get("environment_steps", 0)),
-            steps_rate=self._rates["environment_steps"],
+            steps_rate=learner.rate("environment_steps") if learner else None,
             updates=int(values.get("updates", 0)),
-            updates_rate=self._rates["updates"],
+            updates_rate=learner.rate("updates") if learner else None,
             staleness=float(values["lag_versions"]) if "lag_versions" in values else None,
             learner_wait=_share(values.get("waits", {}).get("data"), elapsed),
             worker_wait=self._worker_wait(),
-            ledger=self._ledger(values.get("ledger", {})),
+            ledger=_ledger(values.get("ledger", {})),
+            others=(int(ledgers[OTHERS].get("workers", 0)), _ledger(ledgers[OTHERS])) if OTHERS in ledgers else None,
             imitation=self._imitation(),
-            processes=tuple(self._row(name, seen) for name, seen in sorted(self._seen.items())),
-            alarms=alarms + self._alarms(values),
+            processes=rows,
+            alarms=(*alarms, *complaints, *self._alarms(values)),
         )
 
     def learner_values(self) -> dict[str, Any]:
@@ -162,10 +186,6 @@ class Fleet:
         known = [share for share in shares if share is not None]
         return sum(known) / len(known) if known else None
 
-    def _ledger(self, totals: dict[str, Any]) -> Ledger:
-        names = ("produced", "accepted", "duplicates", "rejected", "lost", "in_flight", "unexplained")
-        return Ledger(**{name: int(totals.get(name, 0)) for name in names})
-
     def _imitation(self) -> Imitation:
         elite, learner = self._of("elite"), self._of("learner")
         values = elite.values if elite else {}
@@ -175,30 +195,39 @@ class Fleet:
             rate=float(values["rate"]) if values.get("rate") else None,
             next_episode=int(values["next_episode"]) if values.get("next_episode") else None,
             elites=tuple(
-                (LETTERS.get(kind, str(kind)), int(index)) for kind, index in values.get("elites", {}).items()
+                (LETTERS.get(kind, str(kind)[:NAME]), int(index)) for kind, index in values.get("elites", {}).items()
             ),
+            newest=tuple(map(_imitated, learner.values.get("imitations", []))) if learner else (),
         )
 
-    def _row(self, name: tuple[str, str], seen: _Seen) -> ProcessRow:
-        message, values = seen.message, seen.values
+    def _row(self, name: tuple[str, str], seen: _Seen, learner: dict[str, Any], ledgers: dict[str, Any]) -> ProcessRow:
+        message, values, role = seen.message, seen.values, name[0]
         queue = values.get("queue", values.get("spooled"))
+        follows = role == "rollout" and message is not None and "version" in learner
+        ledger = None
+        if role == "rollout":
+            known, others = ledgers.get(name[1]), ledgers.get(OTHERS, {})
+            # Beyond the rows that the learner tells there is the worker's own account, which knows of no loss.
+            own = {**values, "lost": None if others.get("lost") else 0}
+            ledger = _ledger(known) if known else _ledger(own) if values else None
         return ProcessRow(
-            role=name[0],
+            role=role,
             name=name[1],
             host=message.host if message else "-",
             pid=message.pid if message else 0,
             uptime=message.uptime if message else 0.0,
-            rate=seen.rate if message else None,
+            rate=seen.rate(COUNTED[role]) if role in COUNTED else None,
             version=seen.version,
+            behind=max(0, int(learner["version"]) - seen.version) if follows else None,
             episodes=values.get("episodes"),
             queue=int(queue) if queue is not None else None,
             age=time.monotonic() - seen.at if message else 0.0,
             alive=seen.alive,
+            ledger=ledger,
         )
 
     def _alarms(self, learner: dict[str, Any]) -> tuple[str, ...]:
         found = [str(text)[:200] for text in learner.get("alarms", [])]
-        found += [f"{role} {name} is gone." for (role, name), seen in self._seen.items() if not seen.alive]
         elite = self._of("elite")
         if elite is not None and elite.values.get("failures"):
             found.append(f"{elite.values['failures']} evaluations for imitation were not answered in time.")
@@ -220,6 +249,25 @@ class Fleet:
         if self._malformed:
             found.append(f"{self._malformed} metric messages could not be read.")
         return tuple(found)
+
+
+def _ledger(figures: dict[str, Any]) -> Ledger:
+    names = ("produced", "accepted", "duplicates", "rejected", "in_flight", "unexplained")
+    lost = figures.get("lost", 0)
+    return Ledger(**{name: int(figures.get(name, 0)) for name in names}, lost=None if lost is None else int(lost))
+
+
+def _imitated(event: dict[str, Any]) -> ImitationRow:
+    scores = event.get("scores", {})
+    return ImitationRow(
+        event=int(event["event"]),
+        episode=int(event["episode"]),
+        rate=float(event["rate"]),
+        elites=tuple(
+            (LETTERS.get(kind, str(kind)[:NAME]), int(elite), float(scores[kind][elite]) if kind in scores else None)
+            for kind, elite in event["elites"].items()
+        ),
+    )
 
 
 def _digits(points: Sequence[float]) -> int:

@@ -88,6 +88,8 @@ connecting side says which and why, and exits with code 2.
 | a worker's transitions, metrics and evaluations | other workers, monitors |
 | imitation events, orders to evaluate | everybody but the coordinator |
 | stopping the run | everybody but an operator |
+| a vehicle's observations | other vehicles, and everybody else but the flight node that reads them |
+| set-points | everybody but a flight node; each is read by its own vehicle alone ([fly.md](fly.md)) |
 | the learner's process and memory | malformed, oversized, non-finite input of a worker |
 
 ## Not protected

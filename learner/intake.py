@@ -1,17 +1,25 @@
 """What the learner takes in: each chunk once, in order, and a ledger that accounts for every environment step."""
 
+import heapq
+import threading
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from common.errors import CheckpointError
 from common.messages import Envelope
 
 Status = Literal["accepted", "duplicate", "gap"]
+ROWS: Final = 16
+"""Workers whose accounts are told one by one; those of all others are summed."""
+OTHERS: Final = "(others)"
+"""What the sum is called, which no worker can be."""
+_STEPS: Final = ("accepted", "lost", "rejected", "in_flight")
+_CHUNKS: Final = ("duplicates", "refused", "aged", "damaged")
 
 
 @dataclass(frozen=True)
 class WorkerLedger:
-    """The account of one worker's present incarnation, in environment steps and chunks.
+    """The account of one worker's present start (incarnation), in environment steps and chunks.
 
     Attributes:
         incarnation: which start of the worker.
@@ -26,6 +34,7 @@ class WorkerLedger:
         aged: those of them that were refused because their policy was too old.
         damaged: frames that could not be read; they are sent again.
         pending_rejected: whether the next gap in `produced` is a refused chunk's.
+        earlier: the sums of all earlier starts of the worker, or None before there was one.
     """
 
     incarnation: int
@@ -40,6 +49,7 @@ class WorkerLedger:
     aged: int = 0
     damaged: int = 0
     pending_rejected: bool = False
+    earlier: "WorkerLedger | None" = None
 
     @property
     def in_flight(self) -> int:
@@ -49,6 +59,11 @@ class WorkerLedger:
     def given_up(self) -> "WorkerLedger":
         """Return the account of a start that has ended: what has not arrived by now is lost."""
         return replace(self, lost=self.lost + self.in_flight)
+
+    def figures(self) -> dict[str, int]:
+        """Return the account over all starts; see `Intake.totals`."""
+        parts = [self] if self.earlier is None else [self, self.earlier]
+        return _closed({name: sum(getattr(part, name) for part in parts) for name in (*_STEPS, *_CHUNKS)})
 
 
 class Intake:
@@ -63,6 +78,7 @@ class Intake:
     def __init__(self) -> None:
         self.workers: dict[str, WorkerLedger] = {}
         self.closed = WorkerLedger(0)
+        self._switch = threading.Lock()
 
     def judge(self, sender: Envelope, oldest: int) -> Status:
         """Return what a chunk is, without accepting it."""
@@ -121,10 +137,28 @@ class Intake:
         produced = accepted + lost + rejected + in_flight, each in environment steps; duplicates, refused, aged and
         damaged in chunks.
         """
-        names = ("accepted", "lost", "rejected", "in_flight", "duplicates", "refused", "aged", "damaged")
-        ledgers = [self.closed, *self.workers.values()]
-        sums = {name: sum(getattr(ledger, name) for ledger in ledgers) for name in names}
-        return {"produced": sums["accepted"] + sums["lost"] + sums["rejected"] + sums["in_flight"], **sums}
+        return self.accounts(0)[0]
+
+    def accounts(self, rows: int = ROWS) -> tuple[dict[str, int], dict[str, dict[str, int]]]:
+        """Return the totals, and what they are made of: the accounts of single workers and the sum of the others.
+
+        First come the workers that lost most or had most rejected, then those that produced most. The sum bears the
+        name OTHERS and says how many `workers` it holds. Columns add up to the totals exactly.
+
+        Args:
+            rows: most workers that are told one by one.
+        """
+        with self._switch:
+            closed, workers = self.closed, dict(self.workers)
+        present = [closed, *workers.values()]
+        totals = _closed({name: sum(getattr(part, name) for part in present) for name in (*_STEPS, *_CHUNKS)})
+        every = ((name, ledger.figures()) for name, ledger in workers.items())
+        chosen = dict(heapq.nsmallest(rows, every, key=_trouble_first)) if rows else {}
+        rest = {name: total - sum(part[name] for part in chosen.values()) for name, total in totals.items()}
+        hidden = len(workers) - len(chosen)
+        if hidden or any(rest.values()):
+            chosen[OTHERS] = {"workers": hidden, **rest}
+        return totals, chosen
 
     def state(self) -> dict[str, Any]:
         """Return what a checkpoint needs."""
@@ -134,7 +168,7 @@ class Intake:
         """Take up a checkpoint's ledger; raise CheckpointError when it is none."""
         try:
             self.closed = WorkerLedger(**state["closed"])
-            self.workers = {str(name): WorkerLedger(**entry) for name, entry in state["workers"].items()}
+            self.workers = {str(name): _rebuilt(entry) for name, entry in state["workers"].items()}
         except (KeyError, TypeError, AttributeError) as error:
             raise CheckpointError(f"the checkpoint's ledger is not readable: {error}") from error
 
@@ -156,12 +190,31 @@ class Intake:
 
     def _ledger(self, sender: Envelope) -> WorkerLedger:
         ledger = self.workers.get(sender.name)
-        if ledger is None or sender.incarnation > ledger.incarnation:
+        if ledger is not None and sender.incarnation <= ledger.incarnation:
+            return ledger
+        fresh = WorkerLedger(sender.incarnation)
+        with self._switch:  # whoever adds up meanwhile must find the old start in exactly one place
             if ledger is not None:
-                self.closed = _add(self.closed, ledger.given_up())
-            ledger = WorkerLedger(sender.incarnation)
-            self.workers[sender.name] = ledger
-        return ledger
+                ended = replace(ledger.given_up(), earlier=None)
+                self.closed = _add(self.closed, ended)
+                fresh = replace(fresh, earlier=_add(ledger.earlier or WorkerLedger(0), ended))
+            self.workers[sender.name] = fresh
+        return fresh
+
+
+def _trouble_first(row: tuple[str, dict[str, int]]) -> tuple[int, int, str]:
+    name, figures = row
+    return -(figures["lost"] + figures["rejected"]), -figures["produced"], name
+
+
+def _closed(figures: dict[str, int]) -> dict[str, int]:
+    """Return figures with what was produced before them: the sum of all that can become of a step."""
+    return {"produced": sum(figures[name] for name in _STEPS), **figures}
+
+
+def _rebuilt(entry: dict[str, Any]) -> WorkerLedger:
+    earlier = entry.get("earlier")
+    return WorkerLedger(**{**entry, "earlier": None if earlier is None else WorkerLedger(**earlier)})
 
 
 def _add(total: WorkerLedger, part: WorkerLedger) -> WorkerLedger:

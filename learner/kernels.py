@@ -256,7 +256,8 @@ def put_in(places: Table, slot: Table, count: int, new: Table) -> int:
     for n in range(new.shape[0]):
         places[count + n] = new[n]
         slot[new[n]] = count + n
-    return count + new.shape[0]
+    count += new.shape[0]
+    return count
 
 
 @compiled

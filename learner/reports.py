@@ -11,6 +11,8 @@ from common.imitation import ImitationEvent
 from common.team import TeamSpec
 from common.transitions import EpisodeSummary
 
+IMITATIONS = 4
+"""Newest imitation events that metric messages tell of."""
 SMOOTHED_EPISODES = 40
 """Episodes in the moving averages of the live view."""
 
@@ -24,10 +26,12 @@ class Journal:
 
     Attributes:
         failure: why a record could not be written, or empty.
+        imitations: the newest records of imitation events.
     """
 
     def __init__(self, directory: Path | None, elapsed: float = 0.0) -> None:
         self.failure = ""
+        self.imitations: deque[dict[str, Any]] = deque(maxlen=IMITATIONS)
         self._file: TextIO | None = None
         if directory is not None:
             self._file = (directory / "metrics.jsonl").open("a", encoding="utf-8")
@@ -40,6 +44,8 @@ class Journal:
 
     def write(self, kind: str, **values: Any) -> None:
         """Append one record."""
+        if kind == "imitation":
+            self.imitations.append(values)
         if self._file is None:
             return
         try:

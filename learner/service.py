@@ -301,6 +301,7 @@ class Learner:
     def _report(self) -> None:
         self._times["report"] = time.monotonic()
         t = self.trainer
+        ledger, ledgers = self._receiver.intake.accounts()
         values = {
             "state": self._state,
             "episodes": t.episodes,
@@ -315,7 +316,9 @@ class Learner:
             "malformed_by": self._receiver.offenders.counts(),
             "elapsed": self._journal.elapsed,
             "waits": dict(self._waited),
-            "ledger": {**self._receiver.intake.totals(), "unexplained": self._unexplained()},
+            "ledger": {**ledger, "unexplained": self._unexplained()},
+            "ledgers": ledgers,
+            "imitations": list(self._journal.imitations),
             "curves": self._curves.smoothed(),
             "statistics": t.statistics(),
             "evaluation_steps": t.evaluation_steps,
@@ -331,7 +334,7 @@ class Learner:
         agents = t.figures.by_agent()
         told = ("lag_versions", "queue", "curves", "statistics", "checkpoints", "waits", "ledger")
         self._board.write(t.environment_steps, flattened({name: values[name] for name in told} | {"agents": agents}))
-        del values["alarms"]
+        del values["alarms"], values["imitations"]
         self._journal.write("status", **values, agents=agents)
 
     def _unexplained(self) -> int:

@@ -1,6 +1,5 @@
 """`eia-sec monitor`: a plain Zenoh subscriber that shows a run live, read-only."""
 
-import dataclasses
 import json
 import sys
 import time
@@ -18,6 +17,7 @@ from common.keys import check_name
 from common.process import StopSignal, denial
 from deploy.fleet import Fleet
 from deploy.options import parse
+from deploy.snapshot import record
 from deploy.view import render, summary
 
 
@@ -68,9 +68,9 @@ def _show(options: MonitorArguments, fleet: Fleet, stop: StopSignal, bus: Bus) -
             denied = denial(bus, options.run, keys.METRIC.pattern(options.run)) if silent else None
             snapshot = fleet.snapshot((denied,) if denied else ())
             if live is not None:
-                live.update(render(snapshot), refresh=True)
+                live.update(render(snapshot, console.height), refresh=True)
             elif options.json:
-                sys.stdout.write(json.dumps(dataclasses.asdict(snapshot)) + "\n")
+                sys.stdout.write(json.dumps(record(snapshot), allow_nan=False) + "\n")
                 sys.stdout.flush()
             else:
                 console.print(summary(snapshot), highlight=False, soft_wrap=True)

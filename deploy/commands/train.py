@@ -189,7 +189,8 @@ class _Training:
         with Live(console=self._console, auto_refresh=False, transient=False) as live:
             while not (self._stop or learner.done or learner.given_up):
                 self._tick(fleet)
-                live.update(render(fleet.snapshot(tuple(self._supervisor.alarms))), refresh=True)
+                snapshot = fleet.snapshot(tuple(self._supervisor.alarms))
+                live.update(render(snapshot, self._console.height - 1), refresh=True)
 
     def _tick(self, fleet: Fleet) -> None:
         self._supervisor.watch()

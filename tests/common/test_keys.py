@@ -7,7 +7,7 @@ import pytest
 from common import keys
 from common.errors import ConfigError, KeyExpressionError
 
-VARIABLES = {"worker": "w-1", "role": "rollout", "name": "n.2", "verb": "drain"}
+VARIABLES = {"worker": "w-1", "role": "rollout", "name": "n.2", "verb": "drain", "vehicle": "uav-7"}
 
 
 @pytest.mark.parametrize("family", keys.FAMILIES, ids=lambda family: family.template)

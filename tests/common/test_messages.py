@@ -6,16 +6,18 @@ import numpy as np
 import pytest
 
 from common import frame, messages
+from common.codec import Message
 from common.errors import SchemaError
 from common.messages import (
     ChunkAck,
     EvaluationOrder,
     EvaluationResult,
     ImitationMessage,
-    Message,
     MetricMessage,
+    ObservationMessage,
     ParametersMessage,
     ProgressMessage,
+    SetpointMessage,
 )
 
 TYPES = [
@@ -34,6 +36,8 @@ EXAMPLES = [
         1, 2, 0, 4, 0.5, "ab", 8, "gaussian", (np.ones((2, 3), np.float32), np.zeros((1, 7), np.float32))
     ),
     ProgressMessage(1, 2, 3, 4, 5, 6, "training"),
+    ObservationMessage("monitoring_1", 1_700_000_000_000_000, np.linspace(-1, 1, 16, dtype=np.float32)),
+    SetpointMessage("monitoring_1", (1.25, -10.0), False, "", 7, 1_700_000_000_000_000, 9, 0.0004),
 ]
 
 

@@ -2,12 +2,16 @@
 
 import dataclasses
 import io
+import json
 
 import pytest
 from rich.console import Console
 
+from deploy.alarms import BEHIND_VERSIONS, examine
+from deploy.fleet_table import FleetTable, duration, short
+from deploy.snapshot import Imitation, ImitationRow, Ledger, ProcessRow, Series, Snapshot, record
 from deploy.sparkline import bars, buckets
-from deploy.view import ROWS, Imitation, Ledger, ProcessRow, Series, Snapshot, duration, render, summary
+from deploy.view import MOST_ALARMS, render, summary
 
 
 def worker(index: int, **changes) -> ProcessRow:
@@ -22,6 +26,8 @@ def worker(index: int, **changes) -> ProcessRow:
         episodes=406,
         queue=1,
         age=0.2,
+        behind=2,
+        ledger=Ledger(produced=52_480, accepted=52_000, in_flight=480),
     )
     return dataclasses.replace(row, **changes)
 
@@ -48,7 +54,16 @@ SNAPSHOT = Snapshot(
     learner_wait=0.02,
     worker_wait=0.41,
     ledger=Ledger(produced=406_480, accepted=406_000, duplicates=3, rejected=120, lost=140, in_flight=220),
-    imitation=Imitation(6, 0.003125, 1270, (("c", 2), ("m", 0), ("d", 3))),
+    imitation=Imitation(
+        events=6,
+        rate=0.003125,
+        next_episode=1270,
+        elites=(("c", 2), ("m", 0), ("d", 3)),
+        newest=tuple(
+            ImitationRow(k, 10 * 2**k, 0.1 / 2**k, (("c", 2, 0.8125), ("m", 0, None), ("d", 3, -1.5)))
+            for k in range(3, 7)
+        ),
+    ),
     processes=(
         ProcessRow("learner", "learner", "barn", 4199, 1512.0, 1003.0, 3021, 812, 2, 0.3),
         *(worker(index) for index in range(3)),
@@ -57,10 +72,10 @@ SNAPSHOT = Snapshot(
 )
 
 
-def drawn(snapshot: Snapshot, width: int = 100, **settings) -> list[str]:
+def drawn(snapshot: Snapshot, width: int = 100, height: int = 30, **settings) -> list[str]:
     """Return the lines that a console without a terminal records."""
     output = io.StringIO()
-    Console(width=width, file=output, **settings).print(render(snapshot))
+    Console(width=width, file=output, **settings).print(render(snapshot, height))
     return output.getvalue().splitlines()
 
 
@@ -77,16 +92,31 @@ def test_every_figure_is_shown_at_every_width(width):
     figures = ["farm-7", "training", "25:12 elapsed, 35:33 left", "812 of 2,000 episodes", "420.5", "-12.5", "1,250.0"]
     figures += ["960.0", "1.23", "0.57", "406,000", "1,201/s", "203,000", "1,003/s", "0.50", "1.7", "2%", "41%"]
     figures += ["406,480", "3 duplicate chunks", "120", "140", "220", "6, rate 0.00313", "episode 1,270", "c 2 m 0 d 3"]
-    figures += ["4199", "worker-0", "barn", "1:05", "600", "3,019", "406", "worker-2 has not been heard of for 7 s."]
+    figures += ["worker-0", "barn", "1:05", "600", "480", "worker-2 has not been heard of for 7 s."]
+    figures += ["52,000"] if width >= 100 else []
+    figures += ["4199", "3,019", "406", "52,480"] if width >= 140 else []
     assert [figure for figure in figures if figure not in text] == []
     assert max(map(len, lines)) <= width
 
 
-def test_view_fits_a_small_terminal():
-    """With as many processes and alarms as are ever shown, the view is no higher than 30 lines at 80 columns."""
-    crowd = tuple(worker(index) for index in range(40))
-    full = dataclasses.replace(SNAPSHOT, processes=crowd, alarms=("an alarm.",) * 9)
-    assert len(drawn(full, 80)) <= 30
+@pytest.mark.parametrize("workers", [2, 60])
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 40), (200, 60)])
+def test_view_fits_the_terminal(width, height, workers):
+    """With few or many processes, events and alarms the view is neither higher nor wider than the terminal."""
+    crowd = tuple(worker(index) for index in range(workers))
+    for alarms in ((), ("an alarm.",) * 12):
+        lines = drawn(dataclasses.replace(SNAPSHOT, processes=crowd, alarms=alarms), width, height)
+        assert len(lines) <= height
+        assert max(map(len, lines)) <= width
+        assert bool(alarms) == any("an alarm." in line for line in lines)
+
+
+def test_imitation_events_say_who_was_the_elite_when_there_is_room():
+    """In a high terminal each event has its episode, theta, and for each type the elite and its omega."""
+    lines = drawn(SNAPSHOT, 120, 40)
+    assert line_with("elite c (omega)", lines).split()[1:4] == ["event", "episode", "theta"]
+    assert line_with(" 640 ", lines).split()[1:-1] == ["6", "640", "0.00156", "2", "(0.81)", "0", "(-)", "3", "(-1.50)"]
+    assert not [line for line in drawn(SNAPSHOT, 120, 24) if "omega" in line]
 
 
 def test_empty_snapshot_says_what_is_not_known():
@@ -98,26 +128,88 @@ def test_empty_snapshot_says_what_is_not_known():
     assert "processes (0)" in line_with("processes", lines)
 
 
-def test_processes_in_trouble_come_first_when_not_all_fit():
-    """Of more processes than there is room for, those that are gone or quiet are shown first, and the rest counted."""
+def test_processes_in_trouble_come_first_and_the_others_are_summed():
+    """Of more processes than there is room for those in trouble come first, and the last row sums what is not shown."""
     rows = [worker(index) for index in range(20)]
     rows[17] = worker(17, alive=False)
     rows[19] = worker(19, age=7.4)
-    lines = drawn(dataclasses.replace(SNAPSHOT, processes=tuple(rows)))
-    shown = [line.split()[2] for line in lines if "rollout" in line]
-    assert shown == ["worker-17", "worker-19", *(f"worker-{index}" for index in range(ROWS - 2))]
+    rows[11] = worker(11, trouble=True, ledger=Ledger(produced=10, accepted=4, lost=6))
+    table = FleetTable(dataclasses.replace(SNAPSHOT, processes=tuple(rows)), 6)
+    shown, hidden = table.parts()
+    assert [row.name for row in shown] == ["worker-11", "worker-17", "worker-19", "worker-0", "worker-1"]
+    assert len(hidden) == 15
+    output = io.StringIO()
+    Console(width=140, file=output).print(table)
+    lines = output.getvalue().splitlines()
     assert "gone" in line_with("worker-17", lines)
     assert "7 s" in line_with("worker-19", lines)
-    assert line_with("processes (20, 12 not shown)", lines)
+    others = line_with("15 others", lines).split()
+    assert {"9,006", "787k", "780k", "7,200"} <= set(others)
+
+
+def test_every_kind_of_trouble_is_named():
+    """Gone, silent, behind and slow workers are marked and named; many of a kind share one sentence."""
+    rows = [worker(index) for index in range(12)]
+    rows[1] = worker(1, alive=False)
+    rows[2] = worker(2, age=7.4)
+    rows[3] = worker(3, behind=BEHIND_VERSIONS)
+    rows[4] = worker(4, rate=40.0)
+    found, sentences = examine(rows, training=True)
+    assert [row.name for row in found if row.trouble] == ["worker-1", "worker-2", "worker-3", "worker-4"]
+    assert sentences == [
+        "rollout worker-1 is gone.",
+        "rollout worker-2 has said nothing for 7 s.",
+        "rollout worker-3 is behind: its actors are 20 versions old.",
+        "rollout worker-4 makes 40 steps/s, the middle worker 600.",
+    ]
+    gone = [dataclasses.replace(row, alive=False) for row in rows]
+    assert examine(gone, training=True)[1] == [
+        "rollout worker-0, rollout worker-1, rollout worker-2 and 9 others are gone."
+    ]
+    still = [worker(index, rate=0.0) for index in range(2)]
+    assert examine(still, training=True)[1] == ["rollout worker-0 and rollout worker-1 have stopped flying."]
+    assert examine(still, training=False)[1] == []
+    assert examine([worker(index, rate=0.0, uptime=5.0) for index in range(2)], training=True)[1] == []
+
+
+def test_a_worker_that_left_before_is_in_the_ledger_and_no_alarm():
+    """A worker known from the learner's ledger alone has its row, comes last of all, and is not called gone."""
+    left = ProcessRow("rollout", "old", "-", 0, 0.0, alive=False, ledger=Ledger(produced=70, accepted=70), left=True)
+    rows, sentences = examine([left, worker(0)], training=True)
+    assert sentences == []
+    assert not any(row.trouble for row in rows)
+    table = FleetTable(dataclasses.replace(SNAPSHOT, processes=(*rows, worker(1), worker(2))), 3)
+    assert [row.name for row in table.parts()[1]] == ["worker-2", "old"]
+    shown = line_with("old", drawn(dataclasses.replace(SNAPSHOT, processes=rows), 140))
+    assert shown.split()[1:7] == ["rollout", "old", "-", "-", "-", "left"]
+
+
+def test_record_is_json_of_known_fields():
+    """What `--json` prints has every field, the latest value of a series, and null for what is not finite."""
+    odd = dataclasses.replace(SNAPSHOT, reward=(Series("mean", (float("nan"),)), Series("m", (1.0, 2.0))))
+    found = json.loads(json.dumps(record(odd), allow_nan=False))
+    assert set(found) == {item.name for item in dataclasses.fields(Snapshot)}
+    assert found["reward"] == [{"name": "mean", "latest": None}, {"name": "m", "latest": 1.5}]
+    assert found["processes"][1]["ledger"]["in_flight"] == 480
+    assert found["imitation"]["newest"][0]["elites"][0] == ["c", 2, 0.8125]
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [(None, "-"), (99_999, "99,999"), (100_000, "100k"), (787_200, "787k"), (1_500_000, "1.5M"), (2**40, "1,100G")],
+)
+def test_counts_are_short(count, text):
+    """A count is exact below 100,000 and has at most one decimal above."""
+    assert short(count) == text
 
 
 def test_newest_alarms_are_shown():
-    """Of many alarms the newest are shown and the older ones counted."""
-    lines = drawn(dataclasses.replace(SNAPSHOT, alarms=("first.", "second.", "third.", "fourth.")))
-    assert line_with("alarms (2 older)", lines)
-    assert line_with("third.", lines)
-    assert line_with("fourth.", lines)
-    assert not [line for line in lines if "first." in line or "second." in line]
+    """Of many alarms the newest are shown and the others counted; the higher the terminal, the more."""
+    alarms = tuple(f"number-{index}." for index in range(12))
+    for height, shown in ((24, 1), (60, MOST_ALARMS)):
+        lines = drawn(dataclasses.replace(SNAPSHOT, alarms=alarms), height=height)
+        assert line_with(f"alarms ({12 - shown} more)", lines)
+        assert [line.split()[1] for line in lines if "number-" in line] == list(alarms[-shown:])
 
 
 def test_trouble_in_the_ledger_is_coloured():

@@ -8,16 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from common import frame, messages
+from common import codec, frame, messages
 from common.chunks import from_message, to_message
 from common.errors import ProtocolError
 from common.policy_store import PolicyStore
 from tests.faults.channel import TEAM, a_chunk
 
 KINDS: Final = tuple(
-    kind
-    for kind in vars(messages).values()
-    if isinstance(kind, type) and issubclass(kind, messages.Message) and kind.KIND
+    kind for kind in vars(messages).values() if isinstance(kind, type) and issubclass(kind, codec.Message) and kind.KIND
 )
 _PREFIX: Final = struct.Struct("<4sBBHIQI")
 
@@ -37,6 +35,8 @@ def samples() -> dict[str, bytes]:
         messages.EvaluationOrder(1, 1, 1, (1, 2), (3, 4)),
         messages.EvaluationResult(1, 1, np.zeros((1, 2, 2), np.float32), np.ones(1, np.int64)),
         messages.ImitationMessage(1, 1, 1, 10, 0.1, (0,), ((0.5, 0.25),), 10),
+        messages.ObservationMessage("a_0", 1, np.zeros(4, np.float32)),
+        messages.SetpointMessage("a_0", (1.0, -1.0), False, "", 1, 1, 1, 0.5),
         messages.MetricMessage(1, "host", 2, 0.5, {"a": 1, "b": [1.5, "x"], "c": {"d": None}}),
     ]
     return {type(message).__name__: message.encode() for message in found}

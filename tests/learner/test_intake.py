@@ -4,7 +4,7 @@ import pytest
 
 from common.errors import CheckpointError
 from common.messages import Envelope
-from learner.intake import Intake
+from learner.intake import OTHERS, Intake
 
 
 def sender(sequence: int, incarnation: int = 1, name: str = "w") -> Envelope:
@@ -93,3 +93,61 @@ def test_state_and_restore() -> None:
     assert again.totals()["accepted"] == intake.totals()["accepted"]
     with pytest.raises(CheckpointError):
         again.restore({"closed": {}, "workers": {"w": {"nonsense": 1}}})
+
+
+def produce(intake: Intake, name: str, sequence: int, steps: int, incarnation: int = 1, flown: int = 0) -> None:
+    who = sender(sequence, incarnation, name)
+    assert intake.judge(who, sequence) == "accepted"
+    intake.accept(who, steps, produced=sequence * steps, flown=flown)
+
+
+def assert_columns_add_up(totals: dict[str, int], rows: dict[str, dict[str, int]]) -> None:
+    for name, total in totals.items():
+        assert sum(row[name] for row in rows.values()) == total, name
+    for row in (totals, *rows.values()):
+        assert row["produced"] == row["accepted"] + row["lost"] + row["rejected"] + row["in_flight"]
+
+
+def test_every_worker_has_an_account_over_all_its_starts() -> None:
+    """Rows of single workers hold earlier starts too, and add up to the totals, also after a checkpoint."""
+    intake, again = Intake(), Intake()
+    produce(intake, "a", 1, 10, flown=50)
+    produce(intake, "a", 1, 10, incarnation=2)
+    produce(intake, "a", 1, 10, incarnation=3, flown=30)
+    produce(intake, "b", 1, 7)
+    again.restore(intake.state())
+    for ledger in (intake, again):
+        totals, rows = ledger.accounts()
+        assert list(rows) == ["a", "b"]
+        assert [rows["a"][name] for name in ("produced", "accepted", "lost", "in_flight")] == [90, 30, 40, 20]
+        assert (rows["b"]["produced"], rows["b"]["accepted"]) == (7, 7)
+        assert_columns_add_up(totals, rows)
+
+
+def test_of_many_workers_those_in_trouble_and_the_busiest_are_told_and_the_others_summed() -> None:
+    """With more workers than rows the unlucky come first, then the busiest, and one row sums all others."""
+    intake = Intake()
+    for index in range(60):
+        produce(intake, f"w{index}", 1, 10 + index)
+    produce(intake, "w3", 1, 5, incarnation=2)
+    produce(intake, "w5", 4, 15)
+    totals, rows = intake.accounts(4)
+    assert list(rows) == ["w5", "w59", "w58", "w57", OTHERS]
+    assert rows["w5"]["lost"] == 30
+    assert rows[OTHERS]["workers"] == 56
+    assert_columns_add_up(totals, rows)
+
+
+def test_a_checkpoint_without_single_accounts_still_adds_up() -> None:
+    """What a checkpoint of an older form knows only in sum stands in the row of the others."""
+    intake, again = Intake(), Intake()
+    produce(intake, "a", 1, 10, flown=50)
+    produce(intake, "a", 1, 10, incarnation=2)
+    state = intake.state()
+    for entry in state["workers"].values():
+        del entry["earlier"]
+    again.restore(state)
+    totals, rows = again.accounts()
+    assert totals == intake.totals()
+    assert (rows["a"]["produced"], rows[OTHERS]["lost"], rows[OTHERS]["workers"]) == (10, 40, 0)
+    assert_columns_add_up(totals, rows)

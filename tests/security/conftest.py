@@ -9,13 +9,13 @@ from common.credentials import Identity
 from deploy import authority
 
 YEAR = datetime.timedelta(days=365)
-MEMBERS = ("rollout.a", "rollout.b", "elite.coordinator", "monitor.m", "operator.o")
+MEMBERS = ("rollout.a", "rollout.b", "elite.coordinator", "monitor.m", "operator.o", "vehicle.uav", "vehicle.other")
 
 
 def make_authority(folder: Path) -> Path:
-    """Return the folder of an authority with a learner, a router, the members, and a worker that is not let in."""
+    """Return the folder of an authority with listeners, the members, and a worker that is not let in."""
     authority.create(folder)
-    for name in ("learner.learner", "router.main"):
+    for name in ("learner.learner", "router.main", "flight.main"):
         authority.issue(folder, Identity.parse(name), ["127.0.0.1", "localhost"], YEAR)
     for name in (*MEMBERS, "rollout.unlisted"):
         authority.issue(folder, Identity.parse(name), [], YEAR)

@@ -31,6 +31,8 @@ WILD = (
     f"{ROOT}/transition/*",
     f"{ROOT}/metric/**",
     f"{ROOT}/live/**",
+    f"{ROOT}/flight/**",
+    f"{ROOT}/flight/*/setpoint",
     f"{keys.ROOT}/*/params/actors/**",
 )
 SECONDS = 20.0
@@ -49,7 +51,8 @@ def concrete_keys(identity: Identity) -> tuple[str, ...]:
         for name in sorted(names):
             role = identity.role if name == identity.name else "rollout"
             for verb in ("configuration", "drain"):
-                found.append(f"{ROOT}/" + family.template.format(worker=name, role=role, name=name, verb=verb))
+                template = family.template
+                found.append(f"{ROOT}/" + template.format(worker=name, vehicle=name, role=role, name=name, verb=verb))
         if family.delivery == "state":
             found.append(f"{ROOT}/{family.template}/@adv/pub/x/1/_")
     return (*dict.fromkeys(found), f"{ROOT}/live/learner/learner", f"{ROOT}/unknown", "elsewhere/key")

@@ -16,6 +16,8 @@ NAMES = (
     "learner.learner",
     "router.main",
     "rollout.unlisted",
+    "vehicle.uav",
+    "flight.main",
 )
 
 
@@ -92,7 +94,17 @@ def test_the_table_says_what_was_asked_for():
     }
 
 
-ROLES = ("learner", "router", "rollout", "elite", "operator", "monitor")
+ROLES = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "vehicle")
+
+
+def test_a_vehicle_writes_its_own_observations_alone_and_nobody_but_the_flight_node_set_points():
+    """Of all that the table lets a vehicle send there is one key, and set-points come from one role."""
+    sends = {"put", "ask", "answer", "appear"}
+    held = {role: [g for g in access.grants_of(role) if g.right in sends] for role in ROLES}
+    (only,) = held["vehicle"]
+    assert only.expressions("uav-7", "run") == [("put", f"{keys.ROOT}/run/flight/uav-7/observation")]
+    assert {role for role in ROLES if any(g.family == keys.SETPOINT for g in held[role])} == {"flight"}
+    assert {g.family for g in held["flight"]} == {keys.SETPOINT, keys.METRIC, keys.LIVE}
 
 
 def own_sends(name: str) -> list[tuple[str, keys.KeyFamily, dict[str, str]]]:

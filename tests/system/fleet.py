@@ -76,6 +76,7 @@ class Processes:
         self.endpoint: Endpoint = free_endpoint()
         self.running: dict[str, subprocess.Popen[bytes]] = {}
         self.prefix: tuple[str, ...] = ()
+        self.module = "deploy.cli"
 
     def lengthen(self, episodes: int) -> None:
         """Let the run last long enough for what is to happen in it on a machine of any speed."""
@@ -86,7 +87,7 @@ class Processes:
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
         with (self.directory / f"{name}.log").open("ab") as log:
             process = subprocess.Popen(
-                [*self.prefix, sys.executable, "-m", "deploy.cli", *arguments],
+                [*self.prefix, sys.executable, "-m", self.module, *arguments],
                 stdout=log,
                 stderr=log,
                 env=environment,

@@ -1,0 +1,98 @@
+"""The flight node: a pilot on the bus, at a fixed rate."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from common import keys
+from common.bus import Bus
+from common.messages import Envelope, SetpointMessage
+from common.process import Presence, StopSignal, incarnation
+from deploy.flight.pilot import Pilot
+
+WAITING: Final = 4
+"""Observations of one vehicle that wait for the next period; the oldest give way."""
+REPORT_SECONDS: Final = 1.0
+LAST_HOVERS: Final = 3
+"""How often hover is commanded at the end: set-points are lossy."""
+
+
+@dataclass(frozen=True)
+class NodeOptions:
+    """How a flight node works.
+
+    Attributes:
+        run: the run's name.
+        name: the node's name.
+        rate: periods per second.
+        seconds: after which it ends, or None.
+    """
+
+    run: str
+    name: str = "main"
+    rate: float = 10.0
+    seconds: float | None = None
+
+
+class FlightNode:
+    """Takes in what has come, decides, sends; once in every period.
+
+    Args:
+        options: how it works.
+        pilot: who decides.
+        vehicles: whom it serves.
+        bus: the control lane.
+
+    Attributes:
+        overruns: periods that were left out because the one before took too long.
+    """
+
+    def __init__(self, options: NodeOptions, pilot: Pilot, vehicles: tuple[str, ...], bus: Bus) -> None:
+        self._options, self._pilot = options, pilot
+        run = options.run
+        self._incoming = {v: bus.subscribe(keys.OBSERVATION.key(run, vehicle=v), WAITING) for v in vehicles}
+        self._outgoing = {v: bus.publish(keys.SETPOINT.key(run, vehicle=v)) for v in vehicles}
+        self._start = incarnation()
+        self._presence = Presence(bus, run, "flight", options.name, self._start)
+        self._reported = 0.0
+        self.overruns = 0
+
+    def run(self, stop: StopSignal) -> None:
+        """Work until told to stop; at the end every vehicle is told to hover."""
+        period = 1.0 / self._options.rate
+        begun = due = time.monotonic()
+        seconds = self._options.seconds if self._options.seconds is not None else float("inf")
+        try:
+            while not stop and time.monotonic() - begun < seconds:
+                self.turn()
+                due += period
+                behind = time.monotonic() - due
+                if behind > 0:
+                    left_out = int(behind / period) + 1
+                    self.overruns += left_out
+                    due += left_out * period
+                stop.event.wait(max(0.0, due - time.monotonic()))
+        finally:
+            for _ in range(LAST_HOVERS):
+                self._send(self._pilot.hover("the flight node ends"))
+            self._report()
+
+    def turn(self) -> None:
+        """Do one period's work."""
+        for vehicle, incoming in self._incoming.items():
+            for sample in incoming.drain():
+                self._pilot.offer(vehicle, sample.payload, sample.attachment, time.time())
+        self._send(self._pilot.decide(time.time()))
+        if time.monotonic() - self._reported >= REPORT_SECONDS:
+            self._report()
+
+    def _send(self, setpoints: Mapping[str, SetpointMessage]) -> None:
+        for vehicle, message in setpoints.items():
+            envelope = Envelope("flight", self._options.name, self._start, message.period)
+            self._outgoing[vehicle].put(message.encode(), envelope.encode())
+
+    def _report(self) -> None:
+        self._reported = time.monotonic()
+        values = {"period_seconds": 1.0 / self._options.rate, "overruns": self.overruns, **self._pilot.report()}
+        self._presence.report(values)

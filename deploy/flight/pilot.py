@@ -1,0 +1,265 @@
+"""From observations of vehicles to set-points, with a watchdog; knows nothing of the network and keeps no clock.
+
+    pilot.offer(vehicle, payload, attachment, now)      # whatever has arrived since the last period
+    for vehicle, message in pilot.decide(now).items():  # once in each period
+        ...                                             # send it
+
+The watchdog counts periods. A vehicle of which no usable observation came in the last `hold` periods is told to hover.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from common.actors import ActorBank
+from common.errors import ConfigError, ProtocolError, SchemaError
+from common.messages import Envelope, ObservationMessage, SetpointMessage
+from common.team import Float32
+
+LARGEST: Final = 4.0
+"""Largest size of a number in an observation. Scaled as the actors know them they lie within about [-1, 1]; what is far
+beyond is in other units."""
+KEPT: Final = 1000
+"""Newest decisions whose latency is told."""
+ROWS: Final = 16
+"""Vehicles that a report tells one by one, those that hover first."""
+REASONS: Final = 4
+"""Reasons to hover that alarms tell one by one."""
+REASON: Final = 160
+"""Most characters of a reason."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the watchdog goes by.
+
+    Attributes:
+        hold: periods for which one observation serves, that in which it came included.
+        age: largest difference between an observation's stamp and this machine's clock, either way, s.
+    """
+
+    hold: int = 1
+    age: float = 1.0
+
+
+@dataclass
+class _Vehicle:
+    agent: int
+    place: slice
+    mark: tuple[int, int] = (0, 0)
+    taken: int = 0
+    stamp: int = 0
+    began: float = 0.0
+    reason: str = "no observation has come yet"
+    complaint: str = ""
+    hovers: int = 0
+    refused: int = 0
+    missed: int = 0
+
+
+class Pilot:
+    """Decides for the vehicles of one team.
+
+    Args:
+        bank: the actors.
+        agents: for each vehicle, the agent that flies it.
+        speed: what an action of 1 means along x and along y, m/s.
+        limits: the watchdog's.
+        clock: seconds that only run forward, for latencies.
+
+    Attributes:
+        period: periods begun.
+        decisions: set-points that actors decided.
+        hovers: set-points that command hover.
+
+    Raises:
+        ConfigError: when an agent does not exist, or flies two vehicles.
+    """
+
+    def __init__(
+        self,
+        bank: ActorBank,
+        agents: Mapping[str, str],
+        speed: tuple[float, float],
+        limits: Limits,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._bank, self._speed, self._limits, self._clock = bank.noise_free(), speed, limits, clock
+        self._names = bank.team.agent_names
+        places = _places(bank)
+        strangers = sorted(set(agents.values()) - set(self._names))
+        if strangers:
+            raise ConfigError(f"there is no agent {strangers[0]!r}; the policy's are {', '.join(self._names)}.")
+        if len(set(agents.values())) != len(agents):
+            raise ConfigError("two vehicles are flown by the same agent; each needs one of its own.")
+        numbers = {vehicle: self._names.index(agent) for vehicle, agent in agents.items()}
+        self._vehicles = {vehicle: _Vehicle(number, places[number]) for vehicle, number in numbers.items()}
+        self._row = np.zeros((1, bank.team.observation_size), np.float32)
+        self._latency: deque[float] = deque(maxlen=KEPT)
+        self._age: deque[float] = deque(maxlen=KEPT)
+        self.period = self.decisions = self.hovers = 0
+
+    def offer(self, vehicle: str, payload: bytes, attachment: bytes, now: float) -> bool:
+        """Take an observation in for the coming period; return whether it can be used.
+
+        Args:
+            vehicle: the vehicle's name in the key that it came on.
+            payload: the observation's frame.
+            attachment: the envelope's frame.
+            now: seconds since 1970.
+        """
+        held = self._vehicles[vehicle]
+        began = self._clock()
+        try:
+            sender, message = self._checked(vehicle, held, payload, attachment, now)
+        except ProtocolError as error:
+            held.refused += 1
+            held.complaint = str(error)
+            return False
+        start, before = held.mark
+        held.missed += max(0, sender.sequence - before - 1) if sender.incarnation == start else 0
+        held.mark, held.taken = (sender.incarnation, sender.sequence), self.period + 1
+        held.stamp, held.began, held.complaint = message.stamp, began, ""
+        self._row[0, held.place] = message.values
+        return True
+
+    def decide(self, now: float) -> dict[str, SetpointMessage]:
+        """Begin a period and return every vehicle's set-point for it.
+
+        Args:
+            now: seconds since 1970.
+        """
+        self.period += 1
+        for held in self._vehicles.values():
+            held.reason, held.complaint = self._objection(held, now), ""
+        # All actors decide on one row, as in training: the numbers are then those of the process that trained them.
+        flying = any(not held.reason for held in self._vehicles.values())
+        action = self._bank.act(self._row)[0].reshape(-1, 2) if flying else np.zeros((0, 2), np.float32)
+        return {vehicle: self._setpoint(held, action, now) for vehicle, held in self._vehicles.items()}
+
+    def hover(self, reason: str) -> dict[str, SetpointMessage]:
+        """Begin a period in which every vehicle hovers, the last one for instance."""
+        self.period += 1
+        for held in self._vehicles.values():
+            held.reason = reason
+        return {vehicle: self._hover(held) for vehicle, held in self._vehicles.items()}
+
+    def report(self) -> dict[str, Any]:
+        """Return the figures of `common.figures` that are the pilot's."""
+        worst = sorted(self._vehicles.items(), key=lambda item: (not item[1].reason, -item[1].hovers, item[0]))
+        return {
+            "periods": self.period,
+            "decisions": self.decisions,
+            "hovers": self.hovers,
+            "refused": sum(held.refused for held in self._vehicles.values()),
+            "missed": sum(held.missed for held in self._vehicles.values()),
+            "latency": _spread(self._latency),
+            "age": _spread(self._age),
+            "vehicles": {
+                vehicle: {
+                    "agent": self._names[held.agent],
+                    "hovers": held.hovers,
+                    "refused": held.refused,
+                    "reason": held.reason,
+                }
+                for vehicle, held in worst[:ROWS]
+            },
+            "alarms": self._alarms(),
+        }
+
+    def _checked(
+        self, vehicle: str, held: _Vehicle, payload: bytes, attachment: bytes, now: float
+    ) -> tuple[Envelope, ObservationMessage]:
+        sender, message = Envelope.decode(attachment), ObservationMessage.decode(payload)
+        if (sender.role, sender.name) != ("vehicle", vehicle):
+            raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}.")
+        if (sender.incarnation, sender.sequence) <= held.mark:
+            raise ProtocolError(f"observation {sender.sequence} is not newer than {held.mark[1]}.")
+        if message.agent != self._names[held.agent]:
+            raise SchemaError(f"it is for agent {message.agent[:64]!r}, not {self._names[held.agent]}.")
+        wanted = held.place.stop - held.place.start
+        if message.values.shape != (wanted,):
+            raise SchemaError(f"it has the shape {list(message.values.shape)}, not [{wanted}].")
+        if not (np.abs(message.values) <= LARGEST).all():
+            raise SchemaError(f"a number is not finite or larger than {LARGEST:g}; is it scaled?")
+        if (objection := self._stale(message.stamp, now)) is not None:
+            raise ProtocolError(objection)
+        return sender, message
+
+    def _stale(self, stamp: int, now: float) -> str | None:
+        age = now - stamp / 1e6
+        if -self._limits.age <= age <= self._limits.age:
+            return None
+        return f"it is {age:.1f} s old" if age > 0 else f"it is {-age:.1f} s ahead of this machine's clock"
+
+    def _objection(self, held: _Vehicle, now: float) -> str:
+        """Return why a vehicle has to hover in this period, or nothing."""
+        silent = self.period - held.taken
+        if held.taken and silent < self._limits.hold and (objection := self._stale(held.stamp, now)) is None:
+            return ""
+        elif held.complaint:
+            return f"the observation cannot be used: {held.complaint}"[:REASON]
+        elif not held.taken:
+            return "no observation has come yet"
+        elif silent < self._limits.hold:
+            return f"the observation is too old: {objection}"
+        return f"no observation for {silent} period{'s' if silent > 1 else ''}"
+
+    def _setpoint(self, held: _Vehicle, action: Float32, now: float) -> SetpointMessage:
+        if held.reason:
+            return self._hover(held)
+        share = action[held.agent]
+        if not np.isfinite(share).all():
+            held.reason = "the actor's output is not finite"
+            return self._hover(held)
+        self.decisions += 1
+        # In double precision, so that dividing by the speed gives the actor's very action back.
+        velocity = tuple(float(part) * speed for part, speed in zip(share, self._speed, strict=True))
+        latency = self._clock() - held.began
+        self._latency.append(latency)
+        self._age.append(now - held.stamp / 1e6)
+        agent = self._names[held.agent]
+        return SetpointMessage(agent, velocity, False, "", held.mark[1], held.stamp, self.period, latency)
+
+    def _hover(self, held: _Vehicle) -> SetpointMessage:
+        self.hovers += 1
+        held.hovers += 1
+        return SetpointMessage(self._names[held.agent], (0.0, 0.0), True, held.reason, 0, 0, self.period, 0.0)
+
+    def _alarms(self) -> list[str]:
+        """Return one sentence for each reason to hover, of the commonest ones."""
+        found: dict[str, list[str]] = {}
+        for vehicle, held in self._vehicles.items():
+            if held.reason:
+                found.setdefault(held.reason, []).append(vehicle)
+        common = sorted(found.items(), key=lambda item: -len(item[1]))[:REASONS]
+        told = [f"{_named(vehicles)}: {reason.rstrip('.')}." for reason, vehicles in common]
+        rest = sum(map(len, found.values())) - sum(len(vehicles) for _, vehicles in common)
+        return [*told, *([f"{rest} more hover for other reasons."] if rest else [])]
+
+
+def _named(vehicles: list[str]) -> str:
+    """Return "a, b and 7 others hover"."""
+    if len(vehicles) == 1:
+        return f"{vehicles[0]} hovers"
+    rest = len(vehicles) - 2
+    return f"{', '.join(vehicles[:2])} and {rest} others hover" if rest > 1 else f"{', '.join(vehicles)} hover"
+
+
+def _places(bank: ActorBank) -> list[slice]:
+    """Return where each agent's observation lies in a row."""
+    sizes = [group.observation_size for group in bank.team.groups for _ in range(group.count)]
+    ends = np.cumsum([0, *sizes]).tolist()
+    return [slice(ends[index], ends[index + 1]) for index in range(len(sizes))]
+
+
+def _spread(values: deque[float]) -> dict[str, float]:
+    """Return median, 99th percentile and maximum in ms; nothing before the first value."""
+    if not values:
+        return {}
+    median, high = np.percentile(values, (50, 99))
+    return {name: round(1e3 * float(x), 4) for name, x in (("median", median), ("p99", high), ("most", max(values)))}

@@ -1,0 +1,84 @@
+"""A vehicle's end of the path: observations out, set-points in. The simulator uses it, and a bridge may."""
+
+import time
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from common import keys
+from common.bus import Bus
+from common.errors import ProtocolError, SchemaError
+from common.messages import Envelope, ObservationMessage, SetpointMessage
+from common.process import incarnation
+from common.team import Float32
+
+WAITING: Final = 4
+"""Set-points that wait to be looked at; the oldest give way."""
+
+
+class VehicleLink:
+    """One vehicle on the bus.
+
+    Args:
+        bus: the control lane.
+        run: the run's name.
+        vehicle: the vehicle's name; with TLS that of its certificate.
+        agent: the agent that flies it.
+        fastest: largest speed along x and along y that it obeys, m/s.
+        clock: seconds since 1970.
+
+    Attributes:
+        refused: set-points that were not used: malformed, older, of another agent, or too fast.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        run: str,
+        vehicle: str,
+        agent: str,
+        fastest: tuple[float, float],
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self._publisher = bus.publish(keys.OBSERVATION.key(run, vehicle=vehicle))
+        self._setpoints = bus.subscribe(keys.SETPOINT.key(run, vehicle=vehicle), WAITING)
+        self._vehicle, self._agent, self._fastest, self._clock = vehicle, agent, fastest, clock
+        self._start, self._sequence = incarnation(), 0
+        self._mark = (0, 0)
+        self.refused = 0
+
+    def observe(self, values: Float32) -> int:
+        """Publish what the vehicle sees; return the observation's number.
+
+        Args:
+            values: [o] float32, scaled as the actor knows them.
+        """
+        self._sequence += 1
+        message = ObservationMessage(self._agent, int(self._clock() * 1e6), np.ascontiguousarray(values, np.float32))
+        self._publisher.put(message.encode(), Envelope("vehicle", self._vehicle, self._start, self._sequence).encode())
+        return self._sequence
+
+    def setpoints(self) -> list[SetpointMessage]:
+        """Return the set-points that have come since the last call, oldest first; obey the last one."""
+        found = []
+        for sample in self._setpoints.drain():
+            try:
+                sender, message = Envelope.decode(sample.attachment), SetpointMessage.decode(sample.payload)
+                self._check(sender, message)
+            except ProtocolError:
+                self.refused += 1
+                continue
+            self._mark = (sender.incarnation, sender.sequence)
+            found.append(message)
+        return found
+
+    def _check(self, sender: Envelope, message: SetpointMessage) -> None:
+        if sender.role != "flight" or (sender.incarnation, sender.sequence) <= self._mark:
+            raise ProtocolError("the set-point is not newer, or not a flight node's.")
+        if message.agent != self._agent or len(message.velocity) != 2:
+            raise SchemaError("the set-point is for another agent.")
+        if any(abs(part) > most for part, most in zip(message.velocity, self._fastest, strict=True)):
+            raise SchemaError("the set-point is faster than this vehicle may fly.")
+        if message.hover and any(message.velocity):
+            raise SchemaError("a hover has no velocity.")
