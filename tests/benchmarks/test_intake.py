@@ -1,0 +1,70 @@
+"""The intake benchmark: what it counts, and that our own path really takes chunks in."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks.intake import __main__ as driver
+from benchmarks.intake.chunks import CAPACITY, NAMES, Ring, Window, read, steps_in_rows
+from benchmarks.intake.record import record, write
+
+
+@pytest.mark.parametrize("size", driver.SIZES.values())
+def test_a_recorded_chunk_has_the_wanted_size(size, tmp_path):
+    """It is real experience that the learner takes, within a tenth of the size, and the peers read the same arrays."""
+    chunk = record(size)
+    assert sum(getattr(chunk.rows, name).nbytes for name in NAMES) == pytest.approx(size, rel=0.1)
+    write(chunk, tmp_path)
+    for name, array in read(tmp_path).items():
+        np.testing.assert_array_equal(array, getattr(chunk.rows, name))
+    assert steps_in_rows(tmp_path) == chunk.rows.steps / len(chunk.rows.reward)
+
+
+def test_the_ring_holds_the_newest_rows():
+    """Rows go round, each chunk whole."""
+    rows = CAPACITY // 3 + 1
+    chunks = [{name: np.full((rows, 2), k, np.float32) for name in NAMES} for k in range(4)]
+    ring = Ring(chunks[0])
+    for chunk in chunks:
+        ring.add(chunk)
+    assert (ring.rows, ring.bytes) == (4 * rows, 4 * 3 * rows * 8)
+    values, counts = np.unique(ring._arrays["reward"][:, 0], return_counts=True)
+    assert dict(zip(values.tolist(), counts.tolist(), strict=True)) == {1.0: CAPACITY - 2 * rows, 2.0: rows, 3.0: rows}
+
+
+def test_the_window_counts_between_two_looks(monkeypatch):
+    """Only what comes after the warm-up counts, by the clock of the window."""
+    now = [0.0]
+    monkeypatch.setattr("benchmarks.intake.chunks.time.perf_counter", lambda: now[0])
+    taken = (0, 0)
+    window = Window(lambda: taken, seconds=3.0)
+    for second in range(1, 20):
+        now[0] = float(second)
+        taken = (100 * (second - 9), 1_000_000 * (second - 9)) if second >= 10 else (0, 0)
+        if window.over():
+            break
+    assert now[0] == 14.0
+    assert window.report(0.5) == {"env_steps_per_second": 50.0, "mb_per_second": 1.0}
+
+
+def test_a_window_that_nothing_comes_to_ends(monkeypatch):
+    """A player that never plays is an error, not a rate of 0."""
+    now = [0.0]
+    monkeypatch.setattr("benchmarks.intake.chunks.time.perf_counter", lambda: now[0])
+    window = Window(lambda: (0, 0), seconds=3.0)
+    now[0] = 100.0
+    with pytest.raises(TimeoutError):
+        window.over()
+
+
+@pytest.mark.parametrize("routed", [False, True])
+def test_our_path_takes_chunks_in(routed, tmp_path, capsys):
+    """Player and sink as processes, with and without a router between them; what they tell becomes a page."""
+    bench = driver.Bench(0.3, tmp_path, tmp_path)
+    result = bench.ours("128 KB", routed=routed, shared=False)
+    assert result["env_steps_per_second"] > 0
+    assert result["mb_per_second"] > 0
+    data = {"command": "c", "commit": "d", "cores": 2, "transports": {"ours": {"131072": result}}}
+    assert f"{result['env_steps_per_second']:,.0f}" in driver.page(data)
+    assert json.dumps(data)
