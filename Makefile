@@ -7,7 +7,7 @@
 # make clean   remove the environments and all caches (runs/ stays)
 #
 # PYTHON    the interpreter that .venv is made from (3.11 or newer)
-# JOBS      test files that run at a time
+# JOBS      tests that run at a time
 # PIP_ARGS  added to every pip install, for instance the index of a CPU-only torch
 
 PYTHON ?= python3
@@ -26,7 +26,7 @@ train: $(READY)
 	@$(VENV)/bin/eia-sec train $(ARGS)
 
 test: $(READY)
-	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)
+	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
 
 lint: $(READY)
 	@$(VENV)/bin/ruff check .
