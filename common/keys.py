@@ -7,6 +7,8 @@
     eia-sec/v1/{run}/eval/{worker}              request   coordinator -> worker    EvaluationOrder, result back
     eia-sec/v1/{run}/imitation/learner          request   coordinator -> learner   ImitationMessage, receipt
     eia-sec/v1/{run}/imitation/event            state     coordinator -> everybody ImitationMessage
+    eia-sec/v1/{run}/watch/{worker}             request   watcher -> worker        WatchRequest, WatchTerms back
+    eia-sec/v1/{run}/view/{worker}              lossy     worker -> watchers       ViewMessage, while it is watched
     eia-sec/v1/{run}/metric/{role}/{name}       lossy     every process            MetricMessage
     eia-sec/v1/{run}/live/{role}/{name}         token     every process            presence
 
@@ -30,7 +32,7 @@ class KeyFamily:
     """One shape of key.
 
     Attributes:
-        plane: first segment after the run: transition, params, ctl, eval, imitation, metric or live.
+        plane: first segment after the run: transition, params, ctl, eval, imitation, watch, view, metric or live.
         template: the segments after the run, variables in braces.
         delivery: request, state, lossy or token.
     """
@@ -60,6 +62,8 @@ COMMAND: Final = KeyFamily("ctl", "ctl/learner/{verb}", "request")
 EVALUATION: Final = KeyFamily("eval", "eval/{worker}", "request")
 IMITATION: Final = KeyFamily("imitation", "imitation/learner", "request")
 IMITATION_EVENT: Final = KeyFamily("imitation", "imitation/event", "state")
+WATCH: Final = KeyFamily("watch", "watch/{worker}", "request")
+VIEW: Final = KeyFamily("view", "view/{worker}", "lossy")
 METRIC: Final = KeyFamily("metric", "metric/{role}/{name}", "lossy")
 LIVE: Final = KeyFamily("live", "live/{role}/{name}", "token")
 
@@ -71,6 +75,8 @@ FAMILIES: Final = (
     EVALUATION,
     IMITATION,
     IMITATION_EVENT,
+    WATCH,
+    VIEW,
     METRIC,
     LIVE,
 )

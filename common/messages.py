@@ -1,99 +1,17 @@
 """Every message type of the protocol, one dataclass each; `common.keys` says where each one travels.
 
-A message's scalar fields go into the frame's header, its arrays into the body, by name. Decoding checks every type
-against the dataclass, so a message that exists is a message that fits its declaration.
+`common.message` says how one becomes a frame and comes back.
 """
 
-import math
-from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from common import frame
-from common.errors import SchemaError
 from common.imitation import ImitationEvent
+from common.message import Message
 from common.team import Float32
-
-
-class Message:
-    """Base of all messages: a frozen dataclass with a KIND that encodes and decodes itself."""
-
-    KIND: ClassVar[int] = 0
-
-    def encode(self) -> bytes:
-        """Return the message's frame."""
-        scalars: dict[str, Any] = {}
-        arrays: dict[str, frame.Array] = {}
-        for item in fields(self):  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
-            value = getattr(self, item.name)
-            if isinstance(value, np.ndarray):
-                arrays[item.name] = value
-            elif isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
-                arrays.update({f"{item.name}.{index}": part for index, part in enumerate(value)})
-            else:
-                scalars[item.name] = value
-        return frame.encode(self.KIND, scalars, arrays)
-
-    @classmethod
-    def decode(cls, data: bytes) -> Self:
-        """Rebuild a message from its frame.
-
-        Raises:
-            FrameError, VersionError: when the bytes are not such a frame.
-            SchemaError: when a field is missing, unknown or of another type.
-        """
-        scalars, arrays = frame.decode(data, cls.KIND)
-        values: dict[str, Any] = {}
-        hints = get_type_hints(cls)
-        for item in fields(cls):  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
-            values[item.name] = _take(item.name, hints[item.name], scalars, arrays)
-        if scalars or arrays:
-            raise SchemaError(f"{cls.__name__} has no field {sorted([*scalars, *arrays])[0][:40]!r}.")
-        return cls(**values)
-
-
-def _take(name: str, kind: Any, scalars: dict[str, Any], arrays: dict[str, frame.Array]) -> Any:
-    if get_origin(kind) is np.ndarray:
-        if name not in arrays:
-            raise SchemaError(f"array {name} is missing.")
-        return _array(name, kind, arrays.pop(name))
-    if get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is np.ndarray:
-        parts: list[frame.Array] = []
-        while f"{name}.{len(parts)}" in arrays:
-            parts.append(_array(name, get_args(kind)[0], arrays.pop(f"{name}.{len(parts)}")))
-        return tuple(parts)
-    if name not in scalars:
-        raise SchemaError(f"field {name} is missing.")
-    return _scalar(name, kind, scalars.pop(name))
-
-
-def _array(name: str, kind: Any, value: frame.Array) -> frame.Array:
-    wanted = np.dtype(get_args(get_args(kind)[1])[0])
-    if value.dtype != wanted:
-        raise SchemaError(f"array {name} is {value.dtype}, not {wanted}.")
-    return value
-
-
-def _scalar(name: str, kind: Any, value: Any) -> Any:
-    if get_origin(kind) is tuple:
-        if not isinstance(value, list):
-            raise SchemaError(f"field {name} is not a list.")
-        return tuple(_scalar(name, get_args(kind)[0], part) for part in value)
-    if get_origin(kind) is dict:
-        if not isinstance(value, dict) or len(value) > 4096:
-            raise SchemaError(f"field {name} is not a map.")
-        return value
-    if kind is float and type(value) is int:
-        value = float(value)
-    if type(value) is not kind:
-        raise SchemaError(f"field {name} is {type(value).__name__}, not {kind.__name__}.")
-    if kind is int and not 0 <= value < 2**63:
-        raise SchemaError(f"field {name} is {value}, out of range.")
-    if kind is float and not math.isfinite(value):
-        raise SchemaError(f"field {name} is not finite.")
-    return value
 
 
 @dataclass(frozen=True)
@@ -334,3 +252,71 @@ class MetricMessage(Message):
     pid: int
     uptime: float
     values: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class WatchRequest(Message):
+    """A watcher's wish to see what a worker flies; it holds for `WatchTerms.lease_seconds` and is then made again.
+
+    Attributes:
+        watcher: a name that tells one watcher from another.
+        stay: False ends the watching at once.
+    """
+
+    KIND = 13
+    watcher: str
+    stay: bool
+
+
+@dataclass(frozen=True)
+class WatchTerms(Message):
+    """A worker's answer to a WatchRequest.
+
+    Attributes:
+        toml: the run's configuration; with a frame's farm seed it says where the sensors stand.
+        part_names: K names of the reward's parts.
+        lease_seconds: how long the worker goes on publishing without another request, s.
+        steps_per_second: most frames that it publishes in a second, on average over whole episodes.
+    """
+
+    KIND = 14
+    toml: str
+    part_names: tuple[str, ...]
+    lease_seconds: float
+    steps_per_second: float
+
+
+@dataclass(frozen=True)
+class ViewMessage(Message):
+    """Consecutive steps of one of a worker's farms, one frame each; `common.viewing` says what is checked.
+
+    Attributes:
+        farm: the farm's seed.
+        episode: the episode's seed.
+        first: step of the first frame.
+        skipped: steps of this farm that were flown since somebody watches, and not shown.
+        deviation: standard deviation of the exploration noise.
+        uniform: whether actions were drawn uniformly instead (warm-up).
+        position: [F, n, 2] m.
+        assignment: [F, n_m + n_d] relay of each served UAV.
+        quality: [F, n_m + n_d] signal-to-noise ratio of its link, dB.
+        aoi: [F, S] as shares of AoI_max, in 255ths.
+        vdf: [F, n_px, n_py] as shares of VDF_max, in 255ths.
+        level: [F, 2] mean AoI and mean VDF, units.
+        parts: [F, types, K] parts of the step's reward, mean over the agents of each type.
+    """
+
+    KIND = 15
+    farm: int
+    episode: int
+    first: int
+    skipped: int
+    deviation: float
+    uniform: bool
+    position: Float32
+    assignment: NDArray[np.uint8]
+    quality: Float32
+    aoi: NDArray[np.uint8]
+    vdf: NDArray[np.uint8]
+    level: Float32
+    parts: Float32

@@ -34,6 +34,7 @@ COMMANDS: Final = {
     "keys": Command("deploy.commands.keys", "certificates for --tls: an authority, and one for each process"),
     "audit": Command("deploy.commands.audit", "check that every chunk of a run is explained, from the histories"),
     "monitor": Command("deploy.commands.monitor", "watch a run live from anywhere, read-only"),
+    "watch": Command("deploy.commands.watch", "see one worker's farm live in the browser"),
 }
 
 
