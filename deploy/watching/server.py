@@ -30,6 +30,8 @@ MAX_BROWSERS: Final = 16
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 SECONDS: Final = 3.0
 """Time that a browser has to say what it wants, or to say farewell."""
+LOOK_SECONDS: Final = 0.5
+"""Pause between two looks whether a browser for which there is nothing to send is still there."""
 POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:"
 
 
@@ -109,7 +111,7 @@ class WebServer:
         try:
             told = 0
             while connection.close_code is None:
-                packet = seat.take(SECONDS)
+                packet = seat.take(LOOK_SECONDS)
                 if packet is not None:
                     connection.send(packet.data)
                 if seat.dropped != told:

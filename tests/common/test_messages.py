@@ -16,6 +16,9 @@ from common.messages import (
     MetricMessage,
     ParametersMessage,
     ProgressMessage,
+    ViewMessage,
+    WatchRequest,
+    WatchTerms,
 )
 
 TYPES = [
@@ -34,6 +37,18 @@ EXAMPLES = [
         1, 2, 0, 4, 0.5, "ab", 8, "gaussian", (np.ones((2, 3), np.float32), np.zeros((1, 7), np.float32))
     ),
     ProgressMessage(1, 2, 3, 4, 5, 6, "training"),
+    WatchRequest("somebody", True),
+    WatchTerms("seed = 1", ("energy", "utility"), 4.0, 25.0),
+    ViewMessage(
+        *(1, 2, 3, 4, 0.5, False),
+        position=np.ones((2, 3, 2), np.float32),
+        assignment=np.zeros((2, 2), np.uint8),
+        quality=np.ones((2, 2), np.float32),
+        aoi=np.full((2, 5), 51, np.uint8),
+        vdf=np.zeros((2, 2, 2), np.uint8),
+        level=np.ones((2, 2), np.float32),
+        parts=np.zeros((2, 3, 7), np.float32),
+    ),
 ]
 
 
