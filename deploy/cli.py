@@ -29,6 +29,7 @@ COMMANDS: Final = {
     "rollout": Command("deploy.commands.rollout", "start one rollout worker"),
     "elite": Command("deploy.commands.elite", "start the elite coordinator"),
     "evaluate": Command("deploy.commands.evaluate", "fly a policy without noise on farms that training never saw"),
+    "replay": Command("deploy.commands.replay", "film a policy against another on the same farm, and draw their paths"),
     "farm": Command("deploy.commands.farm", "draw, save or check farms: densities, and files of sensors' places"),
     "export": Command("deploy.commands.export", "write a run's actors for use without this project"),
     "keys": Command("deploy.commands.keys", "certificates for --tls: an authority, and one for each process"),
