@@ -94,7 +94,7 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     with pytest.raises(SystemExit) as stop:
         dispatch([name, "--help"])
     assert stop.value.code == 0
-    named = {"farm": "check", "keys": "issue", "audit": "--json"}
+    named = {"farm": "check", "keys": "issue", "audit": "--json", "replay": "--against"}
     assert named.get(name, "--run") in capsys.readouterr().out
 
 
