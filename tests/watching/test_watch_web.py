@@ -204,8 +204,8 @@ def test_what_is_malformed_or_missing_is_counted_and_not_shown():
         assert CONFIG.farm.world.sensors == 30
 
 
-def test_a_worker_that_goes_and_comes_back_is_found_again():
-    """The page says whom it waits for, and goes on by itself."""
+def test_it_says_whom_it_waits_for_and_takes_whoever_lives():
+    """A worker that was named and is not there is waited for by name; without a name the first that lives is taken."""
     with flying("other") as (endpoint, _), Bus.connect(endpoint, "control", wait=30.0) as bus:
         hub = Hub()
         source, seat = Source(bus, RUN, "w", hub), hub.enter(1)
@@ -216,4 +216,5 @@ def test_a_worker_that_goes_and_comes_back_is_found_again():
 
         until(lambda: said(f"Waiting for worker w of run {RUN}"), "the sentence")
         anybody = Source(bus, RUN, None, Hub())
-        until(lambda: anybody.tend(True) or anybody.worker == "other", "the one that lives")
+        until(lambda: anybody.tend(True) or anybody.worker, "one that lives")
+        assert (anybody.worker, source.worker) == ("other", "w")

@@ -138,7 +138,7 @@ function writeNumbers(frame) {
   const rows = by("reward").tBodies[0].rows;
   [...now, mean(now)].forEach((value, t) => { rows[t].cells[1].textContent = number(value, 2); });
   [...frame.sum, mean([...frame.sum])].forEach((value, t) => { rows[t].cells[2].textContent = number(value, 1); });
-  by("since").textContent = frame.since ? `since step ${frame.since}` : "episode so far";
+  by("since").textContent = frame.since ? `since step ${frame.since}` : "so far";
   const cover = view.field.coverage(frame);
   const level = Past.row(frame, "level");
   const cells = [...by("fresh").tBodies[0].rows].map((row) => [row.cells[1], row.cells[2]]);
