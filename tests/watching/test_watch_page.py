@@ -61,8 +61,13 @@ def test_the_page_shows_what_the_worker_flies():
     with looking() as (page, showing, complaints):
         page.click("#play")
         until(lambda: page.inner_text("#play") == "play", "the pause")
-        begins = page.evaluate("watching.past.begins()")
-        target = begins[-1] + 12
+        target = until(
+            lambda: page.evaluate(
+                "(p => p.begins().map(n => n + 12).filter(n => n <= p.last && p.at(n).step >= 12).pop())(watching.past)"
+            ),
+            "an episode of twelve steps",
+        )
+        until(lambda: int(page.get_attribute("#slider", "max")) >= target, "the slider's new end")
         page.evaluate(
             "n => { const s = document.getElementById('slider'); s.value = n; s.dispatchEvent(new Event('input')) }",
             target,
