@@ -93,6 +93,8 @@ GRANTS: Final = (
     Grant("rollout", "read", keys.IMITATION_EVENT),
     Grant("rollout", "ask", keys.COMMAND, {"verb": "configuration"}),
     Grant("rollout", "answer", keys.EVALUATION, {"worker": NAME}),
+    Grant("rollout", "answer", keys.WATCH, {"worker": NAME}),
+    Grant("rollout", "put", keys.VIEW, {"worker": NAME}),
     *_own("rollout"),
     Grant("elite", "read", keys.PROGRESS),
     Grant("elite", "ask", keys.COMMAND, {"verb": "configuration"}),
@@ -112,6 +114,8 @@ GRANTS: Final = (
     Grant("flight", "read", keys.OBSERVATION),
     Grant("flight", "put", keys.SETPOINT),
     *_own("flight"),
+    Grant("monitor", "ask", keys.WATCH),
+    Grant("monitor", "read", keys.VIEW),
     Grant(ANYBODY, "watch", keys.LIVE, {"role": "learner"}),
 )
 """The whole table. That everybody may see whether a learner lives lets a process that is not on the list say so."""

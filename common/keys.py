@@ -7,6 +7,8 @@
     eia-sec/v1/{run}/eval/{worker}              request   coordinator -> worker    EvaluationOrder, result back
     eia-sec/v1/{run}/imitation/learner          request   coordinator -> learner   ImitationMessage, receipt
     eia-sec/v1/{run}/imitation/event            state     coordinator -> everybody ImitationMessage
+    eia-sec/v1/{run}/watch/{worker}             request   watcher -> worker        WatchRequest, WatchTerms back
+    eia-sec/v1/{run}/view/{worker}              lossy     worker -> watchers       ViewMessage, while it is watched
     eia-sec/v1/{run}/metric/{role}/{name}       lossy     every process            MetricMessage
     eia-sec/v1/{run}/live/{role}/{name}         token     every process            presence
     eia-sec/v1/{run}/flight/{vehicle}/observation  lossy  vehicle -> flight node   ObservationMessage
@@ -32,7 +34,7 @@ class KeyFamily:
     """One shape of key.
 
     Attributes:
-        plane: first segment after the run: transition, params, ctl, eval, imitation, metric, live or flight.
+        plane: first segment after the run: transition, params, ctl, eval, imitation, watch, view, metric, live or flight.
         template: the segments after the run, variables in braces.
         delivery: request, state, lossy or token.
         sender: who puts or asks.
@@ -114,6 +116,24 @@ IMITATION: Final = KeyFamily(
 IMITATION_EVENT: Final = KeyFamily(
     "imitation", "imitation/event", "state", "coordinator", "everybody", ("ImitationMessage",), "for each one applied"
 )
+WATCH: Final = KeyFamily(
+    "watch",
+    "watch/{worker}",
+    "request",
+    "watcher",
+    "worker",
+    ("WatchRequest", "WatchTerms"),
+    "1 per second of each watcher, while a browser looks",
+)
+VIEW: Final = KeyFamily(
+    "view",
+    "view/{worker}",
+    "lossy",
+    "worker",
+    "watchers",
+    ("ViewMessage",),
+    "while somebody watches; 25 steps per second on average",
+)
 METRIC: Final = KeyFamily(
     "metric", "metric/{role}/{name}", "lossy", "every process", "everybody", ("MetricMessage",), "1 per second"
 )
@@ -145,6 +165,8 @@ FAMILIES: Final = (
     EVALUATION,
     IMITATION,
     IMITATION_EVENT,
+    WATCH,
+    VIEW,
     METRIC,
     LIVE,
     OBSERVATION,

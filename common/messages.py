@@ -305,3 +305,71 @@ class SetpointMessage(Message):
     stamp: int
     period: int
     latency: float
+
+
+@dataclass(frozen=True)
+class WatchRequest(Message):
+    """A watcher's wish to see what a worker flies; it holds for `WatchTerms.lease_seconds` and is then made again.
+
+    Attributes:
+        watcher: a name that tells one watcher from another.
+        stay: False ends the watching at once.
+    """
+
+    KIND = 15
+    watcher: str
+    stay: bool
+
+
+@dataclass(frozen=True)
+class WatchTerms(Message):
+    """A worker's answer to a WatchRequest.
+
+    Attributes:
+        toml: the run's configuration; with a frame's farm seed it says where the sensors stand.
+        part_names: K names of the reward's parts.
+        lease_seconds: how long the worker goes on publishing without another request, s.
+        steps_per_second: most frames that it publishes in a second, on average over whole episodes.
+    """
+
+    KIND = 16
+    toml: str
+    part_names: tuple[str, ...]
+    lease_seconds: float
+    steps_per_second: float
+
+
+@dataclass(frozen=True)
+class ViewMessage(Message):
+    """Consecutive steps of one of a worker's farms, one frame each; `common.viewing` says what is checked.
+
+    Attributes:
+        farm: the farm's seed.
+        episode: the episode's seed.
+        first: step of the first frame.
+        skipped: steps of this farm that were flown since somebody watches, and not shown.
+        deviation: standard deviation of the exploration noise.
+        uniform: whether actions were drawn uniformly instead (warm-up).
+        position: [F, n, 2] m.
+        assignment: [F, n_m + n_d] relay of each served UAV.
+        quality: [F, n_m + n_d] signal-to-noise ratio of its link, dB.
+        aoi: [F, S] as shares of AoI_max, in 255ths.
+        vdf: [F, n_px, n_py] as shares of VDF_max, in 255ths.
+        level: [F, 2] mean AoI and mean VDF, units.
+        parts: [F, types, K] parts of the step's reward, mean over the agents of each type.
+    """
+
+    KIND = 17
+    farm: int
+    episode: int
+    first: int
+    skipped: int
+    deviation: float
+    uniform: bool
+    position: Float32
+    assignment: NDArray[np.uint8]
+    quality: Float32
+    aoi: NDArray[np.uint8]
+    vdf: NDArray[np.uint8]
+    level: Float32
+    parts: Float32

@@ -30,6 +30,7 @@ COMMANDS: Final = {
     "elite": Command("deploy.commands.elite", "start the elite coordinator"),
     "router": Command("deploy.commands.router", "start a router, to which learner, workers and monitors connect"),
     "evaluate": Command("deploy.commands.evaluate", "fly a policy without noise on farms that training never saw"),
+    "replay": Command("deploy.commands.replay", "film a policy against another on the same farm, and draw their paths"),
     "farm": Command("deploy.commands.farm", "draw, save or check farms: densities, and files of sensors' places"),
     "export": Command("deploy.commands.export", "write a run's actors for use without this project"),
     "fly": Command("deploy.commands.fly", "fly vehicles with trained actors: observations in, set-points out"),
@@ -44,6 +45,7 @@ COMMANDS: Final = {
     "host": Command("deploy.commands.host", "the far end of up, down, status and logs, called by them"),
     "alive": Command("deploy.commands.alive", "probe one process of a run, for whatever starts it again"),
     "monitor": Command("deploy.commands.monitor", "watch a run live from anywhere, read-only"),
+    "watch": Command("deploy.commands.watch", "see one worker's farm live in the browser"),
 }
 
 

@@ -72,8 +72,8 @@ def run(arguments: EvaluateArguments) -> Evaluation:
     farms = parse_farms(arguments.farms)
     if arguments.episodes < 1:
         raise UsageError(f"--episodes must be 1 or more, not {arguments.episodes}.")
-    config = _configuration(arguments)
-    name = _name(arguments)
+    config = configuration_of(arguments)
+    name = policy_name(arguments)
     shown = arguments.run_dir.name if arguments.run_dir and not arguments.policy else name
     if config.env.is_farm:
         policy = policy_of(name, config.farm)
@@ -81,7 +81,7 @@ def run(arguments: EvaluateArguments) -> Evaluation:
     return evaluate_run(config, _decider(name), farms, arguments.episodes, name=shown)
 
 
-def _name(arguments: EvaluateArguments) -> str:
+def policy_name(arguments: EvaluateArguments) -> str:
     """Return the policy's name or the path of its file."""
     if arguments.policy is not None:
         return arguments.policy
@@ -119,7 +119,7 @@ def parse_farms(text: str) -> range:
     return farms
 
 
-def _configuration(arguments: EvaluateArguments) -> RunConfig:
+def configuration_of(arguments: EvaluateArguments) -> RunConfig:
     """Return the run's or the default configuration with the file's and the single values in it."""
     config = RunConfig()
     if arguments.run_dir is not None:

@@ -1,4 +1,4 @@
-"""The two pictures of a run: how it learned, and where its UAVs flew.
+"""The pictures of a run: how it learned, and where its UAVs flew, alone or beside those of another policy.
 
 Colours and marks are those of `rollout/palette.py`. Nothing here opens a window.
 """
@@ -12,6 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
@@ -21,6 +23,10 @@ from rollout.palette import AGE_MAP, COLOURS, END_MARKERS, LABELS, SENSOR_MARKER
 
 DPI: Final = 150
 OTHER_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+PIECE_STEPS: Final = 25
+"""Steps of a fading path that share one opacity."""
+OLDEST: Final = 0.1
+"""Opacity of a fading path where it begins."""
 SMOOTH_SHARE: Final = 0.05
 """Width of the smoothing window as a share of the curve."""
 TEXT: Final[dict[str, Any]] = {"fontsize": 9}
@@ -86,10 +92,43 @@ def trajectories(trajectory: Trajectory, path: Path) -> None:
 
 def trajectories_figure(trajectory: Trajectory) -> Figure:
     """Return the picture that `trajectories` saves."""
-    world = trajectory.config.world
     figure = Figure(figsize=(9.6, 7.2), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 0.26), height_ratios=(1.0, 0.04, 0.04))
     axes = figure.add_subplot(grid[:, 0])
+    scales = _map(axes, trajectory, fading=False)
+    axes.set_title(_headline(trajectory), loc="left", fontsize=10)
+    _key(figure, grid, trajectory, scales)
+    return figure
+
+
+def save_contest(trajectories: Mapping[str, Trajectory], path: Path) -> None:
+    """Draw the same episode under several policies side by side: final state, and paths that fade with age.
+
+    Args:
+        trajectories: recorded episodes of one farm by the policies' names.
+        path: the picture; its ending says the format, PNG or PDF for instance.
+    """
+    contest_figure(trajectories).savefig(path, dpi=DPI)
+
+
+def contest_figure(trajectories: Mapping[str, Trajectory]) -> Figure:
+    """Return the picture that `save_contest` saves."""
+    flown = list(trajectories.values())
+    figure = Figure(figsize=(6.4 * len(flown) + 2.3, 7.4), layout="constrained")
+    grid = figure.add_gridspec(
+        3, len(flown) + 1, width_ratios=(*(1.0 for _ in flown), 0.28), height_ratios=(1.0, 0.04, 0.04)
+    )
+    for column, (name, trajectory) in enumerate(trajectories.items()):
+        axes = figure.add_subplot(grid[:, column])
+        scales = _map(axes, trajectory, fading=True)
+        axes.set_title(f"{name}\n{_headline(trajectory)}", loc="left", fontsize=9, pad=12)
+    _key(figure, grid, flown[0], scales)
+    return figure
+
+
+def _map(axes: Axes, trajectory: Trajectory, *, fading: bool) -> tuple[PathCollection, AxesImage]:
+    """Draw plots, sensors and paths; return the artists that carry the scales of AoI and VDF."""
+    world = trajectory.config.world
     plots = axes.imshow(
         trajectory.final_vdf.T,
         origin="lower",
@@ -100,18 +139,21 @@ def trajectories_figure(trajectory: Trajectory) -> Figure:
         zorder=0,
     )
     sensors = _sensors(axes, trajectory)
-    _paths(axes, trajectory)
+    _paths(axes, trajectory, fading=fading)
     margin = 0.025 * max(world.field_x, world.field_y)
     axes.set(xlim=(-margin, world.field_x + margin), ylim=(-margin, world.field_y + margin))
     axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
-    axes.set_title(_headline(trajectory), loc="left", fontsize=10)
     _scale_bar(axes, world.field_x, world.field_y + margin)
-    key = figure.add_subplot(grid[0, 1])
+    return sensors, plots
+
+
+def _key(figure: Figure, grid: GridSpec, trajectory: Trajectory, scales: tuple[PathCollection, AxesImage]) -> None:
+    """Draw the legend and both scales into the grid's last column."""
+    key = figure.add_subplot(grid[0, -1])
     key.set_axis_off()
     key.legend(handles=_legend(trajectory), loc="upper left", borderaxespad=0.0, frameon=False, **TEXT)
-    figure.colorbar(sensors, cax=figure.add_subplot(grid[1, 1]), orientation="horizontal", label="AoI of a sensor, end")
-    figure.colorbar(plots, cax=figure.add_subplot(grid[2, 1]), orientation="horizontal", label="VDF of a plot, end")
-    return figure
+    for row, (artist, label) in enumerate(zip(scales, ("AoI of a sensor, end", "VDF of a plot, end"), strict=True)):
+        figure.colorbar(artist, cax=figure.add_subplot(grid[1 + row, -1]), orientation="horizontal", label=label)
 
 
 def _curve(axes: Axes, x: Numbers, y: Numbers, colour: str, label: str, style: LineStyle, width: float = 1.5) -> None:
@@ -185,7 +227,7 @@ def _sensors(axes: Axes, trajectory: Trajectory) -> PathCollection:
     return artist
 
 
-def _paths(axes: Axes, trajectory: Trajectory) -> None:
+def _paths(axes: Axes, trajectory: Trajectory, *, fading: bool) -> None:
     """Draw every UAV's path with its start and end, and the links between relays and those they serve at the end."""
     ends = trajectory.position[-1]
     relays = trajectory.config.world.communication_uavs
@@ -194,7 +236,12 @@ def _paths(axes: Axes, trajectory: Trajectory) -> None:
     for name, agents in zip(TYPES, farm_team(trajectory.config).agent_slices(), strict=True):
         for agent in range(agents.start, agents.stop):
             path, colour = trajectory.position[:, agent], COLOURS[name]
-            axes.plot(*path.T, color=colour, linestyle=STYLES[name], linewidth=1.1, alpha=0.8, zorder=3)
+            piece = PIECE_STEPS if fading else len(path)
+            for first in range(0, len(path), piece):
+                share = (first + piece) / len(path) if fading else 1.0
+                alpha = OLDEST + (0.9 - OLDEST) * min(share, 1.0) ** 2 if fading else 0.8
+                shown = path[first : first + piece + 1].T
+                axes.plot(*shown, color=colour, linestyle=STYLES[name], linewidth=1.1, alpha=alpha, zorder=3)
             axes.plot(*path[0], "o", color=colour, markerfacecolor="white", markersize=6, zorder=5)
             axes.plot(*path[-1], END_MARKERS[name], color=colour, markeredgecolor="white", markersize=10, zorder=6)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import closing
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,15 @@ BLOCK: Final = 128
 """Steps for which random numbers are drawn at once."""
 
 
+class Onlooker(Protocol):
+    """Looks at one environment, as `rollout.lens.Lens` does."""
+
+    index: int
+
+    def note(self) -> None:
+        """Look; called after every reset of the environment and every step."""
+
+
 class Collector:
     """One worker's environments.
 
@@ -28,6 +37,12 @@ class Collector:
         config: the run.
         worker: the worker's name.
         start: distinguishes the starts of a worker of this name; a fixed number repeats the same episodes.
+
+    Attributes:
+        environments: the batch.
+        team: layout of a row.
+        environment_steps: steps flown, all environments together.
+        lens: who looks on, if anybody does; what is flown does not depend on it.
 
     Raises:
         ConfigError: the environment does not exist or cannot be trained.
@@ -40,6 +55,7 @@ class Collector:
         self.environments = make_environments(config, count)
         self.team = self.environments.team
         self.environment_steps = 0
+        self.lens: Onlooker | None = None
         self._episode: NDArray[np.int64] = np.full(count, -1, np.int64)
         self._noise = _Draws((*self._identity, "noise"), count, self.team.action_size)
         self._uniform = _Draws((*self._identity, "uniform"), count, self.team.action_size)
@@ -65,6 +81,8 @@ class Collector:
             rows.observation[:, step] = environments.observation
             action = self._act(bank, deviation, uniform)
             environments.step(action)
+            if self.lens is not None:
+                self.lens.note()
             rows.action[:, step], reward[:, step] = action, environments.reward
             over = np.flatnonzero(environments.ended)
             rows.observation[:, step + 1] = environments.observation
@@ -87,6 +105,8 @@ class Collector:
         parts = (*self._identity, index, int(self._episode[index]))
         farm = int(stream(*parts, "farm").integers(self._config.rollout.train_farms))
         self.environments.reset(index, farm, derive(*parts, "episode"))
+        if self.lens is not None and index == self.lens.index:
+            self.lens.note()
 
 
 class _Rectangle:

@@ -109,6 +109,10 @@ class FarmBatch:
         self._begun(index)
         return make_layout(self.config, self._seeds[index][0])
 
+    def seeds(self, index: int) -> tuple[int, int]:
+        """Return the farm seed and the episode seed of an environment; -1 twice before its first reset."""
+        return self._seeds[index]
+
     def reset(self, index: int, farm_seed: int, episode_seed: int) -> None:
         """Start an episode in one environment.
 

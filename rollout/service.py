@@ -26,6 +26,7 @@ from common.process import Presence, StopSignal, connect, denial, fetch_configur
 from common.transitions import Chunk
 from rollout.collector import Collector, fly_noise_free
 from rollout.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, Sender
+from rollout.showing import Showing
 
 REPORT_SECONDS = 1.0
 DRAIN_SECONDS = 5.0
@@ -90,6 +91,7 @@ class Worker:
         self._events = control.subscribe_state(keys.IMITATION_EVENT.key(options.run))
         self._progress = control.subscribe_state(keys.PROGRESS.key(options.run))
         self._orders = control.serve(keys.EVALUATION.key(options.run, worker=options.name), 16)
+        self._showing = Showing(control, options.run, options.name, start, self._collector, told.toml)
         self._presence = Presence(control, options.run, "rollout", options.name, start)
         self._postponed: list[Incoming] = []
         self._pending: tuple[Chunk, int] | None = None
@@ -105,6 +107,7 @@ class Worker:
         while not stop and self._state != "finished":
             self._listen()
             self._evaluate()
+            self._showing.tend(self._store.version, *self._exploration())
             bank = self._store.bank
             if self._pending is not None:
                 if self._sender.offer(*self._pending):
@@ -151,13 +154,16 @@ class Worker:
 
     def _fly(self, bank: ActorBank) -> None:
         started = time.monotonic()
-        store, config = self._store, self._config
-        uniform = store.environment_steps < config.replay.warmup_steps
-        chunk = self._collector.collect(bank, config.exploration.deviation(store.progress), uniform)
-        self._pending = (chunk, store.version)
+        chunk = self._collector.collect(bank, *self._exploration())
+        self._pending = (chunk, self._store.version)
         self._sender.flown = self._collector.environment_steps
         self._sender.note_made(chunk.rows.steps)
         self._clock.simulating += time.monotonic() - started
+
+    def _exploration(self) -> tuple[float, bool]:
+        """Return the noise's standard deviation, and whether actions are drawn uniformly instead (warm-up)."""
+        store, config = self._store, self._config
+        return config.exploration.deviation(store.progress), store.environment_steps < config.replay.warmup_steps
 
     def _idle(self) -> None:
         time.sleep(IDLE_SECONDS)
@@ -236,6 +242,9 @@ class Worker:
             "stale": self._store.stale,
             "missed": self._parameters.missed,
             "malformed": self._malformed,
+            "watchers": self._showing.watchers,
+            "shown": self._showing.shown,
+            "skipped": self._showing.skipped,
             "paused": self._paused,
             "paused_seconds": clock.too_old,
             "alarms": [text for text in (self._history.failure, self._paused) if text],

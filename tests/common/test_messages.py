@@ -18,6 +18,9 @@ from common.messages import (
     ParametersMessage,
     ProgressMessage,
     SetpointMessage,
+    ViewMessage,
+    WatchRequest,
+    WatchTerms,
 )
 
 TYPES = [
@@ -38,6 +41,18 @@ EXAMPLES = [
     ProgressMessage(1, 2, 3, 4, 5, 6, "training"),
     ObservationMessage("monitoring_1", 1_700_000_000_000_000, np.linspace(-1, 1, 16, dtype=np.float32)),
     SetpointMessage("monitoring_1", (1.25, -10.0), False, "", 7, 1_700_000_000_000_000, 9, 0.0004),
+    WatchRequest("somebody", True),
+    WatchTerms("seed = 1", ("energy", "utility"), 4.0, 25.0),
+    ViewMessage(
+        *(1, 2, 3, 4, 0.5, False),
+        position=np.ones((2, 3, 2), np.float32),
+        assignment=np.zeros((2, 2), np.uint8),
+        quality=np.ones((2, 2), np.float32),
+        aoi=np.full((2, 5), 51, np.uint8),
+        vdf=np.zeros((2, 2, 2), np.uint8),
+        level=np.ones((2, 2), np.float32),
+        parts=np.zeros((2, 3, 7), np.float32),
+    ),
 ]
 
 

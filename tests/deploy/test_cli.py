@@ -64,6 +64,10 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["fly", "--policy", "trained", "--listen", "tcp/0.0.0.0:7447"], "--insecure"),
         (["fly", "--policy", "trained", "--connect", "tcp/127.0.0.1:9", "--patience", "0"], "nobody answers"),
         (["simulator", "--connect", "tcp/127.0.0.1:9", "--patience", "0.1"], "nobody answers"),
+        (["watch", "--connect", "tcp/127.0.0.1:9", "--patience", "0"], "nobody answers"),
+        (["watch", "--host", "0.0.0.0"], "--insecure"),
+        (["watch", "--port", "70000"], "port must be"),
+        (["watch", "--worker", "a/b"], "worker 'a/b'"),
         (["evaluate"], "--policy"),
         (["evaluate", "--policy", "best"], "no policy 'best'"),
         (["evaluate", "--policy", "static", "--farms", "5:5"], "names no farm"),
@@ -112,7 +116,7 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     with pytest.raises(SystemExit) as stop:
         dispatch([name, "--help"])
     assert stop.value.code == 0
-    named = {"farm": "check", "keys": "issue", "audit": "--json", "router": "--listen"}
+    named = {"farm": "check", "keys": "issue", "audit": "--json", "router": "--listen", "replay": "--against"}
     named |= dict.fromkeys(("up", "down", "status", "logs"), "FLEET") | {"fleet": "render", "host": "--folder"}
     assert named.get(name, "--run") in capsys.readouterr().out
 

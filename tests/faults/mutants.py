@@ -12,6 +12,8 @@ from common import codec, frame, messages
 from common.chunks import from_message, to_message
 from common.errors import ProtocolError
 from common.policy_store import PolicyStore
+from common.viewing import check_view
+from tests.common.test_viewing import CONFIG, a_view
 from tests.faults.channel import TEAM, a_chunk
 
 KINDS: Final = tuple(
@@ -38,6 +40,9 @@ def samples() -> dict[str, bytes]:
         messages.ObservationMessage("a_0", 1, np.zeros(4, np.float32)),
         messages.SetpointMessage("a_0", (1.0, -1.0), False, "", 1, 1, 1, 0.5),
         messages.MetricMessage(1, "host", 2, 0.5, {"a": 1, "b": [1.5, "x"], "c": {"d": None}}),
+        messages.WatchRequest("somebody", True),
+        messages.WatchTerms("seed = 1", ("energy", "utility"), 4.0, 25.0),
+        a_view(),
     ]
     return {type(message).__name__: message.encode() for message in found}
 
@@ -58,6 +63,8 @@ def feed(data: bytes) -> bool:
                 PolicyStore(TEAM).offer_parameters(message)
             elif isinstance(message, messages.ImitationMessage):
                 message.to_event().check(TEAM)
+            elif isinstance(message, messages.ViewMessage):
+                check_view(message, CONFIG.farm, 7)
         except ProtocolError:
             continue
     return taken
@@ -135,6 +142,8 @@ def pass_through(count: int, seed: int) -> int:
                 from_message(message, TEAM)
             elif isinstance(message, messages.ParametersMessage):
                 PolicyStore(TEAM).offer_parameters(message)
+            elif isinstance(message, messages.ViewMessage):
+                check_view(message, CONFIG.farm, 7)
         except ProtocolError:
             continue
     return taken

@@ -1,0 +1,218 @@
+"""What it costs a worker to be watched.
+
+Run `python -m benchmarks.watch --json`.
+
+One worker flies the default farm as fast as it can; stretches in which nobody watches, one watcher watches and four
+watch take turns in one run. The listener and the watchers are a process of their own, as they are in a run. Counted is
+the worker's whole processor time for each environment step, which is as noisy as the machine; and, exactly, the part of
+it that watching takes: the main thread's time in `Showing` and the lens, and that of all other threads, Zenoh's.
+"""
+
+import json
+import selectors
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass
+from statistics import median
+from typing import Any, Final
+
+import tyro
+
+from common.actors import ActorBank
+from common.bus import Bus
+from common.config import RunConfig
+from common.config.files import to_toml
+from common.endpoint import Endpoint, free_endpoint
+from common.process import Presence
+from deploy.watching.hub import Hub, Seat
+from deploy.watching.source import Source
+from rollout.collector import Collector
+from rollout.lens import Lens
+from rollout.showing import Showing
+
+RUN: Final = "watch"
+CHECK_SECONDS: Final = 0.05
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Measure what watching costs a worker."""
+
+    rounds: int = 4
+    """Rounds; in each of them every number of watchers has its stretch."""
+    seconds: float = 20.0
+    """Length of a stretch: in 20 s a worker shows one whole episode, and one more to somebody new."""
+    watchers: tuple[int, ...] = (0, 1, 4)
+    """Numbers of watchers; the first is what the others are compared with."""
+    json: bool = False
+    """Print one JSON object."""
+    other_side: str | None = None
+    """Endpoint; be the listener and the watchers (the command starts itself so)."""
+
+
+@dataclass
+class _Tally:
+    """What a stretch came to."""
+
+    steps: int = 0
+    processor: float = 0.0
+    watching: float = 0.0
+    beside: float = 0.0
+    frames: int = 0
+    wall: float = 0.0
+
+
+class _TimedLens(Lens):
+    """A lens that knows how long it has looked."""
+
+    seconds = 0.0
+
+    def note(self) -> None:
+        """Look, and count the time."""
+        started = time.thread_time()
+        super().note()
+        self.seconds += time.thread_time() - started
+
+
+def main() -> None:
+    """Measure and print."""
+    arguments = tyro.cli(Arguments)
+    if arguments.other_side is not None:
+        _watch(Endpoint.parse(arguments.other_side))
+        return
+    result = measure(arguments)
+    if arguments.json:
+        sys.stdout.write(json.dumps(result, indent=2) + "\n")
+        return
+    for row in result["watchers"]:
+        sys.stdout.write(
+            f"{row['watchers']} watchers: {row['processor_us_per_step']:.2f} us of processor time a step, "
+            f"{row['extra_percent']:+.2f} % ({row['extra_percent_least']:+.2f} to {row['extra_percent_most']:+.2f}), "
+            f"of which {row['watching_percent']:.3f} % for watching; {row['frames_per_second']:.1f} frames/s\n"
+        )
+
+
+def measure(arguments: Arguments) -> dict[str, Any]:
+    """Return costs by number of watchers."""
+    endpoint = free_endpoint()
+    command = [sys.executable, "-m", "benchmarks.watch", "--other-side", str(endpoint)]
+    other = subprocess.Popen(command, stdin=subprocess.PIPE, text=True)
+    try:
+        with Bus.connect(endpoint, "control", wait=60.0) as bus:
+            found = _rounds(arguments, bus, other)
+    finally:
+        other.kill()
+        other.wait()
+    rows = [_row(number, found[number], found[arguments.watchers[0]]) for number in arguments.watchers]
+    return {"command": "python -m benchmarks.watch --json", **asdict(arguments), "watchers": rows}
+
+
+def _rounds(arguments: Arguments, bus: Bus, other: "subprocess.Popen[str]") -> dict[int, list[_Tally]]:
+    config = RunConfig()
+    collector = Collector(config, "w", 1)
+    showing = Showing(bus, RUN, "w", 1, collector, to_toml(config))
+    lens = showing._lens = _TimedLens(collector.environments, 0)  # type: ignore[arg-type]  # a worker of farms
+    presence = Presence(bus, RUN, "rollout", "w", 1)
+    bank = ActorBank.initial(collector.team, config.algorithm.hidden, seed=0)
+    found: dict[int, list[_Tally]] = {number: [] for number in arguments.watchers}
+    for turn in range(arguments.rounds):
+        order = arguments.watchers if turn % 2 == 0 else arguments.watchers[::-1]
+        for number in order:
+            assert other.stdin is not None
+            other.stdin.write(f"{number}\n")
+            other.stdin.flush()
+            while showing.watchers != number:
+                _fly(collector, showing, bank, CHECK_SECONDS, _Tally())
+            found[number].append(_stretch(collector, showing, lens, bank, arguments.seconds))
+    del presence
+    return found
+
+
+def _stretch(collector: Collector, showing: Showing, lens: _TimedLens, bank: ActorBank, seconds: float) -> _Tally:
+    tally = _Tally()
+    steps, frames, looked = collector.environment_steps, showing.shown, lens.seconds
+    processor, own, started = time.process_time(), time.thread_time(), time.monotonic()
+    _fly(collector, showing, bank, seconds, tally)
+    tally.processor, tally.wall = time.process_time() - processor, time.monotonic() - started
+    tally.beside = tally.processor - (time.thread_time() - own)
+    tally.steps, tally.frames = collector.environment_steps - steps, showing.shown - frames
+    tally.watching += lens.seconds - looked
+    return tally
+
+
+def _fly(collector: Collector, showing: Showing, bank: ActorBank, seconds: float, tally: _Tally) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        started = time.thread_time()
+        showing.tend(1, 0.1, False)
+        tally.watching += time.thread_time() - started
+        collector.collect(bank, 0.1, False)
+
+
+def _row(number: int, tallies: list[_Tally], base: list[_Tally]) -> dict[str, Any]:
+    """Return a number of watchers' figures; extra costs are those of each round against the same round's base."""
+    extra = [
+        100.0 * (own.processor / own.steps / (bare.processor / bare.steps) - 1.0)
+        for own, bare in zip(tallies, base, strict=True)
+    ]
+    processor = sum(tally.processor for tally in tallies)
+    steps = sum(tally.steps for tally in tallies)
+    main, beside = sum(tally.watching for tally in tallies), sum(tally.beside for tally in tallies)
+    return {
+        "watchers": number,
+        "steps": steps,
+        "processor_us_per_step": 1e6 * processor / steps,
+        "extra_percent": median(extra),
+        "extra_percent_least": min(extra),
+        "extra_percent_most": max(extra),
+        "main_thread_percent": 100.0 * main / processor,
+        "other_threads_percent": 100.0 * beside / processor,
+        "watching_percent": 100.0 * (main + beside) / processor,
+        "frames_per_second": sum(tally.frames for tally in tallies) / sum(tally.wall for tally in tallies),
+        "processor_share": processor / sum(tally.wall for tally in tallies),
+    }
+
+
+def _watch(endpoint: Endpoint) -> None:
+    """Listen, and let as many watchers watch as standard input says, until it is closed."""
+    with Bus.listen(endpoint, "control") as bus:
+        looking: list[tuple[Source, Hub, Seat]] = []
+        wanted = _Wanted()
+        while True:
+            wanted.read()
+            while len(looking) > wanted.number:
+                looking.pop()[0].leave()
+            while len(looking) < wanted.number:
+                hub = Hub()
+                source = Source(bus, RUN, "w", hub)
+                source._name += f"-{len(looking)}"
+                seat = hub.enter(1)
+                assert seat is not None
+                looking.append((source, hub, seat))
+            for source, _, seat in looking:
+                source.tend(True)
+                while seat.take(0.0) is not None:
+                    pass
+            time.sleep(CHECK_SECONDS)
+
+
+class _Wanted:
+    """The last number that came on standard input, read without waiting."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(sys.stdin, selectors.EVENT_READ)
+
+    def read(self) -> None:
+        """Take what has come; end the process when nothing more will."""
+        while self._selector.select(0):
+            line = sys.stdin.readline()
+            if not line:
+                sys.exit(0)
+            self.number = int(line)
+
+
+if __name__ == "__main__":
+    main()

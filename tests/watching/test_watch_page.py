@@ -1,0 +1,149 @@
+"""The page of `eia-sec watch` in a real browser, where there is one."""
+
+import os
+import shutil
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from common.bus import Bus
+from deploy.watching.hub import Hub
+from deploy.watching.server import WebServer
+from deploy.watching.source import Source
+from rollout.layout import make_layout
+from rollout.palette import SOIL_STOPS, rgb
+from tests.watching.stage import CONFIG, RUN, flying, until
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on this machine")
+
+WORLD = CONFIG.farm.world
+VARIED = """(() => { const p = watching.past;
+for (let n = p.last; n > p.first; n--) {
+const f = p.at(n); const a = f.packet.arrays.vdf; const w = a.length / a.shape[0];
+if (f.step > 5 && new Set(a.subarray(f.i * w, (f.i + 1) * w)).size > 1) return n } })()"""
+"""Number of the newest frame whose plots differ in age."""
+
+
+@contextmanager
+def looking():
+    """Open the page of a worker that flies; yield the page, the worker and what the browser complained of."""
+    with flying() as (endpoint, showing), Bus.connect(endpoint, "control", wait=30.0) as bus:
+        hub, over = Hub(), threading.Event()
+        source = Source(bus, RUN, None, hub)
+
+        def tend():
+            while not over.wait(0.02):
+                source.tend(hub.seats > 0)
+
+        thread = threading.Thread(target=tend)
+        thread.start()
+        try:
+            with WebServer(hub, "127.0.0.1", 0) as web, playwright.sync_playwright() as driver:
+                browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+                page = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
+                complaints = []
+                page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
+                page.on("pageerror", lambda error: complaints.append(str(error)))
+                page.on("requestfailed", lambda request: complaints.append(request.url))
+                page.goto(f"http://127.0.0.1:{web.port}/")
+                until(
+                    lambda: page.evaluate("window.watching && watching.past.frames.length > 45"), "frames in the page"
+                )
+                yield page, showing, complaints
+                browser.close()
+                until(lambda: showing.watchers == 0, "the end of the watching")
+        finally:
+            over.set()
+            thread.join()
+
+
+def test_the_page_shows_what_the_worker_flies():
+    """Numbers, colours on the map and words are those of the frames; pause, slider and speeds do what they say."""
+    with looking() as (page, showing, complaints):
+        page.click("#play")
+        until(lambda: page.inner_text("#play") == "play", "the pause")
+        target = until(lambda: page.evaluate(VARIED), "a frame with plots of several ages")
+        until(lambda: int(page.get_attribute("#slider", "max")) >= target, "the slider's new end")
+        page.evaluate(
+            "n => { const s = document.getElementById('slider'); s.value = n; s.dispatchEvent(new Event('input')) }",
+            target,
+        )
+        until(lambda: page.evaluate("Math.floor(watching.view.head)") == target, "the jump")
+        frame = page.evaluate(
+            """() => { const f = watching.past.at(Math.floor(watching.view.head)); const a = f.packet.arrays;
+            const row = (n) => { const w = a[n].length / a[n].shape[0];
+            return [...a[n].subarray(f.i * w, (f.i + 1) * w)] };
+            return {farm: f.packet.farm, step: f.step, vdf: row('vdf'), aoi: row('aoi'), parts: row('parts'),
+            level: row('level'), sensor: [...a.sensor], position: row('position')} }"""
+        )
+        until(
+            lambda: f"farm {frame['farm']}, step {frame['step']} of {WORLD.steps}" in page.inner_text("#headline"), "it"
+        )
+        np.testing.assert_allclose(
+            np.reshape(frame["sensor"], (-1, 2)), make_layout(CONFIG.farm, frame["farm"]).sensor_xy, atol=1e-4
+        )
+        assert page.inner_text("#fresh tbody tr:nth-child(1) td:nth-child(2)") == f"{frame['level'][0]:.2f}"
+        fresh = np.mean(np.array(frame["vdf"]) == 0)
+        assert page.inner_text("#fresh tbody tr:nth-child(2) td:nth-child(3)") == f"{100 * fresh:.0f} %"
+        monitoring = np.reshape(frame["parts"], (3, -1))[1].sum()
+        shown = page.inner_text("#reward tbody tr:nth-child(2) td:nth-child(2)").replace("\N{MINUS SIGN}", "-")
+        assert float(shown) == pytest.approx(monitoring, abs=0.0051)
+        assert soil_matches(page, frame)
+        step = page.evaluate("watching.view.head")
+        page.keyboard.press("Escape")
+        page.select_option("#speed", "100")
+        page.click("#newest")
+        until(lambda: page.evaluate("watching.view.head") != step, "playing again")
+        assert "run watched, worker w" in page.inner_text("#who")
+        assert showing.watchers == 1
+        assert complaints == []
+
+
+def soil_matches(page, frame):
+    """Return whether most plots' corners have the colour of their VDF; UAVs, sensors and trails hide a few."""
+    # Reach covers most of this small field with a tint of its own.
+    page.evaluate("Object.assign(watching.view.field.scene.reach, {monitoring: 0, collection: 0})")
+    page.evaluate("watching.view.drawn = ''")
+    until(lambda: page.evaluate("watching.view.drawn !== ''"), "another drawing")
+    colours = page.evaluate(
+        """([px, py]) => { const { field, scene } = watching.view; const pen = field.canvas.getContext('2d');
+        const ratio = devicePixelRatio; const found = [];
+        for (let a = 0; a < px; a++) for (let b = 0; b < py; b++) { const [fx, fy] = scene.field;
+        const [x, y] = [field.x((a + 0.03) * fx / px), field.y((b + 0.03) * fy / py)];
+        found.push([...pen.getImageData(Math.round(x * ratio), Math.round(y * ratio), 1, 1).data].slice(0, 3)) }
+        return found }""",
+        [WORLD.plots_x, WORLD.plots_y],
+    )
+    stops = np.array([rgb(stop) for stop in SOIL_STOPS], np.float64)
+    share = np.array(frame["vdf"]) / 255
+    wanted = np.stack([np.interp(share, np.linspace(0, 1, len(stops)), stops[:, c]) for c in range(3)], axis=1)
+    close = np.abs(np.array(colours) - wanted).max(axis=1) <= 2
+    return close.mean() >= 0.6 and len(np.unique(wanted, axis=0)) > 1
+
+
+def test_nothing_overlaps_or_sticks_out():
+    """In wide and in narrow windows no text runs out of its box, and the controls can be reached."""
+    with looking() as (page, _, complaints):
+        for width, height in ((1440, 900), (1024, 768), (420, 860)):
+            page.set_viewport_size({"width": width, "height": height})
+            sticking = page.evaluate(
+                """() => [...document.querySelectorAll('header *, footer *, .card *, #headline')]
+                .filter(e => e.getBoundingClientRect().right > innerWidth + 1
+                || (e.children.length === 0 && e.scrollWidth > e.clientWidth + 1 && e.clientWidth > 0))
+                .map(e => e.id || e.className || e.textContent)"""
+            )
+            assert sticking == []
+            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            for name in ("#play", "#slider", "#speed", "#newest", "#theme"):
+                box = page.locator(name).bounding_box()
+                assert box["y"] >= 0
+                assert box["y"] + box["height"] <= height
+            field = page.locator("#field").bounding_box()
+            assert min(field["width"], field["height"]) >= 300
+        page.click("#theme")
+        assert page.evaluate("document.documentElement.dataset.theme") == "dark"
+        assert complaints == []
