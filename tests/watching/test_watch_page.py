@@ -22,8 +22,8 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium o
 
 WORLD = CONFIG.farm.world
 VARIED = """(() => { const p = watching.past;
-for (let n = p.last; n > p.first; n--) {
-const f = p.at(n); const a = f.packet.arrays.vdf; const w = a.length / a.shape[0];
+for (let n = p.last; n > p.first; n--) { const f = p.at(n); const a = f.packet.arrays.vdf;
+const w = a.length / a.shape[0];
 if (f.step > 5 && new Set(a.subarray(f.i * w, (f.i + 1) * w)).size > 1) return n } })()"""
 """Number of the newest frame whose plots differ in age."""
 
