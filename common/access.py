@@ -114,8 +114,9 @@ GRANTS: Final = (
     Grant("flight", "read", keys.OBSERVATION),
     Grant("flight", "put", keys.SETPOINT),
     *_own("flight"),
-    Grant("monitor", "ask", keys.WATCH),
-    Grant("monitor", "read", keys.VIEW),
+    Grant("watcher", "watch", keys.LIVE),
+    Grant("watcher", "ask", keys.WATCH),
+    Grant("watcher", "read", keys.VIEW),
     Grant(ANYBODY, "watch", keys.LIVE, {"role": "learner"}),
 )
 """The whole table. That everybody may see whether a learner lives lets a process that is not on the list say so."""

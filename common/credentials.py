@@ -14,7 +14,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from common.errors import CredentialsError
 from common.keys import check_name
 
-ROLES: Final = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "vehicle")
+ROLES: Final = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "watcher", "vehicle")
 """Whom a certificate can name; only the first three listen."""
 LISTENING: Final = ("learner", "router", "flight")
 CA, CERTIFICATE, KEY, MEMBERS = "ca.pem", "cert.pem", "key.pem", "members.txt"

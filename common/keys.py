@@ -34,7 +34,8 @@ class KeyFamily:
     """One shape of key.
 
     Attributes:
-        plane: first segment after the run: transition, params, ctl, eval, imitation, watch, view, metric, live or flight.
+        plane: first segment after the run: transition, params, ctl, eval, imitation, watch, view, metric, live or
+            flight.
         template: the segments after the run, variables in braces.
         delivery: request, state, lossy or token.
         sender: who puts or asks.

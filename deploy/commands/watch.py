@@ -42,7 +42,7 @@ class WatchArguments:
     open: bool = False
     """Open the page in this machine's browser."""
     tls: Path | None = None
-    """Folder with a monitor's certificate, made by `eia-sec keys issue monitor NAME`; the link is TLS then."""
+    """Folder with a watcher's certificate, made by `eia-sec keys issue watcher NAME`; the link is TLS then."""
     patience: float = 10.0
     """Seconds to wait for somebody to listen at the endpoint."""
 

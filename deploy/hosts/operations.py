@@ -146,7 +146,7 @@ def service_name(fleet: Fleet, role: str) -> str:
 
 
 def issue_keys(fleet: Fleet, days: int) -> list[Identity]:
-    """Make the certificates that a fleet lacks, the authority included, and those of an operator and a monitor.
+    """Make the certificates that a fleet lacks, the authority included, and those of an operator, a monitor and a watcher.
 
     Returns:
         Whom certificates were made for.
@@ -159,7 +159,7 @@ def issue_keys(fleet: Fleet, days: int) -> list[Identity]:
     if not (fleet.keys / authority.CA_KEY).exists():
         authority.create(fleet.keys)
     needed = [process.identity for process in processes(fleet, here(fleet))]
-    needed += [Identity("operator", "operator"), Identity("monitor", "monitor")]
+    needed += [Identity(role, role) for role in ("operator", "monitor", "watcher")]
     made = []
     lifetime = authority.lasting(days)
     for identity in needed:

@@ -57,11 +57,11 @@ class Learner:
             self._progress.put(ProgressMessage(1, self.newest, 0, 1, 1000, 1, "training").encode())
         self.reports += [MetricMessage.decode(sample.payload) for sample in self._metrics.drain()]
 
-    def until_flying(self) -> None:
+    def expect_flying(self) -> None:
         """Wait for some reports in a row in which the worker has flown on and names no reason not to."""
         self._until(lambda steps, paused: len(set(steps)) == REPORTS and not any(paused), "flying")
 
-    def until_standing(self, reason: str) -> None:
+    def expect_standing(self, reason: str) -> None:
         """Wait for some reports in a row in which the worker has not flown, each with the reason."""
         self._until(lambda steps, paused: len(set(steps)) == 1 and all(reason in text for text in paused), reason)
 
@@ -87,7 +87,7 @@ def scripted(tmp_path: Path, settings: str) -> Iterator[Learner]:
             learner = Learner(toml, control, bulk)
             fleet.worker()
             learner.publish(1)
-            learner.until_flying()
+            learner.expect_flying()
             yield learner
     finally:
         fleet.close()
@@ -97,28 +97,28 @@ def test_a_worker_with_actors_that_are_too_old_stands_still(tmp_path):
     """Beyond `rollout.max_lag_versions` it stops, says why and goes on with newer actors; at the limit it flies."""
     with scripted(tmp_path, f"max_lag_versions = {LAG}") as learner:
         learner.newest = 1 + LAG
-        learner.until_flying()
+        learner.expect_flying()
         learner.newest = 2 + LAG
-        learner.until_standing(f"its actors are {LAG + 1} versions old, more than {LAG}")
+        learner.expect_standing(f"its actors are {LAG + 1} versions old, more than {LAG}")
         assert "versions old" in learner.reports[-1].values["alarms"][0]
         assert learner.reports[-1].values["paused_seconds"] > 0
         learner.publish(2 + LAG)
-        learner.until_flying()
+        learner.expect_flying()
 
 
 def test_a_worker_that_hears_nothing_of_the_learner_stands_still(tmp_path):
     """After `rollout.max_silence_seconds` without word it stops and says so, and goes on as soon as it hears again."""
     with scripted(tmp_path, f"max_silence_seconds = {SILENCE}") as learner:
         learner.talks = False
-        learner.until_standing("nothing was heard of the learner for")
+        learner.expect_standing("nothing was heard of the learner for")
         learner.talks = True
-        learner.until_flying()
+        learner.expect_flying()
 
 
 def test_without_limits_a_worker_flies_on(tmp_path):
     """By default neither age nor silence stops a worker."""
     with scripted(tmp_path, "") as learner:
         learner.newest = 1_000_000
-        learner.until_flying()
+        learner.expect_flying()
         learner.talks = False
-        learner.until_flying()
+        learner.expect_flying()

@@ -9,7 +9,16 @@ from common.credentials import Identity
 from deploy import authority
 
 YEAR = datetime.timedelta(days=365)
-MEMBERS = ("rollout.a", "rollout.b", "elite.coordinator", "monitor.m", "operator.o", "vehicle.uav", "vehicle.other")
+MEMBERS = (
+    "rollout.a",
+    "rollout.b",
+    "elite.coordinator",
+    "monitor.m",
+    "watcher.w",
+    "operator.o",
+    "vehicle.uav",
+    "vehicle.other",
+)
 
 
 def make_authority(folder: Path) -> Path:

@@ -16,6 +16,7 @@ NAMES = (
     "learner.learner",
     "router.main",
     "rollout.unlisted",
+    "watcher.w",
     "vehicle.uav",
     "flight.main",
 )
