@@ -79,11 +79,13 @@ def _farm(state: State, e: int) -> Farm:
 @merged
 def _survey(c: Constants, farm: Farm, s: Scratch, fresh: bool) -> None:
     """Take stock at the present positions: nearest UAVs and relays."""
-    find_nearest(c.fleet, farm.position, s.peer, s.apart_square, s.neighbour, s.distance, s.crowded)
-    assign_relays(c.fleet, c.relay, farm.position, fresh, s.assigning, farm.assignment, s.linked, farm.quality)
+    find_nearest(c.fleet, farm.position, s.x, s.y, s.peer, s.apart_square, s.neighbour, s.distance, s.crowded)
+    assign_relays(
+        c.fleet, c.relay, farm.position, s.x, s.y, fresh, s.assigning, farm.assignment, s.linked, farm.quality
+    )
     for i in range(c.fleet.relays):
         s.earlier[i] = farm.service[i]
-    serve(c.fleet, c.relay, farm.position, farm.assignment, farm.service, s.centroid, s.farthest)
+    serve(c.fleet, c.relay, farm.position, farm.assignment, farm.service, s.centroid, s.farthest, s.number, s.far)
 
 
 @merged

@@ -107,13 +107,13 @@ MUTATIONS = (
     one(
         "images and packets count without a relay in range",
         "kernel/relays.py",
-        "1.0 if work.distance[served, i] <= relay.link_range else 0.0",
+        "1.0 if distance <= relay.link_range else 0.0",
         "1.0",
     ),
     one(
         "the relays' centroid keeps what the last environment left",
         "kernel/relays.py",
-        "    centroid[count, :] = 0.0\n",
+        "    centroid[:, :] = 0.0\n",
         "",
     ),
     one(
