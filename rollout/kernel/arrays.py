@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.team import farm_team
-from rollout.kernel.constants import Array, Constants, Indices
+from rollout.kernel.constants import Array, Constants, Indices, Int32
 from rollout.kernel.exchanges import Exchanges, make_exchanges
 from rollout.kernel.rewards import REWARD_PARTS
 from rollout.layout import cell_counts
@@ -59,14 +59,14 @@ class State(NamedTuple):
     assignment: Indices
     service: Array
     sensor: Array
-    cell_start: Indices
-    by_row: Indices
-    row_start: Indices
-    cycle: Indices
+    cell_start: Int32
+    by_row: Int32
+    row_start: Int32
+    cycle: Int32
     age: Array
-    age_due: Indices
+    age_due: Int32
     level: Array
-    level_due: Indices
+    level_due: Int32
     observation: Float32
     reward: Float32
     parts: Array
@@ -95,14 +95,14 @@ class Farm(NamedTuple):
     assignment: Indices
     service: Array
     sensor: Array
-    cell_start: Indices
-    by_row: Indices
-    row_start: Indices
-    cycle: Indices
+    cell_start: Int32
+    by_row: Int32
+    row_start: Int32
+    cycle: Int32
     age: Array
-    age_due: Indices
+    age_due: Int32
     level: Array
-    level_due: Indices
+    level_due: Int32
     observation: Float32
     reward: Float32
     parts: Array
@@ -209,14 +209,14 @@ def make_state(config: FarmConfig, environments: int) -> State:
         assignment=np.zeros((count, served), np.int64),
         service=np.zeros((count, world.communication_uavs)),
         sensor=np.zeros((count, 2, sensors)),
-        cell_start=np.zeros((count, columns * rows + 1), np.int64),
-        by_row=np.zeros((count, sensors), np.int64),
-        row_start=np.zeros((count, columns * rows + 1), np.int64),
-        cycle=np.ones((count, sensors), np.int64),
+        cell_start=np.zeros((count, columns * rows + 1), np.int32),
+        by_row=np.zeros((count, sensors), np.int32),
+        row_start=np.zeros((count, columns * rows + 1), np.int32),
+        cycle=np.ones((count, sensors), np.int32),
         age=np.zeros((count, sensors)),
-        age_due=np.zeros((count, sensors), np.int64),
+        age_due=np.zeros((count, sensors), np.int32),
         level=np.zeros((count, *plots)),
-        level_due=np.zeros((count, *plots), np.int64),
+        level_due=np.zeros((count, *plots), np.int32),
         observation=np.zeros((count, team.observation_size), np.float32),
         reward=np.zeros((count, uavs), np.float32),
         parts=np.zeros((count, uavs, len(REWARD_PARTS))),

@@ -18,6 +18,7 @@ from rollout.kernel.constants import Constants
 from rollout.kernel.frozen import thaw
 from rollout.kernel.motion import find_nearest, fly
 from rollout.kernel.observation import see_plots, see_relays, see_sensors
+from rollout.kernel.prefetch import ask_for
 from rollout.kernel.quadrants import point_to_age, point_to_level
 from rollout.kernel.radio import interfere, send, update_age
 from rollout.kernel.relays import assign_relays, serve
@@ -275,6 +276,8 @@ def _compile_run(digest: int) -> Callable[..., int]:
             if objection != NOTHING or task == CHECK:
                 return objection
         for e in range(first, last):
+            if e + 1 < last:
+                ask_for(state, e + 1)
             if task == BEGIN:
                 _begin(c, _farm(state, e), scratch)
             else:

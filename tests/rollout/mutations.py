@@ -60,8 +60,8 @@ MUTATIONS = (
     one(
         "a plot in reach is also paid to UAVs that are not the nearest",
         "kernel/camera.py",
-        "centre_y, square):\n",
-        "centre_y, square):\n                    utility[u] += level[column, row]\n",
+        "                if _succeeds(",
+        "                utility[u] += level[column, row]\n                if _succeeds(",
     ),
     one(
         "VDF is due one step later each time",
