@@ -26,6 +26,9 @@ __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_pos
 TRIES: Final = 200
 """Random places that are tried for a UAV before the distance it must keep shrinks by a tenth."""
 
+NEVER: Final = 2**30
+"""A step that no episode reaches; cycles are kept in 32 bits."""
+
 
 class FarmBatch:
     """Environments that share a configuration and nothing else.
@@ -134,9 +137,10 @@ class FarmBatch:
         state.sensor[e] = layout.sensor_xy.T
         state.cell_start[e] = layout.cell_start
         state.by_row[e], state.row_start[e] = by_rows(layout)
-        state.cycle[e] = layout.sensor_cycle_steps
-        state.age_due[e] = np.where(layout.sensor_phase > 0, layout.sensor_phase, layout.sensor_cycle_steps)
-        state.level_due[e] = np.where(layout.plot_phase > 0, layout.plot_phase, self._constants.camera.cycle)
+        state.cycle[e] = np.minimum(layout.sensor_cycle_steps, NEVER)
+        state.age_due[e] = np.where(layout.sensor_phase > 0, np.minimum(layout.sensor_phase, NEVER), state.cycle[e])
+        level_due = np.where(layout.plot_phase > 0, layout.plot_phase, self._constants.camera.cycle)
+        state.level_due[e] = np.minimum(level_due, NEVER)
         state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
         for array in (state.reward, state.parts, state.energy, state.utility, state.served, state.returns, state.sums):
             array[e] = 0.0

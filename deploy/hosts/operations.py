@@ -146,7 +146,7 @@ def service_name(fleet: Fleet, role: str) -> str:
 
 
 def issue_keys(fleet: Fleet, days: int) -> list[Identity]:
-    """Make the certificates that a fleet lacks, the authority included, and those of an operator, a monitor and a watcher.
+    """Make the certificates that a fleet lacks, the authority and those of operator, monitor and watcher included.
 
     Returns:
         Whom certificates were made for.

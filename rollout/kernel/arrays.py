@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.team import farm_team
-from rollout.kernel.constants import Array, Constants, Indices
+from rollout.kernel.constants import Array, Constants, Indices, Int32
+from rollout.kernel.exchanges import Exchanges, make_exchanges
 from rollout.kernel.rewards import REWARD_PARTS
 from rollout.layout import cell_counts
 
@@ -58,14 +59,14 @@ class State(NamedTuple):
     assignment: Indices
     service: Array
     sensor: Array
-    cell_start: Indices
-    by_row: Indices
-    row_start: Indices
-    cycle: Indices
+    cell_start: Int32
+    by_row: Int32
+    row_start: Int32
+    cycle: Int32
     age: Array
-    age_due: Indices
+    age_due: Int32
     level: Array
-    level_due: Indices
+    level_due: Int32
     observation: Float32
     reward: Float32
     parts: Array
@@ -94,14 +95,14 @@ class Farm(NamedTuple):
     assignment: Indices
     service: Array
     sensor: Array
-    cell_start: Indices
-    by_row: Indices
-    row_start: Indices
-    cycle: Indices
+    cell_start: Int32
+    by_row: Int32
+    row_start: Int32
+    cycle: Int32
     age: Array
-    age_due: Indices
+    age_due: Int32
     level: Array
-    level_due: Indices
+    level_due: Int32
     observation: Float32
     reward: Float32
     parts: Array
@@ -124,23 +125,15 @@ class Assigning(NamedTuple):
     """Working memory of the assignment.
 
     Attributes:
-        distance: [n_m + n_d, n_c] of each pair, m.
-        loss: [n_m + n_d, n_c] free-space loss of each pair, dB.
         pair: [n_m + n_d, n_c] cost of each pair.
-        load: [n_c] UAVs that each relay serves.
-        exchange: [n_c, n_c] costs of moving a UAV.
-        mover: [n_c, n_c] which UAV.
+        exchanges: of UAVs between relays.
         cost: [n_m + n_d, n_c capacity] cost of each UAV at each place of a relay.
         numbers: [3, n_c capacity].
         indices: [4, n_c capacity].
     """
 
-    distance: Array
-    loss: Array
     pair: Array
-    load: Indices
-    exchange: Array
-    mover: Indices
+    exchanges: Exchanges
     cost: Array
     numbers: Array
     indices: Indices
@@ -160,8 +153,12 @@ class Scratch(NamedTuple):
         earlier: [n_c] D_c(k-1), m.
         centroid: [n_c + 1, 3] m.
         farthest: [n_c] farthest UAV served.
+        number: [n_c] UAVs served.
+        far: [n_c] distance of the farthest, m.
         peer: [n] nearest UAV of the plane.
         apart_square: [n] square of its distance, m^2.
+        x: [n] places, m.
+        y: [n] m.
         around: [S + 1] sensors around a UAV; the last entry is never read.
         square: [S + 1] squares of their distances, m^2.
         nearest_square: [observed sensors] squares of the distances of the nearest, m^2.
@@ -182,8 +179,12 @@ class Scratch(NamedTuple):
     earlier: Array
     centroid: Array
     farthest: Indices
+    number: Array
+    far: Array
     peer: Indices
     apart_square: Array
+    x: Array
+    y: Array
     around: Indices
     square: Array
     nearest_square: Array
@@ -208,14 +209,14 @@ def make_state(config: FarmConfig, environments: int) -> State:
         assignment=np.zeros((count, served), np.int64),
         service=np.zeros((count, world.communication_uavs)),
         sensor=np.zeros((count, 2, sensors)),
-        cell_start=np.zeros((count, columns * rows + 1), np.int64),
-        by_row=np.zeros((count, sensors), np.int64),
-        row_start=np.zeros((count, columns * rows + 1), np.int64),
-        cycle=np.ones((count, sensors), np.int64),
+        cell_start=np.zeros((count, columns * rows + 1), np.int32),
+        by_row=np.zeros((count, sensors), np.int32),
+        row_start=np.zeros((count, columns * rows + 1), np.int32),
+        cycle=np.ones((count, sensors), np.int32),
         age=np.zeros((count, sensors)),
-        age_due=np.zeros((count, sensors), np.int64),
+        age_due=np.zeros((count, sensors), np.int32),
         level=np.zeros((count, *plots)),
-        level_due=np.zeros((count, *plots), np.int64),
+        level_due=np.zeros((count, *plots), np.int32),
         observation=np.zeros((count, team.observation_size), np.float32),
         reward=np.zeros((count, uavs), np.float32),
         parts=np.zeros((count, uavs, len(REWARD_PARTS))),
@@ -253,8 +254,12 @@ def make_scratch(config: FarmConfig) -> Scratch:
         earlier=np.zeros(relays),
         centroid=np.zeros((relays + 1, 3)),
         farthest=np.zeros(relays, np.int64),
+        number=np.zeros(relays),
+        far=np.zeros(relays),
         apart_square=np.zeros(uavs),
         peer=np.zeros(uavs, np.int64),
+        x=np.zeros(uavs),
+        y=np.zeros(uavs),
         around=np.zeros(sensors + 1, np.int64),
         square=np.zeros(sensors + 1),
         nearest_square=np.zeros(config.observation.sensors),
@@ -263,12 +268,8 @@ def make_scratch(config: FarmConfig) -> Scratch:
         item=np.zeros(max(sensors, world.plots_x * world.plots_y), np.int64),
         share=np.zeros(sensors),
         assigning=Assigning(
-            distance=np.zeros((served, relays)),
-            loss=np.zeros((served, relays)),
             pair=np.zeros((served, relays)),
-            load=np.zeros(relays, np.int64),
-            exchange=np.zeros((relays, relays)),
-            mover=np.zeros((relays, relays), np.int64),
+            exchanges=make_exchanges(served, relays),
             cost=np.zeros((served, places)),
             numbers=np.zeros((3, places)),
             indices=np.zeros((4, places), np.int64),

@@ -4,81 +4,9 @@ The scan order is that of `scipy.optimize.linear_sum_assignment` (Crouse 2016), 
 """
 
 import math
-from typing import Final
 
 from rollout.kernel.compiled import sealed
 from rollout.kernel.constants import Array, Indices
-
-TIE: Final = 1e-9
-"""Costs that differ by less count as equal when a solution is checked."""
-
-
-@sealed
-def settle(pair: Array, chosen: Indices, capacity: int, load: Indices, exchange: Array, mover: Indices) -> bool:
-    """Improve an assignment with capacities by moves and swaps; return whether it is now the only best one.
-
-    It is, when no round of rows that hand over their places costs nothing or less (Klein 1967): every cycle of
-    exchanges between columns, and every path of them that ends at a column with room, has a cost above 0.
-
-    Args:
-        pair: [R, C] cost of each row in each column.
-        chosen: [R] column of each row, no column with more than its capacity; updated.
-        capacity: of each column.
-        load: [C] scratch.
-        exchange: [C, C] scratch: the least cost of moving one row from a column to another, in the end by any way.
-        mover: [C, C] scratch: which row that is.
-    """
-    columns = len(load)
-    _exchanges(pair, chosen, load, exchange, mover)
-    while _improve(chosen, capacity, load, exchange, mover):
-        _exchanges(pair, chosen, load, exchange, mover)
-    for by in range(columns):
-        for a in range(columns):
-            first = exchange[a, by]
-            for b in range(columns):
-                change = first + exchange[by, b]
-                exchange[a, b] = change if change < exchange[a, b] else exchange[a, b]
-    for a in range(columns):
-        for b in range(columns):
-            if exchange[a, b] <= TIE and (a == b or load[b] < capacity):
-                return False
-    return True
-
-
-@sealed
-def _exchanges(pair: Array, chosen: Indices, load: Indices, exchange: Array, mover: Indices) -> None:
-    """Find the least cost of moving one row from each column to each other, and the columns' loads."""
-    columns = len(load)
-    for a in range(columns):
-        load[a] = 0
-        for b in range(columns):
-            exchange[a, b] = math.inf
-    for row in range(len(chosen)):
-        a = chosen[row]
-        load[a] += 1
-        for b in range(columns):
-            change = pair[row, b] - pair[row, a] if b != a else math.inf
-            less = change < exchange[a, b]
-            exchange[a, b] = change if less else exchange[a, b]
-            mover[a, b] = row if less else mover[a, b]
-
-
-@sealed
-def _improve(chosen: Indices, capacity: int, load: Indices, exchange: Array, mover: Indices) -> bool:
-    """Make the move to a column with room, or the swap, that saves most; return whether any saves more than TIE."""
-    columns, least, one, other = len(load), -TIE, -1, -1
-    for a in range(columns):
-        for b in range(columns):
-            change = exchange[a, b] + (0.0 if load[b] < capacity else exchange[b, a])
-            if change < least:
-                least, one, other = change, a, b
-    if one < 0:
-        return False
-    there, back = mover[one, other], mover[other, one]
-    if load[other] == capacity:
-        chosen[back] = one
-    chosen[there] = other
-    return True
 
 
 @sealed

@@ -2,8 +2,8 @@
 
 import math
 
-from rollout.kernel.compiled import sealed
-from rollout.kernel.constants import Array, CameraConstants, FleetConstants, Indices
+from rollout.kernel.compiled import merged, sealed
+from rollout.kernel.constants import Array, CameraConstants, FleetConstants, Indices, Int32
 from rollout.kernel.neighbours import is_nearest
 from rollout.kernel.tallies import add, tally_plots
 
@@ -29,7 +29,7 @@ def photograph(
     step: int,
     rising: Indices,
     level: Array,
-    due: Indices,
+    due: Int32,
     below: Array,
     above: Array,
     utility: Array,
@@ -55,27 +55,18 @@ def photograph(
         utility: [n] out for these UAVs: VMUF of this step.
         taken: [n_px n_py] scratch.
     """
-    successes, first, last, due_now = 0, fleet.relays, fleet.collectors, rising[1] == step
-    for u in range(first, last):
+    successes, due_now = 0, rising[1] == step
+    for u in range(fleet.relays, fleet.collectors):
         utility[u] = 0.0
-        if linked[u - first] == 0.0:
+        if linked[u - fleet.relays] == 0.0:
             continue
-        x, y = position[u, 0], position[u, 1]
-        left, right = _span(x, camera.reach, camera.plot_width, camera.plots_x)
-        low, high = _span(y, camera.reach, camera.plot_depth, camera.plots_y)
+        left, right = _span(position[u, 0], camera.reach, camera.plot_width, camera.plots_x)
+        low, high = _span(position[u, 1], camera.reach, camera.plot_depth, camera.plots_y)
         for column in range(left, right + 1):
-            centre_x = (column + 0.5) * camera.plot_width
             for row in range(low, high + 1):
                 if level[column, row] == 0.0 and not (due_now and due[column, row] == step):
                     continue
-                centre_y = (row + 0.5) * camera.plot_depth
-                dx, dy = centre_x - x, centre_y - y
-                square = dx * dx + dy * dy
-                if square > camera.centre_square:
-                    continue
-                if not is_nearest(position, apart_square, first, last, u, centre_x, centre_y, square):
-                    continue
-                if plot_quality(camera, x, y, column, row) >= camera.threshold:
+                if _succeeds(fleet, camera, position, apart_square, u, column, row):
                     utility[u] += level[column, row]
                     taken[successes] = column * camera.plots_y + row
                     successes += 1
@@ -88,8 +79,24 @@ def photograph(
         level[column, row] = 0.0
 
 
+@merged
+def _succeeds(
+    fleet: FleetConstants, camera: CameraConstants, position: Array, apart_square: Array, u: int, column: int, row: int
+) -> bool:
+    """Return whether a UAV is the one to photograph a plot, and its image is good enough."""
+    x, y = position[u, 0], position[u, 1]
+    centre_x, centre_y = (column + 0.5) * camera.plot_width, (row + 0.5) * camera.plot_depth
+    dx, dy = centre_x - x, centre_y - y
+    square = dx * dx + dy * dy
+    return (
+        square <= camera.centre_square
+        and is_nearest(position, apart_square, fleet.relays, fleet.collectors, u, centre_x, centre_y, square)
+        and plot_quality(camera, x, y, column, row) >= camera.threshold
+    )
+
+
 @sealed
-def _rise(camera: CameraConstants, step: int, level: Array, due: Indices) -> int:
+def _rise(camera: CameraConstants, step: int, level: Array, due: Int32) -> int:
     """Let VDF rise where a cycle ends; return the step at which any rises next."""
     soonest = step + camera.cycle
     for column in range(camera.plots_x):

@@ -12,6 +12,8 @@ from rollout.kernel.link import RadioConstants, loss_at_one_metre, noise, radio_
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Int32 = NDArray[np.int32]
+"""What every environment holds many of, in half the memory."""
 
 LEAST_LINK: Final = 1.0
 """Least distance that enters the free-space loss between two UAVs, m (ours): there is no loss at distance 0."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rollout.kernel.compiled import sealed
 from rollout.kernel.constants import Array, FleetConstants, FlightConstants, Indices
-from rollout.kernel.planes import height_of, kind_of, plane_of
+from rollout.kernel.planes import height_of, kind_of
 
 Float32 = NDArray[np.float32]
 
@@ -75,6 +75,8 @@ def separation(fleet: FleetConstants, position: Array, a: int, b: int) -> float:
 def find_nearest(
     fleet: FleetConstants,
     position: Array,
+    x: Array,
+    y: Array,
     peer: Indices,
     apart_square: Array,
     neighbour: Indices,
@@ -86,6 +88,8 @@ def find_nearest(
     Args:
         fleet: the UAVs.
         position: [n, 2] m.
+        x: [n] out: the same along each axis, m.
+        y: [n] out: m.
         peer: [n] out: index of the closest of the same plane, -1 if there is none; the lowest of several.
         apart_square: [n] out: square of its distance, m^2.
         neighbour: [n] out: index of the closest, in the plane or anywhere.
@@ -93,17 +97,29 @@ def find_nearest(
         crowded: [n] out: 1 where a UAV of the same plane is closer than the collision distance.
     """
     for u in range(len(position)):
-        first, last = plane_of(fleet, u)
-        x, y, closest, least = position[u, 0], position[u, 1], -1, math.inf
-        for other in range(first, last):
-            dx, dy = x - position[other, 0], y - position[other, 1]
-            square = dx * dx + dy * dy if other != u else math.inf
-            closest, least = (other, square) if square < least else (closest, least)
-        peer[u], apart_square[u] = closest, least
-        neighbour[u], distance[u] = closest, math.sqrt(least)
+        x[u], y[u], peer[u], apart_square[u] = position[u, 0], position[u, 1], -1, math.inf
+    borders = 0, fleet.relays, fleet.collectors, fleet.uavs
+    for kind in range(3):
+        first, last = borders[kind], borders[kind + 1]
+        _find_peers(first, x[first:last], y[first:last], peer[first:last], apart_square[first:last])
+    for u in range(len(position)):
+        neighbour[u], distance[u] = peer[u], math.sqrt(apart_square[u])
         crowded[u] = 1.0 if distance[u] < fleet.collision else 0.0
         if fleet.any_plane:
             neighbour[u], distance[u] = _nearest_anywhere(fleet, position, u)
+
+
+@sealed
+def _find_peers(first: int, x: Array, y: Array, peer: Indices, apart_square: Array) -> None:
+    """Let the UAVs of one plane, of which the first is given, learn of each other; several at once."""
+    for u in range(len(x)):
+        own_x, own_y = x[u], y[u]
+        for other in range(len(x)):
+            dx, dy = own_x - x[other], own_y - y[other]
+            square = dx * dx + dy * dy
+            less = (square < apart_square[other]) & (other != u)
+            apart_square[other] = square if less else apart_square[other]
+            peer[other] = first + u if less else peer[other]
 
 
 @sealed

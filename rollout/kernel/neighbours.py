@@ -4,7 +4,7 @@ import math
 from typing import Final
 
 from rollout.kernel.compiled import sealed
-from rollout.kernel.constants import Array, FleetConstants, Indices, ObservationConstants
+from rollout.kernel.constants import Array, FleetConstants, Indices, Int32, ObservationConstants
 
 ALL: Final = 0
 """Any sensor counts."""
@@ -61,7 +61,7 @@ def gather(
     below: float,
     limit: float,
     sensor: Array,
-    cell_start: Indices,
+    cell_start: Int32,
     age: Array,
     around: Indices,
     square: Array,
@@ -120,7 +120,7 @@ def nearest_sensors(
     y: float,
     sort: int,
     sensor: Array,
-    cell_start: Indices,
+    cell_start: Int32,
     age: Array,
     total: int,
     around: Indices,

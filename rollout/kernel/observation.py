@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rollout.kernel.compiled import sealed
-from rollout.kernel.constants import Array, CameraConstants, FleetConstants, Indices, ObservationConstants
+from rollout.kernel.constants import Array, CameraConstants, FleetConstants, Indices, Int32, ObservationConstants
 from rollout.kernel.neighbours import ALL, EMPTY, HOLDING, nearest_sensors
 from rollout.kernel.planes import height_of
 
@@ -139,7 +139,7 @@ def see_sensors(
     neighbour: Indices,
     direction: Array,
     sensor: Array,
-    cell_start: Indices,
+    cell_start: Int32,
     age: Array,
     waiting: Indices,
     around: Indices,

@@ -17,12 +17,3 @@ def height_of(fleet: FleetConstants, u: int) -> float:
     """Return the flight height of a UAV: H_c, H_m or H_d, m."""
     height: float = fleet.height[u]
     return height
-
-
-@sealed
-def plane_of(fleet: FleetConstants, u: int) -> tuple[int, int]:
-    """Return the first UAV of the same plane and one past the last."""
-    kind = kind_of(fleet, u)
-    first = 0 if kind == 0 else (fleet.relays if kind == 1 else fleet.collectors)
-    last = fleet.relays if kind == 0 else (fleet.collectors if kind == 1 else fleet.uavs)
-    return first, last

@@ -8,7 +8,7 @@ import math
 from typing import Final
 
 from rollout.kernel.compiled import sealed
-from rollout.kernel.constants import Array, CameraConstants, FleetConstants, Indices, ObservationConstants
+from rollout.kernel.constants import Array, CameraConstants, FleetConstants, Int32, ObservationConstants
 from rollout.kernel.neighbours import cell_of
 
 DIAGONAL: Final = math.sqrt(0.5)
@@ -35,9 +35,9 @@ def point_to_age(
     seen: ObservationConstants,
     position: Array,
     sensor: Array,
-    cell_start: Indices,
-    by_row: Indices,
-    row_start: Indices,
+    cell_start: Int32,
+    by_row: Int32,
+    row_start: Int32,
     age: Array,
     below: Array,
     above: Array,
@@ -103,9 +103,9 @@ def _divide(
     i: int,
     k: int,
     sensor: Array,
-    cell_start: Indices,
-    by_row: Indices,
-    row_start: Indices,
+    cell_start: Int32,
+    by_row: Int32,
+    row_start: Int32,
     age: Array,
     sums: tuple[float, float, float, float],
 ) -> tuple[float, float, float, float]:

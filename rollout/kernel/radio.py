@@ -11,6 +11,7 @@ from rollout.kernel.constants import (
     Array,
     FleetConstants,
     Indices,
+    Int32,
     ObservationConstants,
 )
 from rollout.kernel.link import CHANCES, NEGLIGIBLE, RadioConstants
@@ -124,6 +125,16 @@ def _share_delivered(
 
 
 @sealed
+def _belongs(
+    fleet: FleetConstants, position: Array, apart_square: Array, u: int, sensor: Array, j: int, square: float
+) -> bool:
+    """Return whether a data collection UAV is the one that a sensor sends to."""
+    x, y = sensor[0, j], sensor[1, j]
+    nearest: bool = is_nearest(position, apart_square, fleet.collectors, fleet.uavs, u, x, y, square)
+    return nearest
+
+
+@sealed
 def send(
     fleet: FleetConstants,
     seen: ObservationConstants,
@@ -134,11 +145,11 @@ def send(
     key: np.uint64,
     step: int,
     sensor: Array,
-    cell_start: Indices,
+    cell_start: Int32,
     interference: Array,
     rising: Indices,
     age: Array,
-    due: Indices,
+    due: Int32,
     utility: Array,
     served: Array,
     around: Indices,
@@ -181,12 +192,9 @@ def send(
         if linked[u - fleet.relays] == 1.0:
             found = gather(seen, block, x, y, least, math.inf, limit, sensor, cell_start, age, around, square)
         for entry in range(found):
-            j, apart = around[entry], square[entry]
-            if age[j] == 0.0 and due[j] != step:
-                continue
-            if not is_nearest(position, apart_square, first, fleet.uavs, u, sensor[0, j], sensor[1, j], apart):
-                continue
-            part = _share_delivered(radio, apart, height, interference[k], key, step, j)
+            j, apart, part = around[entry], square[entry], 0.0
+            if (age[j] > 0.0 or due[j] == step) and _belongs(fleet, position, apart_square, u, sensor, j, apart):
+                part = _share_delivered(radio, apart, height, interference[k], key, step, j)
             if part > 0.0:
                 credit += age[j] * part
                 number += part if age[j] > 0.0 else 0.0
@@ -206,11 +214,11 @@ def update_age(
     sent: Indices,
     share: Array,
     sensor: Array,
-    cell_start: Indices,
+    cell_start: Int32,
     rising: Indices,
     age: Array,
-    due: Indices,
-    cycle: Indices,
+    due: Int32,
+    cycle: Int32,
     below: Array,
     above: Array,
     waiting: Indices,

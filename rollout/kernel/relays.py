@@ -3,9 +3,11 @@
 import math
 
 from rollout.kernel.arrays import Assigning
-from rollout.kernel.assignment import assign, settle
+from rollout.kernel.assignment import assign
 from rollout.kernel.compiled import sealed
 from rollout.kernel.constants import LEAST_LINK, Array, FleetConstants, Indices, RelayConstants
+from rollout.kernel.exchanges import settle
+from rollout.kernel.logarithm import logarithm
 from rollout.kernel.motion import separation
 from rollout.kernel.planes import height_of
 
@@ -15,6 +17,8 @@ def assign_relays(
     fleet: FleetConstants,
     relay: RelayConstants,
     position: Array,
+    x: Array,
+    y: Array,
     fresh: bool,
     work: Assigning,
     assignment: Indices,
@@ -30,30 +34,56 @@ def assign_relays(
         fleet: the UAVs.
         relay: weights and capacity.
         position: [n, 2] m.
+        x: [n] the same along each axis, m.
+        y: [n] m.
         fresh: whether there is no step before.
         work: scratch.
         assignment: [n_m + n_d] relay of each served UAV; updated.
         linked: [n_m + n_d] out: 1 where the relay is within link range (W4).
         quality: [n_m + n_d] out: signal-to-noise ratio of the link to the relay, dB.
     """
+    _weigh_pairs(fleet, relay, x, y, work.pair)
+    if fresh or not settle(work.pair, assignment, relay.capacity, work.exchanges):
+        _assign_anew(fleet, relay, position, work, assignment)
+    for served in range(len(assignment)):
+        distance = separation(fleet, position, assignment[served], fleet.relays + served)
+        linked[served] = 1.0 if distance <= relay.link_range else 0.0
+        quality[served] = relay.budget - _loss(relay, distance)
+
+
+@sealed
+def _loss(relay: RelayConstants, distance: float) -> float:
+    """Return the free-space loss between two UAVs, dB (W12)."""
+    return relay.loss_scale * math.log(max(distance * distance, LEAST_LINK)) + relay.loss_offset
+
+
+@sealed
+def _weigh_pairs(fleet: FleetConstants, relay: RelayConstants, x: Array, y: Array, pair: Array) -> None:
+    """Write the cost of each pair, up to a constant and to 1e-12, several pairs at once."""
+    link = relay.cost_link * relay.loss_scale
+    for served in range(len(pair)):
+        u, costs = fleet.relays + served, pair[served]
+        own_x, own_y, dz = x[u], y[u], height_of(fleet, u) - height_of(fleet, 0)
+        for i in range(fleet.relays):
+            dx, dy = x[i] - own_x, y[i] - own_y
+            square = dx * dx + dy * dy + dz * dz
+            costs[i] = relay.cost_distance * math.sqrt(square) + link * logarithm(max(square, LEAST_LINK))
+
+
+@sealed
+def _assign_anew(
+    fleet: FleetConstants, relay: RelayConstants, position: Array, work: Assigning, assignment: Indices
+) -> None:
+    """Assign from scratch, so that ties fall as in the reference."""
     for served in range(len(assignment)):
         for i in range(fleet.relays):
             distance = separation(fleet, position, i, fleet.relays + served)
-            loss = relay.loss_scale * math.log(max(distance * distance, LEAST_LINK)) + relay.loss_offset
-            work.distance[served, i], work.loss[served, i] = distance, loss
-            work.pair[served, i] = relay.cost_distance * distance + relay.cost_link * loss
-    if fresh or not settle(work.pair, assignment, relay.capacity, work.load, work.exchange, work.mover):
-        for served in range(len(assignment)):
-            for i in range(fleet.relays):
-                for place in range(relay.capacity):
-                    work.cost[served, i * relay.capacity + place] = work.pair[served, i]
-        assign(work.cost, work.numbers, work.indices, assignment)
-        for served in range(len(assignment)):
-            assignment[served] //= relay.capacity
+            cost = relay.cost_distance * distance + relay.cost_link * _loss(relay, distance)
+            for place in range(relay.capacity):
+                work.cost[served, i * relay.capacity + place] = cost
+    assign(work.cost, work.numbers, work.indices, assignment)
     for served in range(len(assignment)):
-        i = assignment[served]
-        linked[served] = 1.0 if work.distance[served, i] <= relay.link_range else 0.0
-        quality[served] = relay.budget - work.loss[served, i]
+        assignment[served] //= relay.capacity
 
 
 @sealed
@@ -65,6 +95,8 @@ def serve(
     service: Array,
     centroid: Array,
     farthest: Indices,
+    number: Array,
+    far: Array,
 ) -> None:
     """Compute D_c = epsilon_1 D_cg + epsilon_2 D_cf + epsilon_3 D_cc of every relay, in three dimensions.
 
@@ -76,26 +108,32 @@ def serve(
         service: [n_c] out: D_c, m; D_cg = D_cf = 0 for a relay that serves nobody.
         centroid: [n_c + 1, 3] out: centroid of those served by each relay, and in the last row that of all relays.
         farthest: [n_c] out: index of the farthest UAV served, -1 if none.
+        number: [n_c] scratch: how many are served.
+        far: [n_c] scratch: how far the farthest is, m.
     """
     count = fleet.relays
-    centroid[count, :] = 0.0
+    centroid[:, :] = 0.0
     for i in range(count):
-        x, y, z, number, far = 0.0, 0.0, 0.0, 0, -1.0
-        farthest[i] = -1
-        for served in range(len(assignment)):
-            if assignment[served] == i:
-                u = count + served
-                x, y, z, number = x + position[u, 0], y + position[u, 1], z + height_of(fleet, u), number + 1
-                distance = separation(fleet, position, i, u)
-                if distance > far:
-                    far, farthest[i] = distance, u
-        share = 1.0 / max(number, 1)
-        centroid[i, 0], centroid[i, 1], centroid[i, 2] = x * share, y * share, z * share
-        service[i] = relay.weight_farthest * max(far, 0.0)
+        farthest[i], number[i], far[i] = -1, 0.0, -1.0
+    for served in range(len(assignment)):
+        i, u = assignment[served], count + served
+        centroid[i, 0], centroid[i, 1] = centroid[i, 0] + position[u, 0], centroid[i, 1] + position[u, 1]
+        centroid[i, 2], number[i] = centroid[i, 2] + height_of(fleet, u), number[i] + 1.0
+        distance = separation(fleet, position, i, u)
+        if distance > far[i]:
+            far[i], farthest[i] = distance, u
+    for i in range(count):
+        share = 1.0 / max(number[i], 1.0)
+        centroid[i, 0], centroid[i, 1], centroid[i, 2] = (
+            centroid[i, 0] * share,
+            centroid[i, 1] * share,
+            centroid[i, 2] * share,
+        )
         centroid[count, 0] += position[i, 0] / count
         centroid[count, 1] += position[i, 1] / count
         centroid[count, 2] += height_of(fleet, i) / count
     for i in range(count):
+        service[i] = relay.weight_farthest * max(far[i], 0.0)
         if farthest[i] >= 0:
             service[i] += relay.weight_centroid * _to_point(fleet, position, i, centroid[i])
         service[i] += relay.weight_relays * _to_point(fleet, position, i, centroid[count])

@@ -18,6 +18,7 @@ from rollout.kernel.constants import Constants
 from rollout.kernel.frozen import thaw
 from rollout.kernel.motion import find_nearest, fly
 from rollout.kernel.observation import see_plots, see_relays, see_sensors
+from rollout.kernel.prefetch import ask_for
 from rollout.kernel.quadrants import point_to_age, point_to_level
 from rollout.kernel.radio import interfere, send, update_age
 from rollout.kernel.relays import assign_relays, serve
@@ -79,11 +80,13 @@ def _farm(state: State, e: int) -> Farm:
 @merged
 def _survey(c: Constants, farm: Farm, s: Scratch, fresh: bool) -> None:
     """Take stock at the present positions: nearest UAVs and relays."""
-    find_nearest(c.fleet, farm.position, s.peer, s.apart_square, s.neighbour, s.distance, s.crowded)
-    assign_relays(c.fleet, c.relay, farm.position, fresh, s.assigning, farm.assignment, s.linked, farm.quality)
+    find_nearest(c.fleet, farm.position, s.x, s.y, s.peer, s.apart_square, s.neighbour, s.distance, s.crowded)
+    assign_relays(
+        c.fleet, c.relay, farm.position, s.x, s.y, fresh, s.assigning, farm.assignment, s.linked, farm.quality
+    )
     for i in range(c.fleet.relays):
         s.earlier[i] = farm.service[i]
-    serve(c.fleet, c.relay, farm.position, farm.assignment, farm.service, s.centroid, s.farthest)
+    serve(c.fleet, c.relay, farm.position, farm.assignment, farm.service, s.centroid, s.farthest, s.number, s.far)
 
 
 @merged
@@ -273,6 +276,8 @@ def _compile_run(digest: int) -> Callable[..., int]:
             if objection != NOTHING or task == CHECK:
                 return objection
         for e in range(first, last):
+            if e + 1 < last:
+                ask_for(state, e + 1)
             if task == BEGIN:
                 _begin(c, _farm(state, e), scratch)
             else:

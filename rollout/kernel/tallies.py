@@ -6,7 +6,7 @@ numbers unless delivery is expected, so that adding to a tally leaves the very s
 """
 
 from rollout.kernel.compiled import sealed
-from rollout.kernel.constants import Array, FleetConstants, Indices, ObservationConstants
+from rollout.kernel.constants import Array, FleetConstants, Indices, Int32, ObservationConstants
 from rollout.kernel.neighbours import WAITING, cell_of
 
 
@@ -44,7 +44,7 @@ def tally_plots(level: Array, below: Array, above: Array) -> None:
 
 @sealed
 def tally_sensors(
-    seen: ObservationConstants, cell_start: Indices, age: Array, below: Array, above: Array, waiting: Indices
+    seen: ObservationConstants, cell_start: Int32, age: Array, below: Array, above: Array, waiting: Indices
 ) -> None:
     """Count AoI [S] afresh, and how many sensors hold data, in `waiting` [1]."""
     waiting[0] = 0

@@ -60,8 +60,8 @@ MUTATIONS = (
     one(
         "a plot in reach is also paid to UAVs that are not the nearest",
         "kernel/camera.py",
-        "centre_y, square):\n",
-        "centre_y, square):\n                    utility[u] += level[column, row]\n",
+        "                if _succeeds(",
+        "                utility[u] += level[column, row]\n                if _succeeds(",
     ),
     one(
         "VDF is due one step later each time",
@@ -107,13 +107,13 @@ MUTATIONS = (
     one(
         "images and packets count without a relay in range",
         "kernel/relays.py",
-        "1.0 if work.distance[served, i] <= relay.link_range else 0.0",
+        "1.0 if distance <= relay.link_range else 0.0",
         "1.0",
     ),
     one(
         "the relays' centroid keeps what the last environment left",
         "kernel/relays.py",
-        "    centroid[count, :] = 0.0\n",
+        "    centroid[:, :] = 0.0\n",
         "",
     ),
     one(

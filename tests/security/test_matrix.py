@@ -76,7 +76,7 @@ def test_the_incoming_half_holds_alone(keys_folder):
 
 
 def test_the_table_says_what_was_asked_for():
-    """A worker writes only its own transitions and metrics, the learner parameters, monitors nothing."""
+    """A worker writes only what is its own, the learner parameters, monitors nothing."""
     sends = {"put", "ask", "answer", "appear"}
     held = {role: {(g.right, g.family, tuple(g.variables.items())) for g in access.grants_of(role)} for role in ROLES}
     writers = {role for role in ROLES if any((r, f) == ("put", keys.PARAMETERS) for r, f, _ in held[role])}
@@ -90,12 +90,14 @@ def test_the_table_says_what_was_asked_for():
         f"{root}/transition/a",
         f"{root}/ctl/learner/configuration",
         f"{root}/eval/a",
+        f"{root}/watch/a",
+        f"{root}/view/a",
         f"{root}/metric/rollout/a",
         f"{root}/live/rollout/a",
     }
 
 
-ROLES = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "vehicle")
+ROLES = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "watcher", "vehicle")
 
 
 def test_a_vehicle_writes_its_own_observations_alone_and_nobody_but_the_flight_node_set_points():
