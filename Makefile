@@ -12,9 +12,9 @@
 
 PYTHON ?= python3
 PIP_ARGS ?=
-JOBS ?= 2
+JOBS ?= 3
 ARGS ?=
-JOBS ?= 2
+JOBS ?= 3
 
 VENV := .venv
 READY := $(VENV)/.ready

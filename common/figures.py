@@ -102,6 +102,9 @@ FIGURES: Final[dict[str, tuple[Figure, ...]]] = {
         Figure("malformed", "messages", "that were dropped"),
         Figure("paused", "", "why it does not fly, or empty"),
         Figure("paused_seconds", "s", "not flown for that reason"),
+        Figure("watchers", "", "who watch its farm now"),
+        Figure("shown", _STEPS, "that were published to them"),
+        Figure("skipped", _STEPS, "flown while somebody watched, and not shown"),
         _ALARMS,
     ),
     "elite": (
