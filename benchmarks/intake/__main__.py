@@ -174,8 +174,9 @@ def page(data: dict[str, Any]) -> str:
         [
             "# What a learner takes in",
             "",
-            f"`{data['command']}`, commit {data['commit']}: environment steps a second into replay and, in brackets,",
-            f"MB a second; {data['cores']} cores for player and sink together, {WORKERS} workers with one chunk",
+            f"`{data['command']}`, commit {data['commit']}:",
+            "environment steps a second into replay and, in brackets, MB a second;",
+            f"{data['cores']} cores for player and sink together, {WORKERS} workers with one chunk",
             "under way each.",
             "",
             *table(head, rows, 1),

@@ -59,16 +59,6 @@ def chosen(subject: str, only: Sequence[str] | None) -> tuple[Program, ...]:
     return tuple(program for program in programs if not only or program.name in only)
 
 
-def command(arguments: Sequence[str]) -> str:
-    """Return the command line that made a result, without what only concerns one machine: its paths and indexes."""
-    told, local = ["python -m benchmarks.peers"], ("--venvs", "--pip-args")
-    for place, argument in enumerate(arguments):
-        value_of = arguments[place - 1] if place else ""
-        if argument.partition("=")[0] not in local and value_of not in local:
-            told.append(argument)
-    return " ".join(told)
-
-
 def processor() -> str:
     """Return the processor's name, as far as the system tells it."""
     info = Path("/proc/cpuinfo")
@@ -99,7 +89,7 @@ def measure(programs: tuple[Program, ...], plan: Plan, venvs: Path) -> dict[str,
             own = job.program.environment == OURS
             versions |= {} if own else {name: n for name, n in theirs.items() if name not in versions}
     machine["load_after"] = os.getloadavg()[0]
-    origin = {**provenance("benchmarks.peers"), "command": command(sys.argv[1:])}
+    origin = provenance("benchmarks.peers")
     session = {"machine": machine, "plan": asdict(plan), "versions": versions, "failures": failures}
     return {**origin, **session, **summarised(lines)}
 

@@ -14,6 +14,7 @@ from benchmarks.peers.summary import merged, summarised
 from common.config import FarmConfig
 from common.errors import EiaSecError
 from common.team import farm_team
+from experiments.provenance import command
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_peers.json").read_text(encoding="utf-8"))
 PAGE = ROOT / "docs" / "results" / "peers"
@@ -301,7 +302,7 @@ def test_the_told_command_names_no_machine():
         "",
         "--json",
     ]
-    assert driver.command(asked) == "python -m benchmarks.peers both --only mpe2 --json"
+    assert command("benchmarks.peers", asked) == "python -m benchmarks.peers both --only mpe2 --json"
 
 
 class Ticking:
