@@ -72,6 +72,13 @@ class FaultRun(Processes):
         text = path.read_text(encoding="utf-8")
         return sum(1 for line in text.splitlines() if f'["accepted","{worker}' in line)
 
+    def newest_start(self, worker: str) -> int:
+        """Return the incarnation of a worker's newest chunk that the learner has taken, 0 before the first."""
+        path = self.directory / "run" / "history" / "learner.jsonl"
+        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+        mine = [line for line in lines if line.startswith(f'["accepted","{worker}"') and line.endswith("]")]
+        return max((int(json.loads(line)[2]) for line in mine), default=0)
+
     def until_more(self, worker: str = "", seconds: float = 90.0) -> float:
         """Wait until the learner has taken another chunk (of one worker); return the seconds."""
         before, started = self.taken(worker), time.monotonic()
