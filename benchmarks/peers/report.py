@@ -11,12 +11,6 @@ from benchmarks.peers.summary import OURS, cores
 
 Line = dict[str, Any]
 MARKS: Final = ("<!-- peers:begin -->", "<!-- peers:end -->")
-COUNTERPARTS: Final = {
-    "MADDPG": ("MADDPG", "no ensemble, joint critics"),
-    "MATD3": ("MATD3",),
-    "MASAC": ("MASAC",),
-}
-"""For each algorithm of a peer, ours that does the same work, the first that was measured."""
 COLOURS: Final = ("#000000", "#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00")
 """One for each program."""
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
@@ -67,11 +61,11 @@ def simulator_tables(data: dict[str, Any]) -> list[str]:
 def counterpart(line: Line, lines: Sequence[Line]) -> Line | None:
     """Return our line that does the same work as a peer's, or None."""
     same = {
-        other["algorithm"]: other
+        other["algorithm"].lower(): other
         for other in lines
         if other["software"] == OURS and (other["width"], other["threads"]) == (line["width"], line["threads"])
     }
-    return next((same[name] for name in COUNTERPARTS.get(line["algorithm"], ()) if name in same), None)
+    return same.get(line["algorithm"].lower())
 
 
 def learner_tables(data: dict[str, Any]) -> list[str]:

@@ -9,7 +9,7 @@ OURS = "EIA-SEC"
 REFERENCE = "NumPy reference"
 MEASURES = {"simulator": "env_steps_per_second", "learner": "ms"}
 """The figure of a line of each subject: the first is better when large, the second when small."""
-FIGURES = ("env_steps_per_second", "ms", "median_ms", "limit_ms")
+FIGURES = ("env_steps_per_second", "ms", "median_ms", "limit_ms", "gflops")
 """What differs between repeats of one case."""
 
 
