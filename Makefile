@@ -12,9 +12,9 @@
 
 PYTHON ?= python3
 PIP_ARGS ?=
-JOBS ?= 3
+JOBS ?= 2
 ARGS ?=
-JOBS ?= 3
+JOBS ?= 2
 
 VENV := .venv
 READY := $(VENV)/.ready

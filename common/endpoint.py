@@ -6,6 +6,7 @@ delays even urgent messages on the same link, so the lanes never share one.
 
 import ipaddress
 import re
+import secrets
 import socket
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,9 @@ from common.errors import EndpointError
 
 Lane = Literal["control", "bulk"]
 DEFAULT: Final = "tcp/127.0.0.1:7447"
+
+OWN_PORTS: Final = range(20_000, 32_000)
+"""Where free endpoints are looked for."""
 
 _FORM: Final = re.compile(r"(tcp|tls)/(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.\-]+):(\d{1,5})")
 
@@ -88,16 +92,17 @@ class Endpoint:
 
 
 def free_endpoint() -> Endpoint:
-    """Return a loopback endpoint whose two ports are free at this moment."""
-    for _ in range(64):
-        with socket.socket() as first:
-            first.bind(("127.0.0.1", 0))
-            port = int(first.getsockname()[1])
-            try:
-                with socket.socket() as second:
-                    second.bind(("127.0.0.1", port + 1))
-            except (OSError, OverflowError):
-                continue
-            if port < 65_534:
-                return Endpoint("tcp", "127.0.0.1", port)
+    """Return a loopback endpoint whose two ports are free at this moment.
+
+    They lie below those that systems hand out for connections, so that none takes them before a process listens there.
+    """
+    for _ in range(256):
+        port = OWN_PORTS.start + 2 * secrets.randbelow(len(OWN_PORTS) // 2)
+        try:
+            for one in (port, port + 1):
+                with socket.socket() as probe:
+                    probe.bind(("127.0.0.1", one))
+        except OSError:
+            continue
+        return Endpoint("tcp", "127.0.0.1", port)
     raise EndpointError("no two neighbouring loopback ports are free.")

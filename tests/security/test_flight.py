@@ -43,10 +43,13 @@ def test_a_vehicle_flies_alone_under_its_own_name(keys_folder):
             found += mine.setpoints()
             time.sleep(0.05)
         assert any(not message.hover for message in found)
-        while not found[-1].hover and time.monotonic() < deadline:  # until none of its own is under way
+        idle = 0
+        while idle < 10 and time.monotonic() < deadline:  # until none of its own is under way
+            decided = pilot.decisions
             node.turn()
             time.sleep(0.2)
             found += mine.setpoints()
+            idle = idle + 1 if found[-1].hover and pilot.decisions == decided else 0
         assert found[-1].hover
         before = pilot.decisions
         for number in range(20):

@@ -33,6 +33,7 @@ def folders(tmp_path: Path) -> Iterator[list[Path]]:
     OnHosts.close(None, found)  # type: ignore[arg-type]  # it needs no fleet
 
 
+@pytest.mark.nightly
 def test_a_fleet_is_started_changed_and_ended(tmp_path: Path, folders: list[Path]) -> None:
     """What is missing is started, what runs is left alone, the dead are replaced, and nothing is unexplained."""
     fleet, file = OnHosts(tmp_path, TWO), str(tmp_path / "fleet.toml")
@@ -66,6 +67,7 @@ def test_a_fleet_is_started_changed_and_ended(tmp_path: Path, folders: list[Path
     assert found.produced > 0
 
 
+@pytest.mark.nightly
 def test_a_killed_keeper_leaves_nothing_behind(tmp_path: Path, folders: list[Path]) -> None:
     """The processes of a killed keeper end, and the next `up` goes on from the learner's checkpoint."""
     fleet, file = OnHosts(tmp_path, TWO), str(tmp_path / "fleet.toml")

@@ -28,6 +28,7 @@ def check(figures: dict[str, Any]) -> None:
     assert min(figures["accepted_by_worker"].values()) > 0
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(600)
 def test_six_hosts_train_while_one_joins_and_one_is_cut_off(tmp_path):
     """A host that joins delivers, one that is cut off for a moment comes back, and every chunk is explained."""
