@@ -16,6 +16,8 @@ WAITING: Final = 4
 REPORT_SECONDS: Final = 1.0
 LAST_HOVERS: Final = 3
 """How often hover is commanded at the end: set-points are lossy."""
+LAST_PAUSE: Final = 0.1
+"""Longest pause after each of them, s; a period where that is shorter."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +78,7 @@ class FlightNode:
         finally:
             for _ in range(LAST_HOVERS):
                 self._send(self._pilot.hover("the flight node ends"))
+                time.sleep(min(period, LAST_PAUSE))  # what is put right before a session closes may never leave
             self._report()
 
     def turn(self) -> None:

@@ -71,7 +71,7 @@ def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:
         lines = len(history.read_text().splitlines())
         until(lambda: len(history.read_text().splitlines()) > lines + 5, "chunks for the second learner")
         old.send_signal(signal.SIGCONT)
-        code = fleet.wait("learner-run", 30.0)
+        code = fleet.wait("learner-run", 90.0)
         time.sleep(seconds)
         fleet.running.pop("learner-run")
         second = fleet.running["learner-second"]
