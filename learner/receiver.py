@@ -104,7 +104,11 @@ class Receiver:
         return self._thread.is_alive()
 
     def join(self) -> None:
-        """Wait for the thread to end; the bus must be closed."""
+        """Take no more chunks and wait for the thread to end; the bus must be closed.
+
+        Whoever joins has stopped emptying the queue, so a thread that waits for room there would wait for ever.
+        """
+        self.close()
         self._thread.join()
 
     def _run(self) -> None:

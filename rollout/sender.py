@@ -37,7 +37,7 @@ class Sender:
     """Sends chunks in sequence from a thread of its own.
 
     Attributes:
-        flown: environment steps that the worker says it has flown, those not yet offered included.
+        flown: environment steps that the worker says it has flown, the chunk included that is offered next.
         produced: environment steps offered so far.
         accepted: environment steps that the learner has acknowledged.
         rejected: environment steps in chunks that the learner refused.
@@ -76,21 +76,22 @@ class Sender:
         self._thread = threading.Thread(target=self._run, name="sender", daemon=True)
         self._thread.start()
 
-    def note_made(self, steps: int) -> None:
-        """Write into the history that the next chunk to be offered has been made, and has so many steps."""
-        number, made = self._sequence + 1, self.produced + steps
-        self._history.add(Entry("made", self._worker, self._incarnation, number, number, steps, made, self.flown))
+    @property
+    def full(self) -> bool:
+        """Return whether as many chunks are held as may be; nothing more may be made until one is answered."""
+        return len(self._held) >= self._capacity
 
-    def offer(self, chunk: Chunk, version: int) -> bool:
-        """Hand a chunk over; return False, and leave it with the caller, when the spool is full."""
+    def offer(self, chunk: Chunk, version: int) -> None:
+        """Take over a chunk that has just been made, when the spool is not full, and write it into the history."""
+        steps = chunk.rows.steps
         with self._changed:
-            if len(self._held) >= self._capacity:
-                return False
             self._sequence += 1
-            self.produced += chunk.rows.steps
-            self._held.append(_Held(self._sequence, version, self.produced, chunk))
+            self.produced += steps
+            number = self._sequence
+            made = Entry("made", self._worker, self._incarnation, number, number, steps, self.produced, self.flown)
+            self._history.add(made)
+            self._held.append(_Held(number, version, self.produced, chunk))
             self._changed.notify_all()
-            return True
 
     @property
     def spooled(self) -> int:

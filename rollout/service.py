@@ -23,7 +23,6 @@ from common.messages import (
 )
 from common.policy_store import PolicyStore
 from common.process import Presence, StopSignal, connect, denial, fetch_configuration, incarnation, log
-from common.transitions import Chunk
 from rollout.collector import Collector, fly_noise_free
 from rollout.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, Sender
 from rollout.showing import Showing
@@ -94,7 +93,6 @@ class Worker:
         self._showing = Showing(control, options.run, options.name, start, self._collector, told.toml)
         self._presence = Presence(control, options.run, "rollout", options.name, start)
         self._postponed: list[Incoming] = []
-        self._pending: tuple[Chunk, int] | None = None
         self._state = "starting"
         self._epoch = self._newest = self._malformed = 0
         self._heard = time.monotonic()
@@ -109,37 +107,22 @@ class Worker:
             self._evaluate()
             self._showing.tend(self._store.version, *self._exploration())
             bank = self._store.bank
-            if self._pending is not None:
-                if self._sender.offer(*self._pending):
-                    self._pending = None
-                else:
-                    self._idle()
-            elif bank is not None and self._state in ("starting", "training") and self._may_fly():
+            if bank is not None and self._state in ("starting", "training") and self._may_fly():
                 self._fly(bank)
             else:
                 self._idle()
             if time.monotonic() - self._clock.reported >= REPORT_SECONDS:
                 self._report()
-        self._offer_last()
         if not self._sender.wait_empty(DRAIN_SECONDS):
             log(f"worker {self._options.name}: {self._sender.in_flight} steps were not delivered.")
         self._report()
         self._sender.close()
         self._history.close()
 
-    def _offer_last(self) -> None:
-        """Put the chunk in hand into the spool as soon as there is room."""
-        deadline = time.monotonic() + DRAIN_SECONDS
-        while self._pending is not None and not self._sender.door_closed and time.monotonic() < deadline:
-            if self._sender.offer(*self._pending):
-                self._pending = None
-            else:
-                self._idle()
-
     def _may_fly(self) -> bool:
         if not self._lockstep:
             self._paused = self._too_old()
-            return not self._paused
+            return not self._paused and not self._sender.full
         return self._sender.spooled == 0 and self._store.version >= max(1, self._sender.required_version)
 
     def _too_old(self) -> str:
@@ -155,9 +138,8 @@ class Worker:
     def _fly(self, bank: ActorBank) -> None:
         started = time.monotonic()
         chunk = self._collector.collect(bank, *self._exploration())
-        self._pending = (chunk, self._store.version)
         self._sender.flown = self._collector.environment_steps
-        self._sender.note_made(chunk.rows.steps)
+        self._sender.offer(chunk, self._store.version)
         self._clock.simulating += time.monotonic() - started
 
     def _exploration(self) -> tuple[float, bool]:

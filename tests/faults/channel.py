@@ -23,6 +23,7 @@ from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
 from learner.intake import Intake
 from learner.receiver import Receiver
+from tests.system.fleet import until
 
 TEAM = TeamSpec((GroupSpec("one", 2, 3, 2),))
 RUN = "road"
@@ -55,6 +56,11 @@ class Door:
     def __iter__(self) -> Iterator[Parcel]:
         while (parcel := self._waiting.get()) is not None:
             yield parcel
+
+    def push(self, parcel: Parcel) -> None:
+        """Deliver a parcel; return when the receiver has taken it in hand."""
+        self._waiting.put(parcel)
+        until(self._waiting.empty, "a parcel's way")
 
     def pass_on(self, parcel: Parcel) -> Parcel:
         """Deliver a parcel and wait until it is answered."""

@@ -20,6 +20,9 @@ FIGURES = "EIA_SEC_FIGURES"
 """Environment variable with the folder into which the figures of full doses go."""
 LONG = TINY.replace("episodes = 8", "episodes = 1000000").replace("capacity = 4096", "capacity = 8192")
 """A run that ends only when it is told to."""
+BEHIND = LONG.replace("updates_per_step = 0.5", "updates_per_step = 4.0\nintake_chunks = 1")
+BEHIND = BEHIND.replace("slack_steps = 400", "slack_steps = 40")
+"""The same with a learner that is the bottleneck: its queue and the workers' spools stand full."""
 
 
 def tell(name: str, **values: Any) -> None:
@@ -74,10 +77,7 @@ class FaultRun(Processes):
 
     def newest_start(self, worker: str) -> int:
         """Return the incarnation of a worker's newest chunk that the learner has taken, 0 before the first."""
-        path = self.directory / "run" / "history" / "learner.jsonl"
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        mine = [line for line in lines if line.startswith(f'["accepted","{worker}"') and line.endswith("]")]
-        return max((int(json.loads(line)[2]) for line in mine), default=0)
+        return max((entry.incarnation for entry in self.accepted(worker)), default=0)
 
     def until_more(self, worker: str = "", seconds: float = 90.0) -> float:
         """Wait until the learner has taken another chunk (of one worker); return the seconds."""

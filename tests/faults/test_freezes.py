@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from deploy.audit import audit
-from tests.faults.harness import LONG, Routed, memory, run, tell
+from tests.faults.harness import BEHIND, LONG, Routed, memory, run, tell
 from tests.system.fleet import until
 
 EVENTS = LONG.replace("cycle = 2", "cycle = 4\ncycle_growth = 1.0\nrate_decay = 0.9")
@@ -56,12 +56,13 @@ def test_a_frozen_learner_at_full_dose(tmp_path):
 
 def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:
     """Freeze a learner, let another take its place, thaw it; return the figures."""
-    fleet = Routed(directory)
+    fleet = Routed(directory, BEHIND)
     try:
         fleet.router()
         old = fleet.learner_at("run")
         fleet.worker()
         until(fleet.taken, "chunks", 120.0)
+        until(lambda: fleet.status().get("queue"), "a full queue")
         until(lambda: list((directory / "run" / "checkpoints").glob("checkpoint-*")), "a checkpoint")
         old.send_signal(signal.SIGSTOP)
         shutil.copytree(directory / "run", directory / "second", ignore=shutil.ignore_patterns("*.lock"))
@@ -93,7 +94,7 @@ def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:
 
 
 def test_a_learner_that_was_frozen_and_replaced(tmp_path):
-    """A thawed learner whose place is taken ends by itself; all chunks are with the new one, or counted as lost."""
+    """A thawed learner whose place is taken ends by itself, also with a full queue; all chunks are accounted for."""
     figures = replace_a_frozen_learner(tmp_path, 0.5)
     tell("replaced_learner", **figures)
     assert figures["old_learner_exit_code"] == 2

@@ -8,13 +8,13 @@ from typing import Any
 
 import pytest
 
-from tests.faults.harness import LONG, FaultRun, Routed, memory, run, spread, tell
+from tests.faults.harness import BEHIND, LONG, FaultRun, Routed, memory, run, spread, tell
 from tests.system.fleet import until
 
 
-def kill_workers(directory: Path, kills: int, workers: int) -> dict[str, Any]:
+def kill_workers(directory: Path, kills: int, workers: int, toml: str = LONG) -> dict[str, Any]:
     """Kill workers whose spools hold one chunk, in turn, and replace them; return the figures."""
-    with run(directory, LONG.replace("chunk_steps = 10", "chunk_steps = 10\nspool_chunks = 1")) as fleet:
+    with run(directory, toml.replace("chunk_steps = 10", "chunk_steps = 10\nspool_chunks = 1")) as fleet:
         fleet.learner()
         names = [str(index) for index in range(workers)]
         for name in names:
@@ -53,8 +53,8 @@ def check_workers(figures: dict[str, Any]) -> None:
 
 
 def test_killed_workers(tmp_path):
-    """A killed worker loses at most the one chunk that its spool holds, and its replacement delivers."""
-    check_workers(kill_workers(tmp_path, kills=1, workers=2))
+    """A killed worker whose spool stands full loses the one chunk that this holds, and its replacement delivers."""
+    check_workers(kill_workers(tmp_path, kills=2, workers=2, toml=BEHIND))
 
 
 @pytest.mark.nightly

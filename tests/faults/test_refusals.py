@@ -101,6 +101,18 @@ def test_a_damaged_chunk_that_overtook_spends_no_number():
     shut(receiver, door)
 
 
+def test_a_receiver_that_waits_for_room_ends_when_nobody_makes_any():
+    """With a full queue and a chunk in hand it can be joined, and the chunk is answered: not taken."""
+    receiver, door = front_door(intake_chunks=1)
+    assert door.pass_on(parcel(of(a_chunk(1)))).answer.status == "accepted"
+    late = parcel(of(a_chunk(2), 2), 2)
+    door.push(late)
+    door.close()
+    receiver.join()
+    assert late.answer is not None
+    assert late.answer.status == "closed"
+
+
 def test_chunks_of_a_policy_that_is_too_old_are_refused_and_counted():
     """Beyond `replay.max_lag_versions` a chunk is refused with the reason; its steps are rejected, and exactly so."""
     receiver, door = front_door(max_lag_versions=5)

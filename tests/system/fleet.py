@@ -13,6 +13,7 @@ from typing import Any
 from common import keys
 from common.bus import Bus
 from common.endpoint import Endpoint, free_endpoint
+from common.history import Entry, read
 from common.messages import CommandMessage, ConfigurationMessage, ReceiptMessage
 
 RUN = "test"
@@ -118,6 +119,16 @@ class Processes:
             return []
         lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
         return [record for record in map(json.loads, lines) if record["kind"] == kind]
+
+    def accepted(self, worker: str) -> list[Entry]:
+        """Return what the learner's history says that it has taken of a worker, the oldest first."""
+        path = self.directory / "run" / "history" / "learner.jsonl"
+        records = read(path)[0] if path.exists() else []
+        return [
+            record
+            for record in records
+            if isinstance(record, Entry) and record.verdict == "accepted" and record.worker == worker
+        ]
 
     def ask_learner(self, verb: str) -> bytes | None:
         """Send the learner a command."""
