@@ -6,6 +6,7 @@ from common import access, keys
 from common.credentials import ROLES
 from common.frame import MAX_FRAME
 from learner.offenders import CUT_SECONDS, LIMIT
+from learner.tarpit import HOLD_SECONDS, MOST_BYTES, MOST_HELD
 
 _TEXT: Final = """# Security
 
@@ -70,10 +71,14 @@ this table; with the access list switched off that test fails.
 
 Frames are checked for length, checksum, kind and version, then types, shapes, ranges and finiteness, before memory
 is taken for what they claim to hold ({limit_frame} MiB at most). The name in the envelope must be that in the key,
-which must be that in the certificate. Samples and requests whose key holds a wildcard are dropped and counted. A
-worker that sends {limit} bad requests in a row is cut off for {seconds} s: it is refused without being looked at,
-named in the log once and in the learner's alarms, and afterwards has one try. Nothing is ever unpickled; a test
-forbids it in the source, and another watches whole processes with an audit hook.
+which must be that in the certificate. Samples and requests whose key holds a wildcard are dropped and counted.
+Nothing is ever unpickled; a test forbids it in the source, and another watches whole processes with an audit hook.
+
+A worker that sends {limit} requests in a row that bring nothing (unreadable, not usable, the same chunk again, out of
+turn) is cut off for {seconds} s: it is refused without being looked at, named in the log once and in the learner's
+alarms, and afterwards has one try. Each refusal is held back for {hold} s, so that whoever keeps some requests under
+way waits for the answers instead of asking again at once. At most {held} requests or {held_bytes} MiB of them are
+held; beyond that the oldest is refused at once. All are counted (`turned_away`).
 
 A process that is denied says so: Zenoh drops a denied message in silence, but everybody with a certificate may see
 whether a learner lives, so that no answer from a living learner is recognised. When certificates do not fit, the
@@ -98,7 +103,10 @@ connecting side says which and why, and exits with code 2.
   unencrypted.
 - From a worker that lies well: valid, finite transitions that are made up are learnt from (poisoning). Its share is
   in the ledger by name; whether it is true is not checked.
-- Against floods: somebody who reaches the ports can open connections, a member can fill its link. Use a firewall.
+- Against floods: somebody who reaches the ports can open connections; a member who does not wait for answers can fill
+  its link. Use a firewall.
+- From a worker that delivers too much: whole and new chunks are taken in the order in which they come, so who sends
+  more than the others has a larger share of what is learnt from. The ledger tells it by name.
 - Traffic analysis: sizes and times of messages are visible.
 - On loopback without `--tls`: other users of the same machine can join. Use `--tls` there, too, if there are such.
 - `--env module:name` runs that module's code. A worker loads only what its own command line names, never what the
@@ -113,7 +121,15 @@ _WORDS: Final = ("put", "answer", "ask", "read", "appear", "watch")
 
 def security_page() -> str:
     """Return docs/security.md."""
-    return _TEXT.format(table=access_table(), limit=LIMIT, seconds=f"{CUT_SECONDS:.0f}", limit_frame=MAX_FRAME // 2**20)
+    return _TEXT.format(
+        table=access_table(),
+        limit=LIMIT,
+        seconds=f"{CUT_SECONDS:.0f}",
+        limit_frame=MAX_FRAME // 2**20,
+        hold=f"{HOLD_SECONDS:.0f}",
+        held=MOST_HELD,
+        held_bytes=MOST_BYTES // 2**20,
+    )
 
 
 def access_table() -> str:

@@ -1,4 +1,8 @@
-"""Workers that keep sending what cannot be used: counted by name, cut off for a while, and named."""
+"""Workers that keep sending what brings nothing: counted by name, cut off for a while, and named.
+
+A request brings nothing when it cannot be read or used, and also when it comes again or out of its turn. Honest workers
+send such, on a bad road; but not many in a row.
+"""
 
 import time
 from collections.abc import Callable
@@ -63,7 +67,7 @@ class Offenders:
 
     def alarms(self) -> list[str]:
         """Return one sentence for each peer that is cut off now."""
-        found = [text for peer in self._accounts if (text := self.refusal(peer)) is not None]
+        found = [text for peer in list(self._accounts) if (text := self.refusal(peer)) is not None]
         return found[:NAMED]
 
     def counts(self) -> dict[str, int]:

@@ -3,6 +3,7 @@
 import queue
 import threading
 from dataclasses import dataclass
+from typing import Any
 
 from common import keys
 from common.bus import Incoming, Server
@@ -16,6 +17,7 @@ from common.team import TeamSpec
 from common.transitions import Chunk
 from learner.intake import Intake, WorkerLedger
 from learner.offenders import CUT_SECONDS, Offenders
+from learner.tarpit import Tarpit
 
 FULL_SECONDS = 0.005
 """Pause between two looks at a full queue."""
@@ -53,7 +55,8 @@ class Receiver:
         arrivals: the queue.
         intake: deduplication and ledger.
         malformed: requests that could not even be attributed to a worker.
-        offenders: who sends what cannot be used.
+        offenders: who sends what brings nothing.
+        tarpit: requests of those who are cut off; whoever owns the receiver calls its `release` now and then.
         server: where chunks come in.
         gate: held while a chunk is booked and queued, so that ledger and queue can be seen together.
         required_version: parameter version that a worker must hold before it flies on (lockstep), else 0.
@@ -80,7 +83,7 @@ class Receiver:
         self.arrivals: queue.Queue[Arrival] = queue.Queue(replay.intake_chunks)
         self.intake = intake
         self.malformed = 0
-        self.offenders = Offenders()
+        self.offenders, self.tarpit = Offenders(), Tarpit()
         self.required_version = self.version = 0
         self._history = history or History(None)
         self._damaged: dict[str, tuple[int, int, int]] = {}
@@ -103,6 +106,15 @@ class Receiver:
         """Whether chunks are still taken."""
         return self._thread.is_alive()
 
+    def figures(self) -> dict[str, Any]:
+        """Return what a report says of the front door."""
+        return {
+            "queue": self.arrivals.qsize(),
+            "malformed": self.malformed + self.server.wild,
+            "malformed_by": self.offenders.counts(),
+            "turned_away": self.tarpit.turned_away,
+        }
+
     def join(self) -> None:
         """Take no more chunks and wait for the thread to end; the bus must be closed.
 
@@ -123,14 +135,14 @@ class Receiver:
     def _receive(self, incoming: Incoming) -> None:
         worker = keys.parse(incoming.key).variables.get("worker", "")
         if (refusal := self.offenders.refusal(worker)) is not None:
-            incoming.refuse(refusal)
+            self.tarpit.hold(incoming, refusal)
             return
         try:
             sender = Envelope.decode(incoming.attachment)
             if (sender.role, sender.name) != ("rollout", worker) or sender.sequence < 1:
                 raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}, {sender.sequence}.")
         except ProtocolError as error:
-            self._bad(worker, error)
+            self._bad(worker, str(error))
             raise
         known = self.intake.workers.get(sender.name)
         if known is not None and sender.incarnation < known.incarnation:
@@ -149,6 +161,7 @@ class Receiver:
         if status != "accepted":
             if status == "duplicate":
                 self._tell("duplicate", sender, 1)
+            self._bad(sender.name, f"chunk {sender.sequence} is a {status}.")
             self._answer(incoming, sender, status)
             return
         try:
@@ -156,7 +169,7 @@ class Receiver:
             if chunk.rows.flag.shape[0] > self._most_rows:
                 raise SchemaError(f"{chunk.rows.flag.shape[0]} rows at once, more than a replay of {self._most_rows}.")
         except ProtocolError as error:
-            self._bad(sender.name, error)
+            self._bad(sender.name, str(error))
             self._refuse(incoming, sender, error)
             return
         lag = self.version - sender.version
@@ -175,6 +188,7 @@ class Receiver:
         A number that is not the next one is never spent here: the worker may still hold those before it.
         """
         self.intake.note_damaged(sender)
+        self._bad(sender.name, str(error))
         self._log(f"a chunk of worker {sender.name} came damaged: {error}")
         expected = self.intake.expected(sender)
         if sender.sequence < expected:
@@ -228,8 +242,8 @@ class Receiver:
             self._closing.wait(FULL_SECONDS)
         incoming.reply(ChunkAck("closed", self.intake.expected(sender), 0, "").encode())
 
-    def _bad(self, worker: str, error: ProtocolError) -> None:
-        if self.offenders.bad(worker, str(error)):
+    def _bad(self, worker: str, reason: str) -> None:
+        if self.offenders.bad(worker, reason):
             log(f"{self.offenders.refusal(worker)}; looked at again in {CUT_SECONDS:.0f} s.")
 
     def _log(self, text: str) -> None:

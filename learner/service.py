@@ -300,6 +300,7 @@ class Learner:
 
     def _report(self) -> None:
         self._times["report"] = time.monotonic()
+        self._receiver.tarpit.release()
         t = self.trainer
         ledger, ledgers = self._receiver.intake.accounts()
         values = {
@@ -311,9 +312,7 @@ class Learner:
             "version": t.version,
             "event": t.events,
             "lag_versions": self._lag,
-            "queue": self._receiver.arrivals.qsize(),
-            "malformed": self._receiver.malformed + self._receiver.server.wild,
-            "malformed_by": self._receiver.offenders.counts(),
+            **self._receiver.figures(),
             "elapsed": self._journal.elapsed,
             "waits": dict(self._waited),
             "ledger": {**ledger, "unexplained": self._unexplained()},

@@ -15,6 +15,7 @@ from common.chunks import to_message
 from common.config import ReplayConfig
 from common.messages import ChunkMessage, Envelope
 from common.transitions import Chunk, Rows
+from learner.offenders import LIMIT
 from tests.faults.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut
 from tests.faults.harness import LONG, FaultRun, run, tell
 from tests.system.fleet import RUN as RUN_NAME
@@ -94,7 +95,7 @@ def test_a_frame_of_another_protocol_is_asked_for_again_and_then_refused():
 def test_a_damaged_chunk_that_overtook_spends_no_number():
     """An unreadable frame ahead of its turn leaves the numbers before it free."""
     receiver, door = front_door()
-    for _ in range(20):
+    for _ in range(LIMIT - 1):
         assert door.pass_on(parcel(b"junk", 3)).answer.status == "damaged"
     for number in (1, 2, 3):
         assert door.pass_on(parcel(of(a_chunk(number), number), number)).answer.status == "accepted"
@@ -111,6 +112,26 @@ def test_a_receiver_that_waits_for_room_ends_when_nobody_makes_any():
     receiver.join()
     assert late.answer is not None
     assert late.answer.status == "closed"
+
+
+JUNK = parcel(b"junk", 9), "damaged"
+AGAIN = parcel(of(a_chunk(1))), "duplicate"
+AHEAD = parcel(to_message(a_chunk(9), TEAM, 2, 9, 9), 9), "gap"
+
+
+@pytest.mark.parametrize(("sent", "answer"), [JUNK, AGAIN, AHEAD], ids=["junk", "again", "ahead"])
+def test_whoever_keeps_sending_what_brings_nothing_is_cut_off(sent, answer):
+    """Unreadable, the same again or out of turn: after LIMIT in a row the answers are held back; others go on."""
+    receiver, door = front_door()
+    assert door.pass_on(parcel(of(a_chunk(1)))).answer.status == "accepted"
+    told = [door.pass_on(Parcel(sent.key, sent.payload, sent.attachment)).answer.status for _ in range(LIMIT)]
+    assert told == [answer] * LIMIT
+    late = Parcel(sent.key, sent.payload, sent.attachment)
+    door.push(late)
+    assert door.pass_on(parcel(of(a_chunk(1)), name="other")).answer.status == "accepted"
+    assert (late.answer, late.refused, receiver.tarpit.turned_away) == (None, "", 1)
+    assert "worker w is cut off" in receiver.offenders.alarms()[0]
+    shut(receiver, door)
 
 
 def test_chunks_of_a_policy_that_is_too_old_are_refused_and_counted():

@@ -13,6 +13,7 @@ from common.messages import Envelope
 from learner.intake import Intake
 from learner.offenders import CUT_SECONDS, LIMIT, MOST_PEERS, Offenders
 from learner.receiver import Receiver
+from learner.tarpit import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Tarpit
 from rollout.environments import team_of
 
 RUN = "run"
@@ -52,8 +53,46 @@ def test_the_account_is_bounded_and_loses_no_count():
     assert len(offenders.counts()) <= 9
 
 
-def test_the_receiver_cuts_off_one_worker_and_serves_the_others():
+class Request:
+    """A request that remembers its refusal."""
+
+    def __init__(self, size: int = 0) -> None:
+        self.payload = bytes(size)
+        self.refused: str | None = None
+
+    def refuse(self, reason: str) -> None:
+        self.refused = reason
+
+
+def test_refusals_are_held_back_for_a_while():
+    """Each is refused HOLD_SECONDS after it came, with its reason, and counted; its payload is not kept."""
+    clock, requests = Clock(), [Request(10), Request(10)]
+    tarpit = Tarpit(clock)
+    tarpit.hold(requests[0], "first")
+    clock.now = HOLD_SECONDS / 2
+    tarpit.hold(requests[1], "second")
+    assert [request.refused for request in requests] == [None, None]
+    clock.now = HOLD_SECONDS
+    tarpit.release()
+    assert [request.refused for request in requests] == ["first", None]
+    clock.now *= 2
+    tarpit.release()
+    assert requests[1].refused == "second"
+    assert (tarpit.turned_away, requests[0].payload) == (2, b"")
+
+
+@pytest.mark.parametrize(("size", "most"), [(0, MOST_HELD), (MOST_BYTES // 4, 4), (2 * MOST_BYTES, 0)])
+def test_what_is_held_back_is_bounded(size, most):
+    """Beyond so many requests, or so much memory, the oldest is refused at once."""
+    tarpit, requests = Tarpit(Clock()), [Request(size) for _ in range(most + 3)]
+    for request in requests:
+        tarpit.hold(request, "no")
+    assert [request.refused for request in requests] == ["no"] * 3 + [None] * most
+
+
+def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
     """A worker that sends rubbish is refused by name after LIMIT tries; another is still looked at."""
+    monkeypatch.setattr("learner.tarpit.HOLD_SECONDS", 0.0)
     endpoint = free_endpoint()
     with Bus.listen(endpoint, "bulk") as bus, Bus.connect(endpoint, "bulk", wait=5.0) as worker:
         receiver = Receiver(
