@@ -73,16 +73,21 @@ class Server:
         wild: requests that were refused because their key held a wildcard.
     """
 
-    def __init__(self, queryable: Any) -> None:
-        self._queryable = queryable
+    def __init__(self, queryable: Any, capacity: int) -> None:
+        self._queryable, self._capacity = queryable, capacity
         self.wild = 0
 
     def poll(self) -> Incoming | None:
         """Return the next request, or None when there is none now."""
-        while (query := self._queryable.handler.try_recv()) is not None:
+        return next(self.waiting(), None)
+
+    def waiting(self) -> Iterator[Incoming]:
+        """Yield the requests that wait now, at most `capacity`: who asks without end must not keep the caller."""
+        for _ in range(self._capacity):
+            if (query := self._queryable.handler.try_recv()) is None:
+                return
             if (incoming := self._concrete(query)) is not None:
-                return incoming
-        return None
+                yield incoming
 
     def __iter__(self) -> Iterator[Incoming]:
         """Yield requests until the bus is closed."""
@@ -215,7 +220,8 @@ class Bus:
 
     def serve(self, key: str, capacity: int) -> Server:
         """Take requests on a key expression."""
-        return Server(self._open().declare_queryable(key, zenoh.handlers.FifoChannel(capacity), complete=True))
+        channel: Any = zenoh.handlers.FifoChannel(capacity)
+        return Server(self._open().declare_queryable(key, channel, complete=True), capacity)
 
     def ask(self, key: str, payload: bytes, timeout: float, attachment: bytes = b"") -> bytes | None:
         """Send a request and wait for its answer.

@@ -217,7 +217,7 @@ class Learner:
             raise UsageError(f"a newer learner of run {self._options.run} has taken this one's place.")
 
     def _answer_commands(self) -> None:
-        while (incoming := self._commands.poll()) is not None:
+        for incoming in self._commands.waiting():
             try:
                 sender = CommandMessage.decode(incoming.payload).sender
                 verb = keys.parse(incoming.key).variables.get("verb")
@@ -249,7 +249,7 @@ class Learner:
         incoming.reply(ReceiptMessage(granted, "" if granted else f"coordinator {holder[:64]} leads.").encode())
 
     def _apply_imitations(self) -> None:
-        while (incoming := self._imitations.poll()) is not None:
+        for incoming in self._imitations.waiting():
             try:
                 message = ImitationMessage.decode(incoming.payload)
                 if message.epoch != self._epoch:

@@ -177,7 +177,7 @@ class Worker:
         self._newest, self._heard = message.version, time.monotonic()
 
     def _evaluate(self) -> None:
-        while (incoming := self._orders.poll()) is not None:
+        for incoming in self._orders.waiting():
             self._postponed.append(incoming)
         # The coordinator asks one worker for one thing at a time: before a newer order it has given up the older ones.
         waiting, self._postponed = self._postponed, []

@@ -84,7 +84,7 @@ class Showing:
             deviation: of the exploration noise.
             uniform: whether actions were drawn uniformly instead.
         """
-        while (incoming := self._requests.poll()) is not None:
+        for incoming in self._requests.waiting():
             self._answer(incoming)
         if not self._until or self._lens is None:
             return

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from common.bus import Bus, Sample
+from common.bus import Bus, Sample, Server
 from common.endpoint import Endpoint, free_endpoint
 from common.errors import BusClosedError, BusError, EndpointError
 
@@ -61,6 +61,23 @@ def test_requests_are_answered_refused_or_unserved(pair: tuple[Bus, Bus]) -> Non
     listener.close()
     thread.join(SECONDS)
     assert not thread.is_alive()
+
+
+def test_who_asks_without_end_does_not_keep_the_server() -> None:
+    """Of requests that never end, as many as may wait are given out at a time."""
+
+    class Endless:
+        key_expr, payload, attachment = "a/x", None, None
+
+        @property
+        def handler(self) -> "Endless":
+            return self
+
+        def try_recv(self) -> "Endless":
+            return self
+
+    server = Server(Endless(), 3)
+    assert [incoming.key for incoming in server.waiting()] == ["a/x"] * 3
 
 
 def test_closing_ends_an_asker(pair: tuple[Bus, Bus]) -> None:

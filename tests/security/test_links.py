@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -111,6 +112,28 @@ def test_no_certificate_is_not_accepted(bad):
         with pytest.raises(Exception, match="Unable to connect"):
             open_session(values)
         assert list(subscription.drain()) == []
+
+
+def test_a_message_over_the_limit_is_dropped_where_it_arrives(monkeypatch):
+    """It never reaches the process, its sender gets no answer, and what it sends within the limit is still served."""
+    place = free_endpoint()
+    monkeypatch.setattr("common.zenoh_config.MAX_FRAME", 2**20)
+    with Bus.listen(place, "bulk") as bus:
+        server = bus.serve("a/x", 8)
+        monkeypatch.undo()
+        with Bus.connect(place, "bulk", wait=10.0) as sender:
+            thread = threading.Thread(target=lambda: [incoming.reply(incoming.payload[:9]) for incoming in server])
+            thread.start()
+            try:
+                sizes = (9, 2**20 + 1, 2**21, 10)
+                deadline = time.monotonic() + 30.0
+                while sender.ask("a/x", b"x", 1.0) is None and time.monotonic() < deadline:
+                    time.sleep(0.1)
+                told = [sender.ask("a/x", bytes(size), 1.0 if size > 2**20 else 30.0) for size in sizes]
+            finally:
+                bus.close()
+                thread.join()
+    assert told == [bytes(9), None, None, bytes(9)]
 
 
 @pytest.mark.nightly

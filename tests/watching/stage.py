@@ -99,9 +99,10 @@ class ABus:
         """Return what is put on."""
         return self
 
-    def poll(self) -> ARequest | None:
-        """Return the next request."""
-        return self.requests.popleft() if self.requests else None
+    def waiting(self) -> Iterator[ARequest]:
+        """Yield the requests that wait."""
+        while self.requests:
+            yield self.requests.popleft()
 
     def put(self, payload: bytes, attachment: bytes) -> None:
         """Remember what was published."""
