@@ -353,13 +353,13 @@ class ObservationConfig:
     """Which n: the nearest that hold data (AoI of 1 or more), empty ones behind them, or simply the nearest (ours)."""
     form: Literal["default", "printed"] = "default"
     """default: AoI and relative (dx, dy) of each observed sensor; printed: AoI only (W24)."""
-    window: int = 3
+    window: int = 5
     """Plots along each side of the square whose VDF a monitoring UAV sees, odd; the paper's is 3."""
-    lattice: bool = False
+    lattice: bool = True
     """Whether a monitoring UAV sees where in its plot it is, as the offset to the middle over half a plot (ours)."""
-    identity: bool = False
+    identity: bool = True
     """Whether an agent sees which of its type it is, one of n_v, so that equal actors can share the work (ours)."""
-    clock: bool = False
+    clock: bool = True
     """Whether an agent sees the share of the episode that is over (ours)."""
 
     def __post_init__(self) -> None:
