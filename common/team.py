@@ -28,8 +28,7 @@ LETTERS: Final = {COMMUNICATION: "c", MONITORING: "m", COLLECTION: "d"}
 COMMUNICATION_OBSERVATION: Final = 17
 """Own (x, y); nearest relay, relay centroid, served centroid, farthest served, nearest UAV as (dx, dy, distance)."""
 TASK_OBSERVATION: Final = 7
-"""What monitoring and data collection UAVs see besides plots and sensors: own (x, y); D_VDF or D_AoI (x, y); nearest UAV
-as (dx, dy, distance)."""
+"""Besides plots and sensors: own (x, y); D_VDF or D_AoI (x, y); nearest UAV as (dx, dy, distance)."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What no policy can exceed: an upper bound of the reward per agent, from supply, cameras, energy and where relays start.
+"""What no policy can exceed: a bound of the reward per agent, from supply, cameras, energy and where relays start.
 
     python -m experiments.bound [--farms 1000:1100]
 
@@ -15,6 +15,7 @@ ways of monitors from plot to plot, and that served counters cannot rise. So it 
 
 import argparse
 import json
+import sys
 from typing import Any, Final
 
 import numpy as np
@@ -108,7 +109,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m experiments.bound", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--farms", default="1000:1100", help="farm seeds A:B, from A to B - 1")
     first, last = (int(seed) for seed in parser.parse_args().farms.split(":"))
-    print(json.dumps({**bounds(FarmConfig(), list(range(first, last))), **provenance("experiments.bound")}))
+    found = {**bounds(FarmConfig(), list(range(first, last))), **provenance("experiments.bound")}
+    sys.stdout.write(json.dumps(found) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """What each type of UAV sees, scaled to about [-1, 1] (W24).
 
 Positions are 2 x / X - 1; offsets dx / X, dy / Y; distances are three-dimensional, over the field's diagonal; VDF and
-AoI are over their maxima. A UAV that does not exist is (0, 0, 1).
+AoI are over their maxima. A UAV that does not exist is (0, 0, 1). Which of its type an agent is and the share of the
+episode that is over come last.
 """
 
 import math
@@ -54,6 +55,16 @@ def _put_self(what: ObservationConstants, time: float, rank: int, count: int, se
         seen[at] = time
         at += 1
     return at
+
+
+@sealed
+def _put_sensor(what: ObservationConstants, level: float, dx: float, dy: float, seen: Float32, at: int) -> int:
+    seen[at] = level
+    if what.printed:
+        return at + 1
+    seen[at + 1] = min(1.0, max(-1.0, dx * PER_SCALE))
+    seen[at + 2] = min(1.0, max(-1.0, dy * PER_SCALE))
+    return at + 3
 
 
 @sealed
@@ -212,12 +223,7 @@ def see_sensors(
             nearest_sensors(fleet, what, x, y, EMPTY, sensor, cell_start, age, total, around, square, rest, squares)
         for rank in range(wanted):
             j = listed[rank]
-            seen[at] = age[j] * per_level
-            at += 1
-            if not what.printed:
-                seen[at] = min(1.0, max(-1.0, (sensor[0, j] - x) * PER_SCALE))
-                seen[at + 1] = min(1.0, max(-1.0, (sensor[1, j] - y) * PER_SCALE))
-                at += 2
+            at = _put_sensor(what, age[j] * per_level, sensor[0, j] - x, sensor[1, j] - y, seen, at)
         seen[at], seen[at + 1] = direction[u, 0], direction[u, 1]
         at = _put_uav(fleet, position, u, neighbour[u], seen, at + 2)
         at = _put_self(what, time, u - fleet.collectors, count, seen, at)
