@@ -27,8 +27,8 @@ LETTERS: Final = {COMMUNICATION: "c", MONITORING: "m", COLLECTION: "d"}
 
 COMMUNICATION_OBSERVATION: Final = 17
 """Own (x, y); nearest relay, relay centroid, served centroid, farthest served, nearest UAV as (dx, dy, distance)."""
-MONITORING_OBSERVATION: Final = 16
-"""Own (x, y); 3 x 3 VDF; D_VDF (x, y); nearest UAV as (dx, dy, distance)."""
+TASK_OBSERVATION: Final = 7
+"""Besides plots and sensors: own (x, y); D_VDF or D_AoI (x, y); nearest UAV as (dx, dy, distance)."""
 
 
 @dataclass(frozen=True)
@@ -144,11 +144,16 @@ def _slices(sizes: list[int]) -> tuple[slice, ...]:
 def farm_team(farm: FarmConfig) -> TeamSpec:
     """Return the team of a farm: communication, monitoring and data collection UAVs, in that order."""
     per_sensor = 1 if farm.observation.form == "printed" else 3
-    collection = 2 + per_sensor * farm.observation.sensors + 2 + 3
-    return TeamSpec(
-        (
-            GroupSpec(COMMUNICATION, farm.world.communication_uavs, COMMUNICATION_OBSERVATION, 2),
-            GroupSpec(MONITORING, farm.world.monitoring_uavs, MONITORING_OBSERVATION, 2),
-            GroupSpec(COLLECTION, farm.world.collection_uavs, collection, 2),
-        )
+    seen = farm.observation
+    plots, sensors = seen.window**2 + 2 * seen.lattice, per_sensor * seen.sensors
+    sizes = (
+        (COMMUNICATION, farm.world.communication_uavs, COMMUNICATION_OBSERVATION),
+        (MONITORING, farm.world.monitoring_uavs, TASK_OBSERVATION + plots),
+        (COLLECTION, farm.world.collection_uavs, TASK_OBSERVATION + sensors),
     )
+    return TeamSpec(tuple(GroupSpec(name, count, size + _self(farm, count), 2) for name, count, size in sizes))
+
+
+def _self(farm: FarmConfig, count: int) -> int:
+    """Return how many numbers of an observation tell which agent it is and what time it is."""
+    return count * farm.observation.identity + farm.observation.clock

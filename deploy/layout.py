@@ -8,17 +8,20 @@ def observation_names(config: RunConfig, group: GroupSpec) -> list[str]:
     """Return a name for each number of an observation, in order (W24; scales are in `docs/export.md`)."""
     if not config.env.is_farm:
         return [f"observation_{index}" for index in range(group.observation_size)]
-    uav = _offset("nearest_uav")
+    seen, uav = config.farm.observation, _offset("nearest_uav")
+    rank = [f"rank_{index}" for index in range(group.count)] if seen.identity else []
+    last = [*rank, *(["clock"] if seen.clock else [])]
     if group.name == COMMUNICATION:
         parts = ("nearest_relay", "relay_centroid", "served_centroid", "farthest_served")
-        return ["x", "y", *(name for part in parts for name in _offset(part)), *uav]
+        return ["x", "y", *(name for part in parts for name in _offset(part)), *uav, *last]
     if group.name == MONITORING:
-        vdf = [f"vdf_{column}_{row}" for column in (-1, 0, 1) for row in (-1, 0, 1)]
-        return ["x", "y", *vdf, "d_vdf_x", "d_vdf_y", *uav]
-    seen = config.farm.observation
+        around = range(-(seen.window // 2), seen.window // 2 + 1)
+        vdf = [f"vdf_{column}_{row}" for column in around for row in around]
+        lattice = ["plot_dx", "plot_dy"] if seen.lattice else []
+        return ["x", "y", *vdf, "d_vdf_x", "d_vdf_y", *uav, *lattice, *last]
     ends = ("aoi",) if seen.form == "printed" else ("aoi", "dx", "dy")
     sensors = [f"sensor_{index}_{end}" for index in range(seen.sensors) for end in ends]
-    return ["x", "y", *sensors, "d_aoi_x", "d_aoi_y", *uav]
+    return ["x", "y", *sensors, "d_aoi_x", "d_aoi_y", *uav, *last]
 
 
 def action_names(config: RunConfig, group: GroupSpec) -> list[str]:

@@ -19,7 +19,16 @@ Array = NDArray[np.float64]
 def observe(farm: ReferenceFarm) -> Float32:
     """Return the row [O]: all relays, then all monitoring, then all data collection UAVs."""
     views = (_relay_view, _monitoring_view, _collection_view)
-    return np.concatenate([views[kind](farm, u) for u, kind in enumerate(farm.kind)]).astype(np.float32)
+    rows = [np.concatenate([views[kind](farm, u), _self(farm, u)]) for u, kind in enumerate(farm.kind)]
+    return np.concatenate(rows).astype(np.float32)
+
+
+def _self(farm: ReferenceFarm, u: int) -> Array:
+    """Return which of its type a UAV is, one of n_v, and the share of the episode that is over, where it sees these."""
+    seen, mates = farm.config.observation, np.flatnonzero(farm.kind == farm.kind[u])
+    rank = np.equal(mates, u).astype(np.float64) if seen.identity else np.zeros(0)
+    clock = [farm.time / farm.config.world.steps] if seen.clock else []
+    return np.concatenate([rank, clock])
 
 
 def _own(farm: ReferenceFarm, u: int) -> Array:
@@ -65,12 +74,13 @@ def _relay_view(farm: ReferenceFarm, u: int) -> Array:
 
 
 def _monitoring_view(farm: ReferenceFarm, u: int) -> Array:
-    """Return U_m, VDF_x-1,y-1 .. VDF_x+1,y+1 (0 outside the field), D_VDF and UAV_N with its distance."""
-    world = farm.config.world
+    """Return U_m, the window of VDF around (0 outside the field), D_VDF, UAV_N with its distance, place in the plot."""
+    world, seen = farm.config.world, farm.config.observation
     size = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
     x, y = np.minimum(farm.position[u] // size, (world.plots_x - 1, world.plots_y - 1)).astype(int)
-    around = np.pad(farm.vdf, 1)[x : x + 3, y : y + 3].reshape(-1) / world.vdf_max
-    return np.concatenate([_own(farm, u), around, farm.direction[u], _uav(farm, u, farm.nearest_uav(u))])
+    around = np.pad(farm.vdf, seen.window // 2)[x : x + seen.window, y : y + seen.window].reshape(-1) / world.vdf_max
+    lattice = 2.0 * (farm.position[u] / size - (x, y)) - 1.0 if seen.lattice else []
+    return np.concatenate([_own(farm, u), around, farm.direction[u], _uav(farm, u, farm.nearest_uav(u)), lattice])
 
 
 def _collection_view(farm: ReferenceFarm, u: int) -> Array:

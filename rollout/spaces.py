@@ -43,6 +43,8 @@ def observation_parts(config: FarmConfig) -> dict[str, tuple[Part, ...]]:
     """Return, for each type of agent, the parts of one observation in their order."""
     world = config.world
     served = _apart(world, world.height_communication, (world.height_monitoring, world.height_collection))
+    window = config.observation.window
+    around = f"{window} x {window} plots"
     return {
         COMMUNICATION: (
             *_place(),
@@ -51,18 +53,22 @@ def observation_parts(config: FarmConfig) -> dict[str, tuple[Part, ...]]:
             *_towards("centroid of those served", served),
             *_towards("farthest served", served),
             *_nearest(config, world.height_communication),
+            *_self(config, world.communication_uavs),
         ),
         MONITORING: (
             *_place(),
-            Part("VDF", 9, 0.0, 1.0, "VDF over its largest value of the 3 x 3 plots around, x outer; 0 outside"),
+            Part("VDF", window**2, 0.0, 1.0, f"VDF over its largest value of the {around} around, x outer; 0 outside"),
             Part("D_VDF", 2, -DIAGONAL, DIAGONAL, "unit diagonal to the quadrant with most VDF; 0 if there is none"),
             *_nearest(config, world.height_monitoring),
+            *_lattice(config),
+            *_self(config, world.monitoring_uavs),
         ),
         COLLECTION: (
             *_place(),
             *_sensors(config),
             Part("D_AoI", 2, -DIAGONAL, DIAGONAL, "unit diagonal to the quadrant with most AoI; 0 if there is none"),
             *_nearest(config, world.height_collection),
+            *_self(config, world.collection_uavs),
         ),
     }
 
@@ -116,6 +122,20 @@ def _nearest(config: FarmConfig, height: float) -> tuple[Part, ...]:
     heights = (world.height_communication, world.height_monitoring, world.height_collection)
     others = heights if config.reward.nearest == "any" else (height,)
     return _towards("nearest UAV", _apart(world, height, others))
+
+
+def _lattice(config: FarmConfig) -> tuple[Part, ...]:
+    if not config.observation.lattice:
+        return ()
+    return (Part("place in the plot", 2, -1.0, 1.0, "offset to the middle of the own plot over half a plot"),)
+
+
+def _self(config: FarmConfig, count: int) -> tuple[Part, ...]:
+    """Return which agent of its type it is and what time it is, where it sees these."""
+    seen = config.observation
+    rank = (Part("rank", count, 0.0, 1.0, "1 at the agent's place in its type, else 0"),) if seen.identity else ()
+    clock = (Part("clock", 1, 0.0, 1.0, "share of the episode that is over"),) if seen.clock else ()
+    return rank + clock
 
 
 def _apart(world: WorldConfig, height: float, others: tuple[float, ...]) -> float:

@@ -353,10 +353,21 @@ class ObservationConfig:
     """Which n: the nearest that hold data (AoI of 1 or more), empty ones behind them, or simply the nearest (ours)."""
     form: Literal["default", "printed"] = "default"
     """default: AoI and relative (dx, dy) of each observed sensor; printed: AoI only (W24)."""
+    window: int = 5
+    """Plots along each side of the square whose VDF a monitoring UAV sees, odd; the paper's is 3."""
+    lattice: bool = True
+    """Whether a monitoring UAV sees where in its plot it is, as the offset to the middle over half a plot (ours)."""
+    identity: bool = True
+    """Whether an agent sees which of its type it is, one of n_v, so that equal actors can share the work (ours)."""
+    clock: bool = True
+    """Whether an agent sees the share of the episode that is over (ours)."""
 
     def __post_init__(self) -> None:
-        """Refuse to observe no sensor."""
+        """Refuse to observe no sensor, and a window without a middle."""
         within(1, 256, sensors=self.sensors)
+        within(1, 31, window=self.window)
+        if self.window % 2 == 0:
+            raise ConfigError(f"window must be odd, so that the UAV's own plot is in the middle, not {self.window}.")
 
 
 @dataclass(frozen=True)

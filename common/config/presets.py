@@ -18,7 +18,10 @@ def _paper() -> RunConfig:
     return RunConfig(
         episodes=2000,
         farm=FarmConfig(
-            energy=EnergyConfig(model="printed"), observation=ObservationConfig(form="printed", choice="nearest")
+            energy=EnergyConfig(model="printed"),
+            observation=ObservationConfig(
+                form="printed", choice="nearest", window=3, lattice=False, identity=False, clock=False
+            ),
         ),
         algorithm=AlgorithmConfig(
             discount=0.99,

@@ -180,6 +180,11 @@ class ObservationConstants(NamedTuple):
         sensors: n.
         printed: AoI only (W24).
         waiting: sensors with an AoI above 0 come first.
+        window: plots along each side of the square that a monitoring UAV sees.
+        lattice: a monitoring UAV sees where in its plot it is.
+        identity: an agent sees which of its type it is.
+        clock: an agent sees the time.
+        per_steps: 1 over the steps of an episode.
         start_square: square of the distance to which the search for the nearest sensors starts, m^2.
         cells_x: sensor cells along x.
         cells_y: sensor cells along y.
@@ -188,6 +193,11 @@ class ObservationConstants(NamedTuple):
     sensors: int
     printed: bool
     waiting: bool
+    window: int
+    lattice: bool
+    identity: bool
+    clock: bool
+    per_steps: float
     start_square: float
     cells_x: int
     cells_y: int
@@ -217,7 +227,18 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
     """
     what, world = config.observation, config.world
     start = 1.5 * what.sensors * world.field_x * world.field_y / (math.pi * world.sensors)
-    seen = ObservationConstants(what.sensors, what.form == "printed", what.choice == "waiting", start, *cells)
+    seen = ObservationConstants(
+        what.sensors,
+        what.form == "printed",
+        what.choice == "waiting",
+        what.window,
+        what.lattice,
+        what.identity,
+        what.clock,
+        1.0 / world.steps,
+        start,
+        *cells,
+    )
     parts = (
         _fleet(config),
         _flight(config),

@@ -1,7 +1,8 @@
 """What each type of UAV sees, scaled to about [-1, 1] (W24).
 
 Positions are 2 x / X - 1; offsets dx / X, dy / Y; distances are three-dimensional, over the field's diagonal; VDF and
-AoI are over their maxima. A UAV that does not exist is (0, 0, 1).
+AoI are over their maxima. A UAV that does not exist is (0, 0, 1). Which of its type an agent is and the share of the
+episode that is over come last.
 """
 
 import math
@@ -45,8 +46,32 @@ def _put_uav(fleet: FleetConstants, position: Array, u: int, other: int, seen: F
 
 
 @sealed
+def _put_self(what: ObservationConstants, time: float, rank: int, count: int, seen: Float32, at: int) -> int:
+    if what.identity:
+        for other in range(count):
+            seen[at + other] = 1.0 if other == rank else 0.0
+        at += count
+    if what.clock:
+        seen[at] = time
+        at += 1
+    return at
+
+
+@sealed
+def _put_sensor(what: ObservationConstants, level: float, dx: float, dy: float, seen: Float32, at: int) -> int:
+    seen[at] = level
+    if what.printed:
+        return at + 1
+    seen[at + 1] = min(1.0, max(-1.0, dx * PER_SCALE))
+    seen[at + 2] = min(1.0, max(-1.0, dy * PER_SCALE))
+    return at + 3
+
+
+@sealed
 def see_relays(
     fleet: FleetConstants,
+    what: ObservationConstants,
+    time: float,
     position: Array,
     peer: Indices,
     neighbour: Indices,
@@ -59,6 +84,8 @@ def see_relays(
 
     Args:
         fleet: the UAVs.
+        what: whether rank and time are seen.
+        time: share of the episode that is over.
         position: [n, 2] m.
         peer: [n] nearest UAV of the plane.
         neighbour: [n] nearest UAV.
@@ -84,12 +111,15 @@ def see_relays(
         else:
             at = _put_uav(fleet, position, u, farthest[u], seen, at)
         at = _put_uav(fleet, position, u, neighbour[u], seen, at)
+        at = _put_self(what, time, u, fleet.relays, seen, at)
     return at
 
 
 @sealed
 def see_plots(
     fleet: FleetConstants,
+    what: ObservationConstants,
+    time: float,
     camera: CameraConstants,
     position: Array,
     neighbour: Indices,
@@ -98,12 +128,14 @@ def see_plots(
     seen: Float32,
     at: int,
 ) -> int:
-    """Write o_m of all monitoring UAVs: own place, VDF of the 3 x 3 plots around, D_VDF, nearest UAV.
+    """Write o_m of all monitoring UAVs: own place, VDF of the window of plots around, D_VDF, nearest UAV.
 
     Plots outside the field are seen with VDF 0: they are worth as little as one just photographed.
 
     Args:
         fleet: the UAVs.
+        what: the window, and what else is seen.
+        time: share of the episode that is over.
         camera: the plots.
         position: [n, 2] m.
         neighbour: [n] nearest UAV.
@@ -116,17 +148,23 @@ def see_plots(
         where the next type begins.
     """
     columns, rows = level.shape
+    reach, count = what.window // 2, fleet.collectors - fleet.relays
     for u in range(fleet.relays, fleet.collectors):
         at = _put_place(fleet, position[u, 0], position[u, 1], seen, at)
         column = min(int(position[u, 0] / camera.plot_width), columns - 1)
         row = min(int(position[u, 1] / camera.plot_depth), rows - 1)
-        for i in range(column - 1, column + 2):
-            for j in range(row - 1, row + 2):
+        for i in range(column - reach, column + reach + 1):
+            for j in range(row - reach, row + reach + 1):
                 inside = 0 <= i < columns and 0 <= j < rows
                 seen[at] = level[i, j] / camera.level_max if inside else 0.0
                 at += 1
         seen[at], seen[at + 1] = direction[u, 0], direction[u, 1]
         at = _put_uav(fleet, position, u, neighbour[u], seen, at + 2)
+        if what.lattice:
+            seen[at] = 2.0 * (position[u, 0] / camera.plot_width - column) - 1.0
+            seen[at + 1] = 2.0 * (position[u, 1] / camera.plot_depth - row) - 1.0
+            at += 2
+        at = _put_self(what, time, u - fleet.relays, count, seen, at)
     return at
 
 
@@ -134,6 +172,7 @@ def see_plots(
 def see_sensors(
     fleet: FleetConstants,
     what: ObservationConstants,
+    time: float,
     level_max: float,
     position: Array,
     neighbour: Indices,
@@ -154,6 +193,7 @@ def see_sensors(
     Args:
         fleet: the UAVs.
         what: n, which, and whether only AoI is seen.
+        time: share of the episode that is over.
         level_max: AoI_max.
         position: [n, 2] m.
         neighbour: [n] nearest UAV.
@@ -170,6 +210,7 @@ def see_sensors(
         at: where to begin.
     """
     holding, wanted, per_level = waiting[0], what.sensors, 1.0 / level_max
+    count = fleet.uavs - fleet.collectors
     for u in range(fleet.collectors, fleet.uavs):
         x, y, listed = position[u, 0], position[u, 1], nearest[u - fleet.collectors]
         at = _put_place(fleet, x, y, seen, at)
@@ -182,11 +223,7 @@ def see_sensors(
             nearest_sensors(fleet, what, x, y, EMPTY, sensor, cell_start, age, total, around, square, rest, squares)
         for rank in range(wanted):
             j = listed[rank]
-            seen[at] = age[j] * per_level
-            at += 1
-            if not what.printed:
-                seen[at] = min(1.0, max(-1.0, (sensor[0, j] - x) * PER_SCALE))
-                seen[at + 1] = min(1.0, max(-1.0, (sensor[1, j] - y) * PER_SCALE))
-                at += 2
+            at = _put_sensor(what, age[j] * per_level, sensor[0, j] - x, sensor[1, j] - y, seen, at)
         seen[at], seen[at + 1] = direction[u, 0], direction[u, 1]
         at = _put_uav(fleet, position, u, neighbour[u], seen, at + 2)
+        at = _put_self(what, time, u - fleet.collectors, count, seen, at)

@@ -168,11 +168,13 @@ def _observe(c: Constants, farm: Farm, s: Scratch) -> None:
         farm.direction,
     )
     seen = farm.observation
-    at = see_relays(c.fleet, farm.position, s.peer, s.neighbour, s.centroid, s.farthest, seen, 0)
-    at = see_plots(c.fleet, c.camera, farm.position, s.neighbour, farm.direction, farm.level, seen, at)
+    what, time = c.observation, farm.step * c.observation.per_steps
+    at = see_relays(c.fleet, what, time, farm.position, s.peer, s.neighbour, s.centroid, s.farthest, seen, 0)
+    at = see_plots(c.fleet, what, time, c.camera, farm.position, s.neighbour, farm.direction, farm.level, seen, at)
     see_sensors(
         c.fleet,
-        c.observation,
+        what,
+        time,
         c.radio.level_max,
         farm.position,
         s.neighbour,

@@ -153,7 +153,10 @@ def numbers(world: WorldConfig) -> dict[str, dict[str, st.SearchStrategy[Any]]]:
             "cost_link": WEIGHTS,
         },
         "reward": {name: SIGNED for name, kind in weights if kind is float},
-        "observation": {"sensors": st.one_of(st.integers(1, min(10, world.sensors)), st.just(world.sensors))},
+        "observation": {
+            "sensors": st.one_of(st.integers(1, min(10, world.sensors)), st.just(world.sensors)),
+            "window": st.sampled_from([1, 3, 3, 5, 9]),
+        },
     }
 
 

@@ -199,18 +199,23 @@ class Pair:
         row = self.farm.observation[0].copy()
         compared = np.ones(row.shape, bool)
         views, masks = team.split_observations(row), team.split_observations(compared)
-        width = 1 if self.config.observation.form == "printed" else 3
-        last = 2 + width * self.config.observation.sensors
+        seen = self.config.observation
+        width, side = 1 if seen.form == "printed" else 3, seen.window
+        last, behind = 2 + width * seen.sensors, 2 + side**2
         sensors = range(3, last, 3) if width == 3 else ()
-        vectors = ((0, 2, 5, 8, 11, 14), (0, 11, 13), (0, *sensors, last, last + 2))
+        lattice = (behind + 5,) if seen.lattice else ()
+        vectors = ((0, 2, 5, 8, 11, 14), (0, behind, behind + 2, *lattice), (0, *sensors, last, last + 2))
         for view, starts in zip(views, vectors, strict=True):
             for at in starts:
                 view[:, at : at + 2] = self.symmetry.vectors(view[:, at : at + 2])
-        views[1][:, 2:11] = self.symmetry.plots(views[1][:, 2:11].reshape(-1, 3, 3)).reshape(-1, 9)
+        views[1][:, 2:behind] = self.symmetry.plots(views[1][:, 2:behind].reshape(-1, side, side)).reshape(-1, side**2)
         pointed = np.split(self.pointed, [slice.start for slice in team.agent_slices()[1:]])
-        masks[1][~pointed[1], 11:13] = False
+        masks[1][~pointed[1], behind : behind + 2] = False
         masks[2][~pointed[2], last : last + 2] = False
-        masks[1][self.on_plot_borders(), 2:11] = False
+        between = self.on_plot_borders()
+        masks[1][between, 2:behind] = False
+        if seen.lattice:
+            masks[1][between, behind + 5 : behind + 7] = False
         masks[2][self.sensors_equally_far(), 2:last] = False
         return row, compared
 

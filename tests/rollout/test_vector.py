@@ -35,8 +35,8 @@ def test_it_has_gymnasiums_contract():
     envs = FarmVectorEnv(COUNT, SHORT)
     assert isinstance(envs, VectorEnv)
     assert list(envs.observation_space) == list(envs.action_space) == ["communication", "monitoring", "collection"]
-    assert envs.single_observation_space["collection"].shape == (4, 37)
-    assert envs.observation_space["collection"].shape == (COUNT, 4, 37)
+    assert envs.single_observation_space["collection"].shape == (4, 42)
+    assert envs.observation_space["collection"].shape == (COUNT, 4, 42)
     assert envs.single_action_space["monitoring"].shape == (4, 2)
     observations, _ = envs.reset(seed=0)
     assert observations in envs.observation_space
@@ -249,7 +249,7 @@ def test_it_is_registered():
     listed.reset(seed=0)
     for step in range(STEPS):
         *_, infos = listed.step(actions(step))
-    assert infos[2]["final_obs"]["collection"].shape == (4, 37)
+    assert infos[2]["final_obs"]["collection"].shape == (4, 42)
 
 
 def test_pictures_of_chosen_environments():
