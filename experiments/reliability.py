@@ -152,7 +152,7 @@ def soak(f: Figures) -> str:
         f"{row['threads'][1]}, descriptors {row['descriptors'][0]} to {row['descriptors'][1]}"
         for name, row in f["processes"].items()
     ]
-    return f"{f['minutes']:.0f} minutes, {f['steps']:,} steps: " + "; ".join(rows)
+    return f"{f['minutes']:.0f} minutes: " + "; ".join(rows)
 
 
 @dataclass(frozen=True)
