@@ -1,9 +1,12 @@
-"""Between a chunk of experience and its message on the wire."""
+"""Between chunks of experience and a request on the wire."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
-from common.errors import SchemaError, VersionError
-from common.messages import ChunkMessage
+from common.errors import FrameError, SchemaError, VersionError
+from common.frame import Data, length
+from common.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessage
 from common.team import TeamSpec
 from common.transitions import Chunk, EpisodeSummary, Rows
 
@@ -15,17 +18,16 @@ MAX_NAME = 64
 """Most characters of a figure's name."""
 
 
-def to_message(chunk: Chunk, team: TeamSpec, oldest: int, produced: int, flown: int) -> ChunkMessage:
-    """Return the message of a chunk; see `ChunkMessage` for `oldest`, `produced` and `flown`."""
+def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> ChunkMessage:
+    """Return the message of a chunk; see `ChunkMessage` for `version` and `produced`."""
     done = chunk.episodes
     names = tuple(done[0].figures) if done else ()
     figures = [[e.figures[name] for name in names] for e in done]
     rewards = [e.reward for e in done]
     return ChunkMessage(
         team=team.digest,
-        oldest=oldest,
+        version=version,
         produced=produced,
-        flown=flown,
         observation=chunk.rows.observation,
         action=chunk.rows.action,
         reward=chunk.rows.reward,
@@ -70,3 +72,40 @@ def from_message(message: ChunkMessage, team: TeamSpec) -> Chunk:
         for k in range(count)
     )
     return Chunk(rows, episodes)
+
+
+def fitting(sizes: Sequence[int]) -> int:
+    """Return how many chunks of these sizes in bytes, the first always among them, go into one delivery."""
+    count, room = 1, MOST_BYTES - sizes[0]
+    while count < min(len(sizes), MOST_CHUNKS) and sizes[count] <= room:
+        room -= sizes[count]
+        count += 1
+    return count
+
+
+def to_request(sealed: Sequence[bytes], oldest: int, flown: int) -> bytes:
+    """Return a request's payload: the frames of chunks behind a `DeliveryMessage`, which tells of the rest."""
+    return b"".join([DeliveryMessage(oldest, flown, tuple(map(len, sealed))).encode(), *sealed])
+
+
+def from_request(payload: bytes) -> tuple[DeliveryMessage, list[Data]]:
+    """Return what stands before the chunks of a request, and the frame of each, not copied and not looked into.
+
+    Raises:
+        FrameError, VersionError: when the payload does not begin with a whole DeliveryMessage, or is not as long as it
+            says.
+        SchemaError: when it holds no chunks, or more than a delivery may.
+    """
+    view = memoryview(payload)
+    place = length(view)
+    delivery = DeliveryMessage.decode(view[:place])
+    sizes = delivery.sizes
+    if sum(sizes) != len(view) - place:
+        raise FrameError("the chunks are not as long as their delivery says.")
+    if not sizes or fitting(sizes) < len(sizes):
+        raise SchemaError(f"{len(sizes)} chunks of {sum(sizes)} bytes are no delivery.")
+    parts: list[Data] = []
+    for size in sizes:
+        parts.append(view[place : place + size])
+        place += size
+    return delivery, parts

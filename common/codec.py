@@ -36,7 +36,7 @@ class Message:
         return frame.encode(self.KIND, scalars, arrays)
 
     @classmethod
-    def decode(cls, data: bytes) -> Self:
+    def decode(cls, data: frame.Data) -> Self:
         """Rebuild a message from its frame.
 
         Raises:

@@ -33,7 +33,8 @@ class Endpoint:
         host: name or address; IPv6 in brackets.
         port: port of the control lane; the bulk lane has the next one.
         credentials: this process's certificate, when the protocol is tls.
-        shared_memory: whether processes on one machine pass large messages through its memory; both ends must.
+        shared_memory: whether the bulk lane goes through the memory of the machine where both ends are on the same one
+            and both say so.
     """
 
     protocol: str

@@ -31,6 +31,8 @@ _MAGIC: Final = b"EIAS"
 _DTYPES: Final = {"<f4": 4, "<f8": 8, "|u1": 1, "<i4": 4, "<i8": 8}
 
 Array = NDArray[Any]
+Data = bytes | memoryview
+"""Bytes as they came, or a part of them that was not copied."""
 
 
 def encode(kind: int, fields: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
@@ -58,7 +60,21 @@ def encode(kind: int, fields: Mapping[str, Any], arrays: Mapping[str, Array]) ->
     return b"".join((_PREFIX.pack(_MAGIC, PROTOCOL, kind, 0, len(header), body, crc), header, *parts))
 
 
-def decode(data: bytes, kind: int) -> tuple[dict[str, Any], dict[str, Array]]:
+def length(data: Data) -> int:
+    """Return how long the frame is that some bytes begin with, going by its prefix alone.
+
+    Raises:
+        FrameError: when they do not begin like a frame, or are not all of it.
+    """
+    if len(data) < _PREFIX.size:
+        raise FrameError(f"{len(data)} bytes are no frame.")
+    magic, _, _, _, header_size, body_size, _ = _PREFIX.unpack_from(data)
+    if magic != _MAGIC or _PREFIX.size + header_size + body_size > len(data):
+        raise FrameError("the bytes do not begin with a whole frame.")
+    return int(_PREFIX.size + header_size + body_size)
+
+
+def decode(data: Data, kind: int) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return fields and arrays of a frame; the arrays are read-only views of the data.
 
     Raises:
@@ -84,7 +100,7 @@ def decode(data: bytes, kind: int) -> tuple[dict[str, Any], dict[str, Array]]:
     return fields, _arrays(data, listing, _PREFIX.size + header_size, body_size)
 
 
-def _header(data: bytes) -> tuple[dict[str, Any], list[Any]]:
+def _header(data: Data) -> tuple[dict[str, Any], list[Any]]:
     try:
         header = msgpack.unpackb(data, strict_map_key=True)
         fields, listing = header["fields"], header["arrays"]
@@ -97,17 +113,14 @@ def _header(data: bytes) -> tuple[dict[str, Any], list[Any]]:
     return fields, listing
 
 
-def _arrays(data: bytes, listing: list[Any], start: int, size: int) -> dict[str, Array]:
+def _arrays(data: Data, listing: list[Any], start: int, size: int) -> dict[str, Array]:
     arrays: dict[str, Array] = {}
     end = start + size
     for entry in listing:
         if not (isinstance(entry, list) and len(entry) == 3 and isinstance(entry[0], str)):
             raise SchemaError("an array's description is malformed.")
         name, dtype, shape = entry
-        whole = isinstance(shape, list) and len(shape) <= 8 and all(type(n) is int and 0 <= n < 2**31 for n in shape)
-        # A zero among the sizes would let the others promise anything.
-        whole = whole and math.prod(n for n in shape if n) < 2**40
-        if not isinstance(dtype, str) or dtype not in _DTYPES or not whole or name in arrays:
+        if not isinstance(dtype, str) or dtype not in _DTYPES or not _is_shape(shape) or name in arrays:
             raise SchemaError(f"array {name[:40]!r} is described as {str(dtype)[:20]}{str(shape)[:40]}.")
         count = math.prod(shape)
         if start + count * _DTYPES[dtype] > end:
@@ -117,3 +130,15 @@ def _arrays(data: bytes, listing: list[Any], start: int, size: int) -> dict[str,
     if start != end:
         raise SchemaError("the frame holds bytes that no array claims.")
     return arrays
+
+
+def _is_shape(shape: Any) -> bool:
+    if not isinstance(shape, list) or len(shape) > 8:
+        return False
+    product = 1
+    for size in shape:
+        if type(size) is not int or not 0 <= size < 2**31:
+            return False
+        # A zero among the sizes would let the others promise anything.
+        product *= size or 1
+    return product < 2**40

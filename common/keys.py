@@ -1,6 +1,6 @@
 """Every key expression of the protocol: the whole table, one formatter, one parser.
 
-    eia-sec/v1/{run}/transition/{worker}        request   worker -> learner        ChunkMessage, ChunkAck back
+    eia-sec/v1/{run}/transition/{worker}        request   worker -> learner        DeliveryMessage, ChunkMessages, ack
     eia-sec/v1/{run}/params/actors              state     learner -> everybody     ParametersMessage
     eia-sec/v1/{run}/ctl/progress               state     learner -> everybody     ProgressMessage
     eia-sec/v1/{run}/ctl/learner/{verb}         request   anybody -> learner       CommandMessage, an answer back
@@ -72,8 +72,8 @@ TRANSITION: Final = KeyFamily(
     "request",
     "worker",
     "learner",
-    ("ChunkMessage", "ChunkAck"),
-    "one at a time, as fast as the learner answers",
+    ("DeliveryMessage", "ChunkMessage", "ChunkAck"),
+    "one at a time, with all chunks that wait and fit, as fast as the learner answers",
 )
 PARAMETERS: Final = KeyFamily(
     "params",

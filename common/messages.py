@@ -4,7 +4,7 @@
 """
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,13 @@ from numpy.typing import NDArray
 from common.codec import Message
 from common.imitation import ImitationEvent
 from common.team import Float32
+
+MOST_CHUNKS: Final = 64
+"""Most chunks that one delivery holds."""
+MOST_BYTES: Final = 2 * 2**20
+"""Most bytes of a delivery's chunks, when there are several; a single one may be larger."""
+SETTLED: Final = ("accepted", "duplicate", "refused")
+"""Verdicts after which a worker lets go of a chunk; the others ask for it again."""
 
 
 @dataclass(frozen=True)
@@ -36,13 +43,12 @@ class Envelope(Message):
 
 @dataclass(frozen=True)
 class ChunkMessage(Message):
-    """Rows of transitions and the episodes that ended in them.
+    """Rows of transitions and the episodes that ended in them; travels inside a delivery.
 
     Attributes:
         team: digest of the team layout.
-        oldest: sequence number of the oldest chunk that the worker still holds.
+        version: parameter version that flew them.
         produced: environment steps that this incarnation has produced up to and with this chunk.
-        flown: environment steps that it had flown when it sent this, those in its spool included.
         observation, action, reward, flag: the rows, see `common.transitions.Rows`.
         farm, episode, steps: [K] int64 for each finished episode.
         episode_reward: [K, agents] float32.
@@ -52,9 +58,8 @@ class ChunkMessage(Message):
 
     KIND = 2
     team: str
-    oldest: int
+    version: int
     produced: int
-    flown: int
     observation: Float32
     action: Float32
     reward: Float32
@@ -69,20 +74,21 @@ class ChunkMessage(Message):
 
 @dataclass(frozen=True)
 class ChunkAck(Message):
-    """The learner's answer to a chunk.
+    """The learner's answer to a delivery: verdicts on its chunks, from the first up to one that has to come again.
 
     Attributes:
-        status: accepted, duplicate, gap, damaged (send it again), refused or closed (the learner takes no more).
+        verdicts: accepted, duplicate or refused; the last may be gap, damaged (send it again) or closed (the learner
+            takes no more), and those behind it have not been looked at.
+        reasons: for each of them why it was not taken, else empty.
         expected: the next sequence number that the learner takes from this worker.
         required_version: parameter version that the worker must hold before its next chunk; 0 asks for none.
-        reason: why it was refused, else empty.
     """
 
     KIND = 3
-    status: str
+    verdicts: tuple[str, ...]
+    reasons: tuple[str, ...]
     expected: int
     required_version: int
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -373,3 +379,21 @@ class ViewMessage(Message):
     vdf: NDArray[np.uint8]
     level: Float32
     parts: Float32
+
+
+@dataclass(frozen=True)
+class DeliveryMessage(Message):
+    """What stands before the chunks of one request; their frames follow it, one after another.
+
+    They are numbered consecutively, the first one by the envelope's sequence number.
+
+    Attributes:
+        oldest: sequence number of the oldest chunk that the worker still holds.
+        flown: environment steps that this incarnation had flown when it sent this, those in its spool included.
+        sizes: bytes of each chunk's frame; at most MOST_CHUNKS of them, of together MOST_BYTES when there are several.
+    """
+
+    KIND = 18
+    oldest: int
+    flown: int
+    sizes: tuple[int, ...]

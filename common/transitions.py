@@ -5,6 +5,7 @@ t did; the last row holds the final observation alone. So each observation is st
 row t is row t + 1, and a segment may be cut anywhere, at a chunk's border or at an episode's end.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -22,7 +23,10 @@ TERMINATED: Final = 2
 TRUNCATED: Final = 4
 """Flag bit: the step of this row was the episode's last by its time limit; its successor is bootstrapped from."""
 
-_ENDS: Final = TERMINATED | TRUNCATED
+_WHOLE: Final = re.compile(
+    b"(?:(?:%c++[%c%c]?+|[%c%c])%c)++" % (TRANSITION, *2 * (TRANSITION | TERMINATED, TRANSITION | TRUNCATED), 0)
+)
+"""Flags of whole segments: steps, of which the last may end its episode, and one row behind them."""
 
 FARM_FIGURES: Final = ("aoi", "vdf", "collisions", "boundary", "energy_j")
 """Of a farm's episode: mean AoI over sensors and steps and mean VDF over plots and steps, units; UAV steps spent closer
@@ -64,25 +68,10 @@ class Rows:
                 raise SchemaError(f"{name} is {array.dtype}{list(array.shape)}, not float32{list(shape)}.")
             if not np.isfinite(array).all():
                 raise SchemaError(f"{name} holds a number that is not finite.")
-        if rows < 2 or self.flag.dtype != np.uint8 or not _lawful(self.flag):
+        if self.flag.dtype != np.uint8 or not _WHOLE.fullmatch(self.flag.tobytes()):
             raise SchemaError("the flags are not those of whole segments.")
         if (np.abs(self.action) > 1.0).any():
             raise SchemaError("an action lies outside [-1, 1].")
-
-
-def _lawful(flag: NDArray[np.uint8]) -> bool:
-    """Return whether rows are segments: steps, at most the last of which ends its episode, and one row behind them."""
-    steps, ends = (flag & TRANSITION) != 0, flag & _ENDS
-    behind = ~steps[1:]
-    return not (
-        (flag > (TRANSITION | _ENDS)).any()
-        or steps[-1]
-        or not steps[0]
-        or (ends == _ENDS).any()
-        or (ends[~steps] != 0).any()
-        or (~steps[:-1] & behind).any()
-        or ((ends[:-1] != 0) & ~behind).any()
-    )
 
 
 @dataclass(frozen=True)

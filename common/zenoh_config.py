@@ -27,7 +27,10 @@ def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = 
     With credentials, it takes TLS links alone, asks for a certificate of the same authority, and lets each holder do
     what `common.access` grants to it.
     """
-    values = _base(mode, endpoint) | {"listen/endpoints": [endpoint.locator(lane)], "listen/exit_on_failure": True}
+    values = _base(mode, endpoint, lane) | {
+        "listen/endpoints": [endpoint.locator(lane)],
+        "listen/exit_on_failure": True,
+    }
     credentials = endpoint.credentials
     if credentials is not None:
         values["transport/link/tls"] = {
@@ -42,7 +45,7 @@ def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = 
 
 def routing(endpoint: Endpoint) -> Values:
     """Return the configuration of a router, which takes both lanes; links of the two never mix."""
-    values = listening(endpoint, "control", "router")
+    values = listening(endpoint, "bulk", "router")
     return values | {"listen/endpoints": [endpoint.locator("control"), endpoint.locator("bulk")]}
 
 
@@ -60,7 +63,7 @@ def document(values: Values) -> str:
 
 def connecting(endpoint: Endpoint, lane: Lane) -> Values:
     """Return the configuration of a session that connects to a listener or a router."""
-    values = _base("client", endpoint) | {
+    values = _base("client", endpoint, lane) | {
         "connect/endpoints": [endpoint.locator(lane)],
         "connect/timeout_ms": CONNECT_MS,
         "connect/exit_on_failure": True,
@@ -85,7 +88,7 @@ def _tls(credentials: Credentials) -> Values:
     }
 
 
-def _base(mode: str, endpoint: Endpoint) -> Values:
+def _base(mode: str, endpoint: Endpoint, lane: Lane) -> Values:
     return {
         "mode": mode,
         "listen/endpoints": [],
@@ -94,5 +97,6 @@ def _base(mode: str, endpoint: Endpoint) -> Values:
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
         "transport/link/rx/max_message_size": MAX_FRAME,
-        "transport/shared_memory/enabled": endpoint.shared_memory,
+        # What is lost in silence when a receiver stalls comes again on the bulk lane, where everything is acknowledged.
+        "transport/shared_memory/enabled": endpoint.shared_memory and lane == "bulk",
     }

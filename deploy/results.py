@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+from deploy import capacity
 from deploy.intervals import interval_table
 
 RUN: Final = "EIA-SEC (this run)"
@@ -198,6 +199,7 @@ BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
     "README.md": ("results", ("docs/results/default/evaluation.json",), _run_block),
     "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
     "docs/architecture.md": ("second-worker", ("docs/results/second_worker.json",), _second_worker_block),
+    "docs/capacity.md": ("capacity", capacity.SOURCES, capacity.block),
     "docs/heuristics.md": ("heuristics", ("docs/results/heuristics/results.json",), _heuristics_block),
     "docs/hosts.md": ("hosts", ("docs/results/hosts/results.json",), _hosts_block),
     "docs/method.md": ("forms", ("docs/results/critic_forms/forms.json",), _forms_block),

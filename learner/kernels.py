@@ -271,3 +271,14 @@ def take_out(places: Table, slot: Table, count: int, gone: Table) -> int:
             places[hole], slot[last] = last, hole
             slot[gone[n]] = -1
     return count
+
+
+@compiled
+def retired(flag: NDArray[np.uint8], uses: Table, step: int) -> tuple[int, int]:
+    """Return how many rows bear the flag of a step, and the sum of their uses."""
+    count, total = 0, 0
+    for n in range(flag.shape[0]):
+        if flag[n] & step:
+            count += 1
+            total += uses[n]
+    return count, total

@@ -2,16 +2,17 @@
 
 import queue
 import threading
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 from common import keys
 from common.bus import Incoming, Server
-from common.chunks import from_message
+from common.chunks import from_message, from_request
 from common.config import ReplayConfig
 from common.errors import ProtocolError, SchemaError
+from common.frame import Data
 from common.history import Entry, History
-from common.messages import ChunkAck, ChunkMessage, Envelope
+from common.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from common.process import log
 from common.team import TeamSpec
 from common.transitions import Chunk
@@ -19,12 +20,19 @@ from learner.intake import Intake, WorkerLedger
 from learner.offenders import CUT_SECONDS, Offenders
 from learner.tarpit import Tarpit
 
-FULL_SECONDS = 0.005
+FULL_SECONDS: Final = 0.001
 """Pause between two looks at a full queue."""
-DAMAGED_TRIES = 8
+DAMAGED_TRIES: Final = 8
 """Times that one chunk may arrive damaged before it is refused for good: its worker makes it so."""
-LOGGED_REFUSALS = 20
+LOGGED_REFUSALS: Final = 20
 """Refusals that are logged one by one; all are counted."""
+REASON: Final = 400
+"""Most characters of a reason in an answer."""
+Verdict = tuple[str, str]
+"""What becomes of a chunk, see `ChunkAck`, and why it was not taken."""
+TAKEN: Final[Verdict] = ("accepted", "")
+WORTH_LOOKING: Final = frozenset(("accepted", "closed", "refused", "damaged"))
+"""A request without any of these brought nothing, and counts against its sender; bad chunks are counted one by one."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,7 @@ class Receiver:
         team: what they must fit.
         intake: deduplication and ledger; it is the receiver's from now on.
         replay: bounds.
-        lockstep: whether the learner answers itself, when it has trained.
+        lockstep: whether the learner answers itself, when it has trained; a request then holds one chunk.
         history: where each verdict is written before it is told.
     """
 
@@ -137,6 +145,25 @@ class Receiver:
         if (refusal := self.offenders.refusal(worker)) is not None:
             self.tarpit.hold(incoming, refusal)
             return
+        sender = self._identified(incoming, worker)
+        try:
+            delivery, parts = from_request(incoming.payload)
+        except ProtocolError as error:
+            self._answer(incoming, sender, [self._send_again(sender, error)])
+            return
+        if self._lockstep and len(parts) > 1:
+            raise ProtocolError("a lockstep run takes one chunk at a time.")
+        verdicts: list[Verdict] = []
+        for index, data in enumerate(parts):
+            owed = incoming if self._lockstep else None
+            verdicts.append(self._judge(replace(sender, sequence=sender.sequence + index), delivery, data, owed))
+            if verdicts[-1][0] not in SETTLED:
+                break
+        if not (self._lockstep and verdicts == [TAKEN]):
+            self._answer(incoming, sender, verdicts)
+
+    def _identified(self, incoming: Incoming, worker: str) -> Envelope:
+        """Return who sent a request; raise ProtocolError when it may not send here."""
         try:
             sender = Envelope.decode(incoming.attachment)
             if (sender.role, sender.name) != ("rollout", worker) or sender.sequence < 1:
@@ -149,98 +176,99 @@ class Receiver:
             raise ProtocolError(f"worker {sender.name} has been replaced by a newer start.")
         if self._lockstep and self.intake.workers and known is None:
             raise ProtocolError("a lockstep run has exactly one worker.")
-        try:
-            message = ChunkMessage.decode(incoming.payload)
-        except ProtocolError as error:
-            self._send_again(incoming, sender, error)
-            return
-        self._judge(incoming, sender, message)
+        return sender
 
-    def _judge(self, incoming: Incoming, sender: Envelope, message: ChunkMessage) -> None:
-        status = self.intake.judge(sender, message.oldest)
+    def _judge(self, sender: Envelope, delivery: DeliveryMessage, data: Data, owed: Incoming | None) -> Verdict:
+        """Look at one chunk of a delivery, and book and queue it when all is well.
+
+        Args:
+            sender: who sent it, with the chunk's own number.
+            delivery: what it came in.
+            data: its frame.
+            owed: the request, when the learner itself answers it.
+        """
+        try:
+            message = ChunkMessage.decode(data)
+        except ProtocolError as error:
+            return self._send_again(sender, error)
+        status = self.intake.judge(sender, delivery.oldest)
         if status != "accepted":
             if status == "duplicate":
                 self._tell("duplicate", sender, 1)
-            self._bad(sender.name, f"chunk {sender.sequence} is a {status}.")
-            self._answer(incoming, sender, status)
-            return
+            return status, ""
         try:
             chunk = from_message(message, self._team)
             if chunk.rows.flag.shape[0] > self._most_rows:
                 raise SchemaError(f"{chunk.rows.flag.shape[0]} rows at once, more than a replay of {self._most_rows}.")
         except ProtocolError as error:
             self._bad(sender.name, str(error))
-            self._refuse(incoming, sender, error)
-            return
-        lag = self.version - sender.version
+            return self._refuse(sender, error)
+        sender, flown = replace(sender, version=message.version), delivery.flown
+        lag = self.version - message.version
         if 0 < self._most_lag < lag:
             steps = chunk.rows.steps
-            lost = self.intake.refuse_aged(sender, steps, message.produced, message.flown)
+            lost = self.intake.refuse_aged(sender, steps, message.produced, flown)
             self._tell("missing", sender, lost)
-            self._tell("refused", sender, steps, message)
-            self._answer(incoming, sender, "refused", f"its policy is {lag} versions old, more than {self._most_lag}.")
-            return
-        self._queue(incoming, sender, chunk, message)
+            self._tell("refused", sender, steps, message.produced, flown)
+            return "refused", f"its policy is {lag} versions old, more than {self._most_lag}."
+        return self._queue(sender, chunk, message.produced, flown, owed)
 
-    def _send_again(self, incoming: Incoming, sender: Envelope, error: ProtocolError) -> None:
+    def _send_again(self, sender: Envelope, error: ProtocolError) -> Verdict:
         """Ask for an unreadable frame once more, without spending its number; refuse it when that goes on.
 
         A number that is not the next one is never spent here: the worker may still hold those before it.
         """
         self.intake.note_damaged(sender)
-        self._bad(sender.name, str(error))
         self._log(f"a chunk of worker {sender.name} came damaged: {error}")
         expected = self.intake.expected(sender)
         if sender.sequence < expected:
-            self._answer(incoming, sender, "duplicate")
-            return
+            return "duplicate", ""
+        self._bad(sender.name, str(error))
         start, sequence, times = self._damaged.get(sender.name, (0, 0, 0))
         times = times + 1 if (start, sequence) == (sender.incarnation, sender.sequence) else 1
         self._damaged[sender.name] = (sender.incarnation, sender.sequence, times)
         if sender.sequence == expected and (times >= DAMAGED_TRIES or isinstance(error, SchemaError)):
-            self._refuse(incoming, sender, error)
-            return
-        self._answer(incoming, sender, "damaged", str(error))
+            return self._refuse(sender, error)
+        return "damaged", str(error)[:REASON]
 
-    def _refuse(self, incoming: Incoming, sender: Envelope, error: ProtocolError) -> None:
+    def _refuse(self, sender: Envelope, error: ProtocolError) -> Verdict:
         self._damaged.pop(sender.name, None)
         self.intake.refuse(sender)
         self._tell("refused", sender, 0)
         self._log(f"refused a chunk of worker {sender.name}: {error}")
-        self._answer(incoming, sender, "refused", str(error))
+        return "refused", str(error)[:REASON]
 
-    def _answer(self, incoming: Incoming, sender: Envelope, status: str, reason: str = "") -> None:
-        version = 0 if status == "refused" else self.required_version
-        incoming.reply(ChunkAck(status, self.intake.expected(sender), version, reason[:400]).encode())
+    def _answer(self, incoming: Incoming, sender: Envelope, verdicts: list[Verdict]) -> None:
+        version = 0 if verdicts[-1][0] == "refused" else self.required_version
+        told, reasons = zip(*verdicts, strict=True)
+        if not set(told) & WORTH_LOOKING:
+            self._bad(sender.name, f"chunk {sender.sequence} is a {told[0]}.")
+        incoming.reply(ChunkAck(told, reasons, self.intake.expected(sender), version).encode())
 
-    def _tell(self, verdict: str, sender: Envelope, steps: int, message: ChunkMessage | None = None) -> None:
+    def _tell(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:
         """Write a verdict into the history; of missing steps only when there are any."""
         if verdict == "missing" and steps == 0:
             return
-        produced, flown = (message.produced, message.flown) if message is not None else (0, 0)
         number = sender.sequence
         self._history.add(Entry(verdict, sender.name, sender.incarnation, number, number, steps, produced, flown))
 
-    def _queue(self, incoming: Incoming, sender: Envelope, chunk: Chunk, message: ChunkMessage) -> None:
-        owed = incoming if self._lockstep else None
+    def _queue(self, sender: Envelope, chunk: Chunk, produced: int, flown: int, owed: Incoming | None) -> Verdict:
+        """Book a chunk and put it into the queue, as soon as there is room."""
         while True:
             with self.gate:
                 if self._closing.is_set():
-                    break
+                    return "closed", ""
                 if not self.arrivals.full():
                     # This thread alone puts, so the free place stays free.
                     steps = chunk.rows.steps
-                    lost = self.intake.accept(sender, steps, message.produced, message.flown)
+                    lost = self.intake.accept(sender, steps, produced, flown)
                     self._tell("missing", sender, lost)
-                    self._tell("accepted", sender, steps, message)
-                    ledger = self.intake.workers[sender.name]
+                    self._tell("accepted", sender, steps, produced, flown)
                     self.offenders.good(sender.name)
+                    ledger = self.intake.workers[sender.name]
                     self.arrivals.put_nowait(Arrival(chunk, sender, ledger, self.intake.closed, owed))
-                    if owed is None:
-                        incoming.reply(ChunkAck("accepted", ledger.expected, 0, "").encode())
-                    return
+                    return TAKEN
             self._closing.wait(FULL_SECONDS)
-        incoming.reply(ChunkAck("closed", self.intake.expected(sender), 0, "").encode())
 
     def _bad(self, worker: str, reason: str) -> None:
         if self.offenders.bad(worker, reason):

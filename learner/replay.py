@@ -23,6 +23,7 @@ from torch import Tensor
 from common.errors import CheckpointError, ConfigError, EiaSecError
 from common.team import Float32, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, Rows
+from learner import kernels
 from learner.engine import Batch
 from learner.frozen import Frozen
 from learner.places import Places, PlaceSet
@@ -127,6 +128,8 @@ class Replay:
         count = index.shape[0]
         first = min(count, self.capacity - self.head)
         for start, part in ((self.head, index[:first]), (0, index[first:])):
+            if not part.shape[0]:
+                continue
             place = slice(start, start + part.shape[0])
             self._retire(place)
             for target, source in zip(self._large(), (rows.observation, rows.action, rows.reward), strict=True):
@@ -141,9 +144,9 @@ class Replay:
         for frozen in self._frozen:
             frozen.protect(place.start, place.stop)
         self._drawable.remove(np.arange(place.start, place.stop))
-        was = (self.flag[place] & TRANSITION) != 0
-        self.retired += int(np.count_nonzero(was))
-        self.retired_uses += int(self.uses[place][was].sum())
+        count, uses = kernels.retired(self.flag[place], self.uses[place], TRANSITION)
+        self.retired += count
+        self.retired_uses += uses
 
     def _link(self, rows: Rows, numbers: Indices) -> None:
         """Note the successor of each row that a step follows, and let these rows be drawn."""

@@ -7,7 +7,7 @@ instance, the later segment begins anew.
 """
 
 import hashlib
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +19,25 @@ MAX_SOURCES = 4096
 """Sources whose open ends are remembered; beyond that the one heard from least recently is forgotten."""
 
 Indices = NDArray[np.int64]
+_FIRST: Final[Indices] = np.zeros(1, np.int64)
 
 
 def segment_starts(flag: NDArray[np.uint8]) -> Indices:
     """Return the first row of each segment."""
-    follows = (flag & TRANSITION) != 0
-    return np.flatnonzero(np.concatenate(([True], ~follows[:-1])))
+    return np.concatenate((_FIRST, _last_rows(flag)[:-1] + 1))
 
 
 def open_ends(flag: NDArray[np.uint8]) -> Indices:
     """Return the last row of each segment whose episode goes on."""
-    follows = (flag & TRANSITION) != 0
-    last = np.concatenate(([0], flag[:-1]))
-    return np.flatnonzero(~follows & ((last & TRANSITION) != 0) & ((last & (TERMINATED | TRUNCATED)) == 0))
+    last = _last_rows(flag)
+    going: Indices = last[(flag[last - 1] & (TERMINATED | TRUNCATED)) == 0]
+    return going
+
+
+def _last_rows(flag: NDArray[np.uint8]) -> Indices:
+    """Return the last row of each segment, the one behind its steps."""
+    rows: Indices = np.flatnonzero((flag & TRANSITION) == 0)
+    return rows
 
 
 class OpenEnds:
@@ -90,4 +96,4 @@ class OpenEnds:
 
 
 def _name(observation: NDArray[np.float32]) -> str:
-    return hashlib.blake2b(np.ascontiguousarray(observation).tobytes(), digest_size=16).hexdigest()
+    return hashlib.blake2b(np.ascontiguousarray(observation).data, digest_size=16).hexdigest()

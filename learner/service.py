@@ -172,7 +172,7 @@ class Learner:
             self._waited["imitation"] += time.monotonic() - started
         self._receiver.required_version = self.trainer.version
         if arrival.incoming is not None:
-            ack = ChunkAck("accepted", arrival.ledger.expected, self.trainer.version, "")
+            ack = ChunkAck(("accepted",), ("",), arrival.ledger.expected, self.trainer.version)
             arrival.incoming.reply(ack.encode())
 
     def _absorb(self, arrival: Arrival) -> None:

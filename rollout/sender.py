@@ -1,22 +1,23 @@
-"""Delivering chunks: a bounded spool, one acknowledged request at a time, resent until it is answered."""
+"""Delivering chunks: a bounded spool, one acknowledged request at a time with all that waits, resent until settled."""
 
 import threading
 import time
 from collections import deque
 from dataclasses import dataclass
+from itertools import islice
 
 from common import keys
 from common.bus import Bus
-from common.chunks import to_message
+from common.chunks import fitting, to_message, to_request
 from common.errors import BusClosedError, BusError, ProtocolError
 from common.history import Entry, History
-from common.messages import ChunkAck, Envelope
+from common.messages import MOST_CHUNKS, SETTLED, ChunkAck, Envelope
 from common.process import QUICK_SECONDS, log
 from common.team import TeamSpec
 from common.transitions import Chunk
 
 ANSWER_SECONDS = 30.0
-"""Time after which a chunk without an answer is sent again; a learner that is behind answers late on purpose."""
+"""Time after which a request without an answer is made again; a learner that is behind answers late on purpose."""
 LOCKSTEP_ANSWER_SECONDS = 3600.0
 """The same in lockstep, where the answer comes after the training that the chunk allows."""
 COMPLAINT_SECONDS = 10.0
@@ -30,7 +31,8 @@ class _Held:
     sequence: int
     version: int
     produced: int
-    chunk: Chunk
+    steps: int
+    sealed: bytes
 
 
 class Sender:
@@ -84,13 +86,14 @@ class Sender:
     def offer(self, chunk: Chunk, version: int) -> None:
         """Take over a chunk that has just been made, when the spool is not full, and write it into the history."""
         steps = chunk.rows.steps
+        sealed = to_message(chunk, self._team, version, self.produced + steps).encode()
         with self._changed:
             self._sequence += 1
             self.produced += steps
             number = self._sequence
             made = Entry("made", self._worker, self._incarnation, number, number, steps, self.produced, self.flown)
             self._history.add(made)
-            self._held.append(_Held(number, version, self.produced, chunk))
+            self._held.append(_Held(number, version, self.produced, steps, sealed))
             self._changed.notify_all()
 
     @property
@@ -124,30 +127,33 @@ class Sender:
                 self._changed.wait_for(lambda: self._held or self._ended)
                 if self._ended:
                     return
-                head = self._held[0]
+                waiting = list(islice(self._held, MOST_CHUNKS))
             try:
-                self._deliver(head)
+                settled = self._deliver(waiting[: fitting([len(held.sealed) for held in waiting])])
             except BusClosedError:
                 return
+            if not settled:
+                self.retries += 1
+                time.sleep(RETRY_SECONDS)
 
-    def _deliver(self, head: _Held) -> None:
-        message = to_message(
-            head.chunk, self._team, oldest=head.sequence, produced=head.produced, flown=max(self.flown, head.produced)
-        )
+    def _deliver(self, batch: list[_Held]) -> bool:
+        """Send chunks, the oldest first, and let go of those that are settled; return whether all are."""
+        head = batch[0]
         envelope = Envelope("rollout", self._worker, self._incarnation, head.sequence, head.version)
-        payload, attachment = message.encode(), envelope.encode()
-        while not self._ended:
-            started = time.monotonic()
-            ack = self._ask(payload, attachment)
-            waited = time.monotonic() - started
-            self.waiting += waited
-            self.untaken = self.untaken + 1 if ack is None and waited < QUICK_SECONDS else 0
-            self.door_closed = ack is not None and ack.status == "closed"
-            if ack is not None and ack.status not in ("gap", "closed", "damaged"):
-                self._settle(head, ack)
-                return
-            self.retries += 1
-            time.sleep(RETRY_SECONDS)
+        flown = max(self.flown, batch[-1].produced)
+        payload = to_request([held.sealed for held in batch], head.sequence, flown)
+        started = time.monotonic()
+        ack = self._ask(payload, envelope.encode())
+        waited = time.monotonic() - started
+        self.waiting += waited
+        self.untaken = self.untaken + 1 if ack is None and waited < QUICK_SECONDS else 0
+        self.door_closed = ack is not None and "closed" in ack.verdicts
+        if ack is None:
+            return False
+        told = [pair for pair in zip(ack.verdicts, ack.reasons, strict=False) if pair[0] in SETTLED]
+        for held, (verdict, reason) in zip(batch, told, strict=False):
+            self._settle(held, verdict, reason, ack.required_version)
+        return len(told) >= len(batch)
 
     def _ask(self, payload: bytes, attachment: bytes) -> ChunkAck | None:
         try:
@@ -166,18 +172,18 @@ class Sender:
             log(f"worker {self._worker}: {text}")
             self._complaint, self._complained = text, now
 
-    def _settle(self, head: _Held, ack: ChunkAck) -> None:
-        steps = head.chunk.rows.steps
+    def _settle(self, held: _Held, verdict: str, reason: str, required_version: int) -> None:
+        """Let go of the oldest chunk."""
+        number, steps = held.sequence, held.steps
         with self._changed:
             # Before the spool looks empty: in lockstep the worker flies on as soon as it does.
-            self.required_version = ack.required_version
-            verdict = "refused" if ack.status == "refused" else "told"
-            number = head.sequence
-            self._history.add(Entry(verdict, self._worker, self._incarnation, number, number, steps))
+            self.required_version = required_version
+            kept = "refused" if verdict == "refused" else "told"
+            self._history.add(Entry(kept, self._worker, self._incarnation, number, number, steps))
             self._held.popleft()
-            if ack.status == "refused":
+            if verdict == "refused":
                 self.rejected += steps
-                log(f"worker {self._worker}: chunk {head.sequence} was refused: {ack.reason}")
+                log(f"worker {self._worker}: chunk {number} was refused: {reason}")
             else:
                 self.accepted += steps
             self._changed.notify_all()

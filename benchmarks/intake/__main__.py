@@ -5,8 +5,9 @@
 Two processes on one machine, a player that stands for many workers and a sink, and a third where there is a router.
 Ours does all that a run does (checksum, checks, deduplication, ledger, acknowledgement, copy into replay); the peers
 move the same arrays and copy them into a preallocated ring. Ray and TorchRL run in environments of their own, which are
-made when they are missing; each with one player. Every case is measured in turn, the whole sequence several times, and
-the best of each counts.
+made when they are missing; each with one player. At every size each transport has as many chunks under way from each
+worker as one of our requests takes from a spool, except TorchRL, whose collector makes one batch after another. Every
+case is measured in turn, the whole sequence several times, and the best of each counts.
 """
 
 import argparse
@@ -20,11 +21,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+from benchmarks.intake.player import in_flight
 from benchmarks.intake.record import record, write
 from benchmarks.peers.catalogue import ROOT, Program
 from benchmarks.peers.report import table
 from benchmarks.peers.session import THREAD_VARIABLES
 from benchmarks.peers.venvs import interpreter, provide
+from common.config import RolloutConfig
 from common.endpoint import free_endpoint
 from common.errors import EiaSecError
 from experiments.provenance import provenance
@@ -36,6 +39,8 @@ LIMIT: Final = 180.0
 RAY = Program("intake", "Ray", "benchmarks.intake.peer_ray", "intake")
 TORCHRL = Program("intake", "TorchRL", "benchmarks.intake.peer_torchrl", "benchmarl")
 ZMQ = Program("intake", "pyzmq", "benchmarks.intake.peer_zmq", "intake")
+RAY_NAME, TORCHRL_NAME, ZMQ_NAME = "Ray actors", "TorchRL distributed collector", "pyzmq"
+PEERS: Final = {RAY_NAME: RAY, TORCHRL_NAME: TORCHRL, ZMQ_NAME: ZMQ}
 Result = dict[str, float]
 
 
@@ -46,12 +51,21 @@ class Bench:
         seconds: measuring time of a case.
         venvs: where the peers' environments lie.
         scratch: a folder for recorded chunks.
+        spool: chunks that each worker's spool holds.
+
+    Attributes:
+        under_way: for each size, how many chunks each worker has under way at once.
     """
 
-    def __init__(self, seconds: float, venvs: Path, scratch: Path) -> None:
+    def __init__(self, seconds: float, venvs: Path, scratch: Path, spool: int) -> None:
         self._seconds, self._venvs, self._scratch = seconds, venvs, scratch
+        self.under_way = {label: in_flight(size, spool) for label, size in SIZES.items()}
         for label, size in SIZES.items():
             write(record(size), scratch / label)
+
+    def _load(self, label: str) -> tuple[str, ...]:
+        """Return the arguments that say how many workers play, and how many chunks each has under way."""
+        return "--workers", str(WORKERS), "--chunks", str(self.under_way[label])
 
     def _start(self, python: str, *arguments: str) -> "subprocess.Popen[str]":
         environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "1"), "PYTHONPATH": str(ROOT)}
@@ -91,8 +105,8 @@ class Bench:
             running.append(sink)
             assert sink.stdout is not None
             sink.stdout.readline()
-            size = ("--bytes", str(SIZES[label]), "--workers", str(WORKERS))
-            running.append(self._start(sys.executable, "benchmarks.intake.player", *where, *size))
+            size = ("--bytes", str(SIZES[label]))
+            running.append(self._start(sys.executable, "benchmarks.intake.player", *where, *size, *self._load(label)))
             return self._result(sink)
         finally:
             end(running)
@@ -101,7 +115,7 @@ class Bench:
         """Measure a peer that starts its own processes."""
         folder = ("--folder", str(self._scratch / label), "--seconds", str(self._seconds))
         python = str(interpreter(program, self._venvs))
-        sink = self._start(python, program.module, *folder, "--workers", str(WORKERS))
+        sink = self._start(python, program.module, *folder, *self._load(label))
         try:
             return self._result(sink)
         finally:
@@ -113,7 +127,7 @@ class Bench:
         address = f"tcp://{endpoint.host}:{endpoint.port}"
         python, folder = str(interpreter(ZMQ, self._venvs)), ("--folder", str(self._scratch / label))
         sink = self._start(python, ZMQ.module, "sink", address, *folder, "--seconds", str(self._seconds))
-        player = self._start(python, ZMQ.module, "player", address, *folder, "--workers", str(WORKERS))
+        player = self._start(python, ZMQ.module, "player", address, *folder, *self._load(label))
         try:
             return self._result(sink)
         finally:
@@ -134,10 +148,15 @@ def transports(bench: Bench) -> dict[str, Callable[[str], Result]]:
         "EIA-SEC, shared memory": lambda label: bench.ours(label, routed=False, shared=True),
         "EIA-SEC, TCP through a router": lambda label: bench.ours(label, routed=True, shared=False),
         "EIA-SEC, shared memory through a router": lambda label: bench.ours(label, routed=True, shared=True),
-        "Ray actors": lambda label: bench.peer(RAY, label),
-        "TorchRL distributed collector": lambda label: bench.peer(TORCHRL, label),
-        "pyzmq": bench.zmq,
+        RAY_NAME: lambda label: bench.peer(RAY, label),
+        TORCHRL_NAME: lambda label: bench.peer(TORCHRL, label),
+        ZMQ_NAME: bench.zmq,
     }
+
+
+def wanted(name: str, only: list[str] | None) -> bool:
+    """Return whether a transport is asked for."""
+    return not only or any(word in name for word in only)
 
 
 def measure(bench: Bench, repeats: int, only: list[str] | None) -> tuple[dict[str, dict[str, Result]], list[str]]:
@@ -147,7 +166,7 @@ def measure(bench: Bench, repeats: int, only: list[str] | None) -> tuple[dict[st
     for repeat in range(repeats):
         for name, run in transports(bench).items():
             for label, size in SIZES.items():
-                if only and not any(word in name for word in only):
+                if not wanted(name, only):
                     continue
                 try:
                     result = run(label)
@@ -164,7 +183,7 @@ def measure(bench: Bench, repeats: int, only: list[str] | None) -> tuple[dict[st
 
 def page(data: dict[str, Any]) -> str:
     """Return the results as Markdown."""
-    rows = []
+    rows, under_way = [], data["chunks_under_way"]
     for name, by_size in data["transports"].items():
         cells = [by_size.get(str(size)) for size in SIZES.values()]
         told = [f"{c['env_steps_per_second']:,.0f} ({c['mb_per_second']:,.0f})" if c else "-" for c in cells]
@@ -176,8 +195,11 @@ def page(data: dict[str, Any]) -> str:
             "",
             f"`{data['command']}`, commit {data['commit']}:",
             "environment steps a second into replay and, in brackets, MB a second;",
-            f"{data['cores']} cores for player and sink together, {WORKERS} workers with one chunk",
-            "under way each.",
+            f"{data['cores']} cores for player and sink together, {WORKERS} workers.",
+            "Each has as many chunks under way as one of our requests takes from a spool: "
+            + ", ".join(f"{count} of {label}" for label, count in under_way.items())
+            + ";",
+            "the same for the peers, except TorchRL, whose collector makes one batch after another.",
             "",
             *table(head, rows, 1),
             "",
@@ -192,15 +214,25 @@ def main() -> None:
     parser.add_argument("--write", type=Path, metavar="FOLDER")
     parser.add_argument("--seconds", type=float, default=4.0)
     parser.add_argument("--repeats", type=int, default=2)
+    parser.add_argument("--spool", type=int, default=RolloutConfig().spool_chunks, help="chunks in a worker's spool")
     parser.add_argument("--only", nargs="+", metavar="WORD", help="only transports whose name holds one of these")
     parser.add_argument("--venvs", type=Path, default=ROOT / "benchmarks" / ".venvs")
     parser.add_argument("--pip-args", default="", help="added to pip install")
     asked = parser.parse_args()
-    for program in (RAY, TORCHRL):
-        provide(program, asked.venvs, asked.pip_args)
+    for name, program in PEERS.items():
+        if wanted(name, asked.only):
+            provide(program, asked.venvs, asked.pip_args)
     with tempfile.TemporaryDirectory() as scratch:
-        found, failures = measure(Bench(asked.seconds, asked.venvs, Path(scratch)), asked.repeats, asked.only)
-    data = {**provenance("benchmarks.intake"), "cores": os.cpu_count(), "transports": found, "failures": failures}
+        bench = Bench(asked.seconds, asked.venvs, Path(scratch), asked.spool)
+        found, failures = measure(bench, asked.repeats, asked.only)
+    data = {
+        **provenance("benchmarks.intake"),
+        "cores": os.cpu_count(),
+        "workers": WORKERS,
+        "chunks_under_way": bench.under_way,
+        "transports": found,
+        "failures": failures,
+    }
     if asked.write:
         asked.write.mkdir(parents=True, exist_ok=True)
         (asked.write / "intake.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")

@@ -1,6 +1,6 @@
 """Ray: an actor that plays for many workers, and one that copies: `python -m benchmarks.intake.peer_ray`.
 
-Chunks are arguments of the learner's method, as many of them under way as there are workers; Ray puts large ones into
+Chunks are arguments of the learner's method, several of them under way for each worker; Ray puts large ones into
 its shared object store, from which the learner reads without a copy.
 """
 
@@ -34,10 +34,10 @@ class Learner:
 class Player:
     """All workers."""
 
-    def play(self, learner: "ray.actor.ActorHandle", folder: str, workers: int) -> None:
-        """Play until the learner wants no more."""
+    def play(self, learner: "ray.actor.ActorHandle", folder: str, under_way: int) -> None:
+        """Play until the learner wants no more, with so many chunks under way."""
         chunk = read(Path(folder))
-        waiting = [learner.add.remote(chunk) for _ in range(workers)]
+        waiting = [learner.add.remote(chunk) for _ in range(under_way)]
         while True:
             ready, waiting = ray.wait(waiting, num_returns=1)
             if not all(ray.get(ready)):
@@ -51,10 +51,12 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--workers", type=int, default=8)
+    parser.add_argument("--chunks", type=int, default=1, help="under way at once from each worker")
     options = parser.parse_args()
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, object_store_memory=512 * 2**20)
     learner = Learner.remote(str(options.folder.resolve()), options.seconds)
-    ray.get(Player.remote().play.remote(learner, str(options.folder.resolve()), options.workers))
+    under_way = options.workers * options.chunks
+    ray.get(Player.remote().play.remote(learner, str(options.folder.resolve()), under_way))
     tell(ray.get(learner.report.remote()))
     ray.shutdown()
 

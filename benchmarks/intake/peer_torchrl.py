@@ -81,7 +81,8 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--workers", type=int, default=8, help="not used: one node collects one batch at a time")
+    for unused in ("--workers", "--chunks"):
+        parser.add_argument(unused, type=int, default=1, help="not used: one node collects one batch at a time")
     options = parser.parse_args()
     torch.set_num_threads(1)
     folder = options.folder.resolve()

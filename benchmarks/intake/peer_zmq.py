@@ -1,4 +1,4 @@
-"""pyzmq: as many DEALER sockets as workers, one chunk under way on each, and a ROUTER that copies and acknowledges.
+"""pyzmq: as many DEALER sockets as workers, some chunks under way on each, and a ROUTER that copies and acknowledges.
 
     python -m benchmarks.intake.peer_zmq sink | player ADDRESS --folder RECORDED
 
@@ -37,8 +37,8 @@ def sink(address: str, folder: Path, seconds: float) -> None:
     context.destroy(linger=0)
 
 
-def player(address: str, folder: Path, workers: int) -> None:
-    """Play until killed."""
+def player(address: str, folder: Path, workers: int, chunks: int) -> None:
+    """Play until killed, with so many chunks of each worker under way."""
     chunk = read(folder)
     frames = [chunk[name] for name in NAMES]
     context = zmq.Context()
@@ -46,7 +46,8 @@ def player(address: str, folder: Path, workers: int) -> None:
     for _ in range(workers):
         socket = context.socket(zmq.DEALER)
         socket.connect(address)
-        socket.send_multipart(frames, copy=False)
+        for _ in range(chunks):
+            socket.send_multipart(frames, copy=False)
         poller.register(socket, zmq.POLLIN)
     while True:
         for socket, _ in poller.poll():
@@ -62,11 +63,12 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--workers", type=int, default=8)
+    parser.add_argument("--chunks", type=int, default=1, help="under way at once from each worker")
     options = parser.parse_args()
     if options.role == "sink":
         sink(options.address, options.folder, options.seconds)
     else:
-        player(options.address, options.folder, options.workers)
+        player(options.address, options.folder, options.workers, options.chunks)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
 """Many workers in one process, each playing the same recorded chunk: `python -m benchmarks.intake.player ...`.
 
-Each has one request under way, as a worker has; they speak the whole protocol, with sequence numbers and checksums.
+Each has one request under way, as a worker has, with as many chunks as its spool holds and a request takes; they speak
+the whole protocol, with sequence numbers and checksums.
 """
 
 import argparse
 import json
 import time
+from dataclasses import replace
 from typing import Any
 
 import zenoh
@@ -13,7 +15,7 @@ import zenoh
 from benchmarks.intake.record import record
 from benchmarks.intake.sink import RUN
 from common import keys
-from common.chunks import to_message
+from common.chunks import fitting, to_message, to_request
 from common.config import FarmConfig
 from common.endpoint import Endpoint
 from common.messages import ChunkAck, ChunkMessage, Envelope
@@ -22,24 +24,34 @@ from common.zenoh_config import connecting
 
 
 class Worker:
-    """One worker: what it has sent, and the answer that it waits for."""
+    """One worker: what it has sent, and the answer that it waits for.
 
-    def __init__(self, session: zenoh.Session, name: str, message: ChunkMessage, steps: int) -> None:
+    Args:
+        session: shared by all.
+        name: its own.
+        message: the chunk that it plays.
+        steps: environment steps in it.
+        chunks: how many are under way at once.
+    """
+
+    def __init__(self, session: zenoh.Session, name: str, message: ChunkMessage, steps: int, chunks: int) -> None:
         self._session, self._name, self._message, self._steps = session, name, message, steps
         self._key = keys.TRANSITION.key(RUN, worker=name)
-        self.sequence = 0
+        self._chunks = chunks
+        self.sent = 0
         self._replies: Any = None
 
     def send(self) -> None:
-        """Send the next chunk."""
-        self.sequence += 1
-        done = self.sequence * self._steps
-        parts = {**vars(self._message), "oldest": self.sequence, "produced": done, "flown": done}
-        envelope = Envelope("rollout", self._name, 1, self.sequence, 1)
+        """Seal the next chunks and send them."""
+        first, sealed = self.sent + 1, []
+        for _ in range(self._chunks):
+            self.sent += 1
+            sealed.append(replace(self._message, produced=self.sent * self._steps).encode())
+        envelope = Envelope("rollout", self._name, 1, first, 1)
         self._replies = self._session.get(
             self._key,
             zenoh.handlers.FifoChannel(4),
-            payload=ChunkMessage(**parts).encode(),
+            payload=to_request(sealed, first, self.sent * self._steps),
             attachment=envelope.encode(),
             timeout=30.0,
             congestion_control=zenoh.CongestionControl.BLOCK,
@@ -47,14 +59,25 @@ class Worker:
         )
 
     def answered(self) -> bool:
-        """Return whether the answer is there; raise RuntimeError when it is another than "accepted"."""
+        """Return whether the answer is there; raise RuntimeError when it is not that all were accepted."""
         reply = self._replies.try_recv()
         if reply is None:
             return False
-        status = ChunkAck.decode(reply.ok.payload.to_bytes()).status if reply.ok is not None else str(reply.err)
-        if status != "accepted":
-            raise RuntimeError(f"chunk {self.sequence} of {self._name}: {status}")
+        verdicts = ChunkAck.decode(reply.ok.payload.to_bytes()).verdicts if reply.ok is not None else str(reply.err)
+        if verdicts != ("accepted",) * self._chunks:
+            raise RuntimeError(f"chunks up to {self.sent} of {self._name}: {verdicts}")
         return True
+
+
+def in_flight(size: int, spool: int) -> int:
+    """Return how many chunks of `size` bytes of a spool are under way at once: one request's."""
+    return fitting([len(a_message(size)[0].encode())] * spool)
+
+
+def a_message(size: int) -> tuple[ChunkMessage, int]:
+    """Return a recorded chunk of about `size` bytes as a message, and its environment steps."""
+    chunk = record(size)
+    return to_message(chunk, farm_team(FarmConfig()), 1, 0), chunk.rows.steps
 
 
 def main() -> None:
@@ -63,17 +86,19 @@ def main() -> None:
     parser.add_argument("endpoint")
     parser.add_argument("--bytes", type=int, required=True)
     parser.add_argument("--workers", type=int, default=8)
+    parser.add_argument("--chunks", type=int, default=1, help="under way at once from each worker")
     parser.add_argument("--name", default="p")
     parser.add_argument("--shared-memory", action="store_true")
     options = parser.parse_args()
-    chunk = record(options.bytes)
-    message = to_message(chunk, farm_team(FarmConfig()), 1, 0, 0)
+    message, steps = a_message(options.bytes)
     endpoint = Endpoint.parse(options.endpoint, shared_memory=options.shared_memory)
     config = zenoh.Config()
     for key, value in connecting(endpoint, "bulk").items():
         config.insert_json5(key, json.dumps(value))
     with zenoh.open(config) as session:
-        workers = [Worker(session, f"{options.name}{n}", message, chunk.rows.steps) for n in range(options.workers)]
+        workers = [
+            Worker(session, f"{options.name}{n}", message, steps, options.chunks) for n in range(options.workers)
+        ]
         for worker in workers:
             worker.send()
         while True:

@@ -12,6 +12,7 @@ import tyro
 from common.errors import HostError
 from deploy.exit_codes import DONE
 from deploy.hosts import agent
+from deploy.hosts.following import follow
 from deploy.hosts.keeper import keep
 from deploy.options import parse
 
@@ -24,9 +25,10 @@ class HostArguments:
     """Act in the folder of one host; what to do comes as JSON on standard input, the answer goes to standard output."""
 
     verb: Annotated[
-        tyro.conf.Positional[Literal["up", "down", "status", "logs", "collect", "keep"]], tyro.conf.arg(metavar="VERB")
+        tyro.conf.Positional[Literal["up", "down", "status", "logs", "follow", "collect", "keep"]],
+        tyro.conf.arg(metavar="VERB"),
     ]
-    """up, down, status, logs, collect, or keep, which is the process that stays."""
+    """up, down, status, logs, follow, collect, or keep, which is the process that stays."""
     folder: Path = Path()
     """The host's folder."""
 
@@ -40,6 +42,9 @@ def command(arguments: Sequence[str]) -> int:
         return DONE
     if options.verb == "collect":
         sys.stdout.buffer.write(agent.collect(folder))
+        return DONE
+    if options.verb == "follow":
+        follow(folder, sys.stdin.buffer, sys.stdout.buffer)
         return DONE
     request = _request()
     try:

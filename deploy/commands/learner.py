@@ -28,6 +28,8 @@ class LearnerArguments:
     """Endpoint of a router, instead of listening."""
     tls: Path | None = None
     """Folder with the learner's certificate, made by `eia-sec keys issue learner learner`; links are TLS then."""
+    shared_memory: bool = False
+    """Take transitions through this machine's memory from workers that do so, too; from others they come as always."""
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
     preset: str = "default"
@@ -62,7 +64,8 @@ def command(arguments: Sequence[str]) -> int:
         resume = RunDirectory(options.run_dir).holds_run()
     if resume and options.lockstep:
         raise UsageError("a lockstep run cannot be resumed: its one worker begins again with its first episode.")
-    endpoint = Endpoint.parse(options.connect or options.listen or DEFAULT, options.tls)
+    where = options.connect or options.listen or DEFAULT
+    endpoint = Endpoint.parse(where, options.tls, shared_memory=options.shared_memory)
     if endpoint.credentials is not None:
         endpoint.credentials.require("learner")
     if not options.connect:

@@ -24,6 +24,8 @@ class RolloutArguments:
     """Name of the worker, unique in the run. Default: that of the certificate, else host name and process number."""
     tls: Path | None = None
     """Folder with the worker's certificate, made by `eia-sec keys issue rollout NAME`; links are TLS then."""
+    shared_memory: bool = False
+    """Send transitions through this machine's memory when the learner (and the router) does so, too, and is here."""
     patience: float = 60.0
     """Seconds to wait for somebody to listen at the endpoint."""
     env: str | None = None
@@ -35,7 +37,7 @@ class RolloutArguments:
 def command(arguments: Sequence[str]) -> int:
     """Run the worker until the run is finished or a signal comes; return 0."""
     options = parse(RolloutArguments, arguments, "rollout")
-    endpoint = Endpoint.parse(options.connect, options.tls)
+    endpoint = Endpoint.parse(options.connect, options.tls, shared_memory=options.shared_memory)
     name = options.name or f"{socket.gethostname()[:40]}-{os.getpid()}"
     if endpoint.credentials is not None:
         name = options.name or endpoint.credentials.identity.name

@@ -21,6 +21,8 @@ class RouterArguments:
     """Endpoint to listen on (control lane; the bulk lane takes the next port)."""
     tls: Path | None = None
     """Folder with the router's certificate, made by `eia-sec keys issue router NAME`; links are TLS then."""
+    shared_memory: bool = False
+    """Pass transitions through this machine's memory between those that do so, too; for others they go as always."""
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
     print_config: bool = False
@@ -32,7 +34,7 @@ def command(arguments: Sequence[str]) -> int:
     options = parse(RouterArguments, arguments, "router")
     # Whoever reads the printed configuration may do so in another folder.
     folder = options.tls.resolve() if options.tls is not None else None
-    endpoint = Endpoint.parse(options.listen, folder)
+    endpoint = Endpoint.parse(options.listen, folder, shared_memory=options.shared_memory)
     endpoint.require_private(options.insecure)
     if endpoint.credentials is not None:
         endpoint.credentials.require("router")

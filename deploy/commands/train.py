@@ -61,6 +61,8 @@ class TrainArguments:
     """Loopback endpoint of the learner. Default: free ports."""
     tls: Path | None = None
     """Folder of `eia-sec keys`; each process takes its own certificate from there, and links are TLS."""
+    shared_memory: bool = False
+    """Transitions go through this machine's memory instead of a TCP connection."""
     report: bool = True
     """Evaluate against the heuristics and draw the pictures at the end."""
     settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
@@ -144,7 +146,8 @@ class _Training:
     def _start(self) -> None:
         options, where = self._options, str(self._endpoint)
         learner = ["learner", "--run", RUN, "--listen", where, "--run-dir", str(self._directory.path)]
-        learner += self._tls(LEARNER)
+        shared = ["--shared-memory"] if options.shared_memory else []
+        learner += [*shared, *self._tls(LEARNER)]
         learner += ["--config", str(self._directory.path / CONFIG)]
         learner += ["--lockstep"] if options.lockstep else []
         learner += ["--resume"] if options.resume else []
@@ -154,7 +157,7 @@ class _Training:
         self._supervisor.start("elite", ["elite", *joining, *self._tls(COORDINATOR)])
         allowed = [] if options.settings.env.is_farm else ["--env", options.settings.env.name]
         for index in range(options.workers):
-            rollout = ["rollout", *joining, "--name", str(index), *allowed, *self._tls(f"rollout.{index}")]
+            rollout = ["rollout", *joining, "--name", str(index), *allowed, *shared, *self._tls(f"rollout.{index}")]
             rollout += ["--history", str(self._directory.path / HISTORY / f"rollout-{index}.jsonl")]
             self._supervisor.start(f"rollout-{index}", rollout, options.settings.rollout.threads)
 

@@ -26,6 +26,8 @@ KILL_SECONDS: Final = 5.0
 COLLECTED: Final = (CONFIG, METRICS, POLICY)
 """What is collected of a run besides its histories."""
 MAX_LINES: Final = 10_000
+LINE_BYTES: Final = 400
+"""Bytes that a line of a log is taken for; of longer ones fewer are shown."""
 
 
 def up(folder: Path, processes: Mapping[str, dict[str, Any]], files: Mapping[str, str], start: str) -> dict[str, Any]:
@@ -112,12 +114,13 @@ def status(folder: Path) -> dict[str, Any]:
 
 def logs(folder: Path, names: Sequence[str], lines: int) -> dict[str, str]:
     """Return the last lines that processes (all of them when none is named) and the keeper have written."""
-    lines = max(1, min(lines, MAX_LINES))
-    known = sorted(path.stem for path in (folder / LOGS).glob("*.log"))
-    found = {name: _tail(folder / LOGS / f"{name}.log", lines) for name in known if not names or name in names}
-    if not names or "keeper" in names:
-        found["keeper"] = _tail(folder / LOG, lines)
-    return found
+    return {name: _tail(path, max(1, min(lines, MAX_LINES))) for name, path in log_files(folder, names).items()}
+
+
+def log_files(folder: Path, names: Sequence[str]) -> dict[str, Path]:
+    """Return the logs of processes (all of them when none is named) and the keeper, by name."""
+    found = {path.stem: path for path in sorted((folder / LOGS).glob("*.log"))} | {"keeper": folder / LOG}
+    return {name: path for name, path in found.items() if not names or name in names}
 
 
 def collect(folder: Path) -> bytes:
@@ -193,7 +196,7 @@ def _pids(folder: Path, roles: Sequence[str]) -> dict[str, int]:
 def _tail(path: Path, lines: int) -> str:
     try:
         with path.open("rb") as source:
-            source.seek(max(0, path.stat().st_size - 400 * lines))
+            source.seek(max(0, path.stat().st_size - LINE_BYTES * lines))
             text = source.read().decode(errors="replace")
     except OSError:
         return ""

@@ -60,6 +60,8 @@ class Network:
     """Further names and addresses under which the listener is reached, for its certificate."""
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
+    shared_memory: bool = False
+    """Transitions of workers on the learner's host (and the router's) go through that machine's memory."""
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,9 @@
 
 import hashlib
 import io
+import json
 import tarfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +14,7 @@ from common.config.files import to_toml
 from common.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
 from common.endpoint import Endpoint
 from common.errors import CredentialsError, HostError
+from common.process import StopSignal
 from deploy import authority
 from deploy.hosts.description import Fleet
 from deploy.hosts.plan import ORDER, Process, here, processes
@@ -107,6 +109,40 @@ def logs(fleet: Fleet, names: Sequence[str], lines: int) -> tuple[dict[str, dict
     """Return the last lines of each process, by host and name, and why hosts failed."""
     with links(fleet) as ways:
         return everywhere(ways, lambda link: link.call("logs", {"names": list(names), "lines": lines}))
+
+
+def follow(
+    fleet: Fleet, names: Sequence[str], lines: int, tell: Callable[[str, str, str], None], stop: StopSignal
+) -> Failures:
+    """Tell what processes write, the last lines first and then each new one, until somebody stops it.
+
+    Args:
+        fleet: the fleet.
+        names: the processes; empty for all.
+        lines: how many of the lines that are there come first.
+        tell: gets host, process and line, from one thread for each host; and at once that a host is lost.
+        stop: ends it.
+
+    Returns:
+        Why hosts failed; those that did not were followed until the end.
+    """
+
+    def take(link: Link, line: bytes) -> None:
+        try:
+            name, text = json.loads(line)
+        except ValueError as error:
+            raise HostError(f"{link.name}: what it tells is no line of a log: {line[:80]!r}.") from error
+        tell(link.name, str(name), str(text))
+
+    def stream(link: Link) -> None:
+        try:
+            link.stream("follow", {"names": list(names), "lines": lines}, partial(take, link), stop)
+        except HostError as error:
+            tell(link.name, "(lost)", str(error))
+            raise
+
+    with links(fleet) as ways:
+        return everywhere(ways, stream, len(ways))[1]
 
 
 def collect(fleet: Fleet, target: Path) -> tuple[int, Failures]:

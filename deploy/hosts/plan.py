@@ -66,7 +66,14 @@ def processes(fleet: Fleet, places: Places) -> list[Process]:
     found = []
     if fleet.router is not None:
         router = Identity("router", fleet.router.name)
-        arguments = ("router", "--listen", places.listen, *_insecure(fleet), *_tls(fleet, places, router))
+        arguments = (
+            "router",
+            "--listen",
+            places.listen,
+            *_shared(fleet),
+            *_insecure(fleet),
+            *_tls(fleet, places, router),
+        )
         found.append(Process("router", fleet.router.name, fleet.router.host, arguments))
     found.append(_learner(fleet, places))
     coordinator = fleet.coordinator
@@ -83,7 +90,9 @@ def worker(fleet: Fleet, places: Places, host: str, name: str) -> Process:
     joining = _joining(fleet, places, Identity("rollout", name))
     allowed = () if config.env.is_farm else ("--env", config.env.name)
     history = ("--history", f"{places.run_dir}/{HISTORY}/rollout-{name}.jsonl")
-    return Process("rollout", name, host, ("rollout", *joining, *history, *allowed), config.rollout.threads)
+    return Process(
+        "rollout", name, host, ("rollout", *joining, *_shared(fleet), *history, *allowed), config.rollout.threads
+    )
 
 
 def _learner(fleet: Fleet, places: Places) -> Process:
@@ -93,7 +102,7 @@ def _learner(fleet: Fleet, places: Places) -> Process:
         met = ("--connect", places.endpoint, "--patience", PATIENCE)
     kept = ("--run-dir", places.run_dir, "--config", places.config, "--resume-if-any")
     tls = _tls(fleet, places, Identity("learner", "learner"))
-    arguments = ("learner", "--run", fleet.run, *met, *kept, *tls)
+    arguments = ("learner", "--run", fleet.run, *met, *_shared(fleet), *kept, *tls)
     return Process("learner", "learner", fleet.learner.host, arguments, fleet.config.learner.threads)
 
 
@@ -104,6 +113,10 @@ def _joining(fleet: Fleet, places: Places, who: Identity) -> tuple[str, ...]:
 
 def _tls(fleet: Fleet, places: Places, who: Identity) -> tuple[str, ...]:
     return () if fleet.keys is None else ("--tls", places.keys.format(identity=who))
+
+
+def _shared(fleet: Fleet) -> tuple[str, ...]:
+    return ("--shared-memory",) if fleet.network.shared_memory else ()
 
 
 def _insecure(fleet: Fleet) -> tuple[str, ...]:

@@ -1,24 +1,33 @@
 """The near end: calls of `eia-sec host` on a host, over the system's SSH client or directly."""
 
 import json
+import os
+import select
 import shlex
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from common.errors import HostError
+from common.process import StopSignal
 from deploy.hosts.description import LOCAL, Fleet, Host
 
 CONNECT_SECONDS: Final = 10
 CALL_SECONDS: Final = 90.0
 """Longest that a call may take besides what it waits for on purpose."""
 MAX_ANSWER: Final = 2 * 1024**3
+MAX_LINE: Final = 4 * 1024**2
+"""Longest line of a host that tells line by line, bytes; a longer one ends it."""
+LOOK_SECONDS: Final = 0.2
+"""Longest until a stop is noticed."""
+END_SECONDS: Final = 5.0
+"""Time that a host has to notice that nobody listens any more."""
 SSH_FAILED: Final = 255
 """What `ssh` itself exits with when there is no connection."""
 NOT_FOUND: Final = 127
@@ -66,13 +75,7 @@ class Link:
 
     def fetch(self, verb: str, request: bytes = b"", seconds: float = 0.0) -> bytes:
         """Have the host do something whose answer is bytes."""
-        folder = str(self.base / self.host.folder) if self.host.host == LOCAL else self.host.folder
-        far = ["host", verb, "--folder", folder]
-        if self.host.host == LOCAL:
-            command = [sys.executable, "-P", "-m", "deploy.cli", *far]
-        else:
-            # SSH hands one text to the far shell, so that every word is quoted for it; the request goes through a pipe.
-            command = [*self._ssh(), self.host.host, shlex.join([*shlex.split(self.host.command), *far])]
+        command = self._command(verb)
         try:
             done = subprocess.run(
                 command, input=request, capture_output=True, timeout=CALL_SECONDS + seconds, check=False
@@ -86,6 +89,44 @@ class Link:
         if len(done.stdout) > MAX_ANSWER:
             raise HostError(f"{self.name}: its answer is longer than {MAX_ANSWER} bytes.")
         return done.stdout
+
+    def stream(self, verb: str, request: dict[str, Any], take: Callable[[bytes], None], stop: StopSignal) -> None:
+        """Have the host tell line by line until somebody stops it.
+
+        Args:
+            verb: what, see `deploy.commands.host`.
+            request: the particulars.
+            take: gets each line.
+            stop: ends it.
+
+        Raises:
+            HostError: the host cannot be reached, or ended by itself.
+        """
+        command = self._command(verb)
+        with tempfile.TemporaryFile() as said:
+            try:
+                # In a session of its own, so that Ctrl-C reaches this process alone, which then ends that one.
+                process = subprocess.Popen(
+                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, start_new_session=True
+                )
+            except OSError as error:
+                raise HostError(f"{self.name}: {command[0]} cannot be started: {error.strerror}.") from error
+            try:
+                _listen(process, json.dumps(request).encode() + b"\n", take, stop)
+            finally:
+                code = _end(process)
+            if not stop:
+                said.seek(0)
+                done = subprocess.CompletedProcess(command, code, b"", said.read())
+                raise HostError(f"{self.name}: {self._reason(done)}")
+
+    def _command(self, verb: str) -> list[str]:
+        folder = str(self.base / self.host.folder) if self.host.host == LOCAL else self.host.folder
+        far = ["host", verb, "--folder", folder]
+        if self.host.host == LOCAL:
+            return [sys.executable, "-P", "-m", "deploy.cli", *far]
+        # SSH hands one text to the far shell, so that every word is quoted for it; the request goes through a pipe.
+        return [*self._ssh(), self.host.host, shlex.join([*shlex.split(self.host.command), *far])]
 
     def close(self) -> None:
         """End the shared connection."""
@@ -116,6 +157,41 @@ class Link:
         return said
 
 
+def _listen(
+    process: "subprocess.Popen[bytes]", request: bytes, take: Callable[[bytes], None], stop: StopSignal
+) -> None:
+    """Send a request and hand on each line of the answer until it ends or somebody stops it."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    rest = b""
+    try:
+        process.stdin.write(request)
+        process.stdin.flush()
+    except BrokenPipeError:
+        return
+    while not stop and len(rest) < MAX_LINE:
+        if select.select([process.stdout], [], [], LOOK_SECONDS)[0]:
+            data = os.read(process.stdout.fileno(), 65_536)
+            if not data:
+                return
+            *lines, rest = (rest + data).split(b"\n")
+            for line in lines:
+                take(line)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> int:
+    """Close both ends of a process, which it notices, and kill it when it does not; return its exit code."""
+    for end in (process.stdin, process.stdout):
+        with suppress(OSError):
+            if end is not None:
+                end.close()
+    try:
+        return process.wait(END_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
+
+
 @contextmanager
 def links(fleet: Fleet) -> Iterator[dict[str, Link]]:
     """Give a link to each host; shared connections are closed afterwards."""
@@ -128,8 +204,10 @@ def links(fleet: Fleet) -> Iterator[dict[str, Link]]:
                 list(pool.map(Link.close, found.values()))
 
 
-def everywhere(links: dict[str, Link], do: Callable[[Link], R]) -> tuple[dict[str, R], dict[str, str]]:
-    """Do something with every host at the same time.
+def everywhere(
+    links: dict[str, Link], do: Callable[[Link], R], at_once: int = AT_ONCE
+) -> tuple[dict[str, R], dict[str, str]]:
+    """Do something with every host, with many of them at the same time.
 
     Returns:
         What came of it, and why it failed, each by the host's name.
@@ -143,6 +221,6 @@ def everywhere(links: dict[str, Link], do: Callable[[Link], R]) -> tuple[dict[st
         except HostError as error:
             failed[link.name] = str(error)
 
-    with ThreadPoolExecutor(AT_ONCE) as pool:
+    with ThreadPoolExecutor(at_once) as pool:
         list(pool.map(attempt, links.values()))
     return {name: done[name] for name in links if name in done}, {n: failed[n] for n in links if n in failed}

@@ -61,10 +61,15 @@ def test_a_window_that_nothing_comes_to_ends(monkeypatch):
 @pytest.mark.parametrize("routed", [False, True])
 def test_our_path_takes_chunks_in(routed, tmp_path, capsys):
     """Player and sink as processes, with and without a router between them; what they tell becomes a page."""
-    bench = driver.Bench(0.3, tmp_path, tmp_path)
+    bench = driver.Bench(0.3, tmp_path, tmp_path, spool=4)
+    assert bench.under_way == {"16 KB": 4, "128 KB": 4, "1 MB": 2}
     result = bench.ours("128 KB", routed=routed, shared=False)
     assert result["env_steps_per_second"] > 0
     assert result["mb_per_second"] > 0
-    data = {"command": "c", "commit": "d", "cores": 2, "transports": {"ours": {"131072": result}}}
+    data = {
+        **{"command": "c", "commit": "d", "cores": 2, "chunks_under_way": bench.under_way},
+        "transports": {"ours": {"131072": result}},
+    }
     assert f"{result['env_steps_per_second']:,.0f}" in driver.page(data)
+    assert "4 of 128 KB" in driver.page(data)
     assert json.dumps(data)

@@ -10,6 +10,7 @@ from common.codec import Message
 from common.errors import SchemaError
 from common.messages import (
     ChunkAck,
+    DeliveryMessage,
     EvaluationOrder,
     EvaluationResult,
     ImitationMessage,
@@ -30,7 +31,8 @@ TYPES = [
 ]
 
 EXAMPLES = [
-    ChunkAck("accepted", 4, 0, ""),
+    ChunkAck(("accepted", "refused"), ("", "why"), 4, 0),
+    DeliveryMessage(3, 40, (1000, 2000)),
     EvaluationOrder(9, 1, 2, (3, 4), (5, 6)),
     EvaluationResult(1, 2, np.ones((2, 5, 3), np.float32), np.array([5, 3], np.int64)),
     ImitationMessage(9, 1, 2, 10, 0.1, (0, 1), ((0.5, -1.0), (2.0,)), 500),
@@ -101,6 +103,6 @@ def test_what_differs_from_the_declaration_is_refused(
 @pytest.mark.parametrize("rate", [float("nan"), float("inf")])
 def test_numbers_that_are_not_finite_are_refused(rate: float) -> None:
     """A NaN or an infinity in a scalar field is a SchemaError."""
-    message = dataclasses.replace(EXAMPLES[3], rate=rate)  # type: ignore[type-var]  # an ImitationMessage
+    message = dataclasses.replace(EXAMPLES[4], rate=rate)  # type: ignore[type-var]  # an ImitationMessage
     with pytest.raises(SchemaError, match="finite"):
         ImitationMessage.decode(message.encode())

@@ -70,6 +70,15 @@ def test_without_a_router_the_learner_listens(tmp_path):
     assert fleet.listener == ("learner", "learner")
 
 
+def test_shared_memory_is_for_those_that_move_transitions(tmp_path):
+    """Router, learner and workers get the option; the coordinator has nothing to do with transitions."""
+    text = SMALL + '[router]\nhost = "a"\n[network]\nshared_memory = true\n'
+    fleet = read(written(tmp_path, text))
+    told = {process.role for process in processes(fleet, here(fleet)) if "--shared-memory" in process.arguments}
+    assert told == {"router", "learner", "rollout"}
+    assert not any("--shared-memory" in process.arguments for process in processes(read(EXAMPLE), here(read(EXAMPLE))))
+
+
 def test_training_is_resolved(tmp_path):
     """Preset, file and single values go over one another, and paths are relative to the fleet file."""
     (tmp_path / "mine.toml").write_text("episodes = 9\nseed = 3\n")

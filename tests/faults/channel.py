@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from common import keys
-from common.chunks import to_message
+from common.chunks import to_message, to_request
 from common.config import ReplayConfig
 from common.history import History
 from common.messages import ChunkAck, Envelope
@@ -37,6 +37,13 @@ class Parcel:
         self.answer: ChunkAck | None = None
         self.refused = ""
         self.told = threading.Event()
+
+    @property
+    def verdict(self) -> str:
+        """The verdict on the only chunk."""
+        assert self.answer is not None, self.refused
+        (verdict,) = self.answer.verdicts
+        return verdict
 
     def reply(self, payload: bytes) -> None:
         self.answer = ChunkAck.decode(payload)
@@ -99,22 +106,33 @@ class Road:
 
 
 class Sending:
-    """One worker that keeps several chunks on the road at once, so that they can overtake one another."""
+    """One worker that keeps several requests on the road at once, so that they can overtake one another."""
 
     def __init__(self, name: str, chunks: int, window: int = 4) -> None:
         self.name, self.chunks, self.window = name, chunks, window
         self.held: deque[int] = deque()
         self.made = 0
 
-    def parcel(self, number: int) -> Parcel:
-        message = to_message(a_chunk(number), TEAM, oldest=min([*self.held, number]), produced=number, flown=number)
-        envelope = Envelope("rollout", self.name, 1, number, 1)
-        return Parcel(keys.TRANSITION.key(RUN, worker=self.name), message.encode(), envelope.encode())
+    def parcel(self, numbers: list[int]) -> Parcel:
+        sealed = [to_message(a_chunk(number), TEAM, 1, produced=number).encode() for number in numbers]
+        payload = to_request(sealed, oldest=min([*self.held, *numbers]), flown=numbers[-1])
+        envelope = Envelope("rollout", self.name, 1, numbers[0], 1)
+        return Parcel(keys.TRANSITION.key(RUN, worker=self.name), payload, envelope.encode())
 
     def fill(self) -> None:
         while len(self.held) < self.window and self.made < self.chunks:
             self.made += 1
             self.held.append(self.made)
+
+    def requests(self, draw: random.Random) -> list[list[int]]:
+        """Return what is held as consecutive numbers, cut into requests anywhere."""
+        cut: list[list[int]] = []
+        for number in self.held:
+            if cut and cut[-1][-1] == number - 1 and draw.random() < 0.5:
+                cut[-1].append(number)
+            else:
+                cut.append([number])
+        return cut
 
 
 def travel(road: Road, workers: int, chunks: int, receiver: Receiver, door: Door, seed: int = 0) -> dict[str, Any]:
@@ -154,23 +172,26 @@ def travel(road: Road, workers: int, chunks: int, receiver: Receiver, door: Door
 
 def _turn(sending: Sending, road: Road, door: Door, draw: random.Random, seen: Counter[str]) -> None:
     """Send everything that is held once, in an order that the road chooses, and let go of what was taken."""
-    numbers = list(sending.held)
-    for index in range(len(numbers) - 1):
+    requests = sending.requests(draw)
+    for index in range(len(requests) - 1):
         if draw.random() < road.reordered:
             road.done["reordered"] += 1
-            numbers[index], numbers[index + 1] = numbers[index + 1], numbers[index]
-    for number in numbers:
+            requests[index], requests[index + 1] = requests[index + 1], requests[index]
+    for numbers in requests:
         again = draw.random() < road.duplicated
         for copy in range(1 + again):
             road.done["duplicated"] += copy
-            parcel = sending.parcel(number)
+            road.done["several"] += len(numbers) > 1
+            parcel = sending.parcel(numbers)
             kind = _damage(parcel, road, draw)
             answer = door.pass_on(parcel).answer
             assert answer is not None, parcel.refused
-            seen[f"{kind} {answer.status}".strip()] += 1
-            assert not (kind and answer.status == "accepted"), f"a {kind} frame was taken"
-            if answer.status in ("accepted", "duplicate") and number in sending.held:
-                sending.held.remove(number)
+            seen.update(answer.verdicts)
+            seen["sendings"] += 1
+            assert not (kind and answer.verdicts == ("accepted",) * len(numbers)), f"a {kind} frame was taken"
+            for number, verdict in zip(numbers, answer.verdicts, strict=False):
+                if verdict in ("accepted", "duplicate") and number in sending.held:
+                    sending.held.remove(number)
 
 
 def _damage(parcel: Parcel, road: Road, draw: random.Random) -> str:

@@ -1,5 +1,6 @@
-"""Frames of every kind of message, and ways to spoil them, for the fuzz tests."""
+"""Frames of every kind of message, requests of several chunks, and ways to spoil them, for the fuzz tests."""
 
+import functools
 import random
 import struct
 import zlib
@@ -9,7 +10,8 @@ from typing import Final
 import numpy as np
 
 from common import codec, frame, messages
-from common.chunks import from_message, to_message
+from common.actors import ActorBank
+from common.chunks import from_message, from_request, to_message, to_request
 from common.errors import ProtocolError
 from common.policy_store import PolicyStore
 from common.viewing import check_view
@@ -23,12 +25,13 @@ _PREFIX: Final = struct.Struct("<4sBBHIQI")
 
 
 def samples() -> dict[str, bytes]:
-    """Return one whole frame of each kind of message, by the kind's name."""
-    flat = (np.zeros((2, 40), np.float32),)
+    """Return one whole frame of each kind of message by the kind's name, and a request of two chunks."""
+    flat = ActorBank.initial(TEAM, 4, 0).flat
     found = [
         messages.Envelope("rollout", "w", 1, 1, 1),
-        to_message(a_chunk(1), TEAM, 1, 1, 1),
-        messages.ChunkAck("accepted", 2, 0, ""),
+        to_message(a_chunk(1), TEAM, 1, 1),
+        messages.ChunkAck(("accepted",), ("",), 2, 0),
+        messages.DeliveryMessage(1, 1, (64, 65)),
         messages.ParametersMessage(1, 1, 0, 10, 0.5, TEAM.digest, 4, "deterministic", flat),
         messages.ProgressMessage(1, 1, 0, 1, 10, 1, "training"),
         messages.CommandMessage("somebody"),
@@ -44,7 +47,33 @@ def samples() -> dict[str, bytes]:
         messages.WatchTerms("seed = 1", ("energy", "utility"), 4.0, 25.0),
         a_view(),
     ]
-    return {type(message).__name__: message.encode() for message in found}
+    several = to_request([to_message(a_chunk(number), TEAM, 1, number).encode() for number in (1, 2)], 1, 2)
+    return {type(message).__name__: message.encode() for message in found} | {"request": several}
+
+
+def _read(kind: type[codec.Message], data: frame.Data) -> None:
+    """Decode a message and put it through the checks behind the decoder; raise ProtocolError when it is none."""
+    message = kind.decode(data)
+    if isinstance(message, messages.ChunkMessage):
+        from_message(message, TEAM)
+    elif isinstance(message, messages.ParametersMessage):
+        PolicyStore(TEAM).offer_parameters(message)
+    elif isinstance(message, messages.ImitationMessage):
+        message.to_event().check(TEAM)
+    elif isinstance(message, messages.ViewMessage):
+        check_view(message, CONFIG.farm, 7)
+
+
+def _read_request(data: bytes) -> None:
+    """Take a request apart and read its chunks; raise ProtocolError when one of them is none."""
+    for part in from_request(data)[1]:
+        _read(messages.ChunkMessage, part)
+
+
+READERS: Final[dict[str, Callable[[bytes], None]]] = {
+    **{kind.__name__: functools.partial(_read, kind) for kind in KINDS},
+    "request": _read_request,
+}
 
 
 def feed(data: bytes) -> bool:
@@ -52,22 +81,15 @@ def feed(data: bytes) -> bool:
 
     Anything but a ProtocolError is the defect that is looked for, and passes through.
     """
-    taken = False
-    for kind in KINDS:
-        try:
-            message = kind.decode(data)
-            taken = True
-            if isinstance(message, messages.ChunkMessage):
-                from_message(message, TEAM)
-            elif isinstance(message, messages.ParametersMessage):
-                PolicyStore(TEAM).offer_parameters(message)
-            elif isinstance(message, messages.ImitationMessage):
-                message.to_event().check(TEAM)
-            elif isinstance(message, messages.ViewMessage):
-                check_view(message, CONFIG.farm, 7)
-        except ProtocolError:
-            continue
-    return taken
+    return any([_taken(read, data) for read in READERS.values()])
+
+
+def _taken(read: Callable[[bytes], None], data: bytes) -> bool:
+    try:
+        read(data)
+    except ProtocolError:
+        return False
+    return True
 
 
 def sealed(data: bytes) -> bytes:
@@ -131,21 +153,10 @@ def mutant(whole: bytes, draw: random.Random) -> bytes:
 def pass_through(count: int, seed: int) -> int:
     """Feed so many mutants to the decoder of their own kind and to its checks; return how many were taken."""
     draw, taken = random.Random(seed), 0
-    wholes = [(kind, data) for kind in KINDS for name, data in samples().items() if kind.__name__ == name]
+    wholes = list(samples().items())
     for _ in range(count):
-        kind, whole = draw.choice(wholes)
-        data = mutant(whole, draw)
-        try:
-            message = kind.decode(data)
-            taken += 1
-            if isinstance(message, messages.ChunkMessage):
-                from_message(message, TEAM)
-            elif isinstance(message, messages.ParametersMessage):
-                PolicyStore(TEAM).offer_parameters(message)
-            elif isinstance(message, messages.ViewMessage):
-                check_view(message, CONFIG.farm, 7)
-        except ProtocolError:
-            continue
+        name, whole = draw.choice(wholes)
+        taken += _taken(READERS[name], mutant(whole, draw))
     return taken
 
 

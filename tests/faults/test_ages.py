@@ -7,6 +7,7 @@ from pathlib import Path
 from common import keys
 from common.actors import ActorBank
 from common.bus import Bus
+from common.chunks import from_request
 from common.config import RunConfig
 from common.config.files import from_toml
 from common.messages import (
@@ -52,7 +53,9 @@ class Learner:
             incoming.reply(ConfigurationMessage(1, self._toml, self._team.to_dict(), False).encode())
         while (incoming := self._chunks.poll()) is not None:
             sender = Envelope.decode(incoming.attachment)
-            incoming.reply(ChunkAck("accepted", sender.sequence + 1, 0, "").encode())
+            count = len(from_request(incoming.payload)[1])
+            taken = ("accepted",) * count, ("",) * count
+            incoming.reply(ChunkAck(*taken, sender.sequence + count, 0).encode())
         if self.talks:
             self._progress.put(ProgressMessage(1, self.newest, 0, 1, 1000, 1, "training").encode())
         self.reports += [MetricMessage.decode(sample.payload) for sample in self._metrics.drain()]

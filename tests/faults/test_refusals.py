@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,9 @@ import numpy as np
 import pytest
 
 from common import frame, keys
-from common.chunks import to_message
+from common.chunks import to_message, to_request
 from common.config import ReplayConfig
-from common.messages import ChunkMessage, Envelope
+from common.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessage, Envelope
 from common.transitions import Chunk, Rows
 from learner.offenders import LIMIT
 from tests.faults.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut
@@ -31,14 +32,18 @@ def spoilt(**parts: Any) -> Chunk:
     return Chunk(Rows(**{**vars(rows), **parts}))
 
 
-def parcel(message: ChunkMessage | bytes, number: int = 1, name: str = "w", version: int = 1) -> Parcel:
-    payload = message if isinstance(message, bytes) else message.encode()
-    envelope = Envelope("rollout", name, 1, number, version)
-    return Parcel(keys.TRANSITION.key(RUN, worker=name), payload, envelope.encode())
+def request(payload: bytes, number: int = 1, name: str = "w") -> Parcel:
+    return Parcel(keys.TRANSITION.key(RUN, worker=name), payload, Envelope("rollout", name, 1, number, 1).encode())
 
 
-def of(chunk: Chunk, number: int = 1) -> ChunkMessage:
-    return to_message(chunk, TEAM, number, number, number)
+def parcel(*chunks: ChunkMessage | bytes, number: int = 1, name: str = "w") -> Parcel:
+    """Return a request with chunks, the first of which bears a number and is the oldest that is held."""
+    sealed = [chunk if isinstance(chunk, bytes) else chunk.encode() for chunk in chunks]
+    return request(to_request(sealed, number, number + len(sealed) - 1), number, name)
+
+
+def of(chunk: Chunk, number: int = 1, version: int = 1) -> ChunkMessage:
+    return to_message(chunk, TEAM, version, number)
 
 
 ROWS = a_chunk(1).rows
@@ -72,9 +77,9 @@ def test_what_does_not_fit_is_refused_and_the_next_chunk_taken(what):
     try:
         answer = door.pass_on(parcel(WRONG[what])).answer
         assert answer is not None
-        assert (answer.status, answer.expected) == ("refused", 2)
-        assert answer.reason
-        assert door.pass_on(parcel(of(a_chunk(2), 2), 2)).answer.status == "accepted"
+        assert (answer.verdicts, answer.expected) == (("refused",), 2)
+        assert answer.reasons[0]
+        assert door.pass_on(parcel(of(a_chunk(2), 2), number=2)).verdict == "accepted"
         totals = receiver.intake.totals()
         assert (totals["refused"], totals["rejected"], totals["accepted"], totals["lost"]) == (1, 1, 1, 0)
     finally:
@@ -86,9 +91,9 @@ def test_a_frame_of_another_protocol_is_asked_for_again_and_then_refused():
     receiver, door = front_door()
     newer = bytearray(of(a_chunk(1)).encode())
     newer[4] += 1
-    answers = [door.pass_on(parcel(bytes(newer))).answer.status for _ in range(8)]
+    answers = [door.pass_on(parcel(bytes(newer))).verdict for _ in range(8)]
     assert answers == ["damaged"] * 7 + ["refused"]
-    assert door.pass_on(parcel(of(a_chunk(2), 2), 2)).answer.status == "accepted"
+    assert door.pass_on(parcel(of(a_chunk(2), 2), number=2)).verdict == "accepted"
     shut(receiver, door)
 
 
@@ -96,39 +101,126 @@ def test_a_damaged_chunk_that_overtook_spends_no_number():
     """An unreadable frame ahead of its turn leaves the numbers before it free."""
     receiver, door = front_door()
     for _ in range(LIMIT - 1):
-        assert door.pass_on(parcel(b"junk", 3)).answer.status == "damaged"
+        assert door.pass_on(parcel(b"junk", number=3)).verdict == "damaged"
     for number in (1, 2, 3):
-        assert door.pass_on(parcel(of(a_chunk(number), number), number)).answer.status == "accepted"
+        assert door.pass_on(parcel(of(a_chunk(number), number), number=number)).verdict == "accepted"
+    shut(receiver, door)
+
+
+def test_one_bad_chunk_among_good_ones_is_refused_alone():
+    """In one request each chunk has its own verdict: what does not fit spends its number, the others are taken."""
+    receiver, door = front_door()
+    answer = door.pass_on(parcel(of(a_chunk(1)), of(spoilt(observation=NAN), 2), of(a_chunk(3), 3))).answer
+    assert answer.verdicts == ("accepted", "refused", "accepted")
+    assert [bool(reason) for reason in answer.reasons] == [False, True, False]
+    assert answer.expected == 4
+    totals = receiver.intake.totals()
+    assert (totals["accepted"], totals["rejected"], totals["lost"], totals["in_flight"]) == (2, 1, 0, 0)
+    assert receiver.offenders.counts() == {"w": 1}
+    assert [receiver.arrivals.get_nowait().sender.sequence for _ in range(2)] == [1, 3]
+    shut(receiver, door)
+
+
+def test_a_damaged_chunk_stops_its_request_there():
+    """What is before it is taken, it and all behind it come again, and then nothing is taken twice."""
+    receiver, door = front_door()
+    whole = [of(a_chunk(number), number).encode() for number in (1, 2, 3)]
+    torn = whole[1][:-1] + bytes([whole[1][-1] ^ 1])
+    answer = door.pass_on(parcel(whole[0], torn, whole[2])).answer
+    assert (answer.verdicts, answer.expected) == (("accepted", "damaged"), 2)
+    assert door.pass_on(parcel(*whole)).answer.verdicts == ("duplicate", "accepted", "accepted")
+    totals = receiver.intake.totals()
+    assert (totals["accepted"], totals["damaged"], totals["duplicates"], totals["lost"]) == (3, 1, 1, 0)
+    shut(receiver, door)
+
+
+def test_a_chunk_that_stays_damaged_does_not_hold_up_those_behind_it():
+    """After a few tries it is refused, and in the same request the rest is taken."""
+    receiver, door = front_door()
+    torn, good = of(a_chunk(1)).encode()[:-1], of(a_chunk(2), 2)
+    answers = [door.pass_on(parcel(torn, good)).answer.verdicts for _ in range(8)]
+    assert answers == [("damaged",)] * 7 + [("refused", "accepted")]
+    shut(receiver, door)
+
+
+def test_old_chunks_are_refused_beside_new_ones():
+    """The limit of age looks at the version of each chunk, not of the request."""
+    receiver, door = front_door(max_lag_versions=5)
+    receiver.version = 10
+    answer = door.pass_on(parcel(of(a_chunk(1), 1, 4), of(a_chunk(2), 2, 5))).answer
+    assert answer.verdicts == ("refused", "accepted")
+    assert [receiver.arrivals.get_nowait().sender.version] == [5]
+    shut(receiver, door)
+
+
+def test_a_learner_that_ends_takes_the_beginning_of_a_request():
+    """What found room is accepted, the next is told that the door is closed, and the worker keeps it and the rest."""
+    receiver, door = front_door(intake_chunks=2)
+    told: list[Parcel] = []
+    waiting = parcel(*(of(a_chunk(number), number) for number in (1, 2, 3, 4)))
+    sending = threading.Thread(target=lambda: told.append(door.pass_on(waiting)))
+    sending.start()
+    until(receiver.arrivals.full, "a full queue")
+    receiver.close()
+    sending.join(10.0)
+    assert told[0].answer.verdicts == ("accepted", "accepted", "closed")
+    shut(receiver, door)
+
+
+SMALL = of(a_chunk(1)).encode()
+TOO_MUCH = {
+    "no chunk at all": DeliveryMessage(1, 1, ()).encode(),
+    "too many chunks": to_request([SMALL] * (MOST_CHUNKS + 1), 1, 1),
+    "too many bytes": to_request([bytes(MOST_BYTES // 2 + 1)] * 2, 1, 1),
+}
+
+
+@pytest.mark.parametrize("what", TOO_MUCH)
+def test_requests_beyond_the_limits_are_refused_and_counted(what):
+    """A request that breaks the declared limits is not looked into; its first number is spent, its sender noted."""
+    receiver, door = front_door()
+    assert door.pass_on(request(TOO_MUCH[what])).verdict == "refused"
+    assert receiver.offenders.counts() == {"w": 1}
+    assert door.pass_on(parcel(of(a_chunk(2), 2), number=2)).verdict == "accepted"
+    shut(receiver, door)
+
+
+def test_sizes_that_promise_what_did_not_come():
+    """Sizes are held against what is there before anything is cut out; a promise takes no memory."""
+    receiver, door = front_door()
+    for sizes in ((2**62,), (len(SMALL), 2**40), (len(SMALL) - 1,)):
+        assert door.pass_on(request(DeliveryMessage(1, 1, sizes).encode() + SMALL)).verdict == "damaged"
+    assert door.pass_on(parcel(SMALL)).verdict == "accepted"
     shut(receiver, door)
 
 
 def test_a_receiver_that_waits_for_room_ends_when_nobody_makes_any():
     """With a full queue and a chunk in hand it can be joined, and the chunk is answered: not taken."""
     receiver, door = front_door(intake_chunks=1)
-    assert door.pass_on(parcel(of(a_chunk(1)))).answer.status == "accepted"
-    late = parcel(of(a_chunk(2), 2), 2)
+    assert door.pass_on(parcel(of(a_chunk(1)))).verdict == "accepted"
+    late = parcel(of(a_chunk(2), 2), number=2)
     door.push(late)
     door.close()
     receiver.join()
     assert late.answer is not None
-    assert late.answer.status == "closed"
+    assert late.verdict == "closed"
 
 
-JUNK = parcel(b"junk", 9), "damaged"
+JUNK = parcel(b"junk", number=9), "damaged"
 AGAIN = parcel(of(a_chunk(1))), "duplicate"
-AHEAD = parcel(to_message(a_chunk(9), TEAM, 2, 9, 9), 9), "gap"
+AHEAD = request(to_request([of(a_chunk(9), 9).encode()], 2, 9), 9), "gap"
 
 
 @pytest.mark.parametrize(("sent", "answer"), [JUNK, AGAIN, AHEAD], ids=["junk", "again", "ahead"])
 def test_whoever_keeps_sending_what_brings_nothing_is_cut_off(sent, answer):
     """Unreadable, the same again or out of turn: after LIMIT in a row the answers are held back; others go on."""
     receiver, door = front_door()
-    assert door.pass_on(parcel(of(a_chunk(1)))).answer.status == "accepted"
-    told = [door.pass_on(Parcel(sent.key, sent.payload, sent.attachment)).answer.status for _ in range(LIMIT)]
+    assert door.pass_on(parcel(of(a_chunk(1)))).verdict == "accepted"
+    told = [door.pass_on(Parcel(sent.key, sent.payload, sent.attachment)).verdict for _ in range(LIMIT)]
     assert told == [answer] * LIMIT
     late = Parcel(sent.key, sent.payload, sent.attachment)
     door.push(late)
-    assert door.pass_on(parcel(of(a_chunk(1)), name="other")).answer.status == "accepted"
+    assert door.pass_on(parcel(of(a_chunk(1)), name="other")).verdict == "accepted"
     assert (late.answer, late.refused, receiver.tarpit.turned_away) == (None, "", 1)
     assert "worker w is cut off" in receiver.offenders.alarms()[0]
     shut(receiver, door)
@@ -138,11 +230,11 @@ def test_chunks_of_a_policy_that_is_too_old_are_refused_and_counted():
     """Beyond `replay.max_lag_versions` a chunk is refused with the reason; its steps are rejected, and exactly so."""
     receiver, door = front_door(max_lag_versions=5)
     receiver.version = 10
-    assert door.pass_on(parcel(of(a_chunk(1), 1), 1, version=4)).answer.status == "refused"
-    assert "6 versions old" in door.pass_on(parcel(of(a_chunk(2), 2), 2, version=4)).answer.reason
+    assert door.pass_on(parcel(of(a_chunk(1), 1, 4))).verdict == "refused"
+    assert "6 versions old" in door.pass_on(parcel(of(a_chunk(2), 2, 4), number=2)).answer.reasons[0]
     totals = receiver.intake.totals()
     assert (totals["aged"], totals["rejected"], totals["produced"], totals["in_flight"]) == (2, 2, 2, 0)
-    assert door.pass_on(parcel(of(a_chunk(3), 3), 3, version=5)).answer.status == "accepted"
+    assert door.pass_on(parcel(of(a_chunk(3), 3, 5), number=3)).verdict == "accepted"
     assert receiver.intake.totals()["lost"] == 0
     shut(receiver, door)
 
@@ -152,7 +244,7 @@ def test_no_limit_of_age_is_the_default():
     assert ReplayConfig().max_lag_versions == 0
     receiver, door = front_door()
     receiver.version = 1_000_000
-    assert door.pass_on(parcel(of(a_chunk(1)))).answer.status == "accepted"
+    assert door.pass_on(parcel(of(a_chunk(1)))).verdict == "accepted"
     shut(receiver, door)
 
 

@@ -17,7 +17,7 @@ from common.bus import Bus
 from common.credentials import Credentials, Identity
 from common.endpoint import Endpoint, free_endpoint
 from common.errors import CredentialsError, EndpointError
-from common.zenoh_config import connecting
+from common.zenoh_config import connecting, listening, routing
 from deploy import authority
 from deploy.commands import elite, rollout
 from tests.security.conftest import YEAR, make_authority
@@ -177,6 +177,20 @@ def test_a_worker_of_another_authority_ends_with_the_reason(keys_folder, other_f
     with Bus.listen(endpoint, "control"):
         code, told = eia_sec("rollout", "--connect", str(endpoint), "--tls", str(other_folder / "rollout.a"))
     assert (code, "another authority signed its certificate" in told[-1]) == (2, True)
+
+
+def test_shared_memory_is_asked_for_and_on_the_bulk_lane_alone():
+    """What is lost in silence there is transitions, which are acknowledged, and never a parameter or a command."""
+    quiet = Endpoint.parse("tcp/127.0.0.1:7447")
+    sharing = Endpoint.parse("tcp/127.0.0.1:7447", shared_memory=True)
+    name = "transport/shared_memory/enabled"
+    assert not any(connecting(quiet, lane)[name] or listening(quiet, lane)[name] for lane in ("control", "bulk"))
+    assert not connecting(sharing, "control")[name]
+    assert not listening(sharing, "control")[name]
+    assert connecting(sharing, "bulk")[name]
+    assert listening(sharing, "bulk")[name]
+    assert routing(sharing)[name]
+    assert not routing(quiet)[name]
 
 
 def test_defaults_are_loopback_and_silent():
