@@ -34,7 +34,7 @@ class ReproduceArguments:
     Says beforehand how long it takes. What is there already is kept, so the same command goes on after Ctrl-C.
     """
 
-    study: tyro.conf.Positional[str]
+    study: tyro.conf.Positional[str] = ""
     """training, ablation, ensemble, scalability, inference, trajectories, or all."""
     scale: Literal["smoke", "full"] = "full"
     """full: the study; smoke: a few minutes that show that everything works, and nothing else."""
@@ -55,18 +55,23 @@ def command(arguments: Sequence[str]) -> int:
     options = parse(ReproduceArguments, arguments, "reproduce")
     within(1, 1024, jobs=options.jobs)
     if options.study not in (*STUDIES, ALL):
-        raise UsageError(f"there is no study {options.study!r}; the studies are {', '.join(STUDIES)}, and {ALL}.")
+        wrong = f"there is no study {options.study!r}" if options.study else "nothing to reproduce"
+        raise UsageError(f"{wrong}; the studies are {', '.join(STUDIES)}, and {ALL}.")
     console = Console(highlight=False, soft_wrap=True, markup=False)
     bench = Bench(SCALES[options.scale], Records(options.records))
-    RunDirectory(options.records).lock(LOCK)
+    held = RunDirectory(options.records)
+    held.lock(LOCK)  # as long as this object lives
     names = tuple(STUDIES) if options.study == ALL else (options.study,)
     # The scale is part of what was done, whether it was said or not.
     said = ["reproduce", *arguments] if "--scale" in arguments else ["reproduce", *arguments, "--scale", options.scale]
     plans = [Plan(name, bench, options.write, options.jobs, said, console.print) for name in names]
     for plan in plans:
         announce(plan)
-    if options.plan:
-        return DONE
+    return DONE if options.plan else _carry_out(plans, console)
+
+
+def _carry_out(plans: Sequence[Plan], console: Console) -> int:
+    """Do studies one after another; return the exit code."""
     stop = StopSignal()
     stop.install()
     try:

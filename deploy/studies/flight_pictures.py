@@ -43,7 +43,12 @@ def space_figure(flown: dict[str, Trajectory]) -> Figure:
                 z = np.full(len(x), heights[kind])
                 axes.plot(x, y, z, color=COLOURS[kind], linestyle=STYLES[kind], linewidth=0.9, alpha=0.8, label=label)
                 axes.plot(x[-1:], y[-1:], z[-1:], "o", color=COLOURS[kind], markersize=5)
-        axes.set(xlabel="x, m", ylabel="y, m", zlabel="height, m", zlim=(min(heights.values()) - 1, None))
+        axes.set(
+            xlabel="x, m",
+            ylabel="y, m",
+            zlabel="height, m",
+            zlim=(min(heights.values()) - 1, max(heights.values()) + 1),
+        )
         axes.set_title(f"{name}: reward {np.mean(trajectory.summary.reward):.0f} per agent", fontsize=10)
         axes.view_init(elev=24, azim=-62)
         axes.legend(frameon=False, loc="upper left", **TEXT)

@@ -34,6 +34,7 @@ DIVERGED: Final = 1e6
 """A critic loss beyond this, in units of scaled reward squared, counts as diverged; such a run is cut short."""
 PROGRESS: Final = "progress"
 """First word of the lines that tell how far a run is."""
+COUNTERS: Final = ("episodes", "environment_steps", "evaluation_steps", "updates", "events")
 DIGITS: Final = 4
 """Decimals that records keep."""
 
@@ -155,7 +156,7 @@ class _Log:
     told: Callable[[float], None]
     episodes: list[EpisodeSummary] = field(default_factory=list)
     checks: list[dict[str, float]] = field(default_factory=list)
-    counts: dict[str, Any] = field(default_factory=dict)
+    counts: dict[str, Any] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
 
     def __post_init__(self) -> None:
         """Begin with fresh actors, so that a run that diverges at once has some."""
@@ -164,10 +165,11 @@ class _Log:
     def watch(self, trainer: Trainer, chunk: Chunk) -> None:
         """Note a chunk's episodes; evaluate when it is time; raise when the critics have left all bounds."""
         self.told(min(1.0, trainer.environment_steps / (self.config.episodes * self.config.farm.world.steps)))
+        self.counts |= {name: getattr(trainer, name) for name in COUNTERS}
         if not chunk.episodes:
             return
         self.episodes += chunk.episodes
-        self.counts = counted(trainer)
+        self.counts |= compared(trainer)
         losses = [value for key, value in trainer.statistics().items() if key.startswith("critic_loss")]
         if any(not loss <= DIVERGED for loss in losses):
             raise _DivergedError
@@ -184,16 +186,13 @@ class _Log:
         self.checks.append({"episodes": trainer.episodes, **{name: round(v, DIGITS) for name, v in named.items()}})
 
 
-def counted(trainer: Trainer) -> dict[str, Any]:
-    """Return a run's counters, and how far its critics stand above what came of it (units of the targets)."""
-    names = ("episodes", "environment_steps", "evaluation_steps", "updates", "events")
-    told = trainer.statistics()
-    critics = {
+def compared(trainer: Trainer) -> dict[str, dict[str, float]]:
+    """Return for each type the realised returns and how far the critics stand above them, units of the targets."""
+    told = {key: value for key, value in trainer.statistics().items() if math.isfinite(value)}
+    return {
         name: {key.partition("/")[2]: round(value, DIGITS) for key, value in told.items() if key.startswith(name)}
         for name in ("overestimation", "realised_return")
-        if math.isfinite(sum(value for key, value in told.items() if key.startswith(name)))
     }
-    return {**{name: getattr(trainer, name) for name in names}, **critics}
 
 
 def curve(team: TeamSpec, episodes: Sequence[EpisodeSummary], points: int) -> dict[str, Any]:

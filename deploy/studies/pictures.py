@@ -74,7 +74,8 @@ def save_scalability(data: Results, folder: Path) -> list[str]:
     _times(right, {int(n): team["time"] for n, team in data["teams"].items()})
     for axes in (left, right):
         axes.set_xlabel("UAVs")
-        axes.legend(frameon=False, **TEXT)
+    left.legend(frameon=False, **TEXT)
+    _below(figure, right)
     figure.savefig(folder / "uavs.png", dpi=DPI)
     return ["uavs.png"]
 
@@ -84,19 +85,19 @@ def save_inference(data: Results, folder: Path) -> list[str]:
     figure = Figure(figsize=(10.0, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2)
     _times(left, {int(n): times for n, times in data["teams"].items()})
-    left.set(xlabel="UAVs", title="EIA-SEC")
-    left.legend(frameon=False, **TEXT)
+    left.set(xlabel="UAVs")
+    left.set_title("EIA-SEC", fontsize=10)
+    _below(figure, left)
     names = list(data["methods"])
-    rows = [("paper", [INFERENCE_BY_METHOD[name] for name in names])]
-    rows += [(_PIECES[piece], [data["methods"][name][piece] for name in names]) for piece in ("separate", "decide")]
-    for index, (label, values) in enumerate(rows):
-        colour = "0.35" if index == 0 else OTHER_COLOURS[index - 1]
-        right.plot(names, values, MARKS[index], color=colour, label=label, markersize=8)
-    right.set(yscale="log", ylabel="ms for each time step", title="12 UAVs")
+    right.plot(names, [INFERENCE_BY_METHOD[name] for name in names], "x", color="0.35", markersize=8)
+    for index, piece in enumerate(_PIECES):
+        values = [data["methods"][name][piece] for name in names]
+        right.plot(names, values, MARKS[index], color=OTHER_COLOURS[index], markersize=8)
+    right.set(yscale="log", ylabel="ms for each time step")
+    right.set_title("12 UAVs", fontsize=10)
     right.grid(True, color="0.9")
     right.spines[["top", "right"]].set_visible(False)
     right.margins(y=0.15)
-    right.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0), **TEXT)
     figure.savefig(folder / "times.png", dpi=DPI)
     return ["times.png"]
 
@@ -131,7 +132,9 @@ def _seeds(
     index: int,
     name: str,
 ) -> None:
-    whole = [run for run in runs if not run["diverged"]] or runs
+    whole = [run for run in runs if not run["diverged"]] or [run for run in runs if run["curve"]["episodes"]]
+    if not whole:
+        return
     end = min(run["curve"]["episodes"][-1] for run in whole)
     grid = np.linspace(max(run["curve"]["episodes"][0] for run in whole), end, GRID)
     curves = [
@@ -173,7 +176,7 @@ def _beside(axes: Axes, found: Mapping[int, Sequence[float]], paper: Mapping[int
     """Draw our intervals and the paper's numbers over the same numbers."""
     x = sorted(found)
     value, low, high = np.array([found[number] for number in x]).T
-    axes.plot(list(paper), list(paper.values()), "s--", color="0.35", label="paper", markersize=5)
+    axes.plot(list(paper), list(paper.values()), "x--", color="0.35", label="paper", markersize=6)
     axes.errorbar(
         x, value, (value - low, high - value), fmt="o-", color=OTHER_COLOURS[0], capsize=3, label="ours", markersize=6
     )
@@ -184,14 +187,20 @@ def _beside(axes: Axes, found: Mapping[int, Sequence[float]], paper: Mapping[int
 
 def _times(axes: Axes, teams: Mapping[int, Results]) -> None:
     x = sorted(teams)
-    axes.plot(list(INFERENCE_BY_UAVS), list(INFERENCE_BY_UAVS.values()), "s--", color="0.35", label="paper")
+    axes.plot(list(INFERENCE_BY_UAVS), list(INFERENCE_BY_UAVS.values()), "x--", color="0.35", label="paper")
     for index, (piece, label) in enumerate(_PIECES.items()):
         milliseconds = [teams[number][piece] for number in x]
-        axes.plot(x, milliseconds, MARKS[index], color=OTHER_COLOURS[index], linestyle=LINES[index], label=label)
+        colour, line = OTHER_COLOURS[index], LINES[index]
+        axes.plot(x, milliseconds, marker=MARKS[index], color=colour, linestyle=line, label=label)
     axes.set(yscale="log", ylabel="ms for each time step")
     _logarithmic(axes, sorted({*INFERENCE_BY_UAVS, *x}))
     axes.grid(True, color="0.9")
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def _below(figure: Figure, axes: Axes) -> None:
+    """Put the legend of one of the figure's axes under it."""
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False, **TEXT)
 
 
 def _logarithmic(axes: Axes, ticks: Sequence[int]) -> None:

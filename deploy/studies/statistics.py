@@ -19,8 +19,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata, trim_mean
 
+from common.errors import ConfigError
 from common.seeds import stream
 from deploy.figures import smooth
 
@@ -43,39 +43,40 @@ class Interval(NamedTuple):
     high: float
 
 
-def interquartile_mean(scores: Numbers) -> float:
-    """Return the mean of the middle half of all scores."""
-    return float(trim_mean(scores, 0.25, axis=None))
+def interquartile_mean(scores: Numbers) -> Numbers:
+    """Return the mean of the middle half of all scores [..., runs, farms], one for each leading index."""
+    flat = np.sort(scores.reshape(*scores.shape[:-2], -1), axis=-1)
+    cut = int(0.25 * flat.shape[-1])
+    middle: Numbers = flat[..., cut : flat.shape[-1] - cut].mean(axis=-1)
+    return middle
 
 
-def interval(scores: Numbers, statistic: Callable[[Numbers], float] = interquartile_mean) -> Interval:
+def mean(scores: Numbers) -> Numbers:
+    """Return the mean of all scores [..., runs, farms], one for each leading index."""
+    found: Numbers = scores.mean(axis=(-2, -1))
+    return found
+
+
+def interval(scores: Numbers, statistic: Callable[[Numbers], Numbers] = interquartile_mean) -> Interval:
     """Return a statistic of one method's scores [runs, farms] and its bootstrap interval.
 
     With a single run there is nothing to draw from, and both ends are the number itself.
     """
-    draw = stream("studies", "bootstrap")
-    runs = len(scores)
-    drawn = [statistic(scores[draw.integers(runs, size=runs)]) for _ in range(RESAMPLES if runs > 1 else 1)]
-    return _between(statistic(scores), drawn if runs > 1 else [statistic(scores)])
+    drawn = stream("studies", "bootstrap").integers(len(scores), size=(RESAMPLES, len(scores)))
+    return _between(float(statistic(scores)), statistic(scores[drawn]))
 
 
 def improvement(scores: Numbers, other: Numbers) -> float:
     """Return the probability that a run of the first [n, farms] is above one of the second [m, farms]."""
-    both = rankdata(np.concatenate([scores, other]), axis=0)
-    count, against = len(scores), len(other)
-    wins = both[:count].sum(axis=0) - count * (count + 1) / 2
-    return float(np.mean(wins / (count * against)))
+    return float(_wins(scores, other).mean())
 
 
 def improvement_interval(scores: Numbers, other: Numbers) -> Interval:
     """Return the probability of improvement and its bootstrap interval, the seeds of both methods drawn apart."""
-    draw = stream("studies", "improvement")
-    n, m = len(scores), len(other)
-    found = improvement(scores, other)
-    if n == m == 1:
-        return Interval(found, found, found)
-    drawn = [improvement(scores[draw.integers(n, size=n)], other[draw.integers(m, size=m)]) for _ in range(RESAMPLES)]
-    return _between(found, drawn)
+    draw, wins = stream("studies", "improvement"), _wins(scores, other)
+    rows, columns = (draw.integers(count, size=(RESAMPLES, count)) for count in wins.shape)
+    drawn = wins[rows[:, :, None], columns[:, None, :]].mean(axis=(1, 2))
+    return _between(float(wins.mean()), drawn)
 
 
 def normalised(reward: Numbers, random: Numbers, best: Numbers) -> Numbers:
@@ -87,10 +88,13 @@ def normalised(reward: Numbers, random: Numbers, best: Numbers) -> Numbers:
         best: [farms] that of the best heuristic.
 
     Both ends are means over the farms, so that one farm that is odd for a heuristic does not stretch its own scale.
+
+    Raises:
+        ConfigError: the best heuristic earns no more than the random policy.
     """
     low, high = float(np.mean(random)), float(np.mean(best))
     if high <= low:
-        raise ValueError("the best heuristic earns no more than the random policy; there is no scale between them")
+        raise ConfigError("on this farm the best heuristic earns no more than the random policy; there is no scale.")
     return (reward - low) / (high - low)
 
 
@@ -102,14 +106,15 @@ def convergence(episodes: Sequence[float], values: Sequence[float]) -> float | N
         values: the curve, unsmoothed.
 
     Returns:
-        The episode, or None when the curve leaves the band once more inside its last TAIL: it has not converged.
+        The episode, or None when the curve enters the band for good only inside its last TAIL, of which the final value
+        is the mean: it has not converged.
     """
     curve = smooth(np.array(values, np.float64))
     tail = tail_of(len(curve))
     final = float(curve[tail:].mean())
     outside = np.flatnonzero(np.abs(curve - final) > BAND * abs(final))
     first = int(outside[-1]) + 1 if outside.size else 0
-    return None if first > tail else float(episodes[first])
+    return None if first >= tail else float(episodes[first])
 
 
 def final_value(values: Sequence[float]) -> float:
@@ -132,6 +137,13 @@ def tail_of(count: int) -> int:
     return min(count - 1, int(np.ceil(count * (1.0 - TAIL))))
 
 
-def _between(value: float, drawn: Sequence[float]) -> Interval:
+def _wins(scores: Numbers, other: Numbers) -> Numbers:
+    """Return for each pair of runs [n, m] on which share of the farms the first is above, a tie counting half."""
+    one, two = scores[:, None], other[None]
+    wins: Numbers = ((one > two) + 0.5 * (one == two)).mean(axis=-1)
+    return wins
+
+
+def _between(value: float, drawn: Numbers) -> Interval:
     low, high = np.quantile(drawn, [(1.0 - LEVEL) / 2, (1.0 + LEVEL) / 2])
     return Interval(value, float(low), float(high))

@@ -15,6 +15,7 @@ from deploy.studies.statistics import (
     final_value,
     improvement_interval,
     interval,
+    mean,
     normalised,
     spread,
     unrest,
@@ -34,7 +35,7 @@ def method_summary(bench: Bench, runs: Sequence[Job], uavs: int = TWELVE) -> dic
     return {
         "normalised": told(interval(normalised(reward, random, best))),
         "reward": told(interval(reward)),
-        "mean_reward": told(interval(reward, lambda scores: float(scores.mean()))),
+        "mean_reward": told(interval(reward, mean)),
         "types": {name: told(interval(_stacked(results, "types", name))) for name in types},
         "figures": {name: told(interval(_stacked(results, "figures", name))) for name in figures},
         "farm_spread": round(spread(reward), DIGITS),
@@ -89,16 +90,16 @@ def _run(job: Job, record: dict[str, Any]) -> dict[str, Any]:
     """Return a run as it stands in the results: origin, counters, end, curve, convergence and unrest."""
     result = record["result"]
     curve = result["curve"]
-    reward = curve["reward"]["mean"]
+    reward = curve["reward"]["mean"]  # empty when it diverged before its first episode was over
     return {
         "label": job.label,
         **{name: record[name] for name in ("job", "config", "seed", "commit", "command", "seconds")},
         **{name: result[name] for name in ("episodes", "environment_steps", "evaluation_steps", "updates", "events")},
         "diverged": result["diverged"],
         "reward": round(float(np.mean(result["evaluation"]["reward"])), DIGITS),
-        "training_reward": round(final_value(reward), DIGITS),
-        "converged": convergence(curve["episodes"], reward),
-        "unrest": round(unrest(reward), DIGITS),
+        "training_reward": round(final_value(reward), DIGITS) if reward else None,
+        "converged": convergence(curve["episodes"], reward) if reward else None,
+        "unrest": round(unrest(reward), DIGITS) if reward else None,
         "overestimation": result.get("overestimation", {}),
         "realised_return": result.get("realised_return", {}),
         "curve": curve,

@@ -6,6 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from common.team import COLLECTION, COMMUNICATION, MONITORING
+from deploy.studies.claims import mean_unrest
 from deploy.studies.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
 from deploy.studies.statistics import BAND, LEVEL, TAIL
 
@@ -198,7 +199,7 @@ def _more(method: Results, better: Sequence[float] | None) -> list[str]:
     converged = f"{np.median(episodes):.0f}" if episodes else "none"
     if len(episodes) < len(runs):
         converged += f" ({len(episodes)} of {len(runs)})"
-    unrest = float(np.mean([run["unrest"] for run in runs]))
+    unrest = mean_unrest(method)
     seeds = f"{len(runs)}" + (f", {lost} diverged" if lost else "")
     improved = _interval(better, 2) if better is not None else ""
     return [improved, converged, f"{unrest:.0f}", f"{method['farm_spread']:.0f}", seeds]
