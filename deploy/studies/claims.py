@@ -248,8 +248,8 @@ def trajectories(data: Results | None) -> list[Row]:
         Row(
             claims[1],
             _listed({kind: f"{order[kind]:.2f}" for kind in kinds}),
-            judged([order[kind] > order[COMMUNICATION] for kind in workers]),
-            "order of the headings, 1 for one heading, 0 for all alike",
+            "cannot be told",
+            "order of the headings; the paper does not say what regular is, and nobody can read it off one number",
         ),
     ]
 
@@ -276,6 +276,8 @@ def _relative(claim: str, paper: float, ours: Any, base: Any, what: str) -> Row:
     """Return the row of a number whose ratio to another one is compared."""
     if ours is None or base is None:
         return Row(claim)
+    if ours is base:
+        return Row(claim, shown(ours), "cannot be told", "the other numbers stand beside it; their farm is not known")
     if base[0] <= 0.0 or ours[0] <= 0.0:
         return Row(claim, shown(ours), "cannot be told", f"there is no ratio of {ours[0]:.0f} to {base[0]:.0f}")
     ratio = ours[0] / base[0]
@@ -288,9 +290,12 @@ def _time(claim: str, paper: float, times: Results, name: str, base: str) -> Row
     own, other = times[name], times[base]
     ratio = own["decide"] / other["decide"]
     apart = own["separate"] / other["separate"]
+    told = f"{own['decide']:.3f} ms; {own['separate']:.3f} ms one network after another"
+    if name == base:
+        return Row(claim, told, "cannot be told", "the other numbers stand beside it; their machine is not known")
     return Row(
         claim,
-        f"{own['decide']:.3f} ms; {own['separate']:.3f} ms one network after another",
+        told,
         alike(paper, ratio, NEAR_TIME),
         f"{ratio:.2f} and {apart:.2f} of that of {base}, the paper's {paper:.2f}",
     )

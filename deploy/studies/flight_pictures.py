@@ -44,6 +44,8 @@ def space_figure(flown: dict[str, Trajectory]) -> Figure:
                 axes.plot(x, y, z, color=COLOURS[kind], linestyle=STYLES[kind], linewidth=0.9, alpha=0.8, label=label)
                 axes.plot(x[-1:], y[-1:], z[-1:], "o", color=COLOURS[kind], markersize=5)
         axes.set(
+            xlim=(0.0, world.field_x),
+            ylim=(0.0, world.field_y),
             xlabel="x, m",
             ylabel="y, m",
             zlabel="height, m",
@@ -69,7 +71,8 @@ def collected_figure(flown: dict[str, Trajectory]) -> Figure:
                     linewidth=1.2,
                     label=name if agent == agents.start else None,
                 )
-        axes.set(xlabel="step", ylabel="units so far, each UAV", title=LABELS[kind])
+        axes.set(xlabel="step", ylabel="units so far, each UAV")
+        axes.set_title(LABELS[kind], fontsize=10)
         axes.grid(True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(frameon=False, **TEXT)

@@ -76,7 +76,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["train", "--farm_file=nowhere.shp"], "must end in .csv"),
         (["learner", "--farm-file", "nowhere.json"], "nowhere.json"),
         (["train", "--farm.world.sites", "1"], "--farm.world.sites"),
-        (["reproduce"], "study"),
+        (["reproduce"], "nothing to reproduce"),
         (["reproduce", "harvest"], "no study 'harvest'"),
         (["reproduce", "training", "--scale", "half"], "half"),
         (["reproduce", "training", "--jobs", "0"], "jobs must be"),
@@ -122,14 +122,8 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     with pytest.raises(SystemExit) as stop:
         dispatch([name, "--help"])
     assert stop.value.code == 0
-    named = {
-        "farm": "check",
-        "keys": "issue",
-        "audit": "--json",
-        "router": "--listen",
-        "replay": "--against",
-        "reproduce": "--scale",
-    }
+    named = {"farm": "check", "keys": "issue", "audit": "--json", "router": "--listen", "replay": "--against"}
+    named |= {"reproduce": "--scale"}
     named |= dict.fromkeys(("up", "down", "status", "logs"), "FLEET") | {"fleet": "render", "host": "--folder"}
     assert named.get(name, "--run") in capsys.readouterr().out
 

@@ -152,12 +152,19 @@ def test_heuristics_fail_only_when_they_do():
     assert heuristics(None, None)[0].ours == NOT_RUN
 
 
+def base_among(count, base, claims):
+    """Return that all rows hold but that of the number which the others are divided by; that one would always hold."""
+    rows = claims(None)
+    assert len(rows) == count
+    return ["cannot be told" if row.paper.startswith(base) else "holds" for row in rows]
+
+
 def test_numbers_are_compared_as_ratios():
     """Twice the paper's rewards throughout have the paper's ratios, and hold."""
     teams = {str(n): {"reward": (2 * r, 2 * r - 1, 2 * r + 1)} for n, r in REWARD_BY_UAVS.items()}
-    assert {row.verdict for row in scalability({"teams": teams})} == {"holds"}
+    assert [row.verdict for row in scalability({"teams": teams})] == base_among(6, "Reward with 12", scalability)
     methods = {f"k_s = {k}": {"reward": (2 * r, 2 * r - 1, 2 * r + 1)} for k, r in REWARD_BY_MEMBERS.items()}
-    assert {row.verdict for row in members({"methods": methods})} == {"holds"}
+    assert [row.verdict for row in members({"methods": methods})] == base_among(7, "k_s = 2:", members)
     turned = copy.deepcopy(methods)
     turned["k_s = 10"]["reward"] = (2000, 1999, 2001)
     verdicts = {row.paper: row.verdict for row in members({"methods": turned})}
@@ -171,21 +178,22 @@ def test_times_are_compared_as_ratios():
     """A hundredth of the paper's times holds; equal times of all methods refute only that one is the fastest."""
     teams = {str(n): {"decide": ms / 100, "separate": ms / 10} for n, ms in INFERENCE_BY_UAVS.items()}
     methods = {name: {"decide": ms / 100, "separate": ms / 10} for name, ms in INFERENCE_BY_METHOD.items()}
-    assert {row.verdict for row in inference({"teams": teams, "methods": methods})} == {"holds"}
+    rows = inference({"teams": teams, "methods": methods})
+    assert {row.paper for row in rows if row.verdict != "holds"} == {"12 UAVs: 34.38 ms", "EIA-SEC: 34.38 ms"}
     equal = {name: {"decide": 0.1, "separate": 1.0} for name in INFERENCE_BY_METHOD}
     verdicts = {row.paper: row.verdict for row in inference({"teams": teams, "methods": equal})}
     assert verdicts["M5: MADDPG is the fastest"] == "does not hold"
     assert verdicts["M5: EIA-SEC takes not much longer"] == "holds"
 
 
-def test_paths_are_judged_by_coverage_and_order():
-    """Both working types have to cover the field, and to be more regular than communication UAVs."""
+def test_paths_are_judged_by_coverage():
+    """Both working types have to cover the field; what regular means is nowhere said, so that stays open."""
     flight = {
         "visited": {"communication": 0.2, "monitoring": 0.95, "collection": 0.5},
         "order": {"communication": 0.3, "monitoring": 0.6, "collection": 0.5},
     }
     rows = trajectories({"farms": {"1000": {"EIA-SEC": flight}}})
-    assert [row.verdict for row in rows] == ["holds in part", "holds"]
+    assert [row.verdict for row in rows] == ["holds in part", "cannot be told"]
 
 
 def test_the_page_is_up_to_date():
