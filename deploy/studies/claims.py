@@ -215,7 +215,7 @@ def _times(teams: Results, methods: Results) -> list[Row]:
     gap, paper = each[FIRST] / each["MADDPG"], INFERENCE_BY_METHOD[FIRST] / INFERENCE_BY_METHOD["MADDPG"]
     same = "flying needs the actors alone, and those are alike in all four"
     return [
-        Row(claims[0], told, judged(grows), "medians, all actors stacked, one thread"),
+        Row(claims[0], told, judged(grows), "all actors stacked, one thread"),
         Row(claims[1], f"{slowest:.2f} ms", judged([slowest < 1e3 * ENOUGH]), f"{sizes[-1]} UAVs, one after another"),
         Row(claims[2], named, judged([max(each.values()) < 10.0 * min(each.values())]), same),
         Row(claims[3], named, judged([each["MADDPG"] < 0.95 * min(others)]), f"{same}; within 5 % counts as equal"),
