@@ -4,23 +4,26 @@
 # make docs    set up, then write the generated pages and pictures of docs/ anew
 # make bench-peers  set up, then measure side by side with other projects, each in an environment of its own:
 #              make bench-peers ARGS="--write docs/results/peers"
+# make reproduce  set up, then make the paper's headline table from scratch; says beforehand how long it takes:
+#              make reproduce JOBS=4; another study: make reproduce STUDY=ablation
 # make clean   remove the environments and all caches (runs/ stays)
 #
 # PYTHON    the interpreter that .venv is made from (3.11 or newer)
-# JOBS      tests that run at a time
+# JOBS      tests, or runs of a study, at a time
+# STUDY     what make reproduce does
 # PIP_ARGS  added to every pip install, for instance the index of a CPU-only torch
 
 PYTHON ?= python3
 PIP_ARGS ?=
-JOBS ?= 2
+STUDY ?= training
 ARGS ?=
-JOBS ?= 2
+STUDY ?= training
 
 VENV := .venv
 READY := $(VENV)/.ready
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check install --quiet -c constraints.txt $(PIP_ARGS)
 
-.PHONY: train test lint docs bench-peers setup clean
+.PHONY: train test lint docs bench-peers reproduce setup clean
 
 train: $(READY)
 	@$(VENV)/bin/eia-sec train $(ARGS)
@@ -36,10 +39,14 @@ lint: $(READY)
 docs: $(READY)
 	@$(VENV)/bin/python -m deploy.docs
 	@$(VENV)/bin/python -m deploy.results
+	@$(VENV)/bin/python -m deploy.studies.comparison_page
 	@$(VENV)/bin/python -m deploy.environment
 
 bench-peers: $(READY)
 	@$(VENV)/bin/python -m benchmarks.peers --pip-args="$(PIP_ARGS)" $(ARGS)
+
+reproduce: $(READY)
+	@$(VENV)/bin/eia-sec reproduce $(STUDY) --scale full --jobs $(JOBS) $(ARGS)
 
 setup: $(READY)
 

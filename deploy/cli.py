@@ -32,6 +32,7 @@ COMMANDS: Final = {
     "evaluate": Command("deploy.commands.evaluate", "fly a policy without noise on farms that training never saw"),
     "replay": Command("deploy.commands.replay", "film a policy against another on the same farm, and draw their paths"),
     "farm": Command("deploy.commands.farm", "draw, save or check farms: densities, and files of sensors' places"),
+    "reproduce": Command("deploy.commands.reproduce", "do the paper's studies over again, with tables and pictures"),
     "export": Command("deploy.commands.export", "write a run's actors for use without this project"),
     "fly": Command("deploy.commands.fly", "fly vehicles with trained actors: observations in, set-points out"),
     "simulator": Command("deploy.commands.simulator", "a simulated farm in the place of vehicles, for eia-sec fly"),

@@ -25,7 +25,7 @@ from common.config import RunConfig
 from common.config.presets import PRESETS
 from common.transitions import Chunk
 from deploy.inprocess import train_inprocess
-from experiments.provenance import provenance
+from deploy.provenance import provenance
 from learner.trainer import Trainer
 
 PRINTED: Final = {"ensemble_loss": "mixture", "bootstrap": "local", "actor_objective": "local"}

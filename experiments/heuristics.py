@@ -21,7 +21,7 @@ from common.config import FarmConfig
 from common.seeds import stream
 from deploy.evaluate import parse_farms
 from deploy.intervals import COLUMNS, interval_table, ranked
-from experiments.provenance import provenance
+from deploy.provenance import provenance
 from rollout.evaluation import Evaluation, Score, evaluate
 from rollout.policies import POLICIES, RELAYS, policy_of
 

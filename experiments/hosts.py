@@ -21,8 +21,8 @@ import tyro
 
 from deploy.audit import audit
 from deploy.hosts.description import read
+from deploy.provenance import provenance
 from experiments.namespaces import PORT, RELAY, Laboratory, laboratory
-from experiments.provenance import provenance
 
 ROLES: Final = ("router", "learner", "coordinator", "first", "second", "late")
 """The hosts' names, one for each namespace."""

@@ -25,8 +25,8 @@ from common.config.presets import PRESETS
 from common.endpoint import Endpoint, free_endpoint
 from common.messages import CommandMessage
 from deploy.fleet import Fleet
+from deploy.provenance import provenance
 from deploy.supervisor import Supervisor
-from experiments.provenance import provenance
 
 RUN = "second-worker"
 

@@ -21,9 +21,9 @@ import tyro
 from matplotlib.figure import Figure
 
 from deploy.figures import DPI, OTHER_COLOURS, smooth
+from deploy.provenance import provenance
 from deploy.report import read_metrics
 from deploy.rundir import CONFIG, METRICS
-from experiments.provenance import provenance
 
 POINTS: Final = 200
 """Points of a curve that are kept."""

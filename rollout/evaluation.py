@@ -89,6 +89,7 @@ class Trajectory:
         sensor_type: [S] index of the sensor's type.
         aoi: [T + 1] mean over the sensors, units.
         vdf: [T + 1] mean over the plots, units.
+        collected: [T + 1, n] VMUF or DCUF that each UAV has served up to then, units; 0 for relays.
         final_aoi: [S] units.
         final_vdf: [n_px, n_py] units.
         summary: what the episode came to.
@@ -103,6 +104,7 @@ class Trajectory:
     sensor_type: NDArray[np.int64]
     aoi: NDArray[np.float64]
     vdf: NDArray[np.float64]
+    collected: NDArray[np.float64]
     final_aoi: NDArray[np.float64]
     final_vdf: NDArray[np.float64]
     summary: EpisodeSummary
@@ -172,7 +174,7 @@ def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Traje
     for _ in range(config.world.steps):
         flown.step(policy.act(flown))
         course.append(_snapshot(flown))
-    positions, aoi, vdf = zip(*course, strict=True)
+    positions, aoi, vdf, served = zip(*course, strict=True)
     return Trajectory(
         config=config,
         farm=farm,
@@ -183,6 +185,7 @@ def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Traje
         sensor_type=np.array(layout.sensor_type, np.int64),
         aoi=np.array(aoi),
         vdf=np.array(vdf),
+        collected=np.cumsum(np.stack(served), axis=0),
         final_aoi=np.array(flown.aoi[0], np.float64),
         final_vdf=np.array(flown.vdf[0], np.float64),
         summary=flown.summary(0),
@@ -202,9 +205,10 @@ def _begin(environments: World, policy: Decider[World], jobs: Sequence[tuple[int
     return environments
 
 
-def _snapshot(farms: FarmBatch) -> tuple[NDArray[np.float64], float, float]:
-    """Return positions [n, 2] and the means of AoI and VDF of a batch of one."""
-    return np.array(farms.position[0], np.float64), float(farms.aoi[0].mean()), float(farms.vdf[0].mean())
+def _snapshot(farms: FarmBatch) -> tuple[NDArray[np.float64], float, float, NDArray[np.float64]]:
+    """Return positions [n, 2], the means of AoI and VDF, and what was served [n] in the last step, of one farm."""
+    served = np.array(farms.utility[0], np.float64)
+    return np.array(farms.position[0], np.float64), float(farms.aoi[0].mean()), float(farms.vdf[0].mean()), served
 
 
 def _score(team: TeamSpec, summary: EpisodeSummary) -> Score:

@@ -30,7 +30,7 @@ from benchmarks.peers.venvs import interpreter, provide
 from common.config import RolloutConfig
 from common.endpoint import free_endpoint
 from common.errors import EiaSecError
-from experiments.provenance import provenance
+from deploy.provenance import provenance
 
 SIZES: Final = {"16 KB": 16_384, "128 KB": 131_072, "1 MB": 1_048_576}
 WORKERS: Final = 8

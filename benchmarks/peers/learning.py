@@ -31,9 +31,9 @@ from benchmarks.peers.venvs import interpreter, provide
 from common.errors import EiaSecError
 from common.seeds import derive
 from deploy.figures import DPI, OTHER_COLOURS
+from deploy.provenance import provenance
 from deploy.report import read_metrics
 from deploy.rundir import METRICS
-from experiments.provenance import provenance
 
 RATES: Final = (5e-4, 1e-3, 2e-3)
 """Learning rates that every program may choose from."""

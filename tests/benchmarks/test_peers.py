@@ -14,7 +14,7 @@ from benchmarks.peers.summary import merged, summarised
 from common.config import FarmConfig
 from common.errors import EiaSecError
 from common.team import farm_team
-from experiments.provenance import command
+from deploy.provenance import command
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_peers.json").read_text(encoding="utf-8"))
 PAGE = ROOT / "docs" / "results" / "peers"
@@ -308,7 +308,7 @@ def test_the_told_command_names_no_machine():
         "",
         "--json",
     ]
-    assert command("benchmarks.peers", asked) == "python -m benchmarks.peers both --only mpe2 --json"
+    assert command("python -m benchmarks.peers", asked) == "python -m benchmarks.peers both --only mpe2 --json"
 
 
 class Ticking:

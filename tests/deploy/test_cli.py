@@ -76,6 +76,12 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["train", "--farm_file=nowhere.shp"], "must end in .csv"),
         (["learner", "--farm-file", "nowhere.json"], "nowhere.json"),
         (["train", "--farm.world.sites", "1"], "--farm.world.sites"),
+        (["reproduce"], "nothing to reproduce"),
+        (["reproduce", "harvest"], "no study 'harvest'"),
+        (["reproduce", "training", "--scale", "half"], "half"),
+        (["reproduce", "training", "--jobs", "0"], "jobs must be"),
+        (["reproduce", "run"], "takes the command of a study"),
+        (["reproduce", "run", "by hand", "nowhere.job.json"], "not a study's run"),
         (["farm"], "show, save, check"),
         (["farm", "plough"], "plough"),
         (["farm", "check"], "FILE"),
@@ -117,6 +123,7 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
         dispatch([name, "--help"])
     assert stop.value.code == 0
     named = {"farm": "check", "keys": "issue", "audit": "--json", "router": "--listen", "replay": "--against"}
+    named |= {"reproduce": "--scale"}
     named |= dict.fromkeys(("up", "down", "status", "logs"), "FLEET") | {"fleet": "render", "host": "--folder"}
     assert named.get(name, "--run") in capsys.readouterr().out
 

@@ -37,6 +37,7 @@ def trajectory():
         sensor_type=np.arange(30) % 3,
         aoi=np.ones(21),
         vdf=np.ones(21),
+        collected=np.zeros((21, 4)),
         final_aoi=generator.integers(0, 6, 30).astype(float),
         final_vdf=np.arange(20.0).reshape(4, 5) % 6,
         summary=EpisodeSummary(1000, 1, 20, (1.0, 2.0, 3.0, 4.0), {"aoi": 1.5, "vdf": 2.5}),

@@ -1,0 +1,93 @@
+"""`eia-sec reproduce`: the paper's studies, each by one command that goes on where it was stopped."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+import tyro
+from rich.console import Console
+
+from common.config.checks import within
+from common.errors import UsageError
+from common.process import StopSignal
+from deploy.exit_codes import DONE, INTERRUPTED
+from deploy.options import parse
+from deploy.rundir import RunDirectory
+from deploy.studies.bench import Bench
+from deploy.studies.catalogue import STUDIES
+from deploy.studies.jobs import Job, Records
+from deploy.studies.perform import perform_all
+from deploy.studies.reproduce import Plan, announce, carry_out
+from deploy.studies.scales import SCALES
+
+RUN: Final = "run"
+"""The word, in a study's place, by which studies start their runs: `run COMMAND RECORDS/JOB.job.json ...`."""
+ALL: Final = "all"
+LOCK: Final = "reproduce.lock"
+
+
+@dataclass(frozen=True)
+class ReproduceArguments:
+    """Do one of the paper's studies: training, ablation, ensemble, scalability, inference or trajectories; or all.
+
+    Says beforehand how long it takes. What is there already is kept, so the same command goes on after Ctrl-C.
+    """
+
+    study: tyro.conf.Positional[str] = ""
+    """training, ablation, ensemble, scalability, inference, trajectories, or all."""
+    scale: Literal["smoke", "full"] = "full"
+    """full: the study; smoke: a few minutes that show that everything works, and nothing else."""
+    jobs: int = 1
+    """Processes at a time, one thread each."""
+    write: Path = Path("runs/reproduce")
+    """Folder for data, pictures and tables; each study has its own in there."""
+    records: Path = Path("runs/reproduce/records")
+    """Folder of the finished runs, which all studies share."""
+    plan: bool = False
+    """Only say what is missing and how long it takes."""
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Do a study; return 0 when its results are written, 130 when it was stopped."""
+    if arguments[:1] == [RUN]:
+        return _run(arguments[1:])
+    options = parse(ReproduceArguments, arguments, "reproduce")
+    within(1, 1024, jobs=options.jobs)
+    if options.study not in (*STUDIES, ALL):
+        wrong = f"there is no study {options.study!r}" if options.study else "nothing to reproduce"
+        raise UsageError(f"{wrong}; the studies are {', '.join(STUDIES)}, and {ALL}.")
+    console = Console(highlight=False, soft_wrap=True, markup=False)
+    bench = Bench(SCALES[options.scale], Records(options.records))
+    held = RunDirectory(options.records)
+    held.lock(LOCK)  # as long as this object lives
+    names = tuple(STUDIES) if options.study == ALL else (options.study,)
+    # The scale is part of what was done, whether it was said or not.
+    said = ["reproduce", *arguments] if "--scale" in arguments else ["reproduce", *arguments, "--scale", options.scale]
+    plans = [Plan(name, bench, options.write, options.jobs, said, console.print) for name in names]
+    for plan in plans:
+        announce(plan)
+    return DONE if options.plan else _carry_out(plans, console)
+
+
+def _carry_out(plans: Sequence[Plan], console: Console) -> int:
+    """Do studies one after another; return the exit code."""
+    stop = StopSignal()
+    stop.install()
+    try:
+        for plan in plans:
+            if not carry_out(plan, stop):
+                console.print("stopped; every finished run is kept, and the same command goes on from there.")
+                return INTERRUPTED
+    finally:
+        stop.uninstall()
+    return DONE
+
+
+def _run(arguments: Sequence[str]) -> int:
+    """Do runs of a study in this process."""
+    if len(arguments) < 2:
+        raise UsageError("eia-sec reproduce run takes the command of a study and files RECORDS/JOB.job.json.")
+    said, *paths = arguments
+    perform_all([Job.from_file(Path(path)) for path in paths], Records(Path(paths[0]).parent), said)
+    return DONE

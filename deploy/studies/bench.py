@@ -1,0 +1,115 @@
+"""Makes the jobs of all studies at one scale, and finds what they came to."""
+
+from typing import Any
+
+import numpy as np
+
+from common.config import RunConfig
+from deploy.studies.jobs import Job, Records
+from deploy.studies.methods import CANDIDATES, Method, configuration, with_uavs
+from deploy.studies.scales import CHOICE_FARM, FIRST_FARM, TRIAL_SEED, Scale
+from deploy.studies.statistics import Numbers
+
+PRESET_CANDIDATE = next(iter(CANDIDATES))
+TWELVE = 12
+"""UAVs of every study but those that vary them."""
+
+
+class Bench:
+    """Jobs at one scale.
+
+    Args:
+        scale: the sizes.
+        records: what has been done.
+    """
+
+    def __init__(self, scale: Scale, records: Records) -> None:
+        self.scale, self.records = scale, records
+
+    def base(self, uavs: int = TWELVE) -> RunConfig:
+        """Return what every method begins from, with a team of so many UAVs."""
+        return with_uavs(self.scale.base(), uavs)
+
+    def trials(self, method: Method) -> list[Job]:
+        """Return the tuning trials of a method: each candidate once, evaluated on the farms of choice alone."""
+        scale = self.scale
+        return [
+            self._train(
+                f"{method.name}, trial: {candidate}",
+                configuration(self.base(), method, candidate, TRIAL_SEED, scale.trial_episodes),
+                (CHOICE_FARM, scale.choice_farms),
+            )
+            for candidate in list(CANDIDATES)[: scale.candidates]
+        ]
+
+    def choice(self, method: Method) -> str:
+        """Return the candidate of a method with the best reward; the first one as long as trials are missing."""
+        trials = self.trials(method)
+        if self.records.missing(trials):
+            return PRESET_CANDIDATE
+        rewards = [float(np.mean(self.records.result(trial)["evaluation"]["reward"])) for trial in trials]
+        return list(CANDIDATES)[int(np.argmax(rewards))]
+
+    def runs(self, method: Method, seeds: int, *, tuned_as: Method | None = None, uavs: int = TWELVE) -> list[Job]:
+        """Return the reported runs of a method.
+
+        Args:
+            method: the method.
+            seeds: how many, from 0 on.
+            tuned_as: the method whose choice of settings is in force; itself when None.
+            uavs: size of the team.
+        """
+        candidate = self.choice(tuned_as or method)
+        size = "" if uavs == TWELVE else f", {uavs} UAVs"
+        return [
+            self._train(
+                f"{method.name}{size}, seed {seed}",
+                configuration(self.base(uavs), method, candidate, seed, self.scale.episodes),
+                (FIRST_FARM, self.scale.farms),
+            )
+            for seed in range(seeds)
+        ]
+
+    def reference(self, policy: str, uavs: int = TWELVE) -> Job:
+        """Return the flight of a policy that learns nothing over the reported farms."""
+        size = "" if uavs == TWELVE else f", {uavs} UAVs"
+        options = {"policy": policy, "farms": [FIRST_FARM, self.scale.farms]}
+        # Nothing of the learning enters: without it, trials of settings leave these records as they are.
+        config = RunConfig(farm=self.base(uavs).farm)
+        return Job("fly", f"{policy}{size}", config, options)
+
+    def references(self, uavs: int = TWELVE) -> list[Job]:
+        """Return the flights of the random policy and of every heuristic."""
+        return [self.reference(name, uavs) for name in ("random", *self.scale.heuristics)]
+
+    def timing(self, method: Method, uavs: int) -> list[Job]:
+        """Return the timings of a method's decisions, for several seeds."""
+        return [
+            Job(
+                "time",
+                f"time of {method.name}, {uavs} UAVs, seed {seed}",
+                configuration(self.base(uavs), method, PRESET_CANDIDATE, seed, 1),
+                {"steps": self.scale.timed_steps},
+            )
+            for seed in range(self.scale.timed_seeds)
+        ]
+
+    def scores(self, runs: list[Job]) -> Numbers:
+        """Return [runs, farms] reward per agent of runs that are done."""
+        return np.array([self.records.result(run)["evaluation"]["reward"] for run in runs], np.float64)
+
+    def ends(self, uavs: int = TWELVE) -> tuple[Numbers, Numbers, str]:
+        """Return the rewards [farms] of the random policy and of the best heuristic, and that one's name."""
+        rewards = {job.options["policy"]: self.records.result(job)["reward"] for job in self.references(uavs)}
+        best = max(self.scale.heuristics, key=lambda name: float(np.mean(rewards[name])))
+        return np.array(rewards["random"]), np.array(rewards[best]), best
+
+    def _train(self, label: str, config: RunConfig, farms: tuple[int, int]) -> Job:
+        scale = self.scale
+        options: dict[str, Any] = {
+            "farms": list(farms),
+            "choice_farms": [CHOICE_FARM, scale.choice_farms],
+            "points": scale.points,
+            "evaluations": scale.evaluations,
+        }
+        return Job("train", label, config, options)

@@ -1,0 +1,94 @@
+"""What is compared: methods, the settings that are tried for each of them, and equal budgets.
+
+Every method begins from the same configuration, is tried with the same CANDIDATES on the same farms with the same seed
+and budget, and trains its reported runs with the candidate that did best. Nothing else is tuned here.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+from common.config import RunConfig
+from common.imitation import ImitationSchedule
+
+PRINTED_TARGET: Final[dict[str, Any]] = {
+    "ensemble_loss": "mixture",
+    "bootstrap": "local",
+    "actor_objective": "local",
+    "ensemble_copy_rate": 0.1,
+}
+"""The printed shared ensemble critic, readings A7, A8 and A9."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """One method.
+
+    Attributes:
+        name: as tables and pictures call it.
+        changes: fields of the algorithm that make it.
+    """
+
+    name: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+
+EIA_SEC: Final = Method("EIA-SEC", {"name": "eia-sec"})
+PEERS: Final = (
+    Method("MADDPG", {"name": "maddpg"}),
+    Method("MATD3", {"name": "matd3"}),
+    Method("MASAC", {"name": "masac"}),
+)
+ABLATIONS: Final = (
+    EIA_SEC,
+    Method("EIA only", {"name": "eia"}),
+    Method("SEC only", {"name": "sec"}),
+    Method("neither", {"name": "base"}),
+    Method("EIA-SEC, printed target", {"name": "eia-sec", **PRINTED_TARGET}),
+)
+
+CANDIDATES: Final[dict[str, dict[str, float]]] = {
+    "as the preset": {},
+    "actor rate x 3": {"actor_rate": 3.0},
+    "critic rate / 3": {"critic_rate": 1.0 / 3.0},
+    "reward scale x 3": {"reward_scale": 3.0},
+    "reward scale / 3": {"reward_scale": 1.0 / 3.0},
+}
+"""Settings that are tried for each method: factors on the preset's values."""
+
+
+def configuration(base: RunConfig, method: Method, candidate: str, seed: int, episodes: int) -> RunConfig:
+    """Return the configuration of one run.
+
+    Args:
+        base: what every method begins from.
+        method: the method.
+        candidate: the key of CANDIDATES that is in force.
+        seed: seed of the run.
+        episodes: the budget; see `training_episodes`.
+    """
+    algorithm = replace(base.algorithm, **method.changes)
+    factors = {name: getattr(algorithm, name) * factor for name, factor in CANDIDATES[candidate].items()}
+    config = replace(base, seed=seed, algorithm=replace(algorithm, **factors))
+    return replace(config, episodes=training_episodes(config, episodes))
+
+
+def training_episodes(config: RunConfig, budget: int) -> int:
+    """Return the most training episodes with which a run stays inside a budget that counts imitation's evaluations.
+
+    Imitation flies episodes without noise to choose elites (A3). They cost as much experience as others, so a method
+    with imitation trains for so many episodes fewer.
+    """
+    schedule, flown = ImitationSchedule.of(config), min(config.elite.farms, config.rollout.train_farms)
+    events = 0
+    while (due := schedule.due_episode(events + 1)) is not None and due + flown * (events + 1) <= budget:
+        events += 1
+    left = budget - flown * events
+    return max(1, left if due is None else min(left, due - 1))
+
+
+def with_uavs(config: RunConfig, uavs: int) -> RunConfig:
+    """Return the run with so many UAVs, split as evenly as can be, communication UAVs first."""
+    relays, monitors, collectors = (uavs // 3 + (uavs % 3 > kind) for kind in range(3))
+    world = replace(config.farm.world, communication_uavs=relays, monitoring_uavs=monitors, collection_uavs=collectors)
+    return replace(config, farm=replace(config.farm, world=world))

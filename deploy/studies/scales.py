@@ -1,0 +1,126 @@
+"""How large the studies are: at full scale, and at a scale that only shows that everything works."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+from common.config import FarmConfig, RunConfig
+from common.config.files import from_toml
+from common.config.presets import PRESETS
+from rollout.policies import HEURISTICS
+
+TRIAL_SEED: Final = 1000
+"""Seed of every tuning trial; no run that is reported has it."""
+FIRST_FARM: Final = 1000
+"""First farm of the reported evaluations; nothing is trained or chosen on it or any behind it."""
+CHOICE_FARM: Final = 500
+"""First farm of the evaluations that choose settings and draw curves; neither trained on nor reported."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Sizes of all studies.
+
+    Attributes:
+        name: smoke or full.
+        settings: TOML over the default preset, the same for every method.
+        episodes: budget of a run, episodes, those of elite imitation included.
+        seeds: seeds of `training`.
+        side_seeds: seeds of `ablation`, `ensemble` and `scalability`.
+        trial_episodes: budget of a tuning trial.
+        candidates: settings that are tried for each method, the first of CANDIDATES.
+        farms: farms that results are reported on.
+        choice_farms: farms that settings are chosen on.
+        points: points of a training curve.
+        evaluations: noise-free evaluations on the way.
+        members: values of k_s.
+        uavs: team sizes that are trained.
+        timed_uavs: team sizes whose decisions are timed.
+        timed_steps: decisions that are timed, for each seed.
+        timed_seeds: seeds of the timed actors.
+        heuristics: the policies of which the best is 1 on the normalised scale; random is 0.
+        flights: farms whose paths are drawn.
+    """
+
+    name: str
+    settings: str
+    episodes: int
+    seeds: int
+    side_seeds: int
+    trial_episodes: int
+    candidates: int
+    farms: int
+    choice_farms: int
+    points: int
+    evaluations: int
+    members: tuple[int, ...]
+    uavs: tuple[int, ...]
+    timed_uavs: tuple[int, ...]
+    timed_steps: int
+    timed_seeds: int
+    heuristics: tuple[str, ...]
+    flights: int
+
+    def base(self) -> RunConfig:
+        """Return the configuration that every method begins from; one thread for each run."""
+        config = from_toml(self.settings, PRESETS["default"])
+        return replace(config, learner=replace(config.learner, threads=1), rollout=replace(config.rollout, threads=1))
+
+    @property
+    def paper_farm(self) -> bool:
+        """Whether the farm is that of the paper, so that rewards can stand beside the paper's."""
+        return self.base().farm.world == FarmConfig().world
+
+
+FULL: Final = Scale(
+    name="full",
+    settings="",
+    episodes=2000,
+    seeds=5,
+    side_seeds=3,
+    trial_episodes=400,
+    candidates=5,
+    farms=100,
+    choice_farms=20,
+    points=200,
+    evaluations=20,
+    members=(1, 2, 3, 4, 5, 10),
+    uavs=(6, 12, 16, 20, 24, 48, 96),
+    timed_uavs=(6, 12, 16, 20, 24, 48, 96),
+    timed_steps=2000,
+    timed_seeds=5,
+    heuristics=tuple(name for name in HEURISTICS if name != "random"),
+    flights=3,
+)
+
+SMOKE: Final = Scale(
+    name="smoke",
+    settings="""
+    [farm.world]
+    steps = 100
+    [elite]
+    cycle = 8
+    farms = 2
+    [replay]
+    capacity = 4096
+    warmup_steps = 800
+    """,
+    episodes=40,
+    seeds=2,
+    side_seeds=2,
+    trial_episodes=24,
+    candidates=2,
+    farms=4,
+    choice_farms=2,
+    points=10,
+    evaluations=4,
+    members=(1, 2, 10),
+    uavs=(6, 12, 24),
+    timed_uavs=(6, 12, 24),
+    timed_steps=100,
+    timed_seeds=2,
+    heuristics=("lawnmower", "greedy"),
+    flights=1,
+)
+
+SCALES: Final = {scale.name: scale for scale in (SMOKE, FULL)}
+"""Every scale by its name."""

@@ -1,0 +1,222 @@
+"""The page that a study writes beside its data: README.md with its tables, pictures and where each run comes from."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from common.team import COLLECTION, COMMUNICATION, MONITORING
+from deploy.studies.claims import mean_unrest
+from deploy.studies.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
+from deploy.studies.statistics import BAND, LEVEL, TAIL
+
+Results = Mapping[str, Any]
+Cells = Sequence[str]
+
+KINDS: Final = (COMMUNICATION, MONITORING, COLLECTION)
+SMOKE_NOTE: Final = "This is the smoke scale: it shows that everything works, and its numbers mean nothing.\n"
+
+
+def page(title: str, data: Results, pictures: Sequence[str]) -> str:
+    """Return the whole page of a study."""
+    made = f"`{data['command']}`, commit {data['commit']}.\n"
+    parts = [f"# {title}\n", made, SMOKE_NOTE if data["scale"] == "smoke" else "", SECTIONS[data["study"]](data)]
+    parts += [f"![{name.removesuffix('.png')}]({name})\n" for name in pictures]
+    if "choice" in data:
+        parts += ["## Settings\n", choices(data)]
+    parts += ["## Where it comes from\n", origins(data)]
+    return "\n".join(part for part in parts if part)
+
+
+def headline(data: Results) -> str:
+    """Return methods that were tuned, trained and evaluated alike, and those that learn nothing, best reward first."""
+    references, methods = data["references"]["policies"], data["methods"]
+    head = ("policy", "normalised", "reward", "communication", "monitoring", "data collection", "AoI", "VDF")
+    more = ("P(first > it)", "converged", "unrest", "over farms", "seeds")
+    rows = []
+    for name, method in methods.items():
+        better = data["improvement"].get(name) if "improvement" in data else None
+        rows.append((method["mean_reward"][0], [f"**{name}**", *_method_cells(method), *_more(method, better)]))
+    for name, policy in references.items():
+        types = [f"{policy['types'][kind]:.0f}" for kind in KINDS]
+        figures = [f"{policy['figures'][kind]:.2f}" for kind in ("aoi", "vdf")]
+        numbers = [f"{policy['normalised']:.2f}", f"{policy['reward']:.0f}", *types, *figures]
+        rows.append((policy["reward"], [name, *numbers, *[""] * len(more)]))
+    rows.sort(key=lambda row: -row[0])
+    return table([*head, *more], [cells for _, cells in rows]) + "\n" + _legend(data)
+
+
+def members(data: Results) -> str:
+    """Return the reward by k_s beside the paper's."""
+    rows = []
+    for name, method in data["methods"].items():
+        paper = REWARD_BY_MEMBERS.get(int(name.rpartition(" ")[2]))
+        rows.append([name, f"{paper:.2f}" if paper else "", *_method_cells(method), str(len(method["runs"]))])
+    head = ("k_s", "paper", "normalised", "reward", "communication", "monitoring", "data collection", "AoI", "VDF")
+    return table([*head, "seeds"], rows) + "\n" + _legend(data)
+
+
+def teams(data: Results) -> str:
+    """Return reward and decision time by number of UAVs beside the paper's."""
+    rows = []
+    for name, team in data["teams"].items():
+        uavs, best = int(name), team["references"]["policies"][team["references"]["best"]]
+        paper = [f"{source[uavs]:.2f}" if uavs in source else "" for source in (REWARD_BY_UAVS, INFERENCE_BY_UAVS)]
+        ours = [_interval(team["reward"], 0), _interval(team["normalised"], 2)]
+        known = f"{team['references']['best']} {best['reward']:.0f}"
+        rows.append([name, paper[0], *ours, known, paper[1], *_time_cells(team["time"]), str(len(team["runs"]))])
+    head = ("UAVs", "paper: reward", "reward", "normalised", "best heuristic", "paper: ms")
+    return table([*head, "decide, ms", "separate, ms", "simulate, ms", "seeds"], rows) + "\n" + _TIMES
+
+
+def inference(data: Results) -> str:
+    """Return decision times by number of UAVs and by method beside the paper's."""
+    head = ("paper: ms", "decide, ms", "separate, ms", "simulate, ms", "seeds")
+    sizes = [
+        [name, _known(INFERENCE_BY_UAVS, int(name)), *_time_cells(times), str(len(times["seeds"]))]
+        for name, times in data["teams"].items()
+    ]
+    methods = [
+        [name, _known(INFERENCE_BY_METHOD, name), *_time_cells(times), str(len(times["seeds"]))]
+        for name, times in data["methods"].items()
+    ]
+    return "\n".join(
+        [table(("EIA-SEC, UAVs", *head), sizes), table(("12 UAVs, method", *head), methods), _TIMES, _UNTRAINED]
+    )
+
+
+def flights(data: Results) -> str:
+    """Return what was collected on each farm, and how the paths are."""
+    rows = []
+    for farm, flown in data["farms"].items():
+        for name, flight in flown.items():
+            got = [
+                f"{sum(flight['collected'][kind]):.0f} of {flight['supplied'][kind]}"
+                for kind in (MONITORING, COLLECTION)
+            ]
+            paths = [f"{flight['visited'][kind]:.0%}, {flight['order'][kind]:.2f}" for kind in KINDS]
+            numbers = [f"{flight['reward']:.0f}", f"{flight['aoi']:.2f}", f"{flight['vdf']:.2f}"]
+            rows.append([farm, name, *numbers, *got, *paths])
+    head = ("farm", "policy", "reward", "AoI", "VDF", "VDF units collected", "AoI units collected")
+    return (
+        table([*head, "communication paths", "monitoring paths", "data collection paths"], rows)
+        + "\nPaths: share of the field's 100 cells that the type's UAVs were over, and order of their headings, 1 when "
+        "all\nsteps have one heading, 0 when they are spread evenly.\n"
+    )
+
+
+SECTIONS: Final[Mapping[str, Callable[[Results], str]]] = {
+    "training": headline,
+    "ablation": headline,
+    "ensemble": members,
+    "scalability": teams,
+    "inference": inference,
+    "trajectories": flights,
+}
+"""The table of each study."""
+
+
+def choices(data: Results) -> str:
+    """Return what each method's tuning trials came to."""
+    names = list(next(iter(data["choice"].values()))["trials"])
+    rows = [
+        [method, *(_chosen(found["trials"][name], name == found["chosen"]) for name in names)]
+        for method, found in data["choice"].items()
+    ]
+    return table(["method", *names], rows) + (
+        "\nReward per agent of one trial each, on farms that are neither trained on nor reported; the settings of the "
+        "bold\none are in force. Every method has the same candidates, the same budget and the same seed.\n"
+    )
+
+
+def origins(data: Results) -> str:
+    """Return one row for each run: command, seed, commit, configuration, budget and time."""
+    rows = []
+    for run in runs_of(data):
+        steps = run.get("environment_steps", 0) + run.get("evaluation_steps", 0)
+        budget = f"{steps:,} ({run['evaluation_steps']:,})" if steps else ""
+        rows.append([run.get("label", "EIA-SEC, seed 0"), f"`{run['command']}`", str(run["seed"]), run["commit"]])
+        rows[-1] += [run["config"], budget, f"{run['seconds'] / 60:.1f}"]
+    if not rows:
+        commits = sorted(
+            {commit for group in ("teams", "methods") for t in data[group].values() for commit in t["commits"]}
+        )
+        return f"Every time of one thread; commit {', '.join(commits)}.\n"
+    return table(("run", "command", "seed", "commit", "configuration", "environment steps", "minutes"), rows) + (
+        "\nEnvironment steps include those that elite imitation flew to choose elites, which stand in brackets.\n"
+    )
+
+
+def runs_of(data: Results) -> list[Results]:
+    """Return every trained run that the results of a study name."""
+    if "run" in data:
+        return [data["run"]]
+    groups = [*data.get("methods", {}).values(), *data.get("teams", {}).values()]
+    return [run for group in groups for run in group.get("runs", ())]
+
+
+def table(head: Cells, rows: Sequence[Cells]) -> str:
+    """Return a Markdown table, numbers to the right."""
+    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+_TIMES: Final = (
+    "Times for all UAVs together at each time step, one thread, the least of the seeds' 5 % quantiles, which "
+    "other work\non the machine disturbs least: *decide*, from observations to actions with all actors stacked, as this "
+    "project flies\nthem; *separate*, the same by one torch network after another; *simulate*, the simulator's step with assignment, rewards and all observations.\n"
+)
+_UNTRAINED: Final = (
+    "The actors are untrained: what an actor computes does not depend on its weights, and flying needs no critic.\n"
+)
+
+
+def _legend(data: Results) -> str:
+    what = f"interquartile mean and its {LEVEL:.0%} bootstrap interval over seeds and farms; normalised"
+    parts = f"Reward per agent, noise-free on unseen farms: {what}: 0 is random, 1 the best heuristic."
+    if "improvement" in data:
+        parts += (
+            f"\nConverged: episode from which on the smoothed training curve stays within {BAND:.0%} of its final "
+            f"value, median of\nthe seeds. Unrest: spread of the training reward over the last {TAIL:.0%}; over farms: "
+            "spread of the final reward\nover unseen farms."
+        )
+    return parts + "\n"
+
+
+def _method_cells(method: Results) -> list[str]:
+    return [
+        _interval(method["normalised"], 2),
+        _interval(method["reward"], 0),
+        *(f"{method['types'][kind][0]:.0f}" for kind in KINDS),
+        *(_interval(method["figures"][name], 2) for name in ("aoi", "vdf")),
+    ]
+
+
+def _more(method: Results, better: Sequence[float] | None) -> list[str]:
+    runs = method["runs"]
+    episodes = [run["converged"] for run in runs if run["converged"] is not None and not run["diverged"]]
+    lost = sum(run["diverged"] for run in runs)
+    converged = f"{np.median(episodes):.0f}" if episodes else "none"
+    if len(episodes) < len(runs):
+        converged += f" ({len(episodes)} of {len(runs)})"
+    unrest = mean_unrest(method)
+    seeds = f"{len(runs)}" + (f", {lost} diverged" if lost else "")
+    improved = _interval(better, 2) if better is not None else ""
+    return [improved, converged, f"{unrest:.0f}", f"{method['farm_spread']:.0f}", seeds]
+
+
+def _interval(numbers: Sequence[float], digits: int) -> str:
+    value, low, high = (f"{number:.{digits}f}" for number in numbers)
+    return value if low == high else f"{value} ({low}..{high})"
+
+
+def _time_cells(times: Results) -> list[str]:
+    return [f"{times[piece]:.3f}" for piece in ("decide", "separate", "simulate")]
+
+
+def _known(paper: Mapping[Any, float], key: Any) -> str:
+    return f"{paper[key]:.2f}" if key in paper else ""
+
+
+def _chosen(reward: float, chosen: bool) -> str:
+    return f"**{reward:.0f}**" if chosen else f"{reward:.0f}"

@@ -1,0 +1,183 @@
+"""Jobs, their records, and what is compared with what."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from common.actors import ActorBank
+from common.config import EliteConfig
+from common.errors import UsageError
+from common.imitation import ImitationSchedule
+from common.policy_file import save_policy
+from common.team import farm_team
+from deploy.studies.bench import Bench
+from deploy.studies.catalogue import STUDIES
+from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
+from deploy.studies.methods import ABLATIONS, CANDIDATES, EIA_SEC, PEERS, configuration, training_episodes, with_uavs
+from deploy.studies.scales import CHOICE_FARM, FIRST_FARM, FULL, SMOKE, TRIAL_SEED
+from tests.deploy.tiny_study import TINY
+
+MADE = {"command": "eia-sec reproduce training", "commit": "abc1234"}
+
+
+@pytest.fixture
+def bench(tmp_path):
+    return Bench(TINY, Records(tmp_path / "records"))
+
+
+def timing(bench):
+    return bench.timing(EIA_SEC, 12)[0]
+
+
+def test_a_job_is_named_by_what_decides_its_outcome(bench):
+    """Another seed, setting or evaluation is another job; another label is not."""
+    job = bench.runs(EIA_SEC, 1)[0]
+    config = job.config
+    others = [
+        replace(job, config=replace(config, seed=7)),
+        replace(job, config=replace(config, algorithm=replace(config.algorithm, discount=0.5))),
+        replace(job, options={**job.options, "farms": [1000, 4]}),
+        replace(job, kind="fly"),
+    ]
+    assert len({job.digest, *(other.digest for other in others)}) == 5
+    assert replace(job, label="by another name").digest == job.digest
+
+
+def test_a_job_survives_its_file(bench, tmp_path):
+    """What a process reads is the job that was written, configuration and all."""
+    job = bench.runs(PEERS[2], 1)[0]
+    (tmp_path / "job.json").write_text(job.to_json())
+    read = Job.from_file(tmp_path / "job.json")
+    assert read == replace(job, options=dict(job.options))
+    assert read.digest == job.digest
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"kind": "sow"}', '{"kind": "fly", "label": 1, "config": "episodes = 0"}']
+)
+def test_a_file_that_is_no_job_is_a_users_mistake(text, tmp_path):
+    """Whatever is in it, there is one sentence."""
+    (tmp_path / "job.json").write_text(text)
+    with pytest.raises(UsageError, match="not a study's run"):
+        Job.from_file(tmp_path / "job.json")
+
+
+def test_a_record_is_found_again(bench):
+    """A result comes back with its origin, and only the jobs without one are missing."""
+    job = timing(bench)
+    other = replace(job, config=replace(job.config, seed=9))
+    bench.records.put(job, MADE, 1.5, {"decide": 2.0})
+    assert bench.records.result(job) == {"decide": 2.0}
+    record = bench.records.get(job)
+    assert {**MADE, "seed": 0}.items() <= record.items()
+    assert bench.records.missing([job, other, other]) == [other]
+    assert [path.name for path in bench.records.folder.iterdir()] == [job.digest + ".json"]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda text: text[: len(text) // 2],
+        lambda text: text.replace('"format": 1', '"format": 0'),
+        lambda text: text.replace('"seed": 0', '"seed": "0"'),
+        lambda text: json.dumps([text]),
+        lambda text: text.replace('"job": "', '"job": "f'),
+        lambda text: "\x00" + text,
+    ],
+    ids=["cut", "older format", "wrong type", "list", "another job's", "noise"],
+)
+def test_a_damaged_record_counts_as_missing(damage, bench):
+    """Nothing is read out of a record that is not whole, and nothing fails."""
+    job = timing(bench)
+    bench.records.put(job, MADE, 1.0, {"decide": 2.0})
+    path = bench.records.path(job)
+    path.write_text(damage(path.read_text()))
+    assert bench.records.missing([job]) == [job]
+
+
+def test_a_training_record_needs_its_policy(bench):
+    """Without the policy file, from which paths are drawn, the run is done again."""
+    job = bench.runs(EIA_SEC, 1)[0]
+    bench.records.put(job, MADE, 1.0, {})
+    assert bench.records.missing([job]) == [job]
+    bank = ActorBank.initial(farm_team(job.config.farm), 16, 0)
+    save_policy(bench.records.path(job, POLICY_SUFFIX), bank, {})
+    assert bench.records.missing([job]) == []
+
+
+@pytest.mark.parametrize("scale", [SMOKE, FULL], ids=lambda scale: scale.name)
+def test_every_method_is_tuned_and_trained_alike(scale, tmp_path):
+    """Trials and runs of all methods have the same candidates, seeds, farms, farm, processes and budget."""
+    bench = Bench(scale, Records(tmp_path))
+    methods = (*ABLATIONS, *PEERS)
+    for jobs in ([bench.trials(method) for method in methods], [bench.runs(method, 2) for method in methods]):
+        assert len({len(own) for own in jobs}) == 1
+        for alike in zip(*jobs, strict=True):
+            configs = [job.config for job in alike]
+            assert len({json.dumps(dict(job.options)) for job in alike}) == 1
+            for part in ("seed", "farm", "replay", "rollout", "exploration", "elite", "learner"):
+                assert len({getattr(config, part) for config in configs}) == 1
+            spent = [budget(config) for config in configs]
+            assert max(spent) - min(spent) <= min(configs[0].elite.farms, 20)
+
+
+def budget(config):
+    """Return the episodes that a run takes, those of its imitation events included."""
+    schedule, events = ImitationSchedule.of(config), 0
+    while (due := schedule.due_episode(events + 1)) is not None and due <= config.episodes:
+        events += 1
+    return config.episodes + events * min(config.elite.farms, config.rollout.train_farms)
+
+
+@pytest.mark.parametrize("episodes", [1, 10, 11, 14, 15, 40, 100, 313, 2000])
+@pytest.mark.parametrize("farms", [1, 4, 20])
+def test_imitation_pays_for_its_evaluations(episodes, farms):
+    """The budget holds, and one more training episode would break it."""
+    base = replace(FULL.base(), elite=EliteConfig(cycle=10, cycle_growth=2.0, farms=farms))
+    config = configuration(base, EIA_SEC, "as the preset", 0, episodes)
+    assert config.episodes == training_episodes(config, episodes)
+    assert budget(config) <= episodes or config.episodes == 1
+    assert budget(replace(config, episodes=config.episodes + 1)) > episodes
+    peer = configuration(base, PEERS[0], "as the preset", 0, episodes)
+    assert peer.episodes == episodes
+
+
+def test_candidates_change_what_they_say():
+    """The first candidate is the preset itself; every other one multiplies one field."""
+    base = FULL.base()
+    preset, *others = (configuration(base, EIA_SEC, name, 0, 100).algorithm for name in CANDIDATES)
+    assert preset == base.algorithm
+    for algorithm, factors in zip(others, list(CANDIDATES.values())[1:], strict=True):
+        ((field, factor),) = factors.items()
+        assert getattr(algorithm, field) == pytest.approx(getattr(preset, field) * factor)
+        assert replace(algorithm, **{field: getattr(preset, field)}) == preset
+
+
+@pytest.mark.parametrize(("uavs", "split"), [(6, (2, 2, 2)), (16, (6, 5, 5)), (20, (7, 7, 6)), (96, (32, 32, 32))])
+def test_teams_are_split_evenly(uavs, split):
+    """What does not go into three goes to communication UAVs first."""
+    world = with_uavs(FULL.base(), uavs).farm.world
+    assert (world.communication_uavs, world.monitoring_uavs, world.collection_uavs) == split
+
+
+@pytest.mark.parametrize("scale", [SMOKE, FULL], ids=lambda scale: scale.name)
+def test_reported_farms_and_seeds_are_seen_by_nothing_else(scale, tmp_path):
+    """Training farms, farms of choice and reported farms are apart, and no reported run has the trials' seed."""
+    bench = Bench(scale, Records(tmp_path))
+    assert bench.base().rollout.train_farms <= CHOICE_FARM
+    assert CHOICE_FARM + scale.choice_farms <= FIRST_FARM
+    jobs = {job.digest: job for study in STUDIES.values() for stage in study.stages(bench) for job in stage}.values()
+    for job in jobs:
+        if job.kind == "train":
+            assert job.options["farms"][0] == (CHOICE_FARM if job.config.seed == TRIAL_SEED else FIRST_FARM)
+            assert job.options["choice_farms"][0] == CHOICE_FARM
+            assert (job.config.learner.threads, job.config.rollout.threads) == (1, 1)
+
+
+def test_studies_share_their_runs(tmp_path):
+    """EIA-SEC's runs with 12 UAVs and k_s = 2 are the same in every study that has them."""
+    bench = Bench(FULL, Records(tmp_path))
+    runs = {job.digest for job in bench.runs(EIA_SEC, 1)}
+    for name in ("training", "ablation", "ensemble", "scalability", "trajectories"):
+        assert runs <= {job.digest for stage in STUDIES[name].stages(bench) for job in stage}, name

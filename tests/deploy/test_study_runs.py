@@ -1,0 +1,268 @@
+"""Runs of the studies, and whole studies, at a scale of seconds inside this process."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from common.errors import SimulationError
+from common.policy_file import load_policy
+from common.process import StopSignal
+from deploy.inprocess import train_inprocess
+from deploy.studies.bench import Bench
+from deploy.studies.catalogue import STUDIES
+from deploy.studies.claims import CLAIMS
+from deploy.studies.estimate import Estimator
+from deploy.studies.flights import heading_order, visited_share
+from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
+from deploy.studies.methods import EIA_SEC, PEERS
+from deploy.studies.perform import StoppedError, perform
+from deploy.studies.reproduce import PAGE, RESULTS, Plan, announce, carry_out
+from deploy.studies.runner import Runner, duration, packed, progress
+from deploy.studies.scales import CHOICE_FARM, FIRST_FARM
+from deploy.studies.timing import separate_actors
+from rollout.evaluation import evaluate
+from rollout.farms import FarmBatch
+from rollout.policies import ActorPolicy, policy_of
+from tests.deploy.tiny_study import TINY, run_here
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    return Bench(TINY, Records(tmp_path_factory.mktemp("study") / "records"))
+
+
+@pytest.fixture(scope="module")
+def trained(bench):
+    (job,) = bench.runs(EIA_SEC, 1)
+    perform(job, bench.records, "eia-sec reproduce training")
+    return job
+
+
+def plan(bench, study, write, told):
+    return Plan(study, bench, write, 1, ["reproduce", study, "--scale", "smoke"], told.append)
+
+
+def test_a_run_is_that_of_one_process(bench, trained):
+    """Actors, counters and evaluation are those of the trainer that the lockstep test holds the processes to."""
+    alone = train_inprocess(trained.config)
+    bank, metadata = load_policy(bench.records.path(trained, POLICY_SUFFIX))
+    assert bank.digest() == alone.actors().digest()
+    assert metadata["job"] == trained.digest
+    result = bench.records.result(trained)
+    assert {name: result[name] for name in ("episodes", "updates", "events", "evaluation_steps")} == {
+        "episodes": alone.episodes,
+        "updates": alone.updates,
+        "events": alone.events,
+        "evaluation_steps": alone.evaluation_steps,
+    }
+    farms = range(FIRST_FARM, FIRST_FARM + TINY.farms)
+    flown = evaluate(trained.config.farm, ActorPolicy(bank), farms, 1, name="")
+    np.testing.assert_allclose(result["evaluation"]["reward"], [s.reward for s in flown.per_farm], atol=1e-4)
+    np.testing.assert_allclose(
+        result["evaluation"]["figures"]["aoi"], [s.figures["aoi"] for s in flown.per_farm], atol=1e-4
+    )
+
+
+def test_a_curve_is_made_of_the_finished_episodes(bench, trained):
+    """Its points count episodes up to the last, and the mean of all of them is that of the episodes."""
+    seen = []
+    train_inprocess(trained.config, lambda trainer, chunk: seen.extend(chunk.episodes))
+    result = bench.records.result(trained)
+    curve = result["curve"]
+    assert curve["episodes"][-1] == len(seen) == result["episodes"]
+    shares = np.diff([0, *curve["episodes"]])
+    assert len(shares) == TINY.points
+    assert np.average(curve["reward"]["mean"], weights=shares) == pytest.approx(
+        np.mean([e.reward for e in seen]), abs=1e-3
+    )
+    assert np.average(curve["vdf"], weights=shares) == pytest.approx(
+        np.mean([e.figures["vdf"] for e in seen]), abs=1e-3
+    )
+    types = [curve["reward"][name] for name in ("communication", "monitoring", "collection")]
+    np.testing.assert_allclose(np.mean(types, axis=0), curve["reward"]["mean"], atol=1e-3)
+
+
+def test_evaluations_on_the_way_are_on_farms_of_choice(bench, trained):
+    """The last of them is the trained policy on these farms."""
+    result = bench.records.result(trained)
+    bank, _ = load_policy(bench.records.path(trained, POLICY_SUFFIX))
+    farms = range(CHOICE_FARM, CHOICE_FARM + TINY.choice_farms)
+    flown = evaluate(trained.config.farm, ActorPolicy(bank), farms, 1, name="").total
+    assert len(result["checks"]) == TINY.evaluations
+    assert result["checks"][-1]["reward"] == pytest.approx(flown.reward, abs=1e-3)
+    assert result["checks"][-1]["episodes"] == result["episodes"]
+
+
+def test_a_run_that_diverges_is_cut_short_and_said_so(bench):
+    """Its record is finite, its curve shorter, and its policy the last one that was evaluated."""
+    (job,) = bench.runs(EIA_SEC, 1)
+    wild = replace(job.config.algorithm, critic_rate=1e6, reward_scale=1e4)
+    job = replace(job, config=replace(job.config, algorithm=wild))
+    perform(job, bench.records, "test")
+    result = bench.records.result(job)
+    assert result["diverged"] is True
+    assert result["episodes"] < job.config.episodes
+    text = bench.records.path(job).read_text()
+    assert "NaN" not in text
+    assert "Infinity" not in text
+
+
+def test_a_run_that_is_stopped_leaves_no_record(bench, tmp_path):
+    """What ends it passes through, and the next start does all of it."""
+    records = Records(tmp_path)
+    (job,) = bench.runs(PEERS[0], 1)
+
+    def stopping(share):
+        if share > 0.4:
+            raise StoppedError("enough")
+
+    with pytest.raises(StoppedError):
+        perform(job, records, "test", stopping)
+    assert list(tmp_path.iterdir()) == []
+    assert records.missing([job]) == [job]
+
+
+def test_a_fault_of_the_run_is_no_divergence(bench, tmp_path):
+    """Another error than numbers out of bounds passes through."""
+    (job,) = bench.runs(EIA_SEC, 1)
+
+    def failing(share):
+        raise SimulationError("a defect")
+
+    with pytest.raises(SimulationError, match="a defect"):
+        perform(job, Records(tmp_path), "test", failing)
+
+
+def test_a_reference_is_the_heuristics_evaluation(bench):
+    """A flight's record is what `eia-sec evaluate` would say."""
+    job = bench.reference("greedy")
+    perform(job, bench.records, "test")
+    flown = evaluate(job.config.farm, policy_of("greedy", job.config.farm), range(1000, 1003), 1, name="")
+    np.testing.assert_allclose(bench.records.result(job)["reward"], [s.reward for s in flown.per_farm], atol=1e-4)
+
+
+@pytest.mark.parametrize("method", [EIA_SEC, PEERS[2]], ids=lambda method: method.name)
+def test_timed_networks_decide_what_the_actors_decide(method, bench):
+    """One network after another gives the actions of the stacked actors, with either kind of last layer."""
+    from common.actors import ActorBank  # noqa: PLC0415  (only here)
+    from learner.algorithms import ALGORITHMS  # noqa: PLC0415  (only here)
+
+    job = bench.timing(method, 6)[0]
+    batch = FarmBatch(job.config.farm, 1)
+    head = ALGORITHMS[job.config.algorithm.name].head
+    bank = ActorBank.initial(batch.team, 16, 0, per_type=False, head=head)
+    batch.reset(0, 1, 1)
+    np.testing.assert_allclose(separate_actors(bank)(batch.observation), bank.act(batch.observation), atol=1e-6)
+    perform(job, bench.records, "test")
+    assert all(bench.records.result(job)[piece]["median"] > 0.0 for piece in ("decide", "separate", "simulate"))
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_a_study_from_start_to_end_and_once_more(study, bench, tmp_path, monkeypatch):
+    """It says how long it takes, writes data, pictures and a page, and a second start does nothing again."""
+    told = []
+    monkeypatch.setattr(Runner, "run", run_here)
+    first = plan(bench, study, tmp_path, told)
+    assert announce(first) >= 0.0
+    assert carry_out(first, StopSignal())
+    assert re.search(r"about \d+ (s|min)", "\n".join(told)) or "are there" in told[0]
+    folder = tmp_path / "smoke" / study
+    data = json.loads((folder / RESULTS).read_text())
+    assert data["study"] == study
+    assert data["command"] == f"eia-sec reproduce {study} --scale smoke"
+    page = (folder / PAGE).read_text()
+    pictures = re.findall(r"!\[.*?\]\((.*?)\)", page)
+    assert pictures
+    assert all((folder / name).stat().st_size > 5000 for name in pictures)
+    assert "its numbers mean nothing" in page
+    assert data["commit"] in page
+    before = {path: path.stat().st_mtime_ns for path in bench.records.folder.iterdir()}
+    told.clear()
+    again = plan(bench, study, tmp_path, told)
+    assert announce(again) == 0.0
+    assert "runs are there" in told[0]
+    assert carry_out(again, StopSignal())
+    assert {path: path.stat().st_mtime_ns for path in bench.records.folder.iterdir()} == before
+    assert json.loads((folder / RESULTS).read_text()) == data
+    assert all(row.ours for row in CLAIMS[study](data)), "the claims can read the results"
+
+
+def test_only_what_another_configuration_made_is_done_again(bench, tmp_path, monkeypatch):
+    """With other settings the methods' runs are missing, and with the same ones none is."""
+    monkeypatch.setattr(Runner, "run", run_here)
+    carry_out(plan(bench, "ensemble", tmp_path, []), StopSignal())
+    changed = Bench(replace(TINY, settings=TINY.settings + "[exploration]\nstart = 0.3\n"), bench.records)
+    more = Bench(replace(TINY, members=(1, 2, 3)), bench.records)
+    missing = {
+        name: [job.label for job in bench.records.missing(jobs)]
+        for name, jobs in {
+            "same": [job for stage in STUDIES["ensemble"].stages(bench) for job in stage],
+            "changed": [job for stage in STUDIES["ensemble"].stages(changed) for job in stage],
+            "more": [job for stage in STUDIES["ensemble"].stages(more) for job in stage],
+        }.items()
+    }
+    assert missing["same"] == []
+    assert len(missing["changed"]) == 4  # two trials and two values of k_s; the heuristics do not learn
+    assert missing["more"] == ["k_s = 3, seed 0"]
+
+
+def test_estimates_follow_from_what_was_measured(bench, trained):
+    """A run that is there tells how long another of the same kind takes; twice the episodes take twice as long."""
+    estimator = Estimator(bench.records)
+    estimator.learn([trained])
+    took = bench.records.get(trained)["seconds"]
+    twice = replace(trained, config=replace(trained.config, seed=5, episodes=2 * trained.config.episodes))
+    once = replace(trained, config=replace(trained.config, seed=5))
+    assert estimator.seconds(twice) - estimator.seconds(once) == pytest.approx(took, rel=0.01)
+
+
+def test_short_jobs_share_a_process(bench):
+    """Jobs keep their order, and a long one has a process of its own."""
+    jobs = [*bench.references(), *bench.runs(EIA_SEC, 1)]
+    seconds = {job.digest: 10.0 for job in jobs[:-1]} | {jobs[-1].digest: 500.0}
+    loads = packed(jobs, seconds)
+    assert [len(load.jobs) for load in loads] == [len(jobs) - 1, 1]
+    assert [job for load in loads for job in load.jobs] == jobs
+    assert str(loads[0]) == "random and 2 more"
+    assert len(packed(jobs, {job.digest: 100.0 for job in jobs})) == len(jobs)
+
+
+@pytest.mark.parametrize(
+    ("lines", "share"),
+    [
+        ("", 0.0),
+        ("progress 0.25\nprogress 0.5", 0.5),
+        ("progress x", 0.0),
+        ("progress 7", 1.0),
+        ("progress 0.1\nwarning", 0.1),
+    ],
+)
+def test_progress_is_the_last_line_that_tells_it(lines, share):
+    """Whatever else a process writes is passed over."""
+    assert progress(lines) == share
+
+
+def test_durations_are_said_as_people_say_them():
+    """Seconds, minutes, hours."""
+    assert [duration(seconds) for seconds in (5.0, 600.0, 7200.0)] == ["5 s", "10 min", "2.0 h"]
+
+
+def test_paths_in_numbers():
+    """A straight line has one heading and few cells; a path of all headings has no order."""
+    line = np.stack([np.linspace(0.0, 400.0, 101), np.full(101, 20.0)], axis=1)
+    angle = np.linspace(0.0, 2 * np.pi, 321)[:-1]
+    circle = 200.0 + 100.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    assert heading_order(line) == 1.0
+    assert heading_order(circle) < 0.01
+    assert heading_order(np.full((5, 2), 7.0)) == 1.0
+    assert visited_share(line[:, None], (400.0, 400.0)) == pytest.approx(0.1)
+
+
+def test_jobs_of_a_study_are_found_in_files(bench, trained, tmp_path):
+    """What the runner hands to a process is the job itself."""
+    path = tmp_path / "one.job.json"
+    path.write_text(trained.to_json())
+    assert Job.from_file(path).digest == trained.digest

@@ -1,0 +1,64 @@
+"""A scale of the studies so small that a run takes about a second."""
+
+from collections.abc import Mapping, Sequence
+
+from common.process import StopSignal
+from deploy.studies.jobs import Job
+from deploy.studies.perform import perform
+from deploy.studies.runner import Runner
+from deploy.studies.scales import Scale
+
+SETTINGS = """
+[farm.world]
+field_x = 120.0
+field_y = 120.0
+sensors = 30
+sensor_spacing = 5.0
+plots_x = 6
+plots_y = 6
+steps = 40
+[farm.observation]
+sensors = 4
+[algorithm]
+hidden = 16
+batch = 32
+[elite]
+cycle = 2
+farms = 2
+[replay]
+capacity = 4096
+warmup_steps = 64
+updates_per_step = 0.25
+[rollout]
+environments = 2
+chunk_steps = 10
+"""
+
+TINY = Scale(
+    name="smoke",
+    settings=SETTINGS,
+    episodes=12,
+    seeds=2,
+    side_seeds=1,
+    trial_episodes=8,
+    candidates=2,
+    farms=3,
+    choice_farms=2,
+    points=4,
+    evaluations=2,
+    members=(1, 2),
+    uavs=(6, 12),
+    timed_uavs=(6, 12),
+    timed_steps=20,
+    timed_seeds=1,
+    heuristics=("greedy", "lawnmower"),
+    flights=1,
+)
+
+
+def run_here(self: Runner, jobs: Sequence[Job], seconds: Mapping[str, float], stop: StopSignal) -> bool:
+    """Stand in for `Runner.run`: do the jobs inside this process."""
+    assert {job.digest for job in jobs} == set(seconds), "every job has an estimate"
+    for job in jobs:
+        perform(job, self._records, self._command)
+    return not stop

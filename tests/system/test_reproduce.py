@@ -1,0 +1,102 @@
+"""`eia-sec reproduce` with its processes: done, stopped, gone on with; and every study at the smoke scale."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from deploy.cli import dispatch
+from deploy.studies.bench import Bench
+from deploy.studies.catalogue import STUDIES
+from deploy.studies.jobs import Records
+from deploy.studies.methods import EIA_SEC
+from deploy.studies.scales import SCALES, SMOKE
+from tests.deploy.tiny_study import TINY
+from tests.system.fleet import until
+
+WHOLE = ("results.json", "README.md")
+
+
+def reproduce(folder: Path, *arguments: str) -> int:
+    return dispatch(["reproduce", *arguments, "--write", str(folder), "--records", str(folder / "records")])
+
+
+def test_a_study_in_processes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its runs are done by processes, which leave records and nothing else, and a second start finds them all."""
+    monkeypatch.setitem(SCALES, "smoke", TINY)
+    assert reproduce(tmp_path, "ensemble", "--scale", "smoke", "--plan") == 0
+    assert "about" in capsys.readouterr().out
+    assert list((tmp_path / "records").glob("*.json")) == []
+    assert reproduce(tmp_path, "ensemble", "--scale", "smoke") == 0
+    assert all((tmp_path / "smoke" / "ensemble" / name).is_file() for name in WHOLE)
+    left = {path.suffix for path in (tmp_path / "records").iterdir() if path.is_file()}
+    assert left == {".json", ".safetensors", ".lock"}
+    assert list((tmp_path / "records").glob("*.job.json")) == []
+    data = json.loads((tmp_path / "smoke" / "ensemble" / "results.json").read_text())
+    commands = {run["command"] for method in data["methods"].values() for run in method["runs"]}
+    assert commands == {f"eia-sec reproduce ensemble --scale smoke --write {tmp_path}"}
+    capsys.readouterr()
+    assert reproduce(tmp_path, "ensemble", "--scale", "smoke") == 0
+    assert "runs are there" in capsys.readouterr().out
+
+
+def test_a_study_that_is_stopped_goes_on(tmp_path: Path) -> None:
+    """Ctrl-C ends all processes with code 130, keeps what is whole, and the records that are left are those missing."""
+    arguments = ["reproduce", "inference", "--scale", "smoke", "--write", str(tmp_path), "--records", str(tmp_path)]
+    started = subprocess.Popen(
+        [sys.executable, "-m", "deploy.cli", *arguments], stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    until(lambda: list(tmp_path.glob("*.job.json")), "a run begins")
+    children = psutil.Process(started.pid).children(recursive=True)
+    os.kill(started.pid, signal.SIGINT)
+    output, _ = started.communicate(timeout=60)
+    assert started.returncode == 130
+    assert "the same command goes on" in output
+    _, alive = psutil.wait_procs(children, timeout=10)
+    assert alive == []
+    bench = Bench(SMOKE, Records(tmp_path))
+    missing = {job.digest for stage in STUDIES["inference"].stages(bench) for job in bench.records.missing(stage)}
+    assert missing
+    assert {path.stem for path in tmp_path.glob("*.json") if not path.name.endswith(".job.json")} & missing == set()
+
+
+def test_two_starts_do_not_share_the_records(tmp_path: Path) -> None:
+    """While one start has them, another is told so in one sentence."""
+    arguments = ["reproduce", "inference", "--scale", "smoke", "--write", str(tmp_path), "--records", str(tmp_path)]
+    first = subprocess.Popen(
+        [sys.executable, "-m", "deploy.cli", *arguments], stdout=subprocess.DEVNULL, start_new_session=True
+    )
+    try:
+        until(lambda: list(tmp_path.glob("*.job.json")), "a run begins")
+        second = subprocess.run(
+            [sys.executable, "-m", "deploy.cli", *arguments], text=True, capture_output=True, check=False
+        )
+        assert second.returncode == 2
+        assert "in use by another process" in second.stderr
+    finally:
+        first.send_signal(signal.SIGTERM)
+        first.wait(timeout=60)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(1800)
+def test_every_study_at_the_smoke_scale(tmp_path: Path) -> None:
+    """All of them end, each with data, pictures and a page; what they share is done once."""
+    start = time.monotonic()
+    assert reproduce(tmp_path, "all", "--scale", "smoke") == 0
+    for name in STUDIES:
+        folder = tmp_path / "smoke" / name
+        assert all((folder / file).is_file() for file in WHOLE)
+        assert list(folder.glob("*.png"))
+        assert json.loads((folder / "results.json").read_text())["scale"] == "smoke"
+    bench = Bench(SMOKE, Records(tmp_path / "records"))
+    assert bench.records.missing(bench.trials(EIA_SEC)) == []
+    sys.stdout.write(f"all studies at the smoke scale: {time.monotonic() - start:.0f} s\n")
