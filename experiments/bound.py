@@ -22,7 +22,7 @@ import numpy as np
 
 from common.config import FarmConfig
 from common.errors import ConfigError
-from experiments.provenance import provenance
+from deploy.provenance import provenance
 from rollout.evaluation import episode_seed
 from rollout.farms import FarmBatch
 from rollout.heuristics.sites import plot_half
