@@ -15,9 +15,9 @@
 
 PYTHON ?= python3
 PIP_ARGS ?=
+JOBS ?= 2
 STUDY ?= training
 ARGS ?=
-STUDY ?= training
 
 VENV := .venv
 READY := $(VENV)/.ready

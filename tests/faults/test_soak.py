@@ -34,16 +34,18 @@ def test_soak(tmp_path):
         figures = {}
         for name in processes:
             late = np.array([row[1:] for row in rows if row[0] == name and row[1] > SETTLE])
+            half = len(late) // 2
             slope = float(np.polyfit(late[:, 0], late[:, 1], 1)[0]) * 60
             figures[name] = {
                 "mib_per_hour": round(slope, 2),
                 "mib": round(float(late[-1, 1]), 1),
                 "threads": [int(late[:, 2].min()), int(late[:, 2].max())],
                 "descriptors": [int(late[:, 3].min()), int(late[:, 3].max())],
+                "grown": (np.median(late[half:, 2:], axis=0) - np.median(late[:half, 2:], axis=0)).tolist(),
             }
         tell("soak", minutes=MINUTES, settled_after=round(SETTLE, 1), processes=figures)
         fleet.end()
         assert fleet.audit().steps["accepted"] > 0
         for name, row in figures.items():
-            assert row["threads"][1] - row["threads"][0] <= 2, name
-            assert row["descriptors"][1] - row["descriptors"][0] <= 6, name
+            # Zenoh's runtime starts threads for a few seconds when it is held up; only lasting ones are a leak.
+            assert max(row["grown"]) <= 2, name
