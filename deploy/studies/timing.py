@@ -30,9 +30,10 @@ def time_decisions(config: RunConfig, steps: int) -> dict[str, Any]:
         steps: time steps.
 
     Returns:
-        For each of three pieces of a time step 5 % quantile, median, mean and 95 % quantile, ms: `decide`, all UAVs from observation
-        to action, stacked as this project flies them; `separate`, the same actions from one torch network after
-        another, as most implementations do; `simulate`, the simulator's step with assignment, rewards and observations.
+        For each of three pieces of a time step 5 % quantile, median, mean and 95 % quantile, ms: `decide`, all UAVs
+        from observation to action, stacked as this project flies them; `separate`, the same actions from one torch
+        network after another, as most implementations do; `simulate`, the simulator's step with assignment, rewards
+        and observations.
     """
     batch = FarmBatch(config.farm, 1)
     bank = ActorBank.initial(
