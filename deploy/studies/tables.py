@@ -162,10 +162,10 @@ def table(head: Cells, rows: Sequence[Cells]) -> str:
 
 
 _TIMES: Final = (
-    "Times for all UAVs together at each time step, one thread, the least of the seeds' 5 % quantiles, which other\n"
-    "work on the machine disturbs least: *decide*, from observations to actions with all actors stacked, as this\n"
-    "project flies them; *separate*, the same by one torch network after another; *simulate*, the simulator's step\n"
-    "with assignment, rewards and all observations.\n"
+    "Times for all UAVs together at each time step, one thread: the least of the seeds' 5 % quantiles, which other "
+    "work\non the machine disturbs least. *Decide*: from observations to actions with all actors stacked, as this "
+    "project flies\nthem. *Separate*: the same by one torch network after another. *Simulate*: the simulator's step "
+    "with assignment,\nrewards and all observations.\n"
 )
 _UNTRAINED: Final = (
     "The actors are untrained: what an actor computes does not depend on its weights, and flying needs no critic.\n"

@@ -13,7 +13,7 @@ Triple = Sequence[float]
 NOT_RUN: Final = "not run at full scale"
 NEAR: Final = 0.05
 """Ratios of rewards that differ by less count as equal."""
-NEAR_TIME: Final = 0.25
+NEAR_TIME: Final = 0.1
 """The same for ratios of times."""
 
 
