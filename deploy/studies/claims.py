@@ -27,6 +27,8 @@ SIMILAR: Final = 0.1
 """Peers' normalised scores within this count as similar."""
 STABLE: Final = 0.1
 """A range of rewards within this share of their mean counts as stable; the paper's own is 0.045."""
+MUCH: Final = 1.25
+"""Times MADDPG's time from which on EIA-SEC takes much longer; the paper calls 1.17 of it no significant increase."""
 ENOUGH: Final = 0.12
 """Share of a step that deciding may take; the paper's largest number is 0.117 of one."""
 WHOLE: Final = 0.9
@@ -219,7 +221,7 @@ def _times(teams: Results, methods: Results) -> list[Row]:
         Row(claims[1], f"{slowest:.2f} ms", judged([slowest < 1e3 * ENOUGH]), f"{sizes[-1]} UAVs, one after another"),
         Row(claims[2], named, judged([max(each.values()) < 10.0 * min(each.values())]), same),
         Row(claims[3], named, judged([each["MADDPG"] < 0.95 * min(others)]), f"{same}; within 5 % counts as equal"),
-        Row(claims[4], f"{gap:.2f} times MADDPG", judged([gap < 1.0 + NEAR_TIME]), f"{paper:.2f} times in the paper"),
+        Row(claims[4], f"{gap:.2f} times MADDPG", judged([gap < MUCH]), f"{paper:.2f} times in the paper"),
     ]
 
 
