@@ -59,7 +59,7 @@ def from_message(message: ChunkMessage, team: TeamSpec) -> Chunk:
     shapes = (message.episode.shape, message.steps.shape, message.episode_reward.shape, message.episode_figures.shape)
     if not 0 <= count <= MAX_EPISODES or shapes != ((count,), (count,), (count, team.agents), (count, len(names))):
         raise SchemaError("the finished episodes' arrays do not fit together.")
-    if not (np.isfinite(message.episode_reward).all() and np.isfinite(message.episode_figures).all()):
+    if count and not (np.isfinite(message.episode_reward).all() and np.isfinite(message.episode_figures).all()):
         raise SchemaError("a finished episode holds a number that is not finite.")
     episodes = tuple(
         EpisodeSummary(

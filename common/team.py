@@ -8,6 +8,7 @@ by type and regular inside one.
 import hashlib
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
@@ -70,17 +71,17 @@ class TeamSpec:
         if len({group.name for group in self.groups}) != len(self.groups):
             raise ConfigError("two types of agent have the same name.")
 
-    @property
+    @cached_property
     def agents(self) -> int:
         """Number of all agents."""
         return sum(group.count for group in self.groups)
 
-    @property
+    @cached_property
     def observation_size(self) -> int:
         """Numbers in one row of observations."""
         return sum(group.count * group.observation_size for group in self.groups)
 
-    @property
+    @cached_property
     def action_size(self) -> int:
         """Numbers in one row of actions."""
         return sum(group.count * group.action_size for group in self.groups)
@@ -129,7 +130,7 @@ class TeamSpec:
         except (KeyError, TypeError, ValueError, ConfigError) as error:
             raise SchemaError(f"not a team description: {error}") from error
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Sixteen hexadecimal digits that name this layout; equal layouts have equal digests."""
         text = ";".join(f"{g.name},{g.count},{g.observation_size},{g.action_size}" for g in self.groups)

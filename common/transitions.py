@@ -70,7 +70,7 @@ class Rows:
                 raise SchemaError(f"{name} holds a number that is not finite.")
         if self.flag.dtype != np.uint8 or not _WHOLE.fullmatch(self.flag.tobytes()):
             raise SchemaError("the flags are not those of whole segments.")
-        if (np.abs(self.action) > 1.0).any():
+        if self.action.size and not -1.0 <= self.action.min() <= self.action.max() <= 1.0:
             raise SchemaError("an action lies outside [-1, 1].")
 
 

@@ -11,6 +11,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from common.transitions import TRANSITION
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 Floats = NDArray[Any]
 """A flat vector of float32 or float64, all of one call alike."""
@@ -274,11 +276,57 @@ def take_out(places: Table, slot: Table, count: int, gone: Table) -> int:
 
 
 @compiled
-def retired(flag: NDArray[np.uint8], uses: Table, step: int) -> tuple[int, int]:
-    """Return how many rows bear the flag of a step, and the sum of their uses."""
-    count, total = 0, 0
-    for n in range(flag.shape[0]):
-        if flag[n] & step:
+def enter(
+    flags: NDArray[np.uint8],
+    starts: Table,
+    held: Table,
+    version: int,
+    written: int,
+    flag: NDArray[np.uint8],
+    versions: Table,
+    successor: Table,
+    uses: Table,
+) -> tuple[Table, Table, Table, int, int]:
+    """Book a chunk's rows in the small arrays of a ring of rows.
+
+    Args:
+        flags: the chunk's flags.
+        starts: its rows that are in the ring already, in order.
+        held: the running number of each of these.
+        version: policy version of the chunk.
+        written: rows that were ever written into the ring, which is the running number of the next one.
+        flag: the ring's flags, changed, and with it:
+        versions: policy versions.
+        successor: place of each row's successor.
+        uses: how often each was drawn.
+
+    Returns:
+        running numbers of the chunk's rows; those of its rows that are new; the places that may now be drawn; how many
+        transitions were overwritten; how often these had been drawn.
+    """
+    rows, capacity = flags.shape[0], flag.shape[0]
+    numbers, new = np.empty(rows, np.int64), np.empty(rows - starts.shape[0], np.int64)
+    known, count = 0, 0
+    for r in range(rows):
+        if known < starts.shape[0] and starts[known] == r:
+            numbers[r] = held[known]
+            known += 1
+        else:
+            numbers[r], new[count] = written + count, r
             count += 1
-            total += uses[n]
-    return count, total
+    gone, total = 0, 0
+    for r in new:
+        place = numbers[r] % capacity
+        if flag[place] & TRANSITION:
+            gone += 1
+            total += uses[place]
+        uses[place] = 0
+    drawable, steps = np.empty(rows, np.int64), 0
+    for r in range(rows):
+        place = numbers[r] % capacity
+        flag[place], versions[place] = flags[r], version
+        if flags[r] & TRANSITION:
+            successor[place] = numbers[r + 1] % capacity
+            drawable[steps] = place
+            steps += 1
+    return numbers, new, drawable[:steps], gone, total

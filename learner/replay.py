@@ -113,60 +113,43 @@ class Replay:
         starts, held = self._ends.continued(rows, source, number)
         living = held >= self.written + count - self.capacity
         starts, held = starts[living], held[living]
-        new = np.ones(count, np.bool_)
-        new[starts] = False
-        numbers = self.written - 1 + np.cumsum(new)
-        numbers[starts] = held
-        self._append(rows, new, version)
-        self._link(rows, numbers)
-        self._go_on(rows, starts, held % self.capacity, version)
+        small = self.flag, self.version, self.successor, self.uses
+        # A copy, because rows that came in a message cannot be written to, which would be compiled once more.
+        numbers, new, drawable, gone, uses = kernels.enter(
+            rows.flag.copy(), starts, held, version, self.written, *small
+        )
+        self._copy(rows, new, starts, held % self.capacity)
+        self._drawable.remove(numbers[new] % self.capacity)
+        self._drawable.add(drawable)
+        self.head = (self.head + new.shape[0]) % self.capacity
+        self.rows = min(self.capacity, self.rows + new.shape[0])
+        self.written += new.shape[0]
+        self.retired += gone
+        self.retired_uses += uses
+        if version < self.oldest_version:
+            self.drop_before(self.oldest_version)
         self._ends.remember(rows, numbers, source, number)
 
-    def _append(self, rows: Rows, new: NDArray[np.bool_], version: int) -> None:
-        """Write the new rows of a chunk behind the head."""
-        index = np.flatnonzero(new)
-        count = index.shape[0]
-        first = min(count, self.capacity - self.head)
-        for start, part in ((self.head, index[:first]), (0, index[first:])):
-            if not part.shape[0]:
-                continue
-            place = slice(start, start + part.shape[0])
-            self._retire(place)
-            for target, source in zip(self._large(), (rows.observation, rows.action, rows.reward), strict=True):
-                _write(target[place], source, part)
-            self.flag[place], self.version[place], self.uses[place] = rows.flag[part], version, 0
-        self.head = (self.head + count) % self.capacity
-        self.rows = min(self.capacity, self.rows + count)
-        self.written += count
-
-    def _retire(self, place: slice) -> None:
-        """Say goodbye to the rows that are about to be overwritten."""
-        for frozen in self._frozen:
-            frozen.protect(place.start, place.stop)
-        self._drawable.remove(np.arange(place.start, place.stop))
-        count, uses = kernels.retired(self.flag[place], self.uses[place], TRANSITION)
-        self.retired += count
-        self.retired_uses += uses
-
-    def _link(self, rows: Rows, numbers: Indices) -> None:
-        """Note the successor of each row that a step follows, and let these rows be drawn."""
-        follows = np.flatnonzero(rows.flag & TRANSITION)
-        places = numbers[follows] % self.capacity
-        self.successor[places] = numbers[follows + 1] % self.capacity
-        self._drawable.add(places)
-
-    def _go_on(self, rows: Rows, starts: Indices, places: Places, version: int) -> None:
-        """Write what was done in rows whose observations had been there before, and drop what is too old already."""
-        if starts.size:
-            for frozen in self._frozen:
-                for place in places.tolist():
-                    frozen.protect(place, place + 1)
+    def _copy(self, rows: Rows, new: Indices, starts: Indices, places: Places) -> None:
+        """Write new rows behind the head, and what was done in rows whose observations had been there before."""
+        first = min(new.shape[0], self.capacity - self.head)
+        for start, part in ((self.head, new[:first]), (0, new[first:])):
+            if part.shape[0]:
+                stop = start + part.shape[0]
+                self._protect(start, stop)
+                for target, source in zip(self._large(), (rows.observation, rows.action, rows.reward), strict=True):
+                    _write(target[start:stop], source, part)
+        if starts.shape[0]:
+            for place in places.tolist() if self._frozen else ():
+                self._protect(place, place + 1)
             where = torch.from_numpy(places).to(self._device)
             self.action[where] = torch.from_numpy(rows.action[starts]).to(self._device)
             self.reward[where] = torch.from_numpy(rows.reward[starts]).to(self._device)
-            self.flag[places], self.version[places] = rows.flag[starts], version
-        if version < self.oldest_version:
-            self.drop_before(self.oldest_version)
+
+    def _protect(self, start: int, stop: int) -> None:
+        """Save rows that are about to be changed for whoever still reads the state before."""
+        for frozen in self._frozen:
+            frozen.protect(start, stop)
 
     def _large(self) -> tuple[Tensor, Tensor, Tensor]:
         return self.observation, self.action, self.reward
