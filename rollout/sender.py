@@ -22,6 +22,8 @@ LOCKSTEP_ANSWER_SECONDS = 3600.0
 """The same in lockstep, where the answer comes after the training that the chunk allows."""
 COMPLAINT_SECONDS = 10.0
 """Pause before the same error is logged again."""
+NOBODY = 5
+"""Requests in a row that nobody takes after which a worker that ends does not wait for a learner any more."""
 RETRY_SECONDS = 0.2
 """Pause before a chunk is sent again after nobody answered."""
 
@@ -107,9 +109,12 @@ class Sender:
         return max(self.flown, self.produced) - self.accepted - self.rejected
 
     def wait_empty(self, timeout: float) -> bool:
-        """Wait until every chunk is answered or the learner takes no more; return whether none is held."""
-        deadline = time.monotonic() + timeout
+        """Wait until all is answered, or the learner takes no more or is not there; return whether none is held."""
+        deadline, before = time.monotonic() + timeout, self.untaken
         while self._held and not self.door_closed and time.monotonic() < deadline:
+            before = min(before, self.untaken)
+            if self.untaken - before >= NOBODY:
+                break
             time.sleep(0.01)
         return not self._held
 

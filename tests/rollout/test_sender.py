@@ -124,3 +124,23 @@ def test_a_full_spool_says_so(monkeypatch):
         wire.request()
         wire.answer("accepted")
         until(lambda: not sender.full, "room")
+
+
+def test_who_ends_does_not_wait_for_a_learner_that_is_not_there(monkeypatch):
+    """After NOBODY requests that nobody took the wait is over; without that it would last an hour."""
+    with sending(monkeypatch) as (sender, wire, offer):
+        offer(1)
+        for _ in range(module.NOBODY + 1):
+            wire.answer()
+        assert not sender.wait_empty(3600.0)
+        assert sender.spooled == 1
+
+
+def test_who_ends_waits_for_a_learner_that_comes_back(monkeypatch):
+    """One request that somebody takes after some that nobody took empties the spool."""
+    with sending(monkeypatch) as (sender, wire, offer):
+        offer(1)
+        for _ in range(module.NOBODY - 1):
+            wire.answer()
+        wire.answer("accepted")
+        assert sender.wait_empty(3600.0)
