@@ -77,14 +77,16 @@ def training_episodes(config: RunConfig, budget: int) -> int:
     """Return the most training episodes with which a run stays inside a budget that counts imitation's evaluations.
 
     Imitation flies episodes without noise to choose elites (A3). They cost as much experience as others, so a method
-    with imitation trains for so many episodes fewer.
+    with imitation trains for so many episodes fewer. The farms of a batch end their episodes together, so the number is
+    a multiple of theirs; a larger one would be overshot.
     """
     schedule, flown = ImitationSchedule.of(config), min(config.elite.farms, config.rollout.train_farms)
     events = 0
     while (due := schedule.due_episode(events + 1)) is not None and due + flown * (events + 1) <= budget:
         events += 1
     left = budget - flown * events
-    return max(1, left if due is None else min(left, due - 1))
+    whole, batch = left if due is None else min(left, due - 1), config.rollout.environments
+    return max(batch, whole // batch * batch)
 
 
 def with_uavs(config: RunConfig, uavs: int) -> RunConfig:

@@ -66,6 +66,14 @@ def test_a_run_is_that_of_one_process(bench, trained):
     )
 
 
+def test_a_run_takes_no_more_than_its_budget(bench, trained):
+    """Training and imitation together have flown what the scale allows, and nearly all of it."""
+    result, steps = bench.records.result(trained), trained.config.farm.world.steps
+    assert result["events"] > 0
+    flown = (result["environment_steps"] + result["evaluation_steps"]) / steps
+    assert TINY.episodes - trained.config.rollout.environments - trained.config.elite.farms < flown <= TINY.episodes
+
+
 def test_a_curve_is_made_of_the_finished_episodes(bench, trained):
     """Its points count episodes up to the last, and the mean of all of them is that of the episodes."""
     seen = []
