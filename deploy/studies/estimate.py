@@ -4,6 +4,7 @@ A kind of run of which a record is there takes as long again for each episode. O
 two chunks are flown, some update rounds trained and an evaluation begun; the rest is arithmetic.
 """
 
+import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,6 +23,8 @@ STARTUP_SECONDS: Final = 6.0
 PIECE_STEPS: Final = 60
 """Steps of the episodes of a first piece."""
 PIECE_ROUNDS: Final = 12
+REPEATS: Final = 5
+"""Times that a piece is done; the median counts, since other work on the machine disturbs some of them."""
 DECISION_MILLISECONDS: Final = 1.0
 """Allowed for each time step of a timing job and for each dozen UAVs."""
 
@@ -78,9 +81,8 @@ def _measure_training(job: Job) -> float:
     while trainer.replay.transitions < config.algorithm.batch:
         trainer.absorb(collector.collect(bank, 0.1, False))
     trainer.train(2)
-    before = collector.environment_steps
     flying = _seconds(lambda: trainer.absorb(collector.collect(bank, 0.1, False)))
-    flying /= collector.environment_steps - before
+    flying /= short.rollout.environments * short.rollout.chunk_steps
     training = _seconds(lambda: trainer.train(PIECE_ROUNDS)) / PIECE_ROUNDS
     evaluating = _flown(config, ActorPolicy(bank.noise_free()))
     steps = config.episodes * world.steps
@@ -108,9 +110,13 @@ def _flown(config: RunConfig, policy: Policy) -> float:
 
 
 def _seconds(work: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
+    """Return the median of the seconds that some work takes, which is done several times."""
+    took = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        work()
+        took.append(time.perf_counter() - start)
+    return statistics.median(took)
 
 
 _MEASURES: Final[dict[str, Callable[[Job], float]]] = {
