@@ -239,6 +239,7 @@ class Receiver:
         return "refused", str(error)[:REASON]
 
     def _answer(self, incoming: Incoming, sender: Envelope, verdicts: list[Verdict]) -> None:
+        """Tell the verdicts, after booking the request against its sender when it brought nothing."""
         version = 0 if verdicts[-1][0] == "refused" else self.required_version
         told, reasons = zip(*verdicts, strict=True)
         if not set(told) & WORTH_LOOKING:
