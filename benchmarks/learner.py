@@ -134,8 +134,8 @@ def decisions(uavs: Sequence[int], repeats: int) -> dict[str, float]:
         team = farm_team(team_of(count))
         bank = ActorBank.initial(team, AlgorithmConfig().hidden, 0)
         rows = np.random.default_rng(0).normal(size=(1, team.observation_size)).astype(np.float32)
-        bank.act(rows)
-        found[str(count)] = round(1e6 * fastest(lambda bank=bank, rows=rows: bank.act(rows), repeats), 1)
+        bank.command(rows)
+        found[str(count)] = round(1e6 * fastest(lambda bank=bank, rows=rows: bank.command(rows), repeats), 1)
     return found
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.config.checks import within
 from common.errors import ConfigError, SchemaError
+from common.lattice import Lattice
 
 Float32 = NDArray[np.float32]
 
@@ -41,17 +42,35 @@ class GroupSpec:
         count: agents of the type, n_v.
         observation_size: numbers in one agent's observation.
         action_size: numbers in one agent's action, each in [-1, 1].
+        lattice: what the agents steer by; none for those whose action is what the environment takes.
     """
 
     name: str
     count: int
     observation_size: int
     action_size: int
+    lattice: Lattice | None = None
 
     def __post_init__(self) -> None:
-        """Refuse groups that nobody could be a member of."""
+        """Refuse groups that nobody could be a member of, and a lattice for agents that do not move in a plane."""
         within(1, 4096, count=self.count)
         within(1, 65_536, observation_size=self.observation_size, action_size=self.action_size)
+        if self.lattice is not None and (self.action_size != 2 or self.observation_size < 2):
+            raise ConfigError(f"{self.name} agents cannot steer by a lattice: they need to see x and y and to return two.")
+
+    def to_list(self) -> list[Any]:
+        """Return a plain description for the wire and for files."""
+        sizes = [self.name, self.count, self.observation_size, self.action_size]
+        return sizes if self.lattice is None else [*sizes, self.lattice.to_list()]
+
+    @classmethod
+    def from_list(cls, data: Any) -> "GroupSpec":
+        """Rebuild a group from `to_list`; raise TypeError, ValueError or ConfigError when it is none."""
+        name, count, observation_size, action_size, *lattice = data
+        if len(lattice) > 1:
+            raise ValueError("a group has five entries at most")
+        sizes = int(count), int(observation_size), int(action_size)
+        return cls(str(name), *sizes, *map(Lattice.from_list, lattice))
 
 
 @dataclass(frozen=True)
@@ -117,23 +136,42 @@ class TeamSpec:
             for group, part in zip(self.groups, self.action_slices(), strict=True)
         ]
 
+    def steer(self, observations: Float32, actions: Float32) -> Float32:
+        """Return what the environment takes for the actors' actions: themselves, but for groups with a lattice.
+
+        Args:
+            observations: rows [E, O] float32 in which the actions were decided; those who steer by a lattice see their
+                own place first.
+            actions: rows [E, A] float32 in [-1, 1].
+
+        Returns:
+            rows [E, A] float32 in [-1, 1]; `actions` itself where nobody steers by a lattice.
+        """
+        if all(group.lattice is None for group in self.groups):
+            return actions
+        steered = actions.copy()
+        seen, taken = self.split_observations(observations), self.split_actions(steered)
+        for group, own, action in zip(self.groups, seen, taken, strict=True):
+            if group.lattice is not None:
+                action[...] = group.lattice.steer(own[..., :2], action)
+        return steered
+
     def to_dict(self) -> dict[str, Any]:
         """Return a plain description for the wire and for files."""
-        return {"groups": [[g.name, g.count, g.observation_size, g.action_size] for g in self.groups]}
+        return {"groups": [g.to_list() for g in self.groups]}
 
     @classmethod
     def from_dict(cls, data: Any) -> "TeamSpec":
         """Rebuild a team from `to_dict`; raise SchemaError when it is none."""
         try:
-            groups = tuple(GroupSpec(str(n), int(c), int(o), int(a)) for n, c, o, a in data["groups"])
-            return cls(groups)
+            return cls(tuple(GroupSpec.from_list(group) for group in data["groups"]))
         except (KeyError, TypeError, ValueError, ConfigError) as error:
             raise SchemaError(f"not a team description: {error}") from error
 
     @cached_property
     def digest(self) -> str:
         """Sixteen hexadecimal digits that name this layout; equal layouts have equal digests."""
-        text = ";".join(f"{g.name},{g.count},{g.observation_size},{g.action_size}" for g in self.groups)
+        text = ";".join(",".join(map(str, group.to_list())) for group in self.groups)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -148,11 +186,17 @@ def farm_team(farm: FarmConfig) -> TeamSpec:
     seen = farm.observation
     plots, sensors = seen.window**2 + 2 * seen.lattice, per_sensor * seen.sensors
     sizes = (
-        (COMMUNICATION, farm.world.communication_uavs, COMMUNICATION_OBSERVATION),
-        (MONITORING, farm.world.monitoring_uavs, TASK_OBSERVATION + plots),
-        (COLLECTION, farm.world.collection_uavs, TASK_OBSERVATION + sensors),
+        (COMMUNICATION, farm.world.communication_uavs, COMMUNICATION_OBSERVATION, farm.control.communication),
+        (MONITORING, farm.world.monitoring_uavs, TASK_OBSERVATION + plots, farm.control.monitoring),
+        (COLLECTION, farm.world.collection_uavs, TASK_OBSERVATION + sensors, farm.control.collection),
     )
-    return TeamSpec(tuple(GroupSpec(name, count, size + _self(farm, count), 2) for name, count, size in sizes))
+    lattice = Lattice.spanning(*farm.world.reach)
+    return TeamSpec(
+        tuple(
+            GroupSpec(name, count, size + _self(farm, count), 2, lattice if control == "lattice" else None)
+            for name, count, size, control in sizes
+        )
+    )
 
 
 def _self(farm: FarmConfig, count: int) -> int:

@@ -11,8 +11,10 @@ from common.actors import ActorBank, parameter_views
 from common.config import RunConfig
 from common.config.files import digest
 from common.errors import PolicyError
-from common.team import Float32
+from common.lattice import EDGE, GAIN, Lattice
+from common.team import Float32, GroupSpec
 from deploy.layout import action_names, action_scale, observation_names
+from deploy.steering import STEERING, steering_numbers
 
 if TYPE_CHECKING:
     from onnx import ModelProto
@@ -41,6 +43,11 @@ def agent_layers(bank: ActorBank) -> list[dict[str, Float32]]:
     return agents
 
 
+def kinds_of(bank: ActorBank) -> list[GroupSpec]:
+    """Return each agent's group in row order."""
+    return [group for group in bank.team.groups for _ in range(group.count)]
+
+
 def description(config: RunConfig, bank: ActorBank, metadata: Mapping[str, str]) -> dict[str, Any]:
     """Return what somebody needs to know to use the actors, as plain values.
 
@@ -49,10 +56,13 @@ def description(config: RunConfig, bank: ActorBank, metadata: Mapping[str, str])
         bank: the actors.
         metadata: where they come from, as the policy file says.
     """
-    kinds = [group for group in bank.team.groups for _ in range(group.count)]
+    kinds = kinds_of(bank)
     return {
         "format": FORMAT,
         "network": "a = tanh(relu(relu(o w1 + b1) w2 + b2) w3 + b3)",
+        "steering": "where lattice is not null: p = (o[:2] + 1) / 2, cell = clip(floor(p count + edge), 0, count - 1), "
+        "goal = (clip(cell + clip(rint(gain a), -1, 1), 0, count - 1) + 0.5) / count, "
+        "action = clip((goal - p) / reach, -1, 1); elsewhere action = a",
         "origin": {**metadata, "configuration": digest(config), "environment": config.env.name},
         "sha256": bank.digest(),
         "hidden": bank.hidden,
@@ -62,6 +72,7 @@ def description(config: RunConfig, bank: ActorBank, metadata: Mapping[str, str])
                 "observation": observation_names(config, group),
                 "action": action_names(config, group),
                 "action_scale": action_scale(config, group),
+                "lattice": _lattice(group),
             }
             for name, group in zip(agent_names(bank), kinds, strict=True)
         },
@@ -92,16 +103,16 @@ def export_safetensors(folder: Path, config: RunConfig, bank: ActorBank, metadat
 def export_onnx(folder: Path, config: RunConfig, bank: ActorBank, metadata: Mapping[str, str]) -> list[Path]:
     """Write one model for each agent, AGENT.onnx, and actors.json; return the files.
 
-    A model takes `observation` [batch, o] and returns `action` [batch, a], both float32.
+    A model takes `observation` [batch, o] and returns `action` [batch, a], both float32; steering is part of it.
 
     Raises:
         PolicyError: when the package onnx is missing or a file cannot be written.
     """
     told = description(config, bank, metadata)
     paths = []
-    for name, layers in zip(agent_names(bank), agent_layers(bank), strict=True):
+    for name, layers, group in zip(agent_names(bank), agent_layers(bank), kinds_of(bank), strict=True):
         shared = {key: value for key, value in told.items() if key != "agents"}
-        model = _model(name, layers, {**shared, **told["agents"][name]})
+        model = _model(name, layers, group.lattice, {**shared, **told["agents"][name]})
         path = folder / f"{name}.onnx"
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -121,7 +132,17 @@ def _describe(folder: Path, text: str) -> Path:
     return path
 
 
-def _model(name: str, layers: Mapping[str, Float32], told: Mapping[str, Any]) -> "ModelProto":
+def _lattice(group: GroupSpec) -> dict[str, Any] | None:
+    lattice = group.lattice
+    if lattice is None:
+        return None
+    count, reach = [lattice.columns, lattice.rows], [lattice.reach_x, lattice.reach_y]
+    return {"count": count, "reach": reach, "gain": GAIN, "edge": EDGE}
+
+
+def _model(
+    name: str, layers: Mapping[str, Float32], lattice: Lattice | None, told: Mapping[str, Any]
+) -> "ModelProto":
     try:
         from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415 - an extra that few users need
     except ImportError:
@@ -129,16 +150,20 @@ def _model(name: str, layers: Mapping[str, Float32], told: Mapping[str, Any]) ->
     seen, done = layers["w1"].shape[0], layers["w3"].shape[1]
     nodes, flow = [], "observation"
     for index, activation in (("1", "Relu"), ("2", "Relu"), ("3", "Tanh")):
-        out = "action" if index == "3" else f"h{index}"
+        out = f"h{index}" if index != "3" else "action" if lattice is None else "output"
         nodes.append(helper.make_node("Gemm", [flow, f"w{index}", f"b{index}"], [f"z{index}"]))
         nodes.append(helper.make_node(activation, [f"z{index}"], [out]))
         flow = out
+    numbers = {layer: layers[layer] for layer in LAYERS}
+    if lattice is not None:
+        numbers |= steering_numbers(lattice)
+        nodes += [helper.make_node(kind, taken, [given]) for kind, taken, given in STEERING]
     graph = helper.make_graph(
         nodes,
         name,
         [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", seen])],
         [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", done])],
-        [numpy_helper.from_array(layers[layer], layer) for layer in LAYERS],
+        [numpy_helper.from_array(array, name) for name, array in numbers.items()],
     )
     model = helper.make_model(
         graph, producer_name="eia-sec", opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION

@@ -80,7 +80,7 @@ class Collector:
         for step in range(steps):
             rows.observation[:, step] = environments.observation
             action = self._act(bank, deviation, uniform)
-            environments.step(action)
+            environments.step(self.team.steer(environments.observation, action))
             if self.lens is not None:
                 self.lens.note()
             rows.action[:, step], reward[:, step] = action, environments.reward
@@ -182,6 +182,6 @@ def fly_noise_free(
             batch.reset(index, farm, episode)
         rewards: list[Float32] = []
         while not batch.ended.all():
-            batch.step(bank.act(batch.observation))
+            batch.step(bank.command(batch.observation))
             rewards.append(batch.reward.copy())
         return np.stack(rewards, axis=1), batch.time.copy()

@@ -64,12 +64,12 @@ class ActorPolicy:
         require_team(self._bank, environments.team)
 
     def act(self, environments: Environments) -> Float32:
-        """Return what the actors do.
+        """Return what the actors command.
 
         One environment is computed at a time: a matrix product sums in another order for another number of rows, and
         an episode must not depend on which others are flown beside it.
         """
-        return np.concatenate([self._bank.act(row[None]) for row in environments.observation])
+        return np.concatenate([self._bank.command(row[None]) for row in environments.observation])
 
 
 def require_team(bank: ActorBank, team: TeamSpec) -> None:

@@ -1,5 +1,6 @@
 """Frozen configuration dataclasses; every field has a docstring with unit and symbol."""
 
+from common.config.control import ControlConfig
 from common.config.environment import EnvConfig
 from common.config.farm import (
     CameraConfig,
@@ -17,6 +18,7 @@ from common.config.run import EvaluationConfig, LearnerConfig, RolloutConfig, Ru
 __all__ = [
     "AlgorithmConfig",
     "CameraConfig",
+    "ControlConfig",
     "EliteConfig",
     "EnergyConfig",
     "EnvConfig",

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from common.config.checks import finite, not_negative, positive, within
+from common.config.control import ControlConfig
 from common.config.sites import MAX_SENSORS, Sites, check_sites
 from common.errors import ConfigError
 
@@ -108,6 +109,11 @@ class WorldConfig:
     def uavs(self) -> int:
         """Number of all UAVs, n_UAV."""
         return self.communication_uavs + self.monitoring_uavs + self.collection_uavs
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """What full speed covers in a step, as a share of the field's width and of its depth."""
+        return self.speed_x_max * self.step_seconds / self.field_x, self.speed_y_max * self.step_seconds / self.field_y
 
     @property
     def safety_distance(self) -> float:
@@ -381,6 +387,7 @@ class FarmConfig:
     relay: RelayConfig = field(default_factory=RelayConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)
+    control: ControlConfig = field(default_factory=ControlConfig)
 
     def __post_init__(self) -> None:
         """Refuse sections that contradict each other."""

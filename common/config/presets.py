@@ -7,6 +7,7 @@ that training never saw (W26). What the paper does not give (marked "(ours)" in 
 
 from typing import Final
 
+from common.config.control import ControlConfig
 from common.config.farm import EnergyConfig, FarmConfig, ObservationConfig
 from common.config.learning import AlgorithmConfig, EliteConfig, ReplayConfig
 from common.config.run import EvaluationConfig, LearnerConfig, RunConfig
@@ -22,6 +23,7 @@ def _paper() -> RunConfig:
             observation=ObservationConfig(
                 form="printed", choice="nearest", window=3, lattice=False, identity=False, clock=False
             ),
+            control=ControlConfig(communication="velocity", monitoring="velocity", collection="velocity"),
         ),
         algorithm=AlgorithmConfig(
             discount=0.99,

@@ -138,7 +138,7 @@ class Pilot:
             held.reason, held.complaint = self._objection(held, now), ""
         # All actors decide on one row, as in training: the numbers are then those of the process that trained them.
         flying = any(not held.reason for held in self._vehicles.values())
-        action = self._bank.act(self._row)[0].reshape(-1, 2) if flying else np.zeros((0, 2), np.float32)
+        action = self._bank.command(self._row)[0].reshape(-1, 2) if flying else np.zeros((0, 2), np.float32)
         return {vehicle: self._setpoint(held, action, now) for vehicle, held in self._vehicles.items()}
 
     def hover(self, reason: str) -> dict[str, SetpointMessage]:

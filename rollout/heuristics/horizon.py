@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from common.config import FarmConfig
+from common.lattice import fewest
 from rollout.heuristics import lawnmower
 from rollout.heuristics.beam import Array, Indices, Lattice, Worth, best_path
 from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
@@ -169,8 +170,7 @@ def sensor_lattice(config: FarmConfig, xy: Array) -> Lattice:
 
 def _places(config: FarmConfig) -> tuple[Array, int]:
     """Return the fewest places of an even lattice whose neighbours are one step apart, [K, 2] m, and those along y."""
-    size = np.array([config.world.field_x, config.world.field_y])
-    counts = np.ceil(size / reach(config.world) - 1e-9).astype(np.int64)
+    size, counts = (config.world.field_x, config.world.field_y), [fewest(share) for share in config.world.reach]
     x, y = ((np.arange(count) + 0.5) * width / count for count, width in zip(counts, size, strict=True))
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2), int(counts[1])
 

@@ -42,7 +42,7 @@ def run(request, tmp_path):
 
 def by_agent(bank, rows):
     """Return each agent's observations and actions by its name."""
-    seen, done = bank.team.split_observations(rows), bank.team.split_actions(bank.act(rows))
+    seen, done = bank.team.split_observations(rows), bank.team.split_actions(bank.command(rows))
     both = [(o[:, i], a[:, i]) for o, a in zip(seen, done, strict=True) for i in range(o.shape[1])]
     return dict(zip(agent_names(bank), both, strict=True))
 
@@ -79,7 +79,8 @@ def test_plain_tensors_are_the_policys_own(run, tmp_path_factory):
         for layer in "123":
             h = h @ tensors[f"{name}.w{layer}"] + tensors[f"{name}.b{layer}"]
             h = np.tanh(h) if layer == "3" else np.maximum(h, 0)
-        np.testing.assert_allclose(h, action, atol=2e-6)
+        if not name.startswith("monitoring"):  # whose actions are steered; the next test has their arithmetic
+            np.testing.assert_allclose(h, action, atol=2e-6)
 
 
 def test_the_pages_code_runs_and_gives_the_policys_actions(run, monkeypatch, capsys):

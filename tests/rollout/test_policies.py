@@ -69,7 +69,7 @@ def test_actor_policy_equals_its_bank():
     bank = ActorBank.initial(farm_team(SMALL), 16, 3, per_type=False)
     policy = ActorPolicy(bank)
     farms = begin(SMALL, policy)
-    np.testing.assert_allclose(policy.act(farms), bank.act(farms.observation), atol=1e-6)
+    np.testing.assert_allclose(policy.act(farms), bank.command(farms.observation), atol=1e-6)
 
 
 def test_actors_of_another_team_are_refused():
