@@ -56,7 +56,7 @@ class GroupSpec:
         within(1, 4096, count=self.count)
         within(1, 65_536, observation_size=self.observation_size, action_size=self.action_size)
         if self.lattice is not None and (self.action_size != 2 or self.observation_size < 2):
-            raise ConfigError(f"{self.name} agents cannot steer by a lattice: they need to see x and y and to return two.")
+            raise ConfigError(f"{self.name} agents cannot steer by a lattice: it takes x and y, and two outputs.")
 
     def to_list(self) -> list[Any]:
         """Return a plain description for the wire and for files."""

@@ -143,5 +143,9 @@ def policy_of(name: str, config: FarmConfig) -> Policy:
 
 
 def _describe(team: TeamSpec) -> str:
-    """Return a team in words: how many of each type, and how many numbers each of them observes."""
-    return ", ".join(f"{group.count} {group.name} agents with {group.observation_size} inputs" for group in team.groups)
+    """Return a team in words: how many of each type, how many numbers each of them observes, and what it steers by."""
+    told = []
+    for group in team.groups:
+        how = f" and a lattice of {group.lattice.columns} x {group.lattice.rows}" if group.lattice else ""
+        told.append(f"{group.count} {group.name} agents with {group.observation_size} inputs{how}")
+    return ", ".join(told)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 TESTS = Path(__file__).parent
 WITH_PROCESSES = tuple(TESTS / folder for folder in ("faults", "security", "system", "watching"))
@@ -11,6 +12,9 @@ WITH_PROCESSES = tuple(TESTS / folder for folder in ("faults", "security", "syst
 
 OUT_OF_TIME = ["did not happen within", "nobody answers at"]
 """What a test says whose processes were too slow. Only that is tried again: a broken promise never is."""
+
+settings.register_profile("patient", deadline=None)
+settings.load_profile("patient")  # how long an example takes says nothing on a machine that does other work too
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
