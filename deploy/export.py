@@ -140,9 +140,7 @@ def _lattice(group: GroupSpec) -> dict[str, Any] | None:
     return {"count": count, "reach": reach, "gain": GAIN, "edge": EDGE}
 
 
-def _model(
-    name: str, layers: Mapping[str, Float32], lattice: Lattice | None, told: Mapping[str, Any]
-) -> "ModelProto":
+def _model(name: str, layers: Mapping[str, Float32], lattice: Lattice | None, told: Mapping[str, Any]) -> "ModelProto":
     try:
         from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415 - an extra that few users need
     except ImportError:
