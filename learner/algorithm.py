@@ -179,6 +179,13 @@ class Algorithm(ABC):
         torch.sub(action, self.current.acted, out=self.change)
         return action
 
+    def appraise(self, action: Tensor) -> Tensor:
+        """Return the critics' values [k, agents, B] of the actors' actions in the action layout, `change` being up to date."""
+        if self.config.others == "policy" and self.config.joint_critics:
+            self.current.decide(action)
+            return self.critics.forward(self.critic_views, self.current)
+        return self.critics.forward(self.critic_views, self.current, self.change_views)
+
     def climb(self, action: Tensor) -> None:
         """Take the actors' step, given the loss's `slopes` by their `action` = tanh(output)."""
         upstream = torch.addcmul(self.slopes, self.slopes * action, action, value=-1.0)

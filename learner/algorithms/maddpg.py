@@ -29,7 +29,7 @@ class Maddpg(Algorithm):
         error = self.regress(target)[0]
         self.critic_adam.step(self.target_phi, self.config.target_rate)
         action = self.choose()
-        value = self.critics.forward(self.critic_views, self.current, self.change_views)
+        value = self.appraise(action)
         climbed = value[0].clone() if figures else None
         value.fill_(-1.0 / self.config.batch)
         self.slopes.zero_()

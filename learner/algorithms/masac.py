@@ -111,7 +111,7 @@ class Masac(Algorithm):
         """Take the actors' step; return what they climb, min_k Q - alpha log pi."""
         batch = self.config.batch
         torch.sub(sample.action, self.current.acted, out=self.change)
-        value = self.critics.forward(self.critic_views, self.current, self.change_views)
+        value = self.appraise(sample.action)
         climbed = torch.minimum(value[0], value[1]) - alpha * sample.log_probability
         first = (value[0] <= value[1]).to(value.dtype)
         torch.mul(first, -1.0 / batch, out=value[0])

@@ -46,7 +46,7 @@ class Matd3(Algorithm):
         if phase and not figures:
             return None
         action = self.choose()
-        value = self.critics.forward(self.critic_views, self.current, self.change_views)
+        value = self.appraise(action)
         climbed = value[0].clone()
         if not phase:
             value[0].fill_(-1.0 / config.batch)

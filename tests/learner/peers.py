@@ -112,6 +112,9 @@ class MaddpgOracle(Peer):
         return [value[0] for value in self.values(self.target_critics, following, decided)]
 
     def improve(self, observations, actions, noise) -> None:
+        if self.config.others == "policy":
+            with torch.no_grad():
+                actions = [actor(o) for actor, o in zip(self.actors, observations, strict=True)]
         for i, actor in enumerate(self.actors):
             x = self.view(i, observations, [*actions[:i], actor(observations[i]), *actions[i + 1 :]])
             self.climb(i, -self.critics[0][i](x).mean())
@@ -168,7 +171,11 @@ class MasacOracle(Peer):
         ]
 
     def improve(self, observations, actions, noise) -> None:
-        for i, (actor, n) in enumerate(zip(self.actors, self.noise(noise[1]), strict=True)):
+        own = self.noise(noise[1])
+        if self.config.others == "policy":
+            with torch.no_grad():
+                actions = [self.sample(*given)[0] for given in zip(self.actors, observations, own, strict=True)]
+        for i, (actor, n) in enumerate(zip(self.actors, own, strict=True)):
             action, density = self.sample(actor, observations[i], n)
             x = self.view(i, observations, [*actions[:i], action, *actions[i + 1 :]])
             value = torch.minimum(self.critics[0][i](x), self.critics[1][i](x))

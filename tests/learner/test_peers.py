@@ -19,6 +19,7 @@ OPTIONS = {
     "default": {},
     "local critics": {"critic_scope": "local"},
     "clipped": {"gradient_clip": 0.05},
+    "others by their policies": {"others": "policy"},
     "apart": {"initialisation": "independent", "actor_delay": 3, "smoothing_noise": 0.6, "temperature": 0.1},
 }
 
