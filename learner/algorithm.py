@@ -180,7 +180,7 @@ class Algorithm(ABC):
         return action
 
     def appraise(self, action: Tensor) -> Tensor:
-        """Return the critics' values [k, agents, B] of the actors' actions in the action layout, `change` being up to date."""
+        """Return the critics' values [k, agents, B] of the actors' actions, from which `change` was made."""
         if self.config.others == "policy" and self.config.joint_critics:
             self.current.decide(action)
             return self.critics.forward(self.critic_views, self.current)
