@@ -24,16 +24,16 @@ class AlgorithmConfig:
     a peer. It takes the ensemble and imitation only where it has them and `ensemble` and `elite.enabled` are on."""
     hidden: int = 64
     """Width of both hidden layers of every network (ours)."""
-    discount: float = 0.97
-    """Discount rate gamma; the paper prints 0.99."""
+    discount: float = 0.99
+    """Discount rate gamma."""
     n_step: int = 1
     """Steps whose rewards stand in a target before it bootstraps, 1..10; cut at an episode's end."""
     batch: int = 128
     """Transitions in a batch, B."""
-    actor_rate: float = 1e-4
-    """Learning rate of the actors, r_a."""
+    actor_rate: float = 5e-4
+    """Learning rate of the actors, r_a; the paper prints 1e-4."""
     critic_rate: float = 1e-3
-    """Learning rate of the critics and of the SEC, r_c."""
+    """Learning rate of the critics and of the SEC, r_c; the paper prints 1e-5."""
     target_rate: float = 0.005
     """Soft update parameter xi of the target networks, eq. (xt)."""
     reward_scale: float = 0.1
@@ -185,9 +185,9 @@ class ReplayConfig:
 class ExplorationConfig:
     """Gaussian exploration on the action, as a share of the action's range of 1."""
 
-    start: float = 0.2
+    start: float = 0.3
     """Standard deviation at the first episode (ours)."""
-    end: float = 0.05
+    end: float = 0.2
     """Standard deviation from decay_share of the run on (ours)."""
     decay_share: float = 0.6
     """Share of the run's episodes over which the deviation falls linearly (ours)."""

@@ -9,7 +9,7 @@ from typing import Final
 
 from common.config.control import ControlConfig
 from common.config.farm import EnergyConfig, FarmConfig, ObservationConfig
-from common.config.learning import AlgorithmConfig, EliteConfig, ReplayConfig
+from common.config.learning import AlgorithmConfig, EliteConfig, ExplorationConfig, ReplayConfig
 from common.config.run import EvaluationConfig, LearnerConfig, RunConfig
 from common.errors import ConfigError
 
@@ -47,6 +47,7 @@ def _paper() -> RunConfig:
             enabled=True, rate=0.1, cycle=10, rate_decay=0.5, cycle_growth=2.0, rule="cycle_divides_episode", farms=1
         ),
         replay=ReplayConfig(capacity=2**16, updates_per_step=1.0),
+        exploration=ExplorationConfig(start=0.2, end=0.05, decay_share=0.6),
     )
 
 
