@@ -40,10 +40,12 @@ RATES: Final = (5e-4, 1e-3, 2e-3)
 TUNING_SEED: Final = 100
 SCENARIOS: Final = 200
 PEERS: Final = (
-    (Program("learner", "AgileRL", "benchmarks.peers.learn_agilerl", "agilerl"), ("matd3", "maddpg")),
+    (Program("learner", "AgileRL", "benchmarks.peers.learn_agilerl", "agilerl"), ("matd3",)),
     (Program("learner", "BenchMARL", "benchmarks.peers.learn_benchmarl", "benchmarl"), ("maddpg",)),
 )
-OURS: Final = "EIA-SEC"
+OURS: Final = {"EIA-SEC": (), "EIA-SEC, others now": ("--algorithm.others", "policy")}
+"""Options of our lines: as published, where the other agents act as in the batch while an actor climbs its critic, and
+with them acting as their actors would now, which is how BenchMARL has it."""
 Line = dict[str, Any]
 
 
@@ -87,6 +89,7 @@ def options_of_ours(case: Case, budget: Budget) -> list[str]:
         *("--algorithm.discount", "0.95", "--algorithm.target-rate", "0.005", "--algorithm.reward-scale", "1.0"),
         *("--exploration.start", str(NOISE), "--exploration.end", str(NOISE)),
         *("--rollout.chunk-steps", str(EPISODE_STEPS), "--evaluation.farms", str(SCENARIOS)),
+        *OURS[case.software],
     ]
 
 
@@ -213,7 +216,7 @@ def picture(runs: Sequence[Line]) -> Figure:
     """Return training reward, with exploration noise, against environment steps: mean over seeds and their range."""
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     algorithms = sorted({run["algorithm"] for run in runs})
-    colours = dict(zip((OURS, *(program.name for program, _ in PEERS)), OTHER_COLOURS, strict=False))
+    colours = dict(zip((*OURS, *(program.name for program, _ in PEERS)), OTHER_COLOURS, strict=False))
     for axes, algorithm in zip(
         figure.subplots(1, len(algorithms), sharey=True, squeeze=False)[0], algorithms, strict=True
     ):
@@ -260,7 +263,9 @@ def main() -> None:
     session = Session(
         Budget(asked.steps, asked.every, asked.warmup), asked.venvs, asked.write and asked.write / "results.json"
     )
-    wanted: list[tuple[str, str, Program | None]] = [(OURS, algorithm, None) for algorithm in ("maddpg", "matd3")]
+    wanted: list[tuple[str, str, Program | None]] = [
+        (name, algorithm, None) for name in OURS for algorithm in ("maddpg", "matd3")
+    ]
     wanted += [(program.name, algorithm, program) for program, algorithms in PEERS for algorithm in algorithms]
     try:
         for software, algorithm, program in wanted:
