@@ -74,10 +74,10 @@ class Scale:
 FULL: Final = Scale(
     name="full",
     settings="",
-    episodes=2000,
+    episodes=800,
     seeds=5,
     side_seeds=3,
-    trial_episodes=400,
+    trial_episodes=200,
     candidates=5,
     farms=100,
     choice_farms=20,
