@@ -24,13 +24,13 @@ class AlgorithmConfig:
     a peer. It takes the ensemble and imitation only where it has them and `ensemble` and `elite.enabled` are on."""
     hidden: int = 64
     """Width of both hidden layers of every network (ours)."""
-    discount: float = 0.99
-    """Discount rate gamma."""
+    discount: float = 0.97
+    """Discount rate gamma; the paper prints 0.99."""
     n_step: int = 1
     """Steps whose rewards stand in a target before it bootstraps, 1..10; cut at an episode's end."""
     batch: int = 128
     """Transitions in a batch, B."""
-    actor_rate: float = 5e-4
+    actor_rate: float = 1e-3
     """Learning rate of the actors, r_a; the paper prints 1e-4."""
     critic_rate: float = 1e-3
     """Learning rate of the critics and of the SEC, r_c; the paper prints 1e-5."""

@@ -84,7 +84,7 @@ class RunConfig:
 
     seed: int = 0
     """Seed of the run: initial weights, batches, farms' order and noise all follow from it."""
-    episodes: int = 2400
+    episodes: int = 1200
     """Training episodes lambda_max, counted over all environments of all workers."""
     env: EnvConfig = field(default_factory=EnvConfig)
     farm: FarmConfig = field(default_factory=FarmConfig)
