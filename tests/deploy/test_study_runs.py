@@ -163,7 +163,7 @@ def test_timed_networks_decide_what_the_actors_decide(method, bench):
     head = ALGORITHMS[job.config.algorithm.name].head
     bank = ActorBank.initial(batch.team, 16, 0, per_type=False, head=head)
     batch.reset(0, 1, 1)
-    np.testing.assert_allclose(separate_actors(bank)(batch.observation), bank.act(batch.observation), atol=1e-6)
+    np.testing.assert_allclose(separate_actors(bank)(batch.observation), bank.command(batch.observation), atol=1e-6)
     perform(job, bench.records, "test")
     assert all(bench.records.result(job)[piece]["median"] > 0.0 for piece in ("decide", "separate", "simulate"))
 
@@ -202,7 +202,7 @@ def test_only_what_another_configuration_made_is_done_again(bench, tmp_path, mon
     """With other settings the methods' runs are missing, and with the same ones none is."""
     monkeypatch.setattr(Runner, "run", run_here)
     carry_out(plan(bench, "ensemble", tmp_path, []), StopSignal())
-    changed = Bench(replace(TINY, settings=TINY.settings + "[exploration]\nstart = 0.3\n"), bench.records)
+    changed = Bench(replace(TINY, settings=TINY.settings + "[exploration]\nstart = 0.25\n"), bench.records)
     more = Bench(replace(TINY, members=(1, 2, 3)), bench.records)
     missing = {
         name: [job.label for job in bench.records.missing(jobs)]
