@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.config.checks import within
+from common.config.control import Control
 from common.errors import ConfigError, SchemaError
 from common.lattice import Lattice
 
@@ -190,13 +191,17 @@ def farm_team(farm: FarmConfig) -> TeamSpec:
         (MONITORING, farm.world.monitoring_uavs, TASK_OBSERVATION + plots, farm.control.monitoring),
         (COLLECTION, farm.world.collection_uavs, TASK_OBSERVATION + sensors, farm.control.collection),
     )
-    lattice = Lattice.spanning(*farm.world.reach)
     return TeamSpec(
         tuple(
-            GroupSpec(name, count, size + _self(farm, count), 2, lattice if control == "lattice" else None)
+            GroupSpec(name, count, size + _self(farm, count), 2, _steered(farm, control))
             for name, count, size, control in sizes
         )
     )
+
+
+def _steered(farm: FarmConfig, control: Control) -> Lattice | None:
+    """Return what agents with that control steer by; raise ConfigError for UAVs too slow for any lattice."""
+    return Lattice.spanning(*farm.world.reach) if control == "lattice" else None
 
 
 def _self(farm: FarmConfig, count: int) -> int:

@@ -174,7 +174,8 @@ WORDS = (
     "any",
     "exact",
 )
-WORDS += ("expected", "ghz", "cuda", "mpe2:simple_spread_v3", "agent=runner", "banded", "maddpg", "lattice", "velocity", "policy")
+WORDS += ("expected", "ghz", "cuda", "mpe2:simple_spread_v3", "agent=runner", "banded", "maddpg")
+WORDS += ("lattice", "velocity", "policy")
 OTHER_VALUES = {
     bool: ["true", "false"],
     str: [*(f'"{word}"' for word in WORDS), "'{\"N\": 5}'"],

@@ -166,7 +166,7 @@ def farm_configs(draw: st.DrawFn, world: st.SearchStrategy[WorldConfig] | None =
     place = draw(worlds() if world is None else world)
     chosen = numbers(place)
     parts = {
-        name: kind(**{key: draw(choice) for key, choice in {**chosen[name], **switches(kind)}.items()})
+        name: kind(**{key: draw(choice) for key, choice in {**chosen.get(name, {}), **switches(kind)}.items()})
         for name, kind in sections().items()
         if name != "world"
     }
