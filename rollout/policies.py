@@ -19,7 +19,7 @@ from common.actors import ActorBank
 from common.config import FarmConfig
 from common.errors import PolicyError
 from common.policy_file import load_policy
-from common.team import Float32, TeamSpec, farm_team
+from common.team import Float32, GroupSpec, TeamSpec, farm_team
 from rollout.environments import Environments
 from rollout.farms import FarmBatch
 from rollout.heuristics import greedy, horizon, hungarian, lawnmower, tour
@@ -60,8 +60,8 @@ class ActorPolicy:
         self._bank = bank
 
     def reset(self, environments: Environments, index: int) -> None:
-        """Raise PolicyError unless the actors fit the environments' team."""
-        require_team(self._bank, environments.team)
+        """Take up the environments' lattices; raise PolicyError unless the actors fit their team."""
+        self._bank = fitted(self._bank, environments.team)
 
     def act(self, environments: Environments) -> Float32:
         """Return what the actors command.
@@ -72,10 +72,19 @@ class ActorPolicy:
         return np.concatenate([self._bank.command(row[None]) for row in environments.observation])
 
 
-def require_team(bank: ActorBank, team: TeamSpec) -> None:
-    """Raise PolicyError unless the actors are for exactly this team."""
-    if bank.team.digest != team.digest:
+def fitted(bank: ActorBank, team: TeamSpec) -> ActorBank:
+    """Return the actors as those of a team, which they steer by the lattices of: a field may have another size.
+
+    Raises:
+        PolicyError: they are for other types, counts, observations or actions, or for another kind of control.
+    """
+    if [_interface(group) for group in bank.team.groups] != [_interface(group) for group in team.groups]:
         raise PolicyError(f"the policy is for {_describe(bank.team)}; here are {_describe(team)}.")
+    return ActorBank(team, bank.hidden, bank.flat, bank.head)
+
+
+def _interface(group: GroupSpec) -> tuple[str, int, int, int, bool]:
+    return group.name, group.count, group.observation_size, group.action_size, group.lattice is not None
 
 
 def trained_policy(path: Path, config: FarmConfig) -> Policy:
@@ -85,8 +94,7 @@ def trained_policy(path: Path, config: FarmConfig) -> Policy:
         PolicyError: the file cannot be used, or its policy is for another team than the farm's.
     """
     bank, _ = load_policy(path)
-    require_team(bank, farm_team(config))
-    return ActorPolicy(bank)
+    return ActorPolicy(fitted(bank, farm_team(config)))
 
 
 def _shipped(config: FarmConfig) -> Policy:
@@ -146,6 +154,6 @@ def _describe(team: TeamSpec) -> str:
     """Return a team in words: how many of each type, how many numbers each of them observes, and what it steers by."""
     told = []
     for group in team.groups:
-        how = f" and a lattice of {group.lattice.columns} x {group.lattice.rows}" if group.lattice else ""
+        how = " and a lattice" if group.lattice else ""
         told.append(f"{group.count} {group.name} agents with {group.observation_size} inputs{how}")
     return ", ".join(told)

@@ -18,7 +18,7 @@ from deploy.flight.node import FlightNode, NodeOptions
 from deploy.flight.pilot import Limits, Pilot
 from deploy.options import parse
 from deploy.rundir import CONFIG, POLICY
-from rollout.policies import TRAINED, require_team
+from rollout.policies import TRAINED, fitted
 
 
 @dataclass(frozen=True)
@@ -96,8 +96,7 @@ def make_pilot(options: FlyArguments) -> tuple[Pilot, tuple[str, ...]]:
     name = options.policy or (str(options.run_dir / POLICY) if options.run_dir else None)
     if name is None:
         raise UsageError("nothing to fly: give --policy FILE, --policy trained or --run-dir DIR.")
-    bank, _ = load_policy(TRAINED if name == "trained" else Path(name))
-    require_team(bank, farm_team(farm))
+    bank = fitted(load_policy(TRAINED if name == "trained" else Path(name))[0], farm_team(farm))
     agents = vehicles_of(options.vehicle) or {agent: agent for agent in bank.team.agent_names}
     speed = farm.world.speed_x_max, farm.world.speed_y_max
     return Pilot(bank, agents, speed, Limits(options.hold, options.max_age)), tuple(agents)

@@ -1,10 +1,11 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from common.actors import ActorBank
-from common.config import FarmConfig, WorldConfig
+from common.config import ControlConfig, FarmConfig, WorldConfig
 from common.errors import PolicyError
 from common.policy_file import save_policy
 from common.team import farm_team
@@ -137,3 +138,18 @@ def test_other_combinations_are_refused(name):
     """Only a task heuristic has relays to choose, and only those that there are."""
     with pytest.raises(PolicyError, match="there is no policy"):
         policy_of(name, SMALL)
+
+
+def test_a_policy_steers_by_the_lattice_of_the_farm_that_it_flies_over():
+    """Actors of one field fly over a wider one by its own lattice; those that command velocities are another kind."""
+    wide = FarmConfig(world=replace(FarmConfig().world, field_x=500.0, field_y=300.0))
+    policy = ActorPolicy(ActorBank.initial(farm_team(FarmConfig()), 16, 3))
+    farms = begin(wide, policy)
+    lattice = farms.team.groups[1].lattice
+    assert lattice is not None
+    assert (lattice.columns, lattice.rows) == (50, 30)
+    action = np.concatenate([ActorBank.initial(farms.team, 16, 3).command(row[None]) for row in farms.observation])
+    np.testing.assert_array_equal(policy.act(farms), action)
+    printed = FarmConfig(control=ControlConfig(monitoring="velocity"))
+    with pytest.raises(PolicyError, match="and a lattice"):
+        begin(printed, policy)
