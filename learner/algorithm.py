@@ -100,6 +100,7 @@ class Algorithm(ABC):
         self.slopes = like.new_zeros(config.batch * team.action_size)
         self.change_views = action_views(team, config.batch, self.change)
         self.slope_views = action_views(team, config.batch, self.slopes)
+        self._team_slopes = like.new_zeros(config.batch, team.action_size)
         self._allocate_critics(seed)
 
     def _allocate_critics(self, seed: int) -> None:
@@ -181,10 +182,22 @@ class Algorithm(ABC):
 
     def appraise(self, action: Tensor) -> Tensor:
         """Return the critics' values [k, agents, B] of the actors' actions, from which `change` was made."""
-        if self.config.others == "policy" and self.config.joint_critics:
+        if self.config.others != "batch" and self.config.joint_critics:
             self.current.decide(action)
             return self.critics.forward(self.critic_views, self.current)
         return self.critics.forward(self.critic_views, self.current, self.change_views)
+
+    def slope(self, upstream: Tensor) -> None:
+        """Write the gradient of sum(upstream * value) by the actors' actions into `slopes`, after `appraise`."""
+        self.slopes.zero_()
+        if self.config.others != "team" or not self.config.joint_critics:
+            self.critics.action_gradient(self.critic_views, upstream, self.slope_views)
+            return
+        rows = self._team_slopes.zero_()
+        shared = [rows.expand(group.count, *rows.shape) for group in self.team.groups]
+        self.critics.action_gradient(self.critic_views, upstream, shared)
+        for view, part in zip(self.slope_views, self.team.split_actions(rows), strict=True):
+            view.copy_(part.transpose(0, 1))
 
     def climb(self, action: Tensor) -> None:
         """Take the actors' step, given the loss's `slopes` by their `action` = tanh(output)."""

@@ -43,6 +43,9 @@ class Critics:
     def _stack(self, kind: int) -> Stack:
         group, width = self._team.groups[kind], critic_width(self._team, kind, self._joint)
         own, step = 1 + group.observation_size, 0
+        if self._joint and self._config.others == "team":
+            own = 1 + self._team.observation_size
+            return Stack(group.count, width, 1, self._config.batch, own, 0, self._team.action_size)
         if self._joint:
             own = 1 + self._team.observation_size + self._team.action_slices()[kind].start
             step = group.action_size
@@ -101,5 +104,8 @@ class Critics:
         self._pass.parameter_gradient(parameters, inputs.critic * self.each, upstream.reshape(-1), into)
 
     def action_gradient(self, parameters: Parameters, upstream: Tensor, into: list[Tensor]) -> None:
-        """Add the gradient of sum(upstream * prediction) by every agent's own action to `into`."""
+        """Add the gradient of sum(upstream * prediction) by every agent's own action to `into`.
+
+        Where actors climb the sum of all critics (`others = "team"`), the action of a critic is that of the whole team.
+        """
         self._pass.action_gradient(parameters, upstream.reshape(-1), into * self.each)

@@ -211,7 +211,7 @@ class Pass(Protocol):
     def action_gradient(self, parameters: Parameters, upstream: Tensor, into: Sequence[Tensor]) -> None:
         """Add the gradient of sum(upstream * output) of scalar networks by the own actions, stack by stack, to `into`.
 
-        `into` is as `delta`; stacks that share a tensor there add up.
+        `into` is as `delta`; stacks, and networks of a stack, that share a tensor there add up.
         """
         ...
 
@@ -298,7 +298,10 @@ class StackedPass:
         self._through_head(parameters, upstream)
         self._through_hidden(parameters)
         for z, w, slope in zip(self._z1, parameters.own, into, strict=True):
-            slope.baddbmm_(z, w.transpose(1, 2))
+            if slope.stride(0) == 0 and slope.shape[0] > 1:  # one sum for all networks of the stack
+                slope[0].add_(torch.bmm(z, w.transpose(1, 2)).sum(dim=0))
+            else:
+                slope.baddbmm_(z, w.transpose(1, 2))
 
 
 def _through_relu(gradient: Tensor, activation: Tensor, out: Tensor) -> None:

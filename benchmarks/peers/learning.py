@@ -43,9 +43,9 @@ PEERS: Final = (
     (Program("learner", "AgileRL", "benchmarks.peers.learn_agilerl", "agilerl"), ("matd3",)),
     (Program("learner", "BenchMARL", "benchmarks.peers.learn_benchmarl", "benchmarl"), ("maddpg",)),
 )
-OURS: Final = {"EIA-SEC": (), "EIA-SEC, others now": ("--algorithm.others", "policy")}
-"""Options of our lines: as published, where the other agents act as in the batch while an actor climbs its critic, and
-with them acting as their actors would now, which is how BenchMARL has it."""
+OURS: Final = {"EIA-SEC": (), "EIA-SEC, team": ("--algorithm.others", "team")}
+"""Options of our lines: as published, where each actor climbs its own critic and the others act as in the batch, and
+where all actors climb the sum of all critics, which is how BenchMARL has it."""
 Line = dict[str, Any]
 
 

@@ -65,9 +65,10 @@ class AlgorithmConfig:
     critic_scope: Literal["algorithm", "local", "joint"] = "algorithm"
     """Critics see their own observation and action, or those of all agents, or what the algorithm prefers: EIA-SEC
     and its ablations local, the peers joint (A11)."""
-    others: Literal["batch", "policy"] = "batch"
+    others: Literal["batch", "policy", "team"] = "batch"
     """MADDPG, MATD3 and MASAC: where an actor climbs a joint critic, the others act as they did in the batch, as
-    published, or as their actors would now (as in Peng et al. 2021, FACMAC)."""
+    published, or as their actors would now; with team, each actor climbs the sum of all agents' critics there
+    (Peng et al. 2021, FACMAC)."""
     initialisation: Literal["type", "independent"] = "type"
     """One initialisation for all agents of a type, or one for each (A4)."""
     actor_delay: int = 2

@@ -32,7 +32,6 @@ class Maddpg(Algorithm):
         value = self.appraise(action)
         climbed = value[0].clone() if figures else None
         value.fill_(-1.0 / self.config.batch)
-        self.slopes.zero_()
-        self.critics.action_gradient(self.critic_views, value, self.slope_views)
+        self.slope(value)
         self.climb(action)
         return self.told(error, climbed, target) if climbed is not None else None

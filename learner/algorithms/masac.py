@@ -116,8 +116,7 @@ class Masac(Algorithm):
         first = (value[0] <= value[1]).to(value.dtype)
         torch.mul(first, -1.0 / batch, out=value[0])
         torch.mul(1.0 - first, -1.0 / batch, out=value[1])
-        self.slopes.zero_()
-        self.critics.action_gradient(self.critic_views, value, self.slope_views)
+        self.slope(value)
         action = sample.action
         weight = (alpha / batch).expand(-1, batch).reshape(-1).index_select(0, self._row)
         by_sum = torch.addcmul(self.slopes, self.slopes * action, action, value=-1.0) + 2.0 * weight * action

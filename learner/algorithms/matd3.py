@@ -51,7 +51,6 @@ class Matd3(Algorithm):
         if not phase:
             value[0].fill_(-1.0 / config.batch)
             value[1].zero_()
-            self.slopes.zero_()
-            self.critics.action_gradient(self.critic_views, value, self.slope_views)
+            self.slope(value)
             self.climb(action)
         return self.told(error, climbed, target) if figures else None

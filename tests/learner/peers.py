@@ -95,6 +95,15 @@ class Peer(Oracle):
         self.clip([self.actors[i]])
         self.actor_optimisers[i].step()
 
+    def climb_together(self, loss: Tensor) -> None:
+        """Take one step of every actor against the gradient of one loss."""
+        gradients = torch.autograd.grad(loss, [p for actor in self.actors for p in actor.parameters()])
+        for p, g in zip((p for actor in self.actors for p in actor.parameters()), gradients, strict=True):
+            p.grad = g
+        for actor, optimiser in zip(self.actors, self.actor_optimisers, strict=True):
+            self.clip([actor])
+            optimiser.step()
+
     def follow_targets(self, actors: bool) -> None:
         for k, critics in enumerate(self.critics):
             for target, source in zip(self.target_critics[k], critics, strict=True):
@@ -112,6 +121,12 @@ class MaddpgOracle(Peer):
         return [value[0] for value in self.values(self.target_critics, following, decided)]
 
     def improve(self, observations, actions, noise) -> None:
+        if self.config.others == "team":
+            chosen = [actor(o) for actor, o in zip(self.actors, observations, strict=True)]
+            total = sum(self.critics[0][i](self.view(i, observations, chosen)).mean() for i in range(len(chosen)))
+            self.climb_together(-total)
+            self.follow_targets(actors=True)
+            return
         if self.config.others == "policy":
             with torch.no_grad():
                 actions = [actor(o) for actor, o in zip(self.actors, observations, strict=True)]
@@ -175,12 +190,19 @@ class MasacOracle(Peer):
         if self.config.others == "policy":
             with torch.no_grad():
                 actions = [self.sample(*given)[0] for given in zip(self.actors, observations, own, strict=True)]
+        if self.config.others == "team":
+            drawn = [self.sample(*given) for given in zip(self.actors, observations, own, strict=True)]
+            values = self.values(self.critics, observations, [action for action, _ in drawn])
+            total = sum(value.min(dim=0).values.mean() for value in values)
+            cost = sum((a.detach().exp() * d).mean() for a, (_, d) in zip(self.log_alpha, drawn, strict=True))
+            self.climb_together(cost - total)
         for i, (actor, n) in enumerate(zip(self.actors, own, strict=True)):
-            action, density = self.sample(actor, observations[i], n)
-            x = self.view(i, observations, [*actions[:i], action, *actions[i + 1 :]])
-            value = torch.minimum(self.critics[0][i](x), self.critics[1][i](x))
+            action, density = drawn[i] if self.config.others == "team" else self.sample(actor, observations[i], n)
             alpha = self.log_alpha[i].exp()
-            self.climb(i, (alpha.detach() * density - value).mean())
+            if self.config.others != "team":
+                x = self.view(i, observations, [*actions[:i], action, *actions[i + 1 :]])
+                value = torch.minimum(self.critics[0][i](x), self.critics[1][i](x))
+                self.climb(i, (alpha.detach() * density - value).mean())
             wanted = self.config.entropy_target * actions[i].shape[1]
             self.alpha_optimisers[i].zero_grad()
             (-alpha * (density.detach() + wanted)).mean().backward()

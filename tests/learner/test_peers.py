@@ -20,6 +20,7 @@ OPTIONS = {
     "local critics": {"critic_scope": "local"},
     "clipped": {"gradient_clip": 0.05},
     "others by their policies": {"others": "policy"},
+    "the team's critics": {"others": "team", "gradient_clip": 0.05},
     "apart": {"initialisation": "independent", "actor_delay": 3, "smoothing_noise": 0.6, "temperature": 0.1},
 }
 
