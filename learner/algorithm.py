@@ -196,8 +196,8 @@ class Algorithm(ABC):
         rows = self._team_slopes.zero_()
         shared = [rows.expand(group.count, *rows.shape) for group in self.team.groups]
         self.critics.action_gradient(self.critic_views, upstream, shared)
-        for view, part in zip(self.slope_views, self.team.split_actions(rows), strict=True):
-            view.copy_(part.transpose(0, 1))
+        for view, part in zip(self.slope_views, self.team.action_slices(), strict=True):
+            view.copy_(torch.unflatten(rows[:, part], 1, (view.shape[0], -1)).transpose(0, 1))
 
     def climb(self, action: Tensor) -> None:
         """Take the actors' step, given the loss's `slopes` by their `action` = tanh(output)."""
