@@ -166,7 +166,7 @@ class TeamSpec:
         """Rebuild a team from `to_dict`; raise SchemaError when it is none."""
         try:
             return cls(tuple(GroupSpec.from_list(group) for group in data["groups"]))
-        except (KeyError, TypeError, ValueError, ConfigError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, ConfigError) as error:
             raise SchemaError(f"not a team description: {error}") from error
 
     @cached_property

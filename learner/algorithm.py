@@ -190,7 +190,7 @@ class Algorithm(ABC):
     def slope(self, upstream: Tensor) -> None:
         """Write the gradient of sum(upstream * value) by the actors' actions into `slopes`, after `appraise`."""
         self.slopes.zero_()
-        if self.config.others != "team" or not self.config.joint_critics:
+        if not self.config.climbs_together:
             self.critics.action_gradient(self.critic_views, upstream, self.slope_views)
             return
         rows = self._team_slopes.zero_()

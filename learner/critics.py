@@ -43,7 +43,7 @@ class Critics:
     def _stack(self, kind: int) -> Stack:
         group, width = self._team.groups[kind], critic_width(self._team, kind, self._joint)
         own, step = 1 + group.observation_size, 0
-        if self._joint and self._config.others == "team":
+        if self._config.climbs_together:
             own = 1 + self._team.observation_size
             return Stack(group.count, width, 1, self._config.batch, own, 0, self._team.action_size)
         if self._joint:

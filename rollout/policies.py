@@ -78,6 +78,8 @@ def fitted(bank: ActorBank, team: TeamSpec) -> ActorBank:
     Raises:
         PolicyError: they are for other types, counts, observations or actions, or for another kind of control.
     """
+    if bank.team == team:
+        return bank
     if [_interface(group) for group in bank.team.groups] != [_interface(group) for group in team.groups]:
         raise PolicyError(f"the policy is for {_describe(bank.team)}; here are {_describe(team)}.")
     return ActorBank(team, bank.hidden, bank.flat, bank.head)

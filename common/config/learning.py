@@ -110,6 +110,11 @@ class AlgorithmConfig:
         return self.name in WITH_IMITATION
 
     @property
+    def climbs_together(self) -> bool:
+        """Whether every actor climbs the sum of all agents' critics; EIA-SEC and its ablations climb their own."""
+        return self.others == "team" and self.joint_critics and self.name not in LOCAL_CRITICS
+
+    @property
     def joint_critics(self) -> bool:
         """Whether critics see all agents."""
         return self.critic_scope == "joint" or (self.critic_scope == "algorithm" and self.name not in LOCAL_CRITICS)

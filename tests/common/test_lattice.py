@@ -116,7 +116,14 @@ def test_descriptions_come_back_and_false_ones_are_refused():
     team = farm_team(FarmConfig())
     assert TeamSpec.from_dict(team.to_dict()) == team
     good, missing = ["m", 2, 5, 2], float("nan")
-    for bad in ([9, 9, 0.1], [0, 9, 0.1, 0.1], [9, 2**21, 0.1, 0.1], [9, 9, 0.0, 0.1], [9, 9, missing, 0.1]):
+    for bad in (
+        [9, 9, 0.1],
+        [float("inf"), 9, 0.1, 0.1],
+        [0, 9, 0.1, 0.1],
+        [9, 2**21, 0.1, 0.1],
+        [9, 9, 0.0, 0.1],
+        [9, 9, missing, 0.1],
+    ):
         with pytest.raises(SchemaError):
             TeamSpec.from_dict({"groups": [[*good, bad]]})
     with pytest.raises(SchemaError):

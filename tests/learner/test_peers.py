@@ -133,3 +133,19 @@ def test_captured_rounds_equal_those_of_the_processor(name):
         device.round(type(batch)(*(tensor.cuda() for tensor in batch)), figures=number % 4 == 0)
     for tensor_name, tensor in host.tensors().items():
         torch.testing.assert_close(device.tensors()[tensor_name].cpu(), tensor, atol=1e-9, rtol=1e-7)
+
+
+def test_where_critics_are_joint_eia_sec_still_climbs_its_own():
+    """How the others act is a choice of MADDPG, MATD3 and MASAC alone; compiled and stacked, nothing else changes."""
+    config = replace(BASE, name="eia-sec", critic_scope="joint")
+    for compiled in (True, False):
+        engines = [
+            Engine(replace(config, others=others), TEAM, 3, dtype=torch.float64, compiled=compiled)
+            for others in ("batch", "team")
+        ]
+        for batch in batches(TEAM, config, 5):
+            for engine in engines:
+                engine.round(batch)
+        first, second = (engine.export_actors() for engine in engines)
+        for one, other in zip(first, second, strict=True):
+            np.testing.assert_array_equal(one, other)
