@@ -102,11 +102,18 @@ def run_ours(case: Case, budget: Budget) -> Line:
         if done.returncode:
             raise EiaSecError(f"eia-sec train failed: {done.stderr.strip().rpartition(chr(10))[2]}")
         outcome = json.loads((folder / "evaluation.json").read_text(encoding="utf-8"))
-        episodes = [line["reward"]["mean"] for line in read_metrics(folder / METRICS) if line["kind"] == "episodes"]
+        records = [line for line in read_metrics(folder / METRICS) if line["kind"] == "episodes"]
     found = outcome["evaluations"][0]
     if len(found["farms"]) != SCENARIOS:
         raise EiaSecError(f"our run was evaluated on {len(found['farms'])} scenarios, not {SCENARIOS}.")
-    return {"reward": found["reward"]["mean"], "seconds": outcome["seconds"], "curve": curve(episodes)}
+    return {"reward": found["reward"]["mean"], "seconds": outcome["seconds"], "curve": curve(each_episode(records))}
+
+
+def each_episode(records: Sequence[Line]) -> list[float]:
+    """Return a reward for every episode of a run of ours, whose records tell the mean of those that ended together."""
+    counts = np.diff([0, *(record["episodes"] for record in records)])
+    rewards: list[float] = np.repeat([record["reward"]["mean"] for record in records], counts).tolist()
+    return rewards
 
 
 def run_peer(program: Program, case: Case, budget: Budget, venvs: Path) -> Line:

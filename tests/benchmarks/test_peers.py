@@ -9,7 +9,9 @@ import pytest
 from benchmarks.peers import __main__ as driver
 from benchmarks.peers import clock, report, session, venvs
 from benchmarks.peers.catalogue import FOLDER, OURS, PROGRAMS, ROOT, Program
+from benchmarks.peers.learning import each_episode
 from benchmarks.peers.session import Job, Plan, ProgramError, arguments, jobs, parse
+from benchmarks.peers.spread import EPISODE_STEPS, curve
 from benchmarks.peers.summary import merged, summarised
 from common.config import FarmConfig
 from common.errors import EiaSecError
@@ -342,3 +344,10 @@ def test_rounds_are_timed_in_bursts(monkeypatch):
 
     assert clock.round_times(update, 8) == (pytest.approx(2.0), pytest.approx(2.0))
     assert clock.bursts_of([0.0, 1.0, 3.0, 6.0, 10.0, 11.0]) == [1500.0, 3500.0]
+
+
+def test_a_curve_of_ours_counts_every_episode():
+    """Records tell the mean of the episodes that ended together; the curve's last step is the run's."""
+    records = [{"episodes": 8, "reward": {"mean": -3.0}}, {"episodes": 10, "reward": {"mean": -1.0}}]
+    assert each_episode(records) == [-3.0] * 8 + [-1.0] * 2
+    assert curve(each_episode(records))["environment_steps"][-1] == 10 * EPISODE_STEPS
