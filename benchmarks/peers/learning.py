@@ -4,8 +4,8 @@
 
 Every program gets the same environment (mpe2 simple_spread_v3, three agents), environment steps, update rounds, batch,
 width, discount, target rate and exploration noise, and the same tuning: the learning rate of actors and critics is the
-best of RATES on a seed that is not used again. What FOLDER/results.json already holds is not run again. Environments of
-the peers are those of `make bench-peers`.
+best of RATES on a seed that is not used again; when it stands at an end of them, the next one there is tried too. What
+FOLDER/results.json already holds is not run again. Environments of the peers are those of `make bench-peers`.
 """
 
 import argparse
@@ -14,7 +14,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -36,7 +36,9 @@ from deploy.report import read_metrics
 from deploy.rundir import METRICS
 
 RATES: Final = (5e-4, 1e-3, 2e-3)
-"""Learning rates that every program may choose from."""
+"""Learning rates that are tried for every program at first."""
+FURTHER: Final = 2
+"""Rates beyond RATES that are tried at most: half the smallest or twice the largest, while that end is the best."""
 TUNING_SEED: Final = 100
 SCENARIOS: Final = 200
 PEERS: Final = (
@@ -172,17 +174,36 @@ class Session:
 
     def compare(self, software: str, algorithm: str, program: Program | None, seeds: int) -> None:
         """Tune a program's rate, and train it with that rate."""
-        tried = {rate: self.run(Case(software, algorithm, rate, TUNING_SEED), program) for rate in RATES}
-        rate = max(tried, key=lambda candidate: tried[candidate])
+        rate = tuned(lambda candidate: self.run(Case(software, algorithm, candidate, TUNING_SEED), program))
         for seed in range(seeds):
             self.run(Case(software, algorithm, rate, seed), program)
+
+
+def tuned(reward: Callable[[float], float]) -> float:
+    """Return the rate with the best reward; the grid grows by at most FURTHER rates at an end that is the best."""
+    tried = {rate: reward(rate) for rate in RATES}
+    for _ in range(FURTHER):
+        best = max(tried, key=lambda rate: tried[rate])
+        if best not in (min(tried), max(tried)):
+            break
+        further = best / 2 if best == min(tried) else best * 2
+        tried[further] = reward(further)
+    return max(tried, key=lambda rate: tried[rate])
+
+
+def reported(runs: Sequence[Line], software: str, algorithm: str) -> list[Line]:
+    """Return the runs of a program with the rate that it was tuned to, without those that tuned it."""
+    mine = [run for run in runs if (run["software"], run["algorithm"]) == (software, algorithm)]
+    tuning = [run for run in mine if run["seed"] == TUNING_SEED]
+    rate = max(tuning, key=lambda run: float(run["reward"]), default={"rate": None})["rate"]
+    return [run for run in mine if run["seed"] != TUNING_SEED and run["rate"] == rate]
 
 
 def summary(runs: Sequence[Line]) -> list[Line]:
     """Return mean and 95 % bootstrap interval over the seeds of every program and algorithm, best first."""
     found = []
     for name in dict.fromkeys((run["software"], run["algorithm"]) for run in runs):
-        mine = [run for run in runs if (run["software"], run["algorithm"]) == name and run["seed"] != TUNING_SEED]
+        mine = reported(runs, *name)
         rewards = np.array([run["reward"] for run in mine])
         if len(rewards) < 2:
             continue
@@ -211,7 +232,8 @@ def page(runs: Sequence[Line]) -> str:
     told = (
         f"{budget['steps']:,} environment steps, one update round of all agents for each {budget['every']} of them\n"
         f"after {budget['warmup']:,} steps of random actions. Reward of an episode without noise, mean over agents\n"
-        f"and {SCENARIOS} unseen scenarios, then over seeds. The rate is the best of {rates} on another seed.\n"
+        f"and {SCENARIOS} unseen scenarios, then over seeds. The rate is the best of {rates} on another\n"
+        f"seed; when that was the smallest or largest, its half or double was tried too, {FURTHER} times at most.\n"
         "Minutes are of one seed on cores shared with other work; ours runs learner and worker side by side.\n"
     )
     return "\n".join(
@@ -228,11 +250,7 @@ def picture(runs: Sequence[Line]) -> Figure:
         figure.subplots(1, len(algorithms), sharey=True, squeeze=False)[0], algorithms, strict=True
     ):
         for software, colour in colours.items():
-            mine = [
-                run["curve"]
-                for run in runs
-                if (run["software"], run["algorithm"]) == (software, algorithm) and run["seed"] != TUNING_SEED
-            ]
+            mine = [run["curve"] for run in reported(runs, software, algorithm)]
             if not mine:
                 continue
             grid = np.array(mine[0]["environment_steps"])

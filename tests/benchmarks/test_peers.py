@@ -4,12 +4,13 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from benchmarks.peers import __main__ as driver
 from benchmarks.peers import clock, report, session, venvs
 from benchmarks.peers.catalogue import FOLDER, OURS, PROGRAMS, ROOT, Program
-from benchmarks.peers.learning import each_episode
+from benchmarks.peers.learning import FURTHER, RATES, TUNING_SEED, each_episode, reported, tuned
 from benchmarks.peers.session import Job, Plan, ProgramError, arguments, jobs, parse
 from benchmarks.peers.spread import EPISODE_STEPS, curve
 from benchmarks.peers.summary import merged, summarised
@@ -351,3 +352,23 @@ def test_a_curve_of_ours_counts_every_episode():
     records = [{"episodes": 8, "reward": {"mean": -3.0}}, {"episodes": 10, "reward": {"mean": -1.0}}]
     assert each_episode(records) == [-3.0] * 8 + [-1.0] * 2
     assert curve(each_episode(records))["environment_steps"][-1] == 10 * EPISODE_STEPS
+
+
+@pytest.mark.parametrize(("best", "tried"), [(0.001, 3), (0.004, 5), (0.00025, 5), (1.0, 3 + FURTHER)])
+def test_rates_go_on_at_an_end_that_is_the_best(best, tried):
+    """The grid grows until the best rate lies inside it, or FURTHER rates were added."""
+    asked = []
+
+    def reward(rate):
+        asked.append(rate)
+        return -abs(np.log(rate / best))
+
+    assert tuned(reward) == pytest.approx(min(best, max(RATES) * 2**FURTHER))
+    assert len(asked) == len(set(asked)) == tried
+
+
+def test_only_runs_with_the_tuned_rate_are_reported():
+    """What another rate gave before the grid grew stands in the file and in no table."""
+    lines = [(0.002, TUNING_SEED, -2.0), (0.004, TUNING_SEED, -1.0), (0.002, 0, -9.0), (0.004, 0, -3.0)]
+    runs = [{"software": "a", "algorithm": "b", "rate": r, "seed": s, "reward": v} for r, s, v in lines]
+    assert [run["reward"] for run in reported(runs, "a", "b")] == [-3.0]
