@@ -13,7 +13,7 @@ import pytest
 
 from deploy.hosts.following import MOST_READ, Follower
 from tests.system.fleet import until
-from tests.system.hosts import EIA_SEC, OnHosts, fake_ssh
+from tests.system.hosts import EIA_SEC, OnHosts, fake_ssh, sshd
 
 HOSTS = f"""
 [learner]
@@ -76,14 +76,10 @@ def fleet(tmp_path: Path) -> OnHosts:
     return fleet
 
 
-def followers(folder: Path) -> list[int]:
-    """Return the process numbers of far ends below a folder."""
-    found = []
-    for process in psutil.process_iter(["cmdline"]):
-        words = process.info["cmdline"] or []
-        if "follow" in words and any(str(folder) in word or word == "far" for word in words):
-            found.append(process.pid)
-    return found
+def followers(folder: Path) -> list[list[str]]:
+    """Return the command lines of far ends below a folder."""
+    found = [process.info["cmdline"] or [] for process in psutil.process_iter(["cmdline"])]
+    return [words for words in found if "follow" in words and any(str(folder) in w or w == "far" for w in words)]
 
 
 def test_new_lines_of_all_hosts_until_ctrl_c(tmp_path, fleet):
@@ -100,6 +96,33 @@ def test_new_lines_of_all_hosts_until_ctrl_c(tmp_path, fleet):
     assert len(command.lines) == len(set(command.lines))
     assert command.interrupt() == 0
     until(lambda: not followers(tmp_path), "the end of the far ends")
+
+
+def test_over_a_real_ssh_server(tmp_path):
+    """New lines come while they are written, Ctrl-C ends the far end too, and so does the loss of the connection."""
+    far = tmp_path / "far"
+    with sshd(tmp_path / "ssh") as options:
+        if options is None:
+            pytest.skip("a server on loopback needs sshd (openssh-server), ssh-keygen, and to be root")
+        fleet = OnHosts(tmp_path, HOSTS)
+        fleet.edit('host = "somebody@far"\nfolder = "far"', f'host = "127.0.0.1"\nfolder = {json.dumps(str(far))}')
+        fleet.edit("workers = 1", f"workers = 1\nssh = {json.dumps(options)}")
+        write(far, "rollout.far-0", "first\n")
+        command = Command(fleet)
+        command.expect("far rollout.far-0: first")
+        write(far, "rollout.far-0", "second\n")
+        command.expect("far rollout.far-0: second")
+        assert followers(tmp_path)
+        assert command.interrupt() == 0
+        until(lambda: not followers(tmp_path), "the end of the far end")
+        command = Command(fleet)
+        command.expect("far rollout.far-0: second")
+        for process in psutil.Process(os.getpid()).children(recursive=True):
+            if process.name() == "sshd":
+                process.kill()
+        until(lambda: any(line.startswith("far (lost): far: no connection") for line in command.lines), "the loss")
+        until(lambda: not any(str(far) in " ".join(words) for words in followers(tmp_path)), "the end of the far end")
+        assert command.interrupt() == 1
 
 
 def test_only_the_processes_that_are_named(tmp_path, fleet):
