@@ -1,25 +1,27 @@
 """The one byte layout of everything on the wire.
 
-    magic 4s | protocol u8 | kind u8 | reserved u16 | header bytes u32 | body bytes u64 | CRC-32 of header and body u32
+    magic 4s | protocol u8 | kind u8 | reserved u16 | header bytes u32 | body bytes u64 | checksum u32
     header: msgpack {"fields": {...}, "arrays": [[name, dtype, [shape]], ...]}
     body:   the arrays, row-major, one after another, without padding
+
+The checksum is the low half of header and body's XXH3-64, which takes a tenth of the time of zlib's CRC-32.
 
 A frame is checked completely, sizes first, before any memory is taken for what it claims to hold.
 """
 
 import math
 import struct
-import zlib
 from collections.abc import Mapping
 from typing import Any, Final
 
 import msgpack
 import numpy as np
+import xxhash
 from numpy.typing import NDArray
 
 from common.errors import FrameError, SchemaError, VersionError
 
-PROTOCOL: Final = 1
+PROTOCOL: Final = 2
 """Version of the protocol; it also stands in every key."""
 MAX_FRAME: Final = 256 * 1024 * 1024
 """Largest frame that is ever looked into, bytes."""
@@ -28,6 +30,7 @@ MAX_HEADER: Final = 4 * 1024 * 1024
 
 _PREFIX: Final = struct.Struct("<4sBBHIQI")
 _MAGIC: Final = b"EIAS"
+_LOW: Final = 2**32 - 1
 _DTYPES: Final = {"<f4": 4, "<f8": 8, "|u1": 1, "<i4": 4, "<i8": 8}
 
 Array = NDArray[Any]
@@ -53,11 +56,18 @@ def encode(kind: int, fields: Mapping[str, Any], arrays: Mapping[str, Array]) ->
         listing.append([name, array.dtype.str, list(array.shape)])
         parts.append(np.ascontiguousarray(array).data.cast("B") if array.size else b"")
     header = msgpack.packb({"fields": dict(fields), "arrays": listing})
-    crc = zlib.crc32(header)
-    for part in parts:
-        crc = zlib.crc32(part, crc)
     body = sum(len(part) for part in parts)
-    return b"".join((_PREFIX.pack(_MAGIC, PROTOCOL, kind, 0, len(header), body, crc), header, *parts))
+    return b"".join(
+        (_PREFIX.pack(_MAGIC, PROTOCOL, kind, 0, len(header), body, checksum(header, *parts)), header, *parts)
+    )
+
+
+def checksum(*parts: Data) -> int:
+    """Return the checksum of bytes that follow one another."""
+    state = xxhash.xxh3_64()
+    for part in parts:
+        state.update(part)
+    return state.intdigest() & _LOW
 
 
 def length(data: Data) -> int:
@@ -84,7 +94,7 @@ def decode(data: Data, kind: int) -> tuple[dict[str, Any], dict[str, Array]]:
     """
     if not _PREFIX.size <= len(data) <= MAX_FRAME:
         raise FrameError(f"{len(data)} bytes are no frame.")
-    magic, protocol, found, reserved, header_size, body_size, crc = _PREFIX.unpack_from(data)
+    magic, protocol, found, reserved, header_size, body_size, told = _PREFIX.unpack_from(data)
     if magic != _MAGIC:
         raise FrameError("the bytes do not begin like a frame.")
     if protocol != PROTOCOL:
@@ -94,7 +104,7 @@ def decode(data: Data, kind: int) -> tuple[dict[str, Any], dict[str, Array]]:
     if header_size > MAX_HEADER or _PREFIX.size + header_size + body_size != len(data):
         raise FrameError("the frame's length is not what its prefix says.")
     view = memoryview(data)
-    if zlib.crc32(view[_PREFIX.size :]) != crc:
+    if checksum(view[_PREFIX.size :]) != told:
         raise FrameError("the frame's checksum does not fit its content.")
     fields, listing = _header(data[_PREFIX.size : _PREFIX.size + header_size])
     return fields, _arrays(data, listing, _PREFIX.size + header_size, body_size)

@@ -65,7 +65,7 @@ Every payload, and every attachment, is one frame, little-endian:
 | 6..7 | 0 |
 | 8..11 | H, bytes of the header |
 | 12..19 | B, bytes of the body |
-| 20..23 | CRC-32 of header and body |
+| 20..23 | low half of the XXH3-64 of header and body |
 | 24.. | header: msgpack of `{{"fields": {{...}}, "arrays": [[name, dtype, shape], ...]}}` |
 | 24 + H.. | body: the arrays, row-major, one after another |
 

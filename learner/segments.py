@@ -6,10 +6,10 @@ the chunks' numbers follow each other and the observations are equal to the last
 instance, the later segment begins anew.
 """
 
-import hashlib
 from typing import Any, Final
 
 import numpy as np
+import xxhash
 from numpy.typing import NDArray
 
 from common.errors import CheckpointError
@@ -96,5 +96,4 @@ class OpenEnds:
 
 
 def _name(observation: NDArray[np.float32]) -> str:
-    # Of hashlib's functions the one that most processors have instructions for.
-    return hashlib.sha256(np.ascontiguousarray(observation).data).hexdigest()[:32]
+    return xxhash.xxh3_128_hexdigest(np.ascontiguousarray(observation).data)

@@ -3,7 +3,6 @@
 import functools
 import random
 import struct
-import zlib
 from collections.abc import Callable
 from typing import Final
 
@@ -99,7 +98,7 @@ def sealed(data: bytes) -> bytes:
     magic, protocol, kind, reserved, header, _, _ = _PREFIX.unpack_from(data)
     content = data[_PREFIX.size :]
     header = min(header, len(content))
-    prefix = _PREFIX.pack(magic, protocol, kind, reserved, header, len(content) - header, zlib.crc32(content))
+    prefix = _PREFIX.pack(magic, protocol, kind, reserved, header, len(content) - header, frame.checksum(content))
     return prefix + content
 
 
@@ -160,4 +159,4 @@ def pass_through(count: int, seed: int) -> int:
     return taken
 
 
-assert frame.PROTOCOL == 1  # the prefix above is that of protocol 1
+assert frame.PROTOCOL == 2  # the prefix above is that of protocol 2

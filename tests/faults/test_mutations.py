@@ -1,7 +1,5 @@
 """The tests themselves: with a safeguard taken away, the test that is there for it fails."""
 
-import zlib
-
 import numpy as np
 import pytest
 
@@ -44,8 +42,7 @@ def test_the_road_without_deduplication(monkeypatch):
 
 def test_the_road_without_checksum(monkeypatch):
     """Without the checksum a flipped frame is taken, and the bad road's test fails."""
-    monkeypatch.setattr(frame, "zlib", type("Blind", (), {"crc32": staticmethod(lambda data, start=0: 0)}))
-    assert zlib.crc32(b"x") != 0
+    monkeypatch.setattr(frame, "checksum", lambda *parts: 0)
     with pytest.raises(AssertionError, match="flipped frame was taken"):
         bad_road(2, 1_000)
 
