@@ -36,6 +36,10 @@ class PlaceSet:
         taken, self.count = self.count - left, left
         return taken
 
+    def exchange(self, gone: Places, new: Places) -> None:
+        """Take out those places that are in the set, then put in others; see `remove` and `add`."""
+        self.count = kernels.exchange(self._places, self._slot, self.count, gone, new)
+
     def draw(self, count: int, generator: np.random.Generator) -> Places:
         """Return `count` places, drawn uniformly with replacement; the set must not be empty."""
         return self._places[generator.integers(0, self.count, size=count)]

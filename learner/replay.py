@@ -119,8 +119,7 @@ class Replay:
             rows.flag.copy(), starts, held, version, self.written, *small
         )
         self._copy(rows, new, starts, held % self.capacity)
-        self._drawable.remove(numbers[new] % self.capacity)
-        self._drawable.add(drawable)
+        self._drawable.exchange(numbers[new] % self.capacity, drawable)
         self.head = (self.head + new.shape[0]) % self.capacity
         self.rows = min(self.capacity, self.rows + new.shape[0])
         self.written += new.shape[0]
