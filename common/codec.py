@@ -112,12 +112,17 @@ def _array(name: str, wanted: np.dtype[Any], value: frame.Array) -> frame.Array:
     return value
 
 
+@functools.cache
+def _origin(kind: Any) -> Any:
+    return get_origin(kind)
+
+
 def _scalar(name: str, kind: Any, value: Any) -> Any:
-    if get_origin(kind) is tuple:
+    if _origin(kind) is tuple:
         if not isinstance(value, list):
             raise SchemaError(f"field {name} is not a list.")
         return tuple(_scalar(name, get_args(kind)[0], part) for part in value)
-    if get_origin(kind) is dict:
+    if _origin(kind) is dict:
         if not isinstance(value, dict) or len(value) > 4096:
             raise SchemaError(f"field {name} is not a map.")
         return value

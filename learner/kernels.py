@@ -31,7 +31,7 @@ def compiled(function: Function) -> Function:
 
 
 def booking(function: Function) -> Function:
-    """Compile a function that takes less time than giving Python's lock away and getting it back from another thread."""
+    """Compile a function that takes less time than giving Python's lock away and getting it back."""
     return cast(Function, numba.njit(error_model="numpy", cache=True)(function))
 
 

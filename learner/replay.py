@@ -65,6 +65,10 @@ class Replay:
         self.observation = torch.zeros(capacity, team.observation_size, device=device)
         self.action = torch.zeros(capacity, team.action_size, device=device)
         self.reward = torch.zeros(capacity, team.agents, device=device)
+        # The same memory as an array, where there is one: looking for it at every chunk takes longer than a small copy.
+        self._rows: list[Float32 | Tensor] = [
+            large.numpy() if large.device.type == "cpu" else large for large in self._large()
+        ]
         self.flag: NDArray[np.uint8] = np.zeros(capacity, np.uint8)
         self.version: NDArray[np.int64] = np.zeros(capacity, np.int64)
         self.successor: Places = np.zeros(capacity, np.int64)
@@ -136,8 +140,8 @@ class Replay:
             if part.shape[0]:
                 stop = start + part.shape[0]
                 self._protect(start, stop)
-                for target, source in zip(self._large(), (rows.observation, rows.action, rows.reward), strict=True):
-                    _write(target[start:stop], source, part)
+                for target, source in zip(self._rows, (rows.observation, rows.action, rows.reward), strict=True):
+                    _write(target, start, stop, source, part)
         if starts.shape[0]:
             for place in places.tolist() if self._frozen else ():
                 self._protect(place, place + 1)
@@ -262,9 +266,9 @@ class Replay:
         return counts, used
 
 
-def _write(target: Tensor, source: Float32, index: Indices) -> None:
-    """Copy rows of an array into a tensor, in memory without a copy between."""
-    if target.device.type == "cpu":
-        np.take(source, index, axis=0, out=target.numpy(), mode="clip")
+def _write(target: Float32 | Tensor, start: int, stop: int, source: Float32, index: Indices) -> None:
+    """Copy rows of an array to places start .. stop - 1, in memory without a copy between."""
+    if isinstance(target, Tensor):
+        target[start:stop].copy_(torch.from_numpy(source[index]))
     else:
-        target.copy_(torch.from_numpy(source[index]))
+        np.take(source, index, axis=0, out=target[start:stop], mode="clip")
