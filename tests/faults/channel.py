@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from common import keys
-from common.chunks import to_message, to_request
+from common.chunks import from_request, to_message, to_request
 from common.config import ReplayConfig
 from common.history import History
 from common.messages import ChunkAck, Envelope
@@ -95,7 +95,8 @@ class Road:
 
     Attributes:
         duplicated, reordered, cut, flipped: chance of each for one sending.
-        done: how often each was done.
+        done: how often each was done, and how much of it is `unseen`: flips in chunks that nobody looked at, because
+            one before them in the same request had to come again.
     """
 
     duplicated: float = 0.1
@@ -183,9 +184,10 @@ def _turn(sending: Sending, road: Road, door: Door, draw: random.Random, seen: C
             road.done["duplicated"] += copy
             road.done["several"] += len(numbers) > 1
             parcel = sending.parcel(numbers)
-            kind = _damage(parcel, road, draw)
+            kind, place = _damage(parcel, road, draw)
             answer = door.pass_on(parcel).answer
             assert answer is not None, parcel.refused
+            road.done["unseen"] += place >= len(answer.verdicts)
             seen.update(answer.verdicts)
             seen["sendings"] += 1
             assert not (kind and answer.verdicts == ("accepted",) * len(numbers)), f"a {kind} frame was taken"
@@ -194,19 +196,22 @@ def _turn(sending: Sending, road: Road, door: Door, draw: random.Random, seen: C
                     sending.held.remove(number)
 
 
-def _damage(parcel: Parcel, road: Road, draw: random.Random) -> str:
+def _damage(parcel: Parcel, road: Road, draw: random.Random) -> tuple[str, int]:
+    """Damage a request by chance; return how, and at which of its chunks; 0 too where all of it becomes unreadable."""
     chance = draw.random()
     if chance < road.cut:
         road.done["cut"] += 1
         parcel.payload = parcel.payload[: draw.randrange(len(parcel.payload))]
-        return "cut"
+        return "cut", 0
     if chance < road.cut + road.flipped:
         road.done["flipped"] += 1
+        ends = np.cumsum([len(part) for part in from_request(parcel.payload)[1]])
         damaged = bytearray(parcel.payload)
-        damaged[draw.randrange(len(damaged))] ^= 1 << draw.randrange(8)
+        at = draw.randrange(len(damaged))
+        damaged[at] ^= 1 << draw.randrange(8)
         parcel.payload = bytes(damaged)
-        return "flipped"
-    return ""
+        return "flipped", int(np.searchsorted(ends, at - (len(damaged) - ends[-1]), side="right"))
+    return "", 0
 
 
 def front_door(intake: Intake | None = None, history: History | None = None, **replay: int) -> tuple[Receiver, Door]:

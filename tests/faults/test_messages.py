@@ -22,11 +22,11 @@ def bad_road(workers: int, chunks: int, path: Any = None) -> dict[str, Any]:
     assert set(out["accepted"].values()) == {1}
     assert totals["accepted"] == totals["produced"] == workers * chunks
     assert (totals["lost"], totals["rejected"], totals["refused"], totals["in_flight"]) == (0, 0, 0, 0)
-    assert totals["damaged"] == road.done["cut"] + road.done["flipped"]
+    assert totals["damaged"] == road.done["cut"] + road.done["flipped"] - road.done["unseen"]
     assert totals["duplicates"] >= road.done["duplicated"] // 2
     # What came damaged and had been taken before is told to be a duplicate, and counted as damaged alone.
     assert totals["duplicates"] + totals["damaged"] == answers["duplicate"] + answers["damaged"]
-    figures = {kind: road.done[kind] for kind in ("several", "duplicated", "reordered", "cut", "flipped")}
+    figures = {kind: road.done[kind] for kind in ("several", "duplicated", "reordered", "cut", "flipped", "unseen")}
     figures |= {"counted_damaged": totals["damaged"], "counted_duplicates": totals["duplicates"]}
     return {
         "chunks": workers * chunks,
