@@ -118,7 +118,8 @@ def bad_road(f: Figures) -> str:
         f"{f['chunks']:,} chunks in {f['sendings']:,} sendings ({f['duplicated']:,} doubled, {f['reordered']:,} "
         f"overtaken, {f['cut']:,} cut, {f['flipped']:,} flipped): {f['accepted']:,} accepted, "
         f"{f['accepted_twice']} of them twice; "
-        f"{f['counted_damaged']:,} counted as damaged, the other {f['unseen']:,} lay behind a chunk that had to come again"
+        f"{f['counted_damaged']:,} counted as damaged, the other {f['unseen']:,} lay behind a chunk that had to "
+        "come again"
     )
 
 
