@@ -228,12 +228,16 @@ def page(runs: Sequence[Line]) -> str:
         for line in summary(runs)
     ]
     head = ["algorithm", "program", "rate", "seeds", "reward", "95 % interval", "minutes a seed"]
+    most = max(run["curve"]["environment_steps"][-1] for run in runs)
     budget, rates = runs[0]["budget"], ", ".join(f"{rate:g}" for rate in RATES)
     told = (
         f"{budget['steps']:,} environment steps, one update round of all agents for each {budget['every']} of them\n"
         f"after {budget['warmup']:,} steps of random actions. Reward of an episode without noise, mean over agents\n"
         f"and {SCENARIOS} unseen scenarios, then over seeds. The rate is the best of {rates} on another\n"
         f"seed; when that was the smallest or largest, its half or double was tried too, {FURTHER} times at most.\n"
+        "`EIA-SEC` has the published form, in which each actor climbs its own critic; `EIA-SEC, team` is\n"
+        "`--algorithm.others team`, in which all climb the sum of all critics, as in BenchMARL.\n"
+        f"Ours ends when episodes that are under way have ended, too: after {most:,} steps at most.\n"
         "Minutes are of one seed on cores shared with other work; ours runs learner and worker side by side.\n"
     )
     return "\n".join(
