@@ -26,10 +26,6 @@ class PlaceSet:
         self._slot: Places = np.full(capacity, -1, np.int64)
         self.count = 0
 
-    def add(self, places: Places) -> None:
-        """Put in places, each of them once and none of them in the set already."""
-        self.count = kernels.put_in(self._places, self._slot, self.count, places)
-
     def remove(self, places: Places) -> int:
         """Take out those of the places that are in the set; return how many were."""
         left = kernels.take_out(self._places, self._slot, self.count, places)
@@ -37,7 +33,7 @@ class PlaceSet:
         return taken
 
     def exchange(self, gone: Places, new: Places) -> None:
-        """Take out those places that are in the set, then put in others; see `remove` and `add`."""
+        """Take out those of some places that are in the set, then put in others, each once and none of them in it."""
         self.count = kernels.exchange(self._places, self._slot, self.count, gone, new)
 
     def draw(self, count: int, generator: np.random.Generator) -> Places:

@@ -280,13 +280,14 @@ def test_reuse_is_the_mean_number_of_draws_before_overwriting():
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.tuples(st.booleans(), st.sets(st.integers(0, 30))), max_size=20))
+@given(st.lists(st.tuples(st.booleans(), st.sets(st.integers(0, 30)), st.sets(st.integers(0, 30))), max_size=20))
 def test_a_place_set_is_a_set(calls):
-    """After any additions and removals the set holds what a Python set holds, each once, and draws only that."""
+    """After any exchanges and removals the set holds what a Python set holds, each once, and draws only that."""
     places, twin = PlaceSet(31), set()
-    for put, chosen in calls:
-        if put:
-            places.add(np.array(sorted(chosen - twin), np.int64))
+    for exchanged, chosen, others in calls:
+        if exchanged:
+            twin -= others
+            places.exchange(np.array(sorted(others), np.int64), np.array(sorted(chosen - twin), np.int64))
             twin |= chosen
         else:
             assert places.remove(np.array(sorted(chosen), np.int64)) == len(chosen & twin)
