@@ -8,6 +8,7 @@ from typing import Final
 
 from common.errors import UsageError
 from deploy.exit_codes import run_command
+from deploy.threads import thread_environment
 
 
 @dataclass(frozen=True)
@@ -65,8 +66,8 @@ def dispatch(arguments: list[str]) -> int:
     if command is None:
         raise UsageError(f"there is no command {arguments[0]!r}; the commands are {', '.join(COMMANDS)}.")
     # Before numpy is loaded: a process that starts as many compute threads as there are cores slows all the others.
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")
+    for variable, threads in thread_environment(1).items():
+        os.environ.setdefault(variable, threads)
     return int(importlib.import_module(command.module).command(arguments[1:]) or 0)
 
 

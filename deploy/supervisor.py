@@ -12,6 +12,7 @@ from typing import Final
 
 from common.process import SUPERVISOR, log
 from deploy.exit_codes import USAGE
+from deploy.threads import thread_environment
 
 BACKOFF_SECONDS: Final = (0.5, 2.0, 5.0)
 """Pauses before a child that died is started again; after the last one it stays down."""
@@ -114,16 +115,12 @@ class Supervisor:
 
     def _spawn(self, child: Child) -> None:
         again = child.restart_arguments if child.deaths else []
-        threads = str(child.threads)
         environment = {
             **os.environ,
             **self._environment,
             SUPERVISOR: str(os.getpid()),
             "PYTHONUNBUFFERED": "1",
-            "OMP_NUM_THREADS": threads,
-            "MKL_NUM_THREADS": threads,
-            "OPENBLAS_NUM_THREADS": threads,
-            "NUMBA_NUM_THREADS": threads,
+            **thread_environment(child.threads),
         }
         with (self._logs / f"{child.name}.log").open("ab") as output:
             child.process = subprocess.Popen(

@@ -26,7 +26,7 @@ class Actors:
         like: a tensor of the wanted device and type.
         head: kind of the last layer.
         target: whether there are target actors.
-        compiled: whether to compute by compiled kernels.
+        cores: processor cores to compute on by compiled kernels; 0 to compute by torch.
 
     Attributes:
         flat: parameters of all actors [P].
@@ -34,7 +34,7 @@ class Actors:
     """
 
     def __init__(
-        self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, head: Head, target: bool, compiled: bool
+        self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, head: Head, target: bool, cores: int
     ) -> None:
         self._config, self._team, self.head = config, team, head
         outputs = 2 if head == "gaussian" else 1
@@ -43,14 +43,14 @@ class Actors:
         self.flat = like.new_zeros(self.bank.size)
         self.target = like.new_zeros(self.bank.size) if target else None
         self.gradient = like.new_zeros(self.bank.size)
-        self._pass = make_pass(self.bank, like, compiled=compiled)
+        self._pass = make_pass(self.bank, like, cores=cores)
         self._parameters, self._into = self.bank.parameters(self.flat), self.bank.parameters(self.gradient)
         self._deciding = self._parameters if self.target is None else self.bank.parameters(self.target)
         self.adam = Adam(
             self.flat,
             self.gradient,
             config.actor_rate,
-            compiled=compiled,
+            cores=cores,
             clip=config.gradient_clip,
             networks=self.bank.segments(),
         )

@@ -74,7 +74,7 @@ class Algorithm(ABC):
         team: the layout of the team.
         seed: seed of the run; every initialisation follows from it.
         like: a tensor of the wanted device and type.
-        compiled: whether to compute by compiled kernels, on one processor core.
+        cores: processor cores to compute on by compiled kernels; 0 to compute by torch.
 
     Attributes:
         head: kind of the actors' last layer.
@@ -87,15 +87,15 @@ class Algorithm(ABC):
     critics_each: ClassVar[int] = 1
     noise_blocks: ClassVar[int] = 0
 
-    def __init__(self, config: AlgorithmConfig, team: TeamSpec, seed: int, like: Tensor, *, compiled: bool) -> None:
-        self.config, self.team, self.like, self.compiled = config, team, like, compiled
+    def __init__(self, config: AlgorithmConfig, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
+        self.config, self.team, self.like, self.cores = config, team, like, cores
         joint = config.joint_critics
         pooled = config.uses_ensemble
-        self.current = Inputs(team, config.batch, joint, like, compiled=compiled, views=pooled)
-        self.next = Inputs(team, config.batch, joint, like, compiled=compiled, views=pooled)
-        self.actors = Actors(config, team, like, head=self.head, target=self.has_target_actors(), compiled=compiled)
+        self.current = Inputs(team, config.batch, joint, like, cores=cores, views=pooled)
+        self.next = Inputs(team, config.batch, joint, like, cores=cores, views=pooled)
+        self.actors = Actors(config, team, like, head=self.head, target=self.has_target_actors(), cores=cores)
         self.actors.initialise(seed)
-        self.critics = Critics(config, team, like, each=self.critics_each, compiled=compiled)
+        self.critics = Critics(config, team, like, each=self.critics_each, cores=cores)
         self.change = like.new_zeros(config.batch * team.action_size)
         self.slopes = like.new_zeros(config.batch * team.action_size)
         self.change_views = action_views(team, config.batch, self.change)
@@ -115,7 +115,7 @@ class Algorithm(ABC):
             self.phi,
             self.critic_gradient,
             self.config.critic_rate,
-            compiled=self.compiled,
+            cores=self.cores,
             clip=self.config.gradient_clip,
             networks=self.critics.bank.segments(),
         )

@@ -1,20 +1,63 @@
-"""`learner.networks.Pass` by compiled kernels, for one processor core."""
+"""`learner.networks.Pass` by compiled kernels, on one or more processor cores."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
 from learner import kernels
-from learner.kernels import COLUMNS, FAN_IN, FAN_OUT, FIRST, HEAD, OUTPUT, OWN, OWN_SIZE, ROW, ROWS, SECOND, Table
+from learner.kernels import (
+    COLUMNS,
+    FAN_IN,
+    FAN_OUT,
+    FIRST,
+    HEAD,
+    OUTPUT,
+    OWN,
+    OWN_SIZE,
+    ROW,
+    ROWS,
+    SECOND,
+    WIDTH,
+    Table,
+)
 from learner.networks import Bank, Parameters, Pass, StackedPass
 
 
-def make_pass(bank: Bank, like: Tensor, *, compiled: bool) -> Pass:
-    """Return the pass of a bank: compiled, or stacked."""
-    return CompiledPass(bank, like) if compiled else StackedPass(bank, like)
+def make_pass(bank: Bank, like: Tensor, *, cores: int) -> Pass:
+    """Return the pass of a bank: compiled for so many processor cores, or stacked where that is 0."""
+    return CompiledPass(bank, like, cores) if cores else StackedPass(bank, like)
+
+
+def shares(costs: Sequence[float], cores: int) -> tuple[Table, Table]:
+    """Share things out among cores so that all take about as long: the dearest first, each to who has least.
+
+    Returns:
+        the order in which the things of a core are neighbours; where each core's begin, and the end [parts + 1].
+    """
+    parts: list[list[int]] = [[] for _ in range(max(1, min(cores, len(costs))))]
+    loads = [0.0] * len(parts)
+    for thing in sorted(range(len(costs)), key=lambda thing: -costs[thing]):
+        least = loads.index(min(loads))
+        parts[least].append(thing)
+        loads[least] += costs[thing]
+    order = [thing for part in parts for thing in sorted(part)]
+    bounds = [0, *itertools.accumulate(len(part) for part in parts)]
+    return np.array(order, np.int64), np.array(bounds, np.int64)
+
+
+def usable_cores(threads: int) -> int:
+    """Return on how many cores kernels can compute where torch has so many threads; numba has a limit of its own."""
+    return int(min(threads, vars(numba.config)["NUMBA_NUM_THREADS"]))
+
+
+def even(size: int, cores: int) -> Table:
+    """Return where the parts of a vector begin that the cores sweep, and its end [cores + 1]."""
+    return np.linspace(0, size, cores + 1).astype(np.int64)
 
 
 def storage(tensor: Tensor) -> NDArray[Any]:
@@ -27,16 +70,19 @@ def storage(tensor: Tensor) -> NDArray[Any]:
 class CompiledPass:
     """A `Pass` by the functions of `learner.kernels`; see there."""
 
-    def __init__(self, bank: Bank, like: Tensor) -> None:
+    def __init__(self, bank: Bank, like: Tensor, cores: int) -> None:
         self.bank = bank
-        self._table = _table(bank)
+        table = _table(bank)
+        costs = table[:, ROWS] * table[:, WIDTH] * (table[:, FAN_IN] + table[:, WIDTH] + table[:, FAN_OUT])
+        self._order, self._bounds = shares(costs.tolist(), cores)
+        self._table, self._parts = table[self._order], self._bounds.shape[0] - 1
         self._h1 = np.zeros(bank.rows * bank.hidden, like.new_empty(0).numpy().dtype)
         self._h2 = np.zeros_like(self._h1)
         space = max(s.rows * (2 * bank.hidden + s.action_size) for s in bank.stacks)
-        self._scratch = np.zeros(space, self._h1.dtype)
+        self._scratch = np.zeros(self._parts * space, self._h1.dtype)
         self.output = like.new_empty(bank.outputs)
         self._output = self.output.numpy()
-        self._nothing = (self._h1[:0], np.zeros(0, np.int64))
+        self._nothing = (self._h1[:0], np.zeros(table.shape[0], np.int64))
         self._known: dict[tuple[int, ...], tuple[NDArray[Any], Table, Sequence[Tensor]]] = {}
 
     def _placed(self, tensors: Sequence[Tensor]) -> tuple[NDArray[Any], Table]:
@@ -46,15 +92,18 @@ class CompiledPass:
         if found is None:
             starts = [t.storage_offset() + n * t.stride(0) for t in tensors for n in range(t.shape[0])]
             # The tensors are kept, so that nothing else can come to stand at their addresses.
-            found = self._known[key] = (storage(tensors[0]), np.array(starts, np.int64), tensors)
+            found = self._known[key] = (storage(tensors[0]), np.array(starts, np.int64)[self._order], tensors)
         return found[0], found[1]
 
     def forward(self, parameters: Parameters, inputs: Sequence[Tensor], delta: Sequence[Tensor] = ()) -> Tensor:
         """See `Pass`."""
         x, starts = self._placed(inputs)
         change, places = self._placed(delta) if delta else self._nothing
-        flat = parameters.flat.numpy()
-        kernels.forward(self._table, starts, x, flat, change, places, self._h1, self._h2, self._output)
+        work = self._table, starts, x, parameters.flat.numpy(), change, places, self._h1, self._h2, self._output
+        if self._parts > 1:
+            kernels.forward_on_cores(self._bounds, *work)
+        else:
+            kernels.forward(*work)
         return self.output
 
     def parameter_gradient(
@@ -63,15 +112,21 @@ class CompiledPass:
         """See `Pass`."""
         x, starts = self._placed(inputs)
         flat, above = parameters.flat.numpy(), upstream.numpy()
-        kernels.parameter_gradient(
-            self._table, starts, x, flat, above, self._h1, self._h2, self._scratch, into.flat.numpy()
-        )
+        work = self._table, starts, x, flat, above, self._h1, self._h2, self._scratch, into.flat.numpy()
+        if self._parts > 1:
+            kernels.parameter_gradient_on_cores(self._bounds, *work)
+        else:
+            kernels.parameter_gradient(*work)
 
     def action_gradient(self, parameters: Parameters, upstream: Tensor, into: Sequence[Tensor]) -> None:
         """See `Pass`."""
         slopes, places = self._placed(into)
         flat, above = parameters.flat.numpy(), upstream.numpy()
-        kernels.action_gradient(self._table, flat, above, self._h1, self._h2, self._scratch, slopes, places)
+        work = self._table, flat, above, self._h1, self._h2, self._scratch, slopes, places
+        if self._parts > 1:
+            kernels.action_gradient_on_cores(self._bounds, *work)
+        else:
+            kernels.action_gradient(*work)
 
 
 def _table(bank: Bank) -> Table:
@@ -82,6 +137,7 @@ def _table(bank: Bank) -> Table:
         for index in range(stack.count):
             line = rows[n]
             line[ROWS], line[FAN_IN], line[FAN_OUT] = stack.rows, 1 + stack.inputs, stack.outputs
+            line[WIDTH] = bank.hidden
             for column, block in ((FIRST, first), (SECOND, second), (HEAD, head)):
                 line[column] = block.parameter + index * block.size
             line[ROW], line[OUTPUT] = first.row + index * stack.rows, output

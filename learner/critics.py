@@ -26,10 +26,10 @@ class Critics:
         team: the layout of the team.
         like: a tensor of the wanted device and type.
         each: critics of one agent, k.
-        compiled: whether to compute by compiled kernels.
+        cores: processor cores to compute on by compiled kernels; 0 to compute by torch.
     """
 
-    def __init__(self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, each: int, compiled: bool) -> None:
+    def __init__(self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, each: int, cores: int) -> None:
         self._config, self._team, self.each = config, team, each
         self._joint = config.joint_critics
         self.bank = Bank([self._stack(kind) for _ in range(each) for kind in range(len(team.groups))], config.hidden)
@@ -37,7 +37,7 @@ class Critics:
             torch.tensor([[0, *(1 + c for c in own)] for own in view_columns(team, kind)], device=like.device)
             for kind in range(len(team.groups) if self._joint else 0)
         ]
-        self._pass = make_pass(self.bank, like, compiled=compiled)
+        self._pass = make_pass(self.bank, like, cores=cores)
         self.values = self._pass.output.view(each, team.agents, config.batch)
 
     def _stack(self, kind: int) -> Stack:

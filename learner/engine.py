@@ -6,6 +6,7 @@ captured graphs. What a round computes stands in `learner/algorithms`.
 
 from typing import Final
 
+import numba
 import numpy as np
 import torch
 from torch import Tensor
@@ -16,6 +17,7 @@ from common.seeds import stream
 from common.team import Float32, TeamSpec
 from learner.algorithm import Batch, Figures
 from learner.algorithms import ALGORITHMS
+from learner.compiled import usable_cores
 from learner.graphs import Graphs
 from learner.normalisation import Normalisation
 
@@ -34,7 +36,8 @@ class Engine:
         seed: seed of the run; every initialisation follows from it.
         device: torch device.
         dtype: type of all arithmetic.
-        compiled: whether to compute by the kernels for one processor core; by default on a CPU with one thread.
+        cores: processor cores to compute on by compiled kernels; 0 to compute by torch. By default torch's threads, as
+            far as numba may use as many, on a CPU, and 0 elsewhere.
 
     Attributes:
         algorithm: the algorithm with its networks.
@@ -50,13 +53,14 @@ class Engine:
         device: str = "cpu",
         dtype: torch.dtype = torch.float32,
         *,
-        compiled: bool | None = None,
+        cores: int | None = None,
     ) -> None:
         self.config, self.team = config, team
         like = torch.empty(0, device=device, dtype=dtype)
-        if compiled is None:
-            compiled = like.device.type == "cpu" and torch.get_num_threads() == 1
-        self.algorithm = ALGORITHMS[config.name](config, team, seed, like, compiled=compiled)
+        if cores is None:
+            cores = usable_cores(torch.get_num_threads()) if like.device.type == "cpu" else 0
+        self._cores = cores
+        self.algorithm = ALGORITHMS[config.name](config, team, seed, like, cores=cores)
         self.normalisation = Normalisation(
             team, like, observations=config.observation_normalisation, rewards=config.reward_normalisation
         )
@@ -78,6 +82,8 @@ class Engine:
                 next_observation=normal.observed(batch.next_observation),
                 reward=normal.rewarded(batch.reward),
             )
+        if self._cores > 1:
+            numba.set_num_threads(usable_cores(self._cores))  # a setting of the thread that calls
         phase = self.algorithm.phase(int(self.rounds))
         self.rounds.add_(1)
         if self._graphs is not None:

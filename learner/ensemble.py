@@ -19,13 +19,13 @@ class Ensemble:
         config: the algorithm's configuration.
         team: the layout of the team.
         like: a tensor of the wanted device and type.
-        compiled: whether to compute by compiled kernels.
+        cores: processor cores to compute on by compiled kernels; 0 to compute by torch.
 
     Attributes:
         values: the predictions [k_s, agents, B] of the last forward pass.
     """
 
-    def __init__(self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, compiled: bool) -> None:
+    def __init__(self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, cores: int) -> None:
         self._config, self._team = config, team
         k_s, batch = config.ensemble_members, config.batch
         self._widths = [critic_width(team, kind, config.joint_critics) for kind in range(len(team.groups))]
@@ -35,7 +35,7 @@ class Ensemble:
             for g, width in zip(team.groups, self._widths, strict=True)
         ]
         self.bank = Bank(stacks, config.hidden)
-        self._pass = make_pass(self.bank, like, compiled=compiled)
+        self._pass = make_pass(self.bank, like, cores=cores)
         self.values = self._pass.output.view(k_s, team.agents, batch)
 
     def initialise(self, flat: Tensor, seed: int) -> None:

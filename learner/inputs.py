@@ -25,7 +25,7 @@ from torch import Tensor
 
 from common.team import TeamSpec
 from learner import kernels
-from learner.compiled import storage
+from learner.compiled import shares, storage
 
 Piece = tuple[int, ...]
 """From, step, size, to and stride, as in `learner.kernels.spread`."""
@@ -75,13 +75,14 @@ class Spread:
         pieces: what goes where.
         rows: rows, B.
         out: the buffer.
-        compiled: whether by a compiled loop, or by torch on the buffer's device.
+        cores: processor cores for a compiled loop; 0 to copy by torch on the buffer's device.
     """
 
-    def __init__(self, pieces: Sequence[Piece], rows: int, out: Tensor, compiled: bool) -> None:
-        self._table, self._rows, self._out, self._compiled = np.array(pieces, np.int64), rows, out, compiled
-        if compiled:
-            self._array = storage(out)
+    def __init__(self, pieces: Sequence[Piece], rows: int, out: Tensor, cores: int) -> None:
+        self._rows, self._out, self._cores = rows, out, cores
+        if cores:
+            order, self._bounds = shares([size for _, _, size, _, _ in pieces], cores)
+            self._table, self._array = np.array(pieces, np.int64)[order], storage(out)
             return
         b = np.arange(rows)[:, None]
         source = [(begin + b * step + np.arange(size)).ravel() for begin, step, size, _, _ in pieces]
@@ -91,7 +92,9 @@ class Spread:
     def __call__(self, source: Tensor) -> None:
         """Copy the pieces of a contiguous tensor."""
         flat = source.reshape(-1)
-        if self._compiled:
+        if self._cores > 1:
+            kernels.spread_on_cores(self._bounds, flat.numpy(), self._table, self._rows, self._array)
+        elif self._cores:
             kernels.spread(flat.numpy(), self._table, self._rows, self._array)
         else:
             self._out.index_copy_(0, self._place, flat.index_select(0, self._source))
@@ -105,7 +108,7 @@ class Inputs:
         batch: rows of a batch, B.
         joint: whether critics see all agents.
         like: a tensor of the wanted device and type.
-        compiled: whether to copy by compiled loops.
+        cores: processor cores to copy on by compiled loops; 0 to copy by torch.
         views: whether a joint scope's rows are wanted in every agent's own order, too.
 
     Attributes:
@@ -116,7 +119,7 @@ class Inputs:
     """
 
     def __init__(
-        self, team: TeamSpec, batch: int, joint: bool, like: Tensor, *, compiled: bool, views: bool = False
+        self, team: TeamSpec, batch: int, joint: bool, like: Tensor, *, cores: int, views: bool = False
     ) -> None:
         self._team, self._batch, self._joint = team, batch, joint
         width = team.observation_size + team.action_size
@@ -140,7 +143,7 @@ class Inputs:
         else:
             self.critic = [p.view(g.count, batch, -1) for p, g in zip(pieces[kinds:-1], team.groups, strict=True)]
             self.pooled = [x.flatten(0, 1) for x in self.critic]
-        self._observe, self._act, self._decide = (Spread(p, batch, buffer, compiled) for p in self._pieces())
+        self._observe, self._act, self._decide = (Spread(p, batch, buffer, cores) for p in self._pieces())
 
     def _pieces(self) -> tuple[list[Piece], list[Piece], list[Piece]]:
         """Return where the pieces of observation rows, of action rows and of the action layout go."""

@@ -1,7 +1,10 @@
-"""The learner's arithmetic compiled for one processor core: passes of small networks, and Adam.
+"""The learner's arithmetic compiled for processor cores: passes of small networks, and Adam.
 
 A network's products, its biases, its rectifiers and their gradients follow one another while its numbers are in the
 cache. All arrays are flat and contiguous; a table says where each network's parts start. The products are BLAS's.
+
+The functions whose names end in `_on_cores` share the same work: `bounds` says which lines of the table, or which
+numbers, each core takes. A network's own numbers are the same on any number of cores.
 """
 
 from collections.abc import Callable
@@ -11,16 +14,15 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from common.transitions import TRANSITION
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 Floats = NDArray[Any]
 """A flat vector of float32 or float64, all of one call alike."""
 Table = NDArray[np.int64]
 
-ROWS, FAN_IN, FAN_OUT, FIRST, SECOND, HEAD, ROW, OUTPUT, OWN, OWN_SIZE, COLUMNS = range(11)
-"""Columns of a table: rows; inputs with the one; outputs; where the layers start in the flat parameters; where the rows
-start among all rows; where the outputs start; the first input of the own action and its size."""
+ROWS, FAN_IN, WIDTH, FAN_OUT, FIRST, SECOND, HEAD, ROW, OUTPUT, OWN, OWN_SIZE, COLUMNS = range(12)
+"""Columns of a table: rows; inputs with the one; units of a hidden layer; outputs; where the layers start in the flat
+parameters; where the rows start among all rows; where the outputs start; the first input of the own action and its
+size."""
 FASTMATH: Final = {"reassoc", "contract", "nsz"}
 """Sums may be taken in another order, as vector instructions do; numbers that are not finite stay so."""
 
@@ -30,9 +32,9 @@ def compiled(function: Function) -> Function:
     return cast(Function, numba.njit(nogil=True, fastmath=FASTMATH, error_model="numpy", cache=True)(function))
 
 
-def booking(function: Function) -> Function:
-    """Compile a function that takes less time than giving Python's lock away and getting it back."""
-    return cast(Function, numba.njit(error_model="numpy", cache=True)(function))
+def shared(function: Function) -> Function:
+    """Compile a function whose loop over `prange` runs on as many cores as numba may use."""
+    return cast(Function, numba.njit(nogil=True, parallel=True, error_model="numpy", cache=True)(function))
 
 
 @compiled
@@ -60,7 +62,7 @@ def forward(
         h2: those of the second, written.
         output: written.
     """
-    width = h1.shape[0] // (table[-1, ROW] + table[-1, ROWS])
+    width = table[0, WIDTH]
     none = np.zeros(width, h1.dtype)
     for n in range(table.shape[0]):
         rows, fan_in, fan_out = table[n, ROWS], table[n, FAN_IN], table[n, FAN_OUT]
@@ -113,7 +115,7 @@ def parameter_gradient(
 
     `scratch` holds twice as many activations, and own actions, as a network has rows.
     """
-    width = h1.shape[0] // (table[-1, ROW] + table[-1, ROWS])
+    width = table[0, WIDTH]
     for n in range(table.shape[0]):
         rows, fan_in, fan_out = table[n, ROWS], table[n, FAN_IN], table[n, FAN_OUT]
         start, end = table[n, ROW] * width, (table[n, ROW] + rows) * width
@@ -158,7 +160,7 @@ def action_gradient(
     places: Table,
 ) -> None:
     """Add the gradient of sum(upstream * output) by the own actions to `into`, for scalar networks."""
-    width = h1.shape[0] // (table[-1, ROW] + table[-1, ROWS])
+    width = table[0, WIDTH]
     for n in range(table.shape[0]):
         rows = table[n, ROWS]
         start, end = table[n, ROW] * width, (table[n, ROW] + rows) * width
@@ -253,91 +255,96 @@ def spread(source: Floats, table: Table, rows: int, out: Floats) -> None:
     for n in range(table.shape[0]):
         begin, step, size, start, stride = table[n, 0], table[n, 1], table[n, 2], table[n, 3], table[n, 4]
         for b in range(rows):
+            # Slices, because an index that could be negative keeps a loop from vector instructions.
+            piece = source[begin + b * step : begin + b * step + size]
+            place = out[start + b * stride : start + b * stride + size]
             for k in range(size):
-                out[start + b * stride + k] = source[begin + b * step + k]
+                place[k] = piece[k]
 
 
-@booking
-def put_in(places: Table, slot: Table, count: int, new: Table) -> int:
-    """Append places to the first `count` of a set's array, and note where each stands; return the new count."""
-    for n in range(new.shape[0]):
-        places[count + n] = new[n]
-        slot[new[n]] = count + n
-    count += new.shape[0]
-    return count
-
-
-@booking
-def take_out(places: Table, slot: Table, count: int, gone: Table) -> int:
-    """Remove those places that are in a set, each hole filled by the last one; return the new count."""
-    for n in range(gone.shape[0]):
-        hole = slot[gone[n]]
-        if hole >= 0:
-            count -= 1
-            last = places[count]
-            places[hole], slot[last] = last, hole
-            slot[gone[n]] = -1
-    return count
-
-
-@booking
-def enter(
-    flags: NDArray[np.uint8],
+@shared
+def forward_on_cores(
+    bounds: Table,
+    table: Table,
     starts: Table,
-    held: Table,
-    version: int,
-    written: int,
-    flag: NDArray[np.uint8],
-    versions: Table,
-    successor: Table,
-    uses: Table,
-) -> tuple[Table, Table, Table, int, int]:
-    """Book a chunk's rows in the small arrays of a ring of rows.
-
-    Args:
-        flags: the chunk's flags.
-        starts: its rows that are in the ring already, in order.
-        held: the running number of each of these.
-        version: policy version of the chunk.
-        written: rows that were ever written into the ring, which is the running number of the next one.
-        flag: the ring's flags, changed, and with it:
-        versions: policy versions.
-        successor: place of each row's successor.
-        uses: how often each was drawn.
-
-    Returns:
-        running numbers of the chunk's rows; those of its rows that are new; the places that may now be drawn; how many
-        transitions were overwritten; how often these had been drawn.
-    """
-    rows, capacity = flags.shape[0], flag.shape[0]
-    numbers, new = np.empty(rows, np.int64), np.empty(rows - starts.shape[0], np.int64)
-    known, count = 0, 0
-    for r in range(rows):
-        if known < starts.shape[0] and starts[known] == r:
-            numbers[r] = held[known]
-            known += 1
-        else:
-            numbers[r], new[count] = written + count, r
-            count += 1
-    gone, total = 0, 0
-    for r in new:
-        place = numbers[r] % capacity
-        if flag[place] & TRANSITION:
-            gone += 1
-            total += uses[place]
-        uses[place] = 0
-    drawable, steps = np.empty(rows, np.int64), 0
-    for r in range(rows):
-        place = numbers[r] % capacity
-        flag[place], versions[place] = flags[r], version
-        if flags[r] & TRANSITION:
-            successor[place] = numbers[r + 1] % capacity
-            drawable[steps] = place
-            steps += 1
-    return numbers, new, drawable[:steps], gone, total
+    x: Floats,
+    parameters: Floats,
+    delta: Floats,
+    places: Table,
+    h1: Floats,
+    h2: Floats,
+    output: Floats,
+) -> None:
+    """Do `forward`; `places` has a line for each network, even where `delta` is empty."""
+    for part in numba.prange(bounds.shape[0] - 1):
+        a, b = bounds[part], bounds[part + 1]
+        forward(table[a:b], starts[a:b], x, parameters, delta, places[a:b], h1, h2, output)
 
 
-@booking
-def exchange(places: Table, slot: Table, count: int, gone: Table, new: Table) -> int:
-    """Remove places from a set and append others, see `take_out` and `put_in`; return the new count."""
-    return put_in(places, slot, take_out(places, slot, count, gone), new)
+@shared
+def parameter_gradient_on_cores(
+    bounds: Table,
+    table: Table,
+    starts: Table,
+    x: Floats,
+    parameters: Floats,
+    upstream: Floats,
+    h1: Floats,
+    h2: Floats,
+    scratch: Floats,
+    into: Floats,
+) -> None:
+    """Do `parameter_gradient`; `scratch` is as large for each core."""
+    size = scratch.shape[0] // (bounds.shape[0] - 1)
+    for part in numba.prange(bounds.shape[0] - 1):
+        a, b = bounds[part], bounds[part + 1]
+        own = scratch[part * size : (part + 1) * size]
+        parameter_gradient(table[a:b], starts[a:b], x, parameters, upstream, h1, h2, own, into)
+
+
+@shared
+def action_gradient_on_cores(
+    bounds: Table,
+    table: Table,
+    parameters: Floats,
+    upstream: Floats,
+    h1: Floats,
+    h2: Floats,
+    scratch: Floats,
+    into: Floats,
+    places: Table,
+) -> None:
+    """Do `action_gradient`; `scratch` is as large for each core, each of which adds up a sum of its own first."""
+    parts = bounds.shape[0] - 1
+    size = scratch.shape[0] // parts
+    sums = np.zeros((parts, into.shape[0]), into.dtype)
+    for part in numba.prange(parts):
+        a, b = bounds[part], bounds[part + 1]
+        own = scratch[part * size : (part + 1) * size]
+        action_gradient(table[a:b], parameters, upstream, h1, h2, own, sums[part], places[a:b])
+    for part in range(parts):
+        for k in range(into.shape[0]):
+            into[k] += sums[part, k]
+
+
+@shared
+def adam_on_cores(
+    bounds: Table,
+    parameters: Floats,
+    gradient: Floats,
+    mean: Floats,
+    square: Floats,
+    settings: Floats,
+    target: Floats,
+) -> None:
+    """Do `adam`."""
+    for part in numba.prange(bounds.shape[0] - 1):
+        a, b = bounds[part], bounds[part + 1]
+        adam(parameters[a:b], gradient[a:b], mean[a:b], square[a:b], settings, target[a:b])
+
+
+@shared
+def spread_on_cores(bounds: Table, source: Floats, table: Table, rows: int, out: Floats) -> None:
+    """Do `spread`."""
+    for part in numba.prange(bounds.shape[0] - 1):
+        spread(source, table[bounds[part] : bounds[part + 1]], rows, out)

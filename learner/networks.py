@@ -7,7 +7,7 @@ neighbours and are multiplied together; the hidden layer of all types is one pro
 
 Forward, for inputs x with the leading one:  h1 = relu(x W1),  h2 = relu([1 h1] W2),  y = [1 h2] W3.
 
-`StackedPass` computes this with torch on any device; `learner.compiled` has the same for one processor core, network
+`StackedPass` computes this with torch on any device; `learner.compiled` has the same for processor cores, network
 by network, so that a network's numbers stay in the processor's cache.
 """
 

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from learner import kernels
+from learner.compiled import even
 
 BETA1: Final = 0.9
 BETA2: Final = 0.999
@@ -24,7 +25,7 @@ class Adam:
         parameters: [P], changed in place.
         gradient: [P], where every step's gradient stands.
         rate: learning rate.
-        compiled: whether to step by the compiled sweep.
+        cores: processor cores for the compiled sweep; 0 to step by torch.
         clip: largest norm of one network's gradient; 0 for any.
         networks: [P] int64, the network that each parameter belongs to; wanted where `clip` is above 0.
 
@@ -40,19 +41,20 @@ class Adam:
         gradient: Tensor,
         rate: float,
         *,
-        compiled: bool = False,
+        cores: int = 0,
         clip: float = 0.0,
         networks: Tensor | None = None,
     ) -> None:
         self._parameters, self._gradient, self._rate = parameters, gradient, rate
-        self._compiled, self._clip = compiled, clip
+        self._cores, self._clip = cores, clip
         self.mean, self.square = torch.zeros_like(parameters), torch.zeros_like(parameters)
         self.steps = torch.zeros((), dtype=torch.int64, device=parameters.device)
         self._scratch = torch.empty_like(parameters)
         if clip > 0.0 and networks is not None:
             self._networks = networks[: parameters.shape[0]].to(parameters.device)
             self._norms = parameters.new_zeros(int(networks.max()) + 1)
-        if compiled:
+        if cores:
+            self._bounds = even(parameters.shape[0], cores)
             self._arrays = (parameters.numpy(), gradient.numpy(), self.mean.numpy(), self.square.numpy())
 
     def step(self, target: Tensor | None = None, follow: float = 0.0) -> None:
@@ -60,7 +62,7 @@ class Adam:
         if self._clip > 0.0:
             self._shorten()
         self.steps.add_(1)
-        if self._compiled:
+        if self._cores:
             self._sweep(target, follow)
             return
         self.mean.lerp_(self._gradient, 1.0 - BETA1)
@@ -82,7 +84,10 @@ class Adam:
         )
         following = self._arrays[0][:0] if target is None else target.numpy()
         values, slopes, mean, square = self._arrays
-        kernels.adam(values, slopes, mean, square, settings, following)
+        if self._cores > 1:
+            kernels.adam_on_cores(self._bounds, values, slopes, mean, square, settings, following)
+        else:
+            kernels.adam(values, slopes, mean, square, settings, following)
 
     def _shorten(self) -> None:
         """Scale every network's gradient whose norm is above the clip down to it."""

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import CheckpointError
-from learner import kernels
+from learner import bookkeeping
 
 Places = NDArray[np.int64]
 
@@ -28,13 +28,13 @@ class PlaceSet:
 
     def remove(self, places: Places) -> int:
         """Take out those of the places that are in the set; return how many were."""
-        left = kernels.take_out(self._places, self._slot, self.count, places)
+        left = bookkeeping.take_out(self._places, self._slot, self.count, places)
         taken, self.count = self.count - left, left
         return taken
 
     def exchange(self, gone: Places, new: Places) -> None:
         """Take out those of some places that are in the set, then put in others, each once and none of them in it."""
-        self.count = kernels.exchange(self._places, self._slot, self.count, gone, new)
+        self.count = bookkeeping.exchange(self._places, self._slot, self.count, gone, new)
 
     def draw(self, count: int, generator: np.random.Generator) -> Places:
         """Return `count` places, drawn uniformly with replacement; the set must not be empty."""

@@ -23,7 +23,7 @@ from torch import Tensor
 from common.errors import CheckpointError, ConfigError, EiaSecError
 from common.team import Float32, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, Rows
-from learner import kernels
+from learner import bookkeeping
 from learner.engine import Batch
 from learner.frozen import Frozen
 from learner.places import Places, PlaceSet
@@ -119,7 +119,7 @@ class Replay:
         starts, held = starts[living], held[living]
         small = self.flag, self.version, self.successor, self.uses
         # A copy, because rows that came in a message cannot be written to, which would be compiled once more.
-        numbers, new, drawable, gone, uses = kernels.enter(
+        numbers, new, drawable, gone, uses = bookkeeping.enter(
             rows.flag.copy(), starts, held, version, self.written, *small
         )
         self._copy(rows, new, starts, held % self.capacity)

@@ -13,8 +13,8 @@ from benchmarks.peers.venvs import interpreter
 from common.config import FarmConfig
 from common.errors import EiaSecError
 from common.team import farm_team
+from deploy.threads import thread_environment
 
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 LIMIT = 1800.0
 """Seconds after which a program counts as failed."""
 Line = dict[str, Any]
@@ -108,7 +108,9 @@ def run(job: Job, plan: Plan, venvs: Path) -> tuple[list[Line], dict[str, str]]:
         ProgramError: it failed.
     """
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    environment |= dict.fromkeys(THREAD_VARIABLES, str(job.threads))
+    environment |= thread_environment(job.threads)
+    if job.program.environment != OURS:
+        environment["OPENBLAS_NUM_THREADS"] = str(job.threads)
     if job.program.environment == OURS:
         environment["PYTHONPATH"] = str(ROOT)
     command = [str(interpreter(job.program, venvs)), *arguments(job, plan)]

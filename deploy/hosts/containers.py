@@ -11,6 +11,7 @@ from common.endpoint import Endpoint
 from common.errors import ConfigError
 from deploy.hosts.description import Fleet
 from deploy.hosts.plan import Places, Process
+from deploy.threads import thread_environment
 
 USER_ID: Final = 10_001
 """The account in the image, see Dockerfile."""
@@ -53,8 +54,7 @@ def probe(fleet: Fleet, places: Places, process: Process, name: str = "") -> lis
 
 def environment(process: Process) -> dict[str, str]:
     """Return the environment of a process: its share of compute threads."""
-    names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-    return dict.fromkeys(names, str(process.threads))
+    return thread_environment(process.threads)
 
 
 def key_files(fleet: Fleet, identity: Identity) -> dict[str, bytes]:

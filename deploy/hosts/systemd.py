@@ -7,6 +7,7 @@ from common.config.files import to_toml
 from common.errors import ConfigError
 from deploy.hosts.description import Fleet
 from deploy.hosts.plan import ORDER, Places, Process, processes
+from deploy.threads import thread_environment
 
 USER: Final = "eia-sec"
 """The account that the processes run under."""
@@ -25,7 +26,7 @@ StateDirectory=eia-sec/{run}
 StateDirectoryMode=0700
 CacheDirectory=eia-sec
 WorkingDirectory=/var/lib/eia-sec/{run}
-Environment=OMP_NUM_THREADS={threads} MKL_NUM_THREADS={threads} NUMBA_NUM_THREADS={threads}
+Environment={threads}
 Environment=NUMBA_CACHE_DIR=/var/cache/eia-sec PYTHONUNBUFFERED=1
 ExecStart={command}
 Restart=on-failure
@@ -97,7 +98,7 @@ def _unit(fleet: Fleet, process: Process, beside: list[Process]) -> str:
         after=" ".join(["network-online.target", *(unit_name(fleet, other) for other in before)]),
         target=_target(fleet),
         user=USER,
-        threads=process.threads,
+        threads=" ".join(f"{name}={value}" for name, value in thread_environment(process.threads).items()),
         command=" ".join(_word(word) for word in [*words, *process.arguments]),
         devices="" if process.role == "learner" and fleet.learner.gpus else "PrivateDevices=yes\n",
     )

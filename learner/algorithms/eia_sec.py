@@ -43,7 +43,7 @@ class EiaSec(Algorithm):
     def _allocate_critics(self, seed: int) -> None:
         """Lay out local critics and members in one vector, so that one sweep of Adam takes all."""
         config, like = self.config, self.like
-        self.ensemble = Ensemble(config, self.team, like, compiled=self.compiled) if config.uses_ensemble else None
+        self.ensemble = Ensemble(config, self.team, like, cores=self.cores) if config.uses_ensemble else None
         local = self.critics.bank.size
         size = local + (self.ensemble.bank.size if self.ensemble else 0)
         self.phi, self.target_phi, self.critic_gradient = (like.new_zeros(size) for _ in range(3))
@@ -69,7 +69,7 @@ class EiaSec(Algorithm):
             self.phi[:trained],
             self.critic_gradient[:trained],
             config.critic_rate,
-            compiled=self.compiled,
+            cores=self.cores,
             clip=config.gradient_clip,
             networks=networks[:trained],
         )

@@ -54,11 +54,11 @@ class Masac(Algorithm):
     critics_each = 2
     noise_blocks = 2
 
-    def __init__(self, config: AlgorithmConfig, team: TeamSpec, seed: int, like: Tensor, *, compiled: bool) -> None:
-        super().__init__(config, team, seed, like, compiled=compiled)
+    def __init__(self, config: AlgorithmConfig, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
+        super().__init__(config, team, seed, like, cores=cores)
         self.log_alpha = like.new_full((team.agents,), math.log(config.temperature))
         self._alpha_gradient = torch.zeros_like(self.log_alpha)
-        self._alpha_adam = Adam(self.log_alpha, self._alpha_gradient, config.temperature_rate, compiled=compiled)
+        self._alpha_adam = Adam(self.log_alpha, self._alpha_gradient, config.temperature_rate, cores=cores)
         sizes = [group.action_size for group in team.groups for _ in range(group.count)]
         self._entropy_target = like.new_tensor(sizes) * config.entropy_target
         width = torch.tensor(sizes).repeat_interleave(config.batch)

@@ -98,7 +98,7 @@ def test_a_state_put_into_a_fresh_engine_goes_on_alike(name):
 
 def test_published_actors_carry_the_normalisation():
     """Exported actors decide on raw observations what the engine's decide on standardised ones; loading undoes it."""
-    engine = Engine(replace(SMALL, observation_normalisation=True), TEAM, 3, compiled=False)
+    engine = Engine(replace(SMALL, observation_normalisation=True), TEAM, 3, cores=0)
     draw = np.random.default_rng(0)
     rows = draw.normal(5.0, 3.0, (200, TEAM.observation_size)).astype(np.float32)
     before = engine.actors()

@@ -77,8 +77,8 @@ def actor_stacks(engine, flat):
     return [engine.algorithm.actors.bank.export(flat, kind) for kind in range(len(engine.team.groups))]
 
 
-def twins(team, config, dtype=torch.float64, seed=3, compiled=None):
-    engine = Engine(config, team, seed, dtype=dtype, compiled=compiled)
+def twins(team, config, dtype=torch.float64, seed=3, cores=None):
+    engine = Engine(config, team, seed, dtype=dtype, cores=cores)
     local, members = critic_stacks(engine, engine.algorithm.phi)
     return engine, Oracle(config, team, actor_stacks(engine, engine.algorithm.actors.flat), local, members)
 
@@ -110,17 +110,17 @@ def same_state(a, b):
 @pytest.mark.parametrize("team", [TEAM, UNEVEN], ids=["team", "uneven"])
 @pytest.mark.parametrize("switch", SWITCHES)
 def test_fifty_rounds_equal_the_loop_over_agents(switch, team):
-    """Fifty rounds end at the parameters of the loop over agents, compiled and stacked, in each switch's position."""
+    """Fifty rounds end at the parameters of the loop over agents, by torch and on one core and three."""
     config = replace(BASE, **SWITCHES[switch])
-    compiled, oracle = twins(team, config, compiled=True)
-    stacked, _ = twins(team, config, compiled=False)
-    start = compiled.algorithm.actors.flat.clone()
+    engine, oracle = twins(team, config, cores=1)
+    engines = [engine, *(twins(team, config, cores=cores)[0] for cores in (0, 3))]
+    start = engine.algorithm.actors.flat.clone()
     for batch in batches(team, config, 50):
-        compiled.round(batch)
-        stacked.round(batch)
+        for engine in engines:
+            engine.round(batch)
         oracle.round(batch)
-    assert float((compiled.algorithm.actors.flat - start).abs().max()) > 1e-3
-    for engine in (compiled, stacked):
+    assert float((engines[0].algorithm.actors.flat - start).abs().max()) > 1e-3
+    for engine in engines:
         for name, gap in differences(engine, oracle):
             assert gap < 1e-9, f"{name} differ by {gap}"
 

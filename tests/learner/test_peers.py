@@ -34,10 +34,10 @@ def critics_of(engine, part):
 @pytest.mark.parametrize("option", OPTIONS)
 @pytest.mark.parametrize("name", ORACLES)
 def test_fifty_rounds_equal_the_loop_over_agents(name, option):
-    """Fifty rounds end at the parameters of the loop over agents, compiled and stacked."""
+    """Fifty rounds end at the parameters of the loop over agents, by torch and on one core and three."""
     team = UNEVEN if option == "apart" else TEAM
     config = replace(BASE, name=name, **OPTIONS[option])
-    engines = [Engine(config, team, 3, dtype=torch.float64, compiled=compiled) for compiled in (True, False)]
+    engines = [Engine(config, team, 3, dtype=torch.float64, cores=cores) for cores in (1, 0, 3)]
     method, noise = engines[0].algorithm, stream(3, NOISE)
     oracle = ORACLES[name](config, team, actor_stacks(engines[0], method.actors.flat), critics_of(engines[0], "phi"))
     start = method.actors.flat.clone()
@@ -136,11 +136,11 @@ def test_captured_rounds_equal_those_of_the_processor(name):
 
 
 def test_where_critics_are_joint_eia_sec_still_climbs_its_own():
-    """How the others act is a choice of MADDPG, MATD3 and MASAC alone; compiled and stacked, nothing else changes."""
+    """How the others act is a choice of MADDPG, MATD3 and MASAC alone; by torch and by kernels, nothing changes."""
     config = replace(BASE, name="eia-sec", critic_scope="joint")
-    for compiled in (True, False):
+    for cores in (0, 1):
         engines = [
-            Engine(replace(config, others=others), TEAM, 3, dtype=torch.float64, compiled=compiled)
+            Engine(replace(config, others=others), TEAM, 3, dtype=torch.float64, cores=cores)
             for others in ("batch", "team")
         ]
         for batch in batches(TEAM, config, 5):
