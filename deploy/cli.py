@@ -1,5 +1,6 @@
 """The console command `eia-sec`: one word for the process to start, the rest are its options."""
 
+import gc
 import importlib
 import os
 import sys
@@ -73,7 +74,10 @@ def dispatch(arguments: list[str]) -> int:
 
 def main() -> None:
     """Entry point of the console script."""
-    sys.exit(run_command(lambda: dispatch(sys.argv[1:])))
+    code = run_command(lambda: dispatch(sys.argv[1:]))
+    # Nobody looks for cycles among torch's many objects any more, which takes most of the time of ending a process.
+    gc.freeze()
+    sys.exit(code)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from common import keys
-from common.bus import Bus, Incoming
+from common.bus import Bus
 from common.config import RunConfig
 from common.config.files import to_toml
 from common.endpoint import Endpoint
@@ -17,7 +17,6 @@ from common.history import History
 from common.imitation import ImitationSchedule
 from common.messages import (
     ChunkAck,
-    CommandMessage,
     ConfigurationMessage,
     Envelope,
     ImitationMessage,
@@ -25,11 +24,11 @@ from common.messages import (
     ProgressMessage,
     ReceiptMessage,
 )
-from common.process import Presence, StopSignal, connect, incarnation, log
+from common.process import Presence, StopSignal, connect, incarnation
 from common.team import TeamSpec
 from learner.board import Board, flattened
+from learner.desk import Desk
 from learner.intake import Intake
-from learner.lease import Lease
 from learner.past import take_up
 from learner.receiver import Arrival, Receiver
 from learner.reports import Curves, Journal, imitation_record
@@ -42,6 +41,10 @@ BURST_ROUNDS = 8
 """Update rounds between two looks at the mail."""
 PROGRESS_SECONDS = 0.1
 REPORT_SECONDS = 1.0
+DRAIN_SECONDS = 3.0
+"""Longest time for which a learner that ends takes in what workers still hold."""
+QUIET_SECONDS = 0.3
+"""Time without a chunk after which it takes them to hold nothing more."""
 FAREWELL_SECONDS = 0.5
 """Time for the last messages to leave before the sessions close."""
 
@@ -81,12 +84,10 @@ class Learner:
         self._epoch = max(incarnation(), before + 1)
         self._history = History(options.run_dir / HISTORY if options.run_dir else None)
         take_up(self._history, self._absorbed, self._epoch, resumed=options.resume)
-        self._lease = Lease()
         self._schedule = ImitationSchedule.of(config)
         self._board = Board(options.run_dir)
         self._journal, self._curves = Journal(options.run_dir, elapsed), Curves(self._team)
         self._state = "training"
-        self._draining = False
         self._waited = {"data": 0.0, "imitation": 0.0, "producers": 0.0, "training": 0.0, "checkpoint": 0.0}
         self._lag = 0.0
         self._times = dict.fromkeys(("progress", "report", "publish", "checkpoint", "held"), time.monotonic())
@@ -98,7 +99,8 @@ class Learner:
         self._parameters = control.publish_state(keys.PARAMETERS.key(run))
         self._progress = control.publish_state(keys.PROGRESS.key(run))
         self._others = control.subscribe_state(keys.PROGRESS.key(run))
-        self._commands = control.serve(keys.COMMAND.pattern(run), 64)
+        told = ConfigurationMessage(self._epoch, to_toml(self._config), self._team.to_dict(), self._options.lockstep)
+        self._desk = Desk(control.serve(keys.COMMAND.pattern(run), 64), told)
         self._imitations = control.serve(keys.IMITATION.key(run), 4)
         self._presence = Presence(control, run, "learner", "learner", self._epoch)
         intake = Intake()
@@ -115,7 +117,7 @@ class Learner:
         """
         self._publish()
         turn = self._lockstep_turn if self._options.lockstep else self._turn
-        while not (stop or self._draining or self._finished()):
+        while not (stop or self._desk.draining or self._finished()):
             turn(stop)
             self._keep_house()
         finished = self._finished()
@@ -165,7 +167,7 @@ class Learner:
         self.trainer.train(max(0, self.trainer.rounds_due()))
         self._waited["training"] += time.monotonic() - started
         self._publish()
-        while self._schedule.is_due(self.trainer.events, self.trainer.episodes) and not (stop or self._draining):
+        while self._schedule.is_due(self.trainer.events, self.trainer.episodes) and not (stop or self._desk.draining):
             started = time.monotonic()
             self._keep_house()
             time.sleep(0.002)
@@ -195,7 +197,7 @@ class Learner:
             self._waited["producers"] += now - self._times["held"]
         self._times["held"] = now
         self._give_way()
-        self._answer_commands()
+        self._desk.answer()
         self._apply_imitations()
         if not self._options.lockstep and now - self._times["publish"] >= self._config.learner.publish_seconds:
             self._publish()
@@ -216,38 +218,6 @@ class Learner:
         if newer:
             raise UsageError(f"a newer learner of run {self._options.run} has taken this one's place.")
 
-    def _answer_commands(self) -> None:
-        for incoming in self._commands.waiting():
-            try:
-                sender = CommandMessage.decode(incoming.payload).sender
-                verb = keys.parse(incoming.key).variables.get("verb")
-            except ProtocolError as error:
-                incoming.refuse(str(error))
-                continue
-            if verb == "configuration":
-                answer = ConfigurationMessage(
-                    self._epoch, to_toml(self._config), self._team.to_dict(), self._options.lockstep
-                )
-                incoming.reply(answer.encode())
-            elif verb == "lead":
-                self._grant(incoming)
-            elif verb == "drain":
-                log(f"draining, as {sender[:64]} asked.")
-                self._draining = True
-                incoming.reply(ReceiptMessage(True, "").encode())
-            else:
-                incoming.refuse(f"the learner knows no command {verb}.")
-
-    def _grant(self, incoming: Incoming) -> None:
-        try:
-            claimant = Envelope.decode(incoming.attachment)
-        except ProtocolError as error:
-            incoming.refuse(str(error))
-            return
-        granted = self._lease.claim(claimant.name, claimant.incarnation, time.monotonic())
-        holder = self._lease.holder[0] if self._lease.holder else ""
-        incoming.reply(ReceiptMessage(granted, "" if granted else f"coordinator {holder[:64]} leads.").encode())
-
     def _apply_imitations(self) -> None:
         for incoming in self._imitations.waiting():
             try:
@@ -255,7 +225,7 @@ class Learner:
                 if message.epoch != self._epoch:
                     raise ProtocolError("the event is for another start of the learner.")
                 sender = Envelope.decode(incoming.attachment)
-                if not self._lease.holds(sender.name, sender.incarnation):
+                if not self._desk.lease.holds(sender.name, sender.incarnation):
                     raise ProtocolError("another coordinator leads.")
                 event = message.to_event()
                 applied = self.trainer.imitate(event)
@@ -350,11 +320,23 @@ class Learner:
         self._times["checkpoint"] = time.monotonic()
         self._waited["checkpoint"] += self._times["checkpoint"] - started
 
+    def _take_in_what_is_held(self) -> None:
+        """Absorb what workers still hold, who stop flying when they hear of it, until nothing comes any more."""
+        started = quiet = time.monotonic()
+        while (now := time.monotonic()) - started < DRAIN_SECONDS and now - quiet < QUIET_SECONDS:
+            arrival = self._await_arrival()
+            if arrival is not None:
+                self._absorb(arrival)
+                quiet = time.monotonic()
+
     def _end(self, state: str) -> None:
+        self._state = state
+        self._tell_progress()
+        if state == "draining" and not self._options.lockstep:
+            self._take_in_what_is_held()
         self._receiver.close()
         while not self._receiver.arrivals.empty():
             self._absorb(self._receiver.arrivals.get_nowait())
-        self._state = state
         self._publish()
         self._tell_progress()
         self._checkpoint(wait=True)
@@ -362,7 +344,7 @@ class Learner:
         self._report()
         self._journal.write("end", state=state, episodes=self.trainer.episodes, digest=self.trainer.actors().digest())
         time.sleep(FAREWELL_SECONDS)
-        self._answer_commands()
+        self._desk.answer()
         self._journal.close()
         self._board.close()
         self._history.close()

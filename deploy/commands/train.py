@@ -170,11 +170,14 @@ class _Training:
         learner = self._supervisor.children["learner"]
         deadline = time.monotonic() + 60.0
         while True:
+            # Once more after a stop: a learner that has just begun to listen is asked to drain.
+            stopping = bool(self._stop)
+            waiting = (lambda: True) if stopping else (lambda: not self._stop)
             try:
-                return Bus.connect(self._endpoint, "control", wait=0.5, waiting=lambda: not self._stop)
+                return Bus.connect(self._endpoint, "control", wait=0.5, waiting=waiting)
             except EndpointError:
                 self._supervisor.watch()
-                if learner.done or self._stop:
+                if learner.done or stopping:
                     return None
                 if learner.given_up or time.monotonic() > deadline:
                     self._complain()
