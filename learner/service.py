@@ -43,7 +43,7 @@ PROGRESS_SECONDS = 0.1
 REPORT_SECONDS = 1.0
 DRAIN_SECONDS = 3.0
 """Longest time for which a learner that ends takes in what workers still hold."""
-QUIET_SECONDS = 0.3
+QUIET_SECONDS = 0.5
 """Time without a chunk after which it takes them to hold nothing more."""
 FAREWELL_SECONDS = 0.5
 """Time for the last messages to leave before the sessions close."""

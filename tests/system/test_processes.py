@@ -141,6 +141,27 @@ def test_sigterm_drains_and_checkpoints(processes: Processes) -> None:
     assert processes.wait("rollout-0", 20.0) == 0
 
 
+def test_a_drain_takes_in_what_a_worker_holds(processes: Processes) -> None:
+    """A worker whose spool stands full before a slow learner has delivered it when the learner has drained."""
+    processes.config.write_text(BEHIND)
+    processes.learner()
+    worker = processes.worker()
+
+    def holding() -> bool:
+        newest = processes.accepted("0")[-1:]
+        return any(entry.flown - entry.produced >= 4 * entry.steps for entry in newest)
+
+    until(holding, "a spool with chunks")
+    assert processes.drain()
+    assert processes.wait("learner", 20.0) == 0
+    worker.send_signal(signal.SIGTERM)
+    assert processes.wait("rollout-0", 20.0) == 0
+    found = audit(processes.directory / "run")
+    assert found.clean, found.to_dict()
+    # On a busy machine the learner may take a late chunk for the end.
+    assert found.chunks["lost"] <= 1
+
+
 def test_the_learner_answers_commands(processes: Processes) -> None:
     """It tells its configuration, drains when asked, and the epoch is that of its start."""
     processes.lengthen(100_000)
