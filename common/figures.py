@@ -96,6 +96,7 @@ FIGURES: Final[dict[str, tuple[Figure, ...]]] = {
         Figure("simulating_seconds", "s", "spent flying"),
         Figure("waiting_seconds", "s", "spent waiting for room in the spool or for parameters"),
         Figure("evaluations", "episodes", "flown without noise for imitation"),
+        Figure("epoch", "", "start of the learner that its actors are of"),
         Figure("version", "", "parameter version of its actors"),
         Figure("event", "", "imitation events in its actors"),
         Figure("stale", "messages", "with parameters or events that were not newer, and so not applied"),

@@ -141,17 +141,18 @@ class Supervisor:
         if time.monotonic() - child.started > HEALTHY_SECONDS:
             child.deaths = 0
         reason = f"signal {-code}" if code < 0 else f"exit code {code}"
-        last = self.tail(child.name).splitlines()[-1:]
-        said = f": {last[0]}" if last else ""
+        lines = self.tail(child.name).splitlines()
+        said = f": {lines[-1]}" if lines else ""
         if child.deaths >= len(BACKOFF_SECONDS) or code == USAGE:
             child.given_up = True
-            self._alarm(f"{child.name} ended with {reason} and is not started again{said}")
+            self._alarm(f"{child.name} ended with {reason} and is not started again{said}", lines)
             return
         child.again_at = time.monotonic() + BACKOFF_SECONDS[child.deaths]
         child.deaths += 1
-        self._alarm(f"{child.name} ended with {reason}; it is started again{said}")
+        self._alarm(f"{child.name} ended with {reason}; it is started again{said}", lines)
 
-    def _alarm(self, text: str) -> None:
+    def _alarm(self, text: str, lines: Sequence[str]) -> None:
+        """Keep an alarm of one line, and log it with all that the child wrote last."""
         self.alarms.append(text[:300])
         del self.alarms[:-50]
-        log(text)
+        log("\n  | ".join((text, *lines[:-1])))

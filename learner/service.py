@@ -328,6 +328,8 @@ class Learner:
             if arrival is not None:
                 self._absorb(arrival)
                 quiet = time.monotonic()
+            self._give_way()
+            self._desk.answer()
 
     def _end(self, state: str) -> None:
         self._state = state

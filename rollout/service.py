@@ -219,6 +219,7 @@ class Worker:
             "simulating_seconds": clock.simulating,
             "waiting_seconds": clock.waiting,
             "evaluations": clock.evaluations,
+            "epoch": self._store.epoch,
             "version": self._store.version,
             "event": self._store.event,
             "stale": self._store.stale,

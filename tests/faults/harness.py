@@ -6,18 +6,23 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import psutil
 
+from common import keys
+from common.bus import Bus
+from common.messages import MetricMessage
 from deploy.audit import Audit, audit
 from tests.system.fleet import RUN, TINY, Processes, until
 
 FIGURES = "EIA_SEC_FIGURES"
 """Environment variable with the folder into which the figures of full doses go."""
+SETTINGS = ("EIA_SEC_SOAK_MINUTES",)
+"""Environment variables that choose a dose."""
 LONG = TINY.replace("episodes = 8", "episodes = 1000000").replace("capacity = 4096", "capacity = 8192")
 """A run that ends only when it is told to."""
 BEHIND = LONG.replace("updates_per_step = 0.5", "updates_per_step = 4.0\nintake_chunks = 1")
@@ -33,7 +38,9 @@ def tell(name: str, **values: Any) -> None:
     if folder:
         commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
         current = os.environ.get("PYTEST_CURRENT_TEST", "").split(" ")[0]
-        values |= {"commit": commit.stdout.strip(), "command": f"python -m pytest -m nightly {current}"}
+        set_to = "".join(f"{name}={value} " for name, value in os.environ.items() if name in SETTINGS)
+        command = f"{set_to}python -m pytest -m nightly {current}"
+        values |= {"commit": commit.stdout.strip(), "command": command}
         Path(folder).mkdir(parents=True, exist_ok=True)
         (Path(folder) / f"{name}.json").write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
 
@@ -74,6 +81,19 @@ class FaultRun(Processes):
             return 0
         text = path.read_text(encoding="utf-8")
         return sum(1 for line in text.splitlines() if f'["accepted","{worker}' in line)
+
+    @contextmanager
+    def metrics(self, role: str, name: str) -> Iterator[Callable[[], list[dict[str, Any]]]]:
+        """Give a function that returns all that a process has reported since."""
+        heard: list[dict[str, Any]] = []
+        with Bus.connect(self.endpoint, "control", 30.0) as bus:
+            subscription = bus.subscribe(keys.METRIC.key(RUN, role=role, name=name), 1024)
+
+            def listen() -> list[dict[str, Any]]:
+                heard.extend(MetricMessage.decode(sample.payload).values for sample in subscription.drain())
+                return heard
+
+            yield listen
 
     def newest_start(self, worker: str) -> int:
         """Return the incarnation of a worker's newest chunk that the learner has taken, 0 before the first."""

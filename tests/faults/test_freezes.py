@@ -1,5 +1,7 @@
 """Processes that stand still: the learner for seconds, a learner that is replaced meanwhile, a coordinator likewise."""
 
+import itertools
+import json
 import shutil
 import signal
 import time
@@ -54,6 +56,12 @@ def test_a_frozen_learner_at_full_dose(tmp_path):
     assert all(row["seconds_to_recover"] <= 10 for row in figures["freezes"])
 
 
+def epochs_of(directory: Path) -> list[int]:
+    """Return the epochs of the learner's starts, by its history."""
+    lines = (directory / "history" / "learner.jsonl").read_text(encoding="utf-8").splitlines()
+    return [json.loads(line)[3] for line in lines if line.startswith('["start"')]
+
+
 def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:
     """Freeze a learner, let another take its place, thaw it; return the figures."""
     fleet = Routed(directory, BEHIND)
@@ -71,9 +79,14 @@ def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:
         until(lambda: history.read_text().count('["start"') >= 2, "the second learner")
         lines = len(history.read_text().splitlines())
         until(lambda: len(history.read_text().splitlines()) > lines + 5, "chunks for the second learner")
-        old.send_signal(signal.SIGCONT)
-        code = fleet.wait("learner-run", 90.0)
-        time.sleep(seconds)
+        with fleet.metrics("rollout", "0") as heard:
+            until(heard, "a report of the worker")
+            old.send_signal(signal.SIGCONT)
+            code = fleet.wait("learner-run", 90.0)
+            told = len(heard())
+            until(lambda: len(heard()) > told + 1, "reports after the thaw")
+            time.sleep(seconds)
+            epochs = [report["epoch"] for report in heard()]
         fleet.running.pop("learner-run")
         second = fleet.running["learner-second"]
         second.send_signal(signal.SIGTERM)
@@ -85,6 +98,8 @@ def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:
         return {
             "old_learner_exit_code": code,
             "old_learner_said": fleet.log("learner-run").splitlines()[-1],
+            "falls_of_the_epoch": sum(after < before for before, after in itertools.pairwise(epochs)),
+            "worker_ends_with_the_new_epoch": epochs[-1] == epochs_of(directory / "second")[-1],
             "lost_chunks": found.chunks["lost"],
             "unexplained": len(found.unexplained),
             "doubled": len(found.doubled),
@@ -99,6 +114,8 @@ def test_a_learner_that_was_frozen_and_replaced(tmp_path):
     tell("replaced_learner", **figures)
     assert figures["old_learner_exit_code"] == 2
     assert "newer learner" in figures["old_learner_said"]
+    assert figures["falls_of_the_epoch"] == 0
+    assert figures["worker_ends_with_the_new_epoch"]
     assert figures["unexplained"] == figures["doubled"] == 0
 
 

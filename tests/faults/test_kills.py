@@ -158,7 +158,6 @@ def kill_coordinator(directory: Path, kills: int) -> dict[str, Any]:
         }
 
 
-@pytest.mark.nightly
 def test_killed_coordinator(tmp_path):
     """Training goes on without a coordinator, and the next one continues the schedule where it was."""
     figures = kill_coordinator(tmp_path, kills=1)

@@ -72,7 +72,7 @@ def partitions(directory: Path, doses: list[tuple[str, float]]) -> dict[str, Any
 def check_partitions(figures: dict[str, Any] | None, recovery: float) -> None:
     if figures is None:
         pytest.skip("making network namespaces needs more rights")
-    assert figures["unexplained"] == figures["doubled"] == 0
+    assert figures["unexplained"] == figures["doubled"] == figures["lost_chunks"] == 0
     assert all(row["worker_grew_mib"] <= 64 for row in figures["partitions"])
     assert max(row["seconds_to_recover"] for row in figures["partitions"]) <= recovery
 
