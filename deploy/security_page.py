@@ -108,6 +108,8 @@ connecting side says which and why, and exits with code 2.
 - From a worker that delivers too much: whole and new chunks are taken in the order in which they come, so who sends
   more than the others has a larger share of what is learnt from. The ledger tells it by name.
 - Traffic analysis: sizes and times of messages are visible.
+- With `--shared-memory`, `--tls` or not: chunks then pass through `/dev/shm` in the clear. Its segments are readable by
+  the user alone that the processes run as; other users of the machine do not see them, root does.
 - On loopback without `--tls`: other users of the same machine can join. Use `--tls` there, too, if there are such.
 - `--env module:name` runs that module's code. A worker loads only what its own command line names, never what the
   learner's configuration asks for.

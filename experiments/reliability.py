@@ -85,7 +85,11 @@ def frozen_learner(f: Figures) -> str:
 
 def replaced_learner(f: Figures) -> str:
     """Say what became of a learner that thawed too late."""
-    return f"it ends with code {f['old_learner_exit_code']}; {lost(f)}; {explained(f)}"
+    falls = f["falls_of_the_epoch"]
+    applied = (
+        "the worker's actors are of the new one throughout" if falls == 0 else f"{falls} times the old one's applied"
+    )
+    return f"it ends with code {f['old_learner_exit_code']}; {applied}; {lost(f)}; {explained(f)}"
 
 
 def partitions(f: Figures) -> str:
