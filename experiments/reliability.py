@@ -127,6 +127,16 @@ def bad_road(f: Figures) -> str:
     )
 
 
+def bad_proxy(f: Figures) -> str:
+    """Say what came of a proxy that does the same to messages of real processes."""
+    return (
+        f"{f['accepted_chunks']:,} chunks of two workers ({f['duplicated']:,} requests doubled, {f['reordered']:,} once "
+        f"more behind newer ones, {f['cut']:,} cut, {f['flipped']:,} flipped): {f['doubled']} taken twice; "
+        f"{f['counted_damaged']:,} counted as damaged, the other {f['unseen']:,} lay behind a chunk that had to come "
+        f"again; {explained(f)}"
+    )
+
+
 def mutated_frames(f: Figures) -> str:
     """Say what came of mutated frames."""
     return f"{f['frames']:,} frames, {f['messages']:,} still messages; memory {f['grown_mib']:+.1f} MiB"
@@ -192,6 +202,7 @@ ROWS = (
     Row("partitions between network namespaces", "back within 15 s", partitions, "test_partitions.py"),
     Row("slow, narrow and stalled links", "nothing lost", bad_links, "test_partitions.py"),
     Row("a road that doubles, reorders, cuts and flips", "the accepted set is exact", bad_road, "test_messages.py"),
+    Row("a proxy that does so between real processes", "every chunk is taken once", bad_proxy, "test_proxy.py"),
     Row("mutated frames", "typed errors only; at most +32 MiB", mutated_frames, "test_decoder.py"),
     Row("flood of junk by one of four workers", "the others keep 80 % of their rate", flood, "test_refusals.py"),
     Row("full disk", "training goes on; the checkpoint before loads", full_disk, "test_disk.py"),

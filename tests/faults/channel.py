@@ -187,7 +187,7 @@ def _turn(sending: Sending, road: Road, door: Door, draw: random.Random, seen: C
             road.done["duplicated"] += copy
             road.done["several"] += len(numbers) > 1
             parcel = sending.parcel(numbers)
-            kind, place = _damage(parcel, road, draw)
+            kind, place = damage(parcel, road, draw)
             answer = door.pass_on(parcel).answer
             assert answer is not None, parcel.refused
             road.done["unseen"] += place >= len(answer.verdicts)
@@ -199,7 +199,7 @@ def _turn(sending: Sending, road: Road, door: Door, draw: random.Random, seen: C
                     sending.held.remove(number)
 
 
-def _damage(parcel: Parcel, road: Road, draw: random.Random) -> tuple[str, int]:
+def damage(parcel: Parcel, road: Road, draw: random.Random) -> tuple[str, int]:
     """Damage a request by chance; return how, and at which of its chunks; 0 too where all of it becomes unreadable."""
     chance = draw.random()
     if chance < road.cut:

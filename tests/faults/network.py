@@ -99,10 +99,10 @@ class Weather:
 
 
 class Relay:
-    """Passes both lanes on to a listener, in a thread of its own."""
+    """Passes lanes on to a listener, both or the control lane (0) alone, in a thread of its own."""
 
-    def __init__(self, here: Endpoint, there: Endpoint) -> None:
-        self.weather = Weather()
+    def __init__(self, here: Endpoint, there: Endpoint, lanes: tuple[int, ...] = (0, 1)) -> None:
+        self.weather, self._lanes = Weather(), lanes
         self._here, self._there = here, there
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -114,7 +114,7 @@ class Relay:
         self._thread.join()
 
     def _run(self) -> None:
-        for lane in (0, 1):
+        for lane in self._lanes:
             meet = self._meet(lane)
             self._loop.run_until_complete(asyncio.start_server(meet, self._here.host, self._here.port + lane))
         self._loop.run_forever()
