@@ -130,8 +130,8 @@ def bad_road(f: Figures) -> str:
 def bad_proxy(f: Figures) -> str:
     """Say what came of a proxy that does the same to messages of real processes."""
     return (
-        f"{f['accepted_chunks']:,} chunks of two workers ({f['duplicated']:,} requests doubled, {f['reordered']:,} once "
-        f"more behind newer ones, {f['cut']:,} cut, {f['flipped']:,} flipped): {f['doubled']} taken twice; "
+        f"{f['accepted_chunks']:,} chunks of two workers ({f['duplicated']:,} requests doubled, {f['reordered']:,} "
+        f"once more behind newer ones, {f['cut']:,} cut, {f['flipped']:,} flipped): {f['doubled']} taken twice; "
         f"{f['counted_damaged']:,} counted as damaged, the other {f['unseen']:,} lay behind a chunk that had to come "
         f"again; {explained(f)}"
     )
