@@ -1,0 +1,146 @@
+"""The pictures of the policy that ships, as the documentation shows them.
+
+    python -m experiments.pictures [FOLDER]      # docs/images; needs Playwright and a Chromium
+
+`watch.png` is the page of `eia-sec watch` while a worker flies that policy, `replay.png` one picture of a film against
+the strongest heuristic. Both say which parameters they show: the start of their digest stands in `pictures.json`, and a
+test compares it with the policy's.
+"""
+
+import json
+import os
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from common.bus import Bus
+from common.config.files import to_toml
+from common.config.presets import preset
+from common.endpoint import Endpoint, free_endpoint
+from common.errors import UsageError
+from common.policy_file import load_policy
+from common.process import Presence
+from deploy.provenance import provenance
+from deploy.replay import Contest, scenes_of
+from deploy.watching.hub import Hub
+from deploy.watching.server import WebServer
+from deploy.watching.source import Source
+from rollout.collector import Collector
+from rollout.contest import ContestPicture
+from rollout.policies import TRAINED
+from rollout.showing import Showing
+
+FOLDER = Path("docs/images")
+RUN, WORKER = "farm", "0"
+FARM, STEP = 1003, 300
+"""Farm and step of the film's picture; the page shows the worker's own farm at that step."""
+PATIENCE = 120.0
+
+
+def replay_picture(path: Path) -> None:
+    """Save one picture of the film of the policy that ships against the heuristic horizon."""
+    from matplotlib import image  # noqa: PLC0415  (loaded only where a picture is made)
+
+    names = ("EIA-SEC (shipped policy)", "horizon")
+    contest = Contest(preset("default").farm, ("trained", "horizon"), names, FARM, 0)
+    picture = None
+    for scenes in scenes_of(contest):
+        picture = picture or ContestPicture(contest.names, scenes)
+        picture.note(scenes)
+        if scenes[0].step == STEP:
+            image.imsave(path, picture.draw(scenes))
+            return
+
+
+@contextmanager
+def flying() -> Iterator[Endpoint]:
+    """Fly the policy that ships and show it, as a worker does."""
+    config, (bank, _) = preset("default"), load_policy(TRAINED)
+    where, over = free_endpoint(), threading.Event()
+    with Bus.listen(where, "control") as bus:
+        collector = Collector(config, WORKER, 1)
+        showing = Showing(bus, RUN, WORKER, 1, collector, to_toml(config))
+        presence = Presence(bus, RUN, "rollout", WORKER, 1)
+
+        def loop() -> None:
+            while not over.wait(0.005):
+                showing.tend(0, 0.0, False)
+                collector.collect(bank, 0.0, False)
+
+        thread = threading.Thread(target=loop)
+        thread.start()
+        try:
+            yield where
+        finally:
+            over.set()
+            thread.join()
+            del presence
+
+
+@contextmanager
+def serving(endpoint: Endpoint) -> Iterator[str]:
+    """Serve the page of `eia-sec watch`; give its address."""
+    with Bus.connect(endpoint, "control", wait=PATIENCE) as bus:
+        hub, over = Hub(), threading.Event()
+        source = Source(bus, RUN, None, hub)
+
+        def tend() -> None:
+            while not over.wait(0.02):
+                source.tend(hub.seats > 0)
+
+        thread = threading.Thread(target=tend)
+        thread.start()
+        try:
+            with WebServer(hub, "127.0.0.1", 0) as web:
+                yield f"http://127.0.0.1:{web.port}/"
+        finally:
+            over.set()
+            thread.join()
+
+
+def watch_picture(path: Path) -> None:
+    """Save the page at a step in the middle of an episode, as a browser shows it.
+
+    Raises:
+        UsageError: there is no Chromium.
+    """
+    from playwright.sync_api import sync_playwright  # noqa: PLC0415  (loaded only where a picture is made)
+
+    chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        raise UsageError("there is no Chromium on the path; name one in the variable CHROMIUM.")
+    with flying() as endpoint, serving(endpoint) as address, sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
+        page.goto(address)
+        find = f"""() => {{ if (!window.watching) return -1; const p = watching.past;
+            for (let n = p.first; n <= p.last; n++) if (p.at(n) && p.at(n).step === {STEP}) return n; return -1 }}"""
+        place, deadline = -1, time.monotonic() + PATIENCE
+        while place < 0 and time.monotonic() < deadline:
+            time.sleep(0.2)
+            place = page.evaluate(find)
+        page.click("#play")
+        slide = "n => {const s = document.getElementById('slider'); s.value = n; s.dispatchEvent(new Event('input'))}"
+        page.evaluate(slide, place)
+        time.sleep(1.0)
+        page.screenshot(path=str(path))
+        browser.close()
+
+
+def main(arguments: list[str]) -> None:
+    """Make both pictures and note whose they are."""
+    folder = Path(arguments[0]) if arguments else FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    replay_picture(folder / "replay.png")
+    watch_picture(folder / "watch.png")
+    policy = load_policy(TRAINED)[0].digest()
+    notes = {**provenance("experiments.pictures"), "policy": policy[:16]}
+    (folder / "pictures.json").write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
