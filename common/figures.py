@@ -55,6 +55,7 @@ FIGURES: Final[dict[str, tuple[Figure, ...]]] = {
         Figure("lag_versions", "versions", "by which a chunk's policy is older than the newest, running mean"),
         Figure("queue", "chunks", "between receiver and replay"),
         Figure("malformed", "requests", "that could not be attributed to a worker, or whose key held a wildcard"),
+        Figure("malformed_commands", "requests", "that were no commands, and were refused"),
         Figure("malformed_by/*", "requests", "that brought nothing, by worker; the worst eight, the others together"),
         Figure("turned_away", "requests", "of workers that are cut off, refused without being looked at"),
         Figure("elapsed", "s", "since the run began, earlier starts included"),

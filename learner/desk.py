@@ -21,11 +21,12 @@ class Desk:
     Attributes:
         lease: which coordinator leads.
         draining: whether somebody asked the learner to drain.
+        malformed: requests that were no commands.
     """
 
     def __init__(self, server: Server, configuration: ConfigurationMessage) -> None:
         self._server, self._configuration = server, configuration.encode()
-        self.lease, self.draining = Lease(), False
+        self.lease, self.draining, self.malformed = Lease(), False, 0
         self._verbs: dict[str, Callable[[Incoming, str], None]] = {
             "configuration": self._tell,
             "lead": self._grant,
@@ -39,6 +40,7 @@ class Desk:
                 sender = CommandMessage.decode(incoming.payload).sender
                 verb = keys.parse(incoming.key).variables.get("verb", "")
             except ProtocolError as error:
+                self.malformed += 1
                 incoming.refuse(str(error))
                 continue
             if verb in self._verbs:
@@ -58,6 +60,7 @@ class Desk:
         try:
             claimant = Envelope.decode(incoming.attachment)
         except ProtocolError as error:
+            self.malformed += 1
             incoming.refuse(str(error))
             return
         granted = self.lease.claim(claimant.name, claimant.incarnation, time.monotonic())

@@ -283,6 +283,7 @@ class Learner:
             "event": t.events,
             "lag_versions": self._lag,
             **self._receiver.figures(),
+            "malformed_commands": self._desk.malformed,
             "elapsed": self._journal.elapsed,
             "waits": dict(self._waited),
             "ledger": {**ledger, "unexplained": self._unexplained()},

@@ -5,6 +5,7 @@ import subprocess
 from pathlib import Path
 
 import psutil
+import pytest
 
 from common import frame, keys
 from common.bus import Bus
@@ -177,6 +178,8 @@ def test_crafted_frames_do_not_stop_the_learner(processes: Processes) -> None:
     """Requests that are no chunks are refused and counted, and the run comes to its end all the same."""
     processes.learner()
     processes.configuration()
+    with Bus.connect(processes.endpoint, "control") as bus, pytest.raises(BusError):
+        bus.ask(keys.COMMAND.key(RUN, verb="drain"), b"junk", 5.0)
     with Bus.connect(processes.endpoint, "bulk") as bus:
         key = keys.TRANSITION.key(RUN, worker="x")
         envelope = Envelope("rollout", "x", 1, 1).encode()
@@ -193,6 +196,7 @@ def test_crafted_frames_do_not_stop_the_learner(processes: Processes) -> None:
     ledger = finish(processes)
     assert ledger["damaged"] >= 2
     assert processes.records("status")[-1]["malformed"] >= 2
+    assert processes.records("status")[-1]["malformed_commands"] == 1
 
 
 def test_a_lockstep_run_takes_one_worker_only(processes: Processes) -> None:
