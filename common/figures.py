@@ -31,11 +31,15 @@ _ALARMS: Final = Figure("alarms", "", "sentences that somebody should read; a li
 
 def _account(prefix: str, whose: str) -> tuple[Figure, ...]:
     return (
-        Figure(f"{prefix}/produced", _STEPS, f"flown by {whose}: accepted + lost + rejected + in_flight"),
+        Figure(
+            f"{prefix}/produced",
+            _STEPS,
+            f"flown by {whose}, as workers say: accepted + lost + rejected + in_flight, but for what is unexplained",
+        ),
         Figure(f"{prefix}/accepted", _STEPS, "taken into replay, or on the way there inside the learner"),
         Figure(f"{prefix}/lost", _STEPS, "declared lost"),
         Figure(f"{prefix}/rejected", _STEPS, "in chunks that were refused"),
-        Figure(f"{prefix}/in_flight", _STEPS, "flown, and neither arrived nor given up"),
+        Figure(f"{prefix}/in_flight", _STEPS, "flown after the last chunk that was taken, and not given up"),
         Figure(f"{prefix}/duplicates", "chunks", "that came again and were not taken in"),
         Figure(f"{prefix}/refused", "chunks", "that were refused"),
         Figure(f"{prefix}/aged", "chunks", "of these: refused because their policy was too old"),
@@ -62,9 +66,17 @@ FIGURES: Final[dict[str, tuple[Figure, ...]]] = {
         Figure("waits/*", "s", "spent waiting for data, imitation, producers and checkpoint; and training"),
         *_account("ledger", "all workers"),
         Figure(
-            "ledger/unexplained", _STEPS, "accepted, and neither in replay nor on the way to it; 0 but for a defect"
+            "ledger/unexplained",
+            _STEPS,
+            "by which accounts of workers do not close, and accepted ones neither in replay nor on the way to it; "
+            "0 but for a defect",
         ),
         *_account("ledgers/*", "one worker, over all its starts; of at most 16, the others in `(others)`"),
+        Figure(
+            "ledgers/*/unexplained",
+            _STEPS,
+            "produced - accepted - lost - rejected - in_flight: above 0 forgotten, below 0 booked twice",
+        ),
         Figure("ledgers/*/workers", "workers", "that `(others)` sums"),
         Figure(
             "imitations",

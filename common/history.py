@@ -9,8 +9,9 @@ One JSON array per line:
 
 The last kind is about chunks `first` to `last` of one start of a worker, each of `steps` environment steps; `produced`
 and `flown` are the worker's counts (see `common.messages.ChunkMessage`) with the last of them. Verdicts of a worker are
-*made*, *told* (acknowledged) and *refused*; those of the learner *accepted*, *refused*, *duplicate* and *missing* (it
-learnt that these can no longer arrive), and for the last two `steps` is the count of chunks or steps together.
+*made*, and what it was told: *told* (accepted), *again* (a duplicate, whatever became of it when it first came) and
+*refused*; those of the learner *accepted*, *refused*, *duplicate* and *missing* (it learnt that these can no longer
+arrive), and for the last two `steps` is the count of chunks or steps together.
 
 A line is written before whatever it tells of is told to anybody, and reaches the operating system at once: it survives
 a killed process, though not a power cut. The file stays small because consecutive chunks are joined into one line
@@ -29,7 +30,7 @@ REWRITE_LINES: Final = 20_000
 """Lines after which the file is written anew with consecutive chunks joined."""
 MAX_BYTES: Final = 256 * 2**20
 """Largest history that is read, bytes."""
-VERDICTS: Final = ("made", "told", "refused", "accepted", "duplicate", "missing")
+VERDICTS: Final = ("made", "told", "again", "refused", "accepted", "duplicate", "missing")
 _SUMMED: Final = ("duplicate", "missing")
 
 
@@ -68,7 +69,14 @@ class Entry:
     flown: int = 0
 
 
-Record = Start | Resume | End | Entry
+@dataclass(frozen=True)
+class Unreadable:
+    """A line that is no record, as it stands; it stays in the file, so that an audit finds it however often."""
+
+    line: str
+
+
+Record = Start | Resume | End | Entry | Unreadable
 
 
 def parse(line: str) -> Record:
@@ -100,11 +108,16 @@ def text(record: Record) -> str:
             parts = ["end"]
         case Entry():
             parts = list(vars(record).values())
+        case Unreadable():
+            return record.line
     return json.dumps(parts, separators=(",", ":"))
 
 
 def read(path: Path) -> tuple[list[Record], int]:
-    """Return a history's records, and how many lines are none (a killed process or a full disk leaves such).
+    """Return a history's records, one for each line, and how many lines are torn off: 1 or 0.
+
+    A killed process or a full disk tears off the last line, which is no record then and ends without a line break. Any
+    other line that is none has been damaged since.
 
     Raises:
         OSError: when the file cannot be read.
@@ -113,13 +126,14 @@ def read(path: Path) -> tuple[list[Record], int]:
     if path.stat().st_size > MAX_BYTES:
         raise ValueError(f"{path.name} is larger than {MAX_BYTES} bytes")
     records: list[Record] = []
-    damaged = 0
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    whole = path.read_text(encoding="utf-8", errors="replace")
+    for line in whole.splitlines():
         try:
             records.append(parse(line))
         except ValueError:
-            damaged += 1
-    return records, damaged
+            records.append(Unreadable(line))
+    torn = bool(records) and isinstance(records[-1], Unreadable) and not whole.endswith("\n")
+    return records[:-1] if torn else records, int(torn)
 
 
 class _Joined:

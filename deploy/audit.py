@@ -1,7 +1,8 @@
 """The offline audit of a run: the processes' histories held against one another, chunk by chunk.
 
 Every chunk has an id: worker, incarnation, sequence number. Each one that was made must be accepted once, or rejected,
-or declared lost, or still be in flight; whatever else is found is named.
+or declared lost, or still be in flight, and its worker must have been told what the learner wrote down; whatever else
+is found is named, and so is every line that was damaged after it was written.
 """
 
 import json
@@ -12,12 +13,19 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.errors import RunDirError
-from common.history import End, Entry, Record, Resume, Start, read
+from common.history import End, Entry, Record, Resume, Start, Unreadable, read
 from deploy.rundir import HISTORY, METRICS
 
 NAMED: Final = 20
-"""Ids that are named one by one; all are counted."""
+"""Sentences that the command prints one by one; it counts the rest, and as JSON it prints all."""
 FATES: Final = ("accepted", "lost", "rejected", "in_flight")
+_TOLD: Final = {
+    "told": ("accepted", ("accepted", "rolled back")),
+    "refused": ("refused", ("refused",)),
+    # An answer was lost on its way, and the chunk came again.
+    "again": ("a duplicate", ("accepted", "rolled back", "refused")),
+}
+"""For each verdict in a worker's history how it is said, and the learner's verdicts that it may stand for."""
 
 Source = tuple[str, int]
 """A worker's name and incarnation."""
@@ -35,9 +43,10 @@ class Audit:
         workers: for each worker, steps by fate.
         duplicates: chunks that came again and were not counted again.
         starts: starts of the learner.
-        unexplained: one sentence for each id, or figure, without explanation.
+        unexplained: one sentence for each id (or range of ids), figure or line without explanation.
         doubled: one sentence for each id that was accepted twice.
-        damaged: lines of histories that cannot be read.
+        damaged: lines of histories that cannot be read, each of them named.
+        torn: last lines that were torn off when their process was killed or its disk was full, which is no defect.
     """
 
     chunks: Counter[str] = field(default_factory=Counter)
@@ -49,6 +58,7 @@ class Audit:
     unexplained: list[str] = field(default_factory=list)
     doubled: list[str] = field(default_factory=list)
     damaged: int = 0
+    torn: int = 0
 
     @property
     def produced(self) -> int:
@@ -60,6 +70,10 @@ class Audit:
         """Return whether everything is explained and nothing was counted twice."""
         return not self.unexplained and not self.doubled
 
+    def named(self) -> list[str]:
+        """Return a sentence for whatever is unexplained or doubled."""
+        return [*self.unexplained, *self.doubled]
+
     def book(self, worker: str, fate: str, steps: int) -> None:
         """Count one chunk."""
         self.chunks[fate] += 1
@@ -67,7 +81,7 @@ class Audit:
         self.workers.setdefault(worker, Counter())[fate] += steps
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain values; of the sentences the first NAMED."""
+        """Return everything as plain values, with all sentences."""
         return {
             "clean": self.clean,
             "produced": self.produced,
@@ -80,7 +94,8 @@ class Audit:
             "unexplained": len(self.unexplained),
             "doubled": len(self.doubled),
             "damaged_lines": self.damaged,
-            "named": [*self.unexplained, *self.doubled][:NAMED],
+            "torn_lines": self.torn,
+            "named": self.named(),
         }
 
 
@@ -95,9 +110,14 @@ class _Made:
 
 @dataclass
 class _Taken:
-    """One start of a worker as the learner's history tells it: fate and steps by number."""
+    """One start of a worker as the learner's history tells it: fate and steps by number.
+
+    The history may begin later than the run, with a checkpoint that was taken up: `first` is the first number that this
+    one did not know.
+    """
 
     fate: dict[int, tuple[str, int]] = field(default_factory=dict)
+    first: int = 1
     missing: int = 0
     missing_before: set[int] = field(default_factory=set)
 
@@ -133,10 +153,14 @@ def audit(run_dir: Path) -> Audit:
 
 def _records(path: Path, found: Audit) -> list[Record]:
     try:
-        records, damaged = read(path)
+        records, torn = read(path)
     except (OSError, ValueError) as error:
         raise RunDirError(f"{path} cannot be read: {error}.") from error
-    found.damaged += damaged
+    found.torn += torn
+    for number, record in enumerate(records, start=1):
+        if isinstance(record, Unreadable):
+            found.damaged += 1
+            found.unexplained.append(f"line {number} of {path.name} cannot be read, and is not torn off.")
     return records
 
 
@@ -173,6 +197,10 @@ def _take(part: _Taken, source: Source, number: int, record: Entry, found: Audit
 
 
 def _roll_back(taken: dict[Source, _Taken], resume: Resume) -> None:
+    for worker, (incarnation, expected) in resume.workers.items():
+        part = taken.setdefault((worker, incarnation), _Taken())
+        if not part.fate:
+            part.first = expected
     for (worker, incarnation), part in taken.items():
         held = resume.workers.get(worker, (0, 0))
         for number, (fate, steps) in part.fate.items():
@@ -195,7 +223,7 @@ def _worker(records: list[Record], made: dict[Source, _Made]) -> None:
                     part = made.setdefault(source, _Made())
                     if record.verdict == "made":
                         part.steps[number] = record.steps
-                    else:
+                    elif record.verdict in _TOLD:
                         part.told[number] = record.verdict
 
 
@@ -204,6 +232,7 @@ def _compare(source: Source, made: _Made | None, taken: _Taken, replaced: bool, 
         _without_worker(source, taken, found)
         return
     over = made.over or replaced
+    _compare_verdicts(source, made, taken, found)
     for number, steps in made.steps.items():
         fate, counted = taken.fate.get(number, ("", 0))
         if fate in ("accepted", "rolled back") and counted != steps:
@@ -219,7 +248,8 @@ def _compare(source: Source, made: _Made | None, taken: _Taken, replaced: bool, 
             found.book(source[0], "lost", steps)
             found.lost_with["learner"] += steps
         elif number in made.told:
-            found.unexplained.append(f"{_name(source, number)} was {made.told[number]}, and the learner knows nothing.")
+            said = _TOLD[made.told[number]][0]
+            found.unexplained.append(f"{_name(source, number)} was told to be {said}, and the learner knows nothing.")
         else:
             found.book(source[0], "lost" if over else "in_flight", steps)
             if over:
@@ -228,11 +258,21 @@ def _compare(source: Source, made: _Made | None, taken: _Taken, replaced: bool, 
         found.unexplained.append(f"{_name(source, number)} was {taken.fate[number][0]}, and its worker never made it.")
 
 
+def _compare_verdicts(source: Source, made: _Made, taken: _Taken, found: Audit) -> None:
+    for number, told in sorted(made.told.items()):
+        said, meant = _TOLD[told]
+        fate = taken.fate.get(number, ("", 0))[0]
+        if fate and fate not in meant:
+            found.unexplained.append(f"{_name(source, number)} was {fate}, and its worker was told that it is {said}.")
+        elif not fate and number not in made.steps:
+            found.unexplained.append(f"{_name(source, number)} was told to be {said}, and its worker never made it.")
+
+
 def _without_worker(source: Source, taken: _Taken, found: Audit) -> None:
     """Book a worker of which there is no history of its own; numbers that the learner never saw must be missed."""
-    expected = 1
+    expected = taken.first
     for number, (fate, steps) in sorted(taken.fate.items()):
-        if number > expected and number not in taken.missing_before and expected > 1:
+        if number > expected and number not in taken.missing_before:
             found.unexplained.append(f"{_name(source, expected)} to {number - 1} never came, and nobody says why.")
         expected = number + 1
         kind = {"accepted": "accepted", "refused": "rejected"}.get(fate, "lost")

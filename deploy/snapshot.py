@@ -36,7 +36,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Ledger:
-    """Where produced environment steps are: produced = accepted + lost + rejected + in flight.
+    """Where produced environment steps are: produced = accepted + lost + rejected + in flight, if all are explained.
 
     Attributes:
         produced: environment steps that were flown.
@@ -44,7 +44,8 @@ class Ledger:
         rejected: environment steps in chunks that it refused.
         lost: environment steps that are declared lost; unknown where only a worker's own account is known.
         in_flight: environment steps that were flown and have neither arrived nor been given up.
-        unexplained: accepted environment steps that are neither in replay nor on the way to it; 0 but for a defect.
+        unexplained: environment steps by which that fails, and accepted ones that are neither in replay nor on the way
+            to it; 0 but for a defect.
         duplicates: chunks that came again and were not taken in.
     """
 

@@ -13,19 +13,22 @@ ROWS: Final = 16
 """Workers whose accounts are told one by one; those of all others are summed."""
 OTHERS: Final = "(others)"
 """What the sum is called, which no worker can be."""
-_STEPS: Final = ("accepted", "lost", "rejected", "in_flight")
-_CHUNKS: Final = ("duplicates", "refused", "aged", "damaged")
+_TOLD: Final = ("accepted", "lost", "rejected", "in_flight", "unexplained", "duplicates", "refused", "aged", "damaged")
 
 
 @dataclass(frozen=True)
 class WorkerLedger:
     """The account of one worker's present start (incarnation), in environment steps and chunks.
 
+    `flown` and `produced` are what the worker says, and are never computed from what was booked, so that either side
+    can be held against the other.
+
     Attributes:
         incarnation: which start of the worker.
         expected: next sequence number.
-        flown: steps that the worker said it had flown when it sent its last chunk.
-        produced: steps up to and with the last chunk that was taken.
+        flown: the most steps that the worker ever said it had flown.
+        produced: steps up to and with the last chunk that was taken, by the worker's count; all that it flew, once the
+            start has ended.
         accepted: steps that entered replay.
         lost: steps that were produced and can no longer arrive.
         rejected: steps in chunks that were refused.
@@ -53,17 +56,21 @@ class WorkerLedger:
 
     @property
     def in_flight(self) -> int:
-        """Return the steps that were flown and have neither arrived nor been given up."""
-        return max(0, self.flown - self.accepted - self.lost - self.rejected)
+        """Return the steps that the worker says it flew after those of the last chunk that was taken."""
+        return self.flown - self.produced
+
+    @property
+    def unexplained(self) -> int:
+        """Return the steps up to the last chunk that nothing was booked for; below 0 when too much was booked."""
+        return self.produced - self.accepted - self.lost - self.rejected
 
     def given_up(self) -> "WorkerLedger":
         """Return the account of a start that has ended: what has not arrived by now is lost."""
-        return replace(self, lost=self.lost + self.in_flight)
+        return replace(self, lost=self.lost + self.in_flight, produced=self.flown)
 
     def figures(self) -> dict[str, int]:
         """Return the account over all starts; see `Intake.totals`."""
-        parts = [self] if self.earlier is None else [self, self.earlier]
-        return _closed({name: sum(getattr(part, name) for part in parts) for name in (*_STEPS, *_CHUNKS)})
+        return _summed([self] if self.earlier is None else [self, self.earlier])
 
 
 class Intake:
@@ -134,10 +141,15 @@ class Intake:
     def totals(self) -> dict[str, int]:
         """Return the sums over all workers and all their starts.
 
-        produced = accepted + lost + rejected + in_flight, each in environment steps; duplicates, refused, aged and
-        damaged in chunks.
+        produced (flown, by the workers' own count) = accepted + lost + rejected + in_flight + unexplained, each in
+        environment steps; duplicates, refused, aged and damaged in chunks.
         """
         return self.accounts(0)[0]
+
+    def unexplained(self) -> int:
+        """Return by how many steps accounts fail to close; what is forgotten in one does not make up for another."""
+        closed, workers = self._now()
+        return sum(abs(part.unexplained) for part in (closed, *workers.values()))
 
     def accounts(self, rows: int = ROWS) -> tuple[dict[str, int], dict[str, dict[str, int]]]:
         """Return the totals, and what they are made of: the accounts of single workers and the sum of the others.
@@ -148,10 +160,8 @@ class Intake:
         Args:
             rows: most workers that are told one by one.
         """
-        with self._switch:
-            closed, workers = self.closed, dict(self.workers)
-        present = [closed, *workers.values()]
-        totals = _closed({name: sum(getattr(part, name) for part in present) for name in (*_STEPS, *_CHUNKS)})
+        closed, workers = self._now()
+        totals = _summed([closed, *workers.values()])
         every = ((name, ledger.figures()) for name, ledger in workers.items())
         chosen = dict(heapq.nsmallest(rows, every, key=_trouble_first)) if rows else {}
         rest = {name: total - sum(part[name] for part in chosen.values()) for name, total in totals.items()}
@@ -167,7 +177,7 @@ class Intake:
     def restore(self, state: dict[str, Any]) -> None:
         """Take up a checkpoint's ledger; raise CheckpointError when it is none."""
         try:
-            self.closed = WorkerLedger(**state["closed"])
+            self.closed = _ended(state["closed"])
             self.workers = {str(name): _rebuilt(entry) for name, entry in state["workers"].items()}
         except (KeyError, TypeError, AttributeError) as error:
             raise CheckpointError(f"the checkpoint's ledger is not readable: {error}") from error
@@ -181,12 +191,16 @@ class Intake:
             ledger,
             expected=sender.sequence + 1,
             flown=max(ledger.flown, flown, produced),
-            produced=ledger.produced + missing + steps,
+            produced=max(ledger.produced, produced),
             lost=ledger.lost + missing - rejected,
             rejected=ledger.rejected + rejected,
             pending_rejected=False,
         )
         return spent, missing - rejected
+
+    def _now(self) -> tuple[WorkerLedger, dict[str, WorkerLedger]]:
+        with self._switch:
+            return self.closed, dict(self.workers)
 
     def _ledger(self, sender: Envelope) -> WorkerLedger:
         ledger = self.workers.get(sender.name)
@@ -207,20 +221,26 @@ def _trouble_first(row: tuple[str, dict[str, int]]) -> tuple[int, int, str]:
     return -(figures["lost"] + figures["rejected"]), -figures["produced"], name
 
 
-def _closed(figures: dict[str, int]) -> dict[str, int]:
-    """Return figures with what was produced before them: the sum of all that can become of a step."""
-    return {"produced": sum(figures[name] for name in _STEPS), **figures}
+def _summed(parts: list[WorkerLedger]) -> dict[str, int]:
+    """Return what is told of some accounts together."""
+    sums = {name: sum(getattr(part, name) for part in parts) for name in _TOLD}
+    return {"produced": sum(part.flown for part in parts), **sums}
+
+
+def _ended(entry: dict[str, Any]) -> WorkerLedger:
+    """Return a checkpoint's sum of ended starts; an older form says too little in `produced`."""
+    return replace(WorkerLedger(**entry), produced=entry["flown"])
 
 
 def _rebuilt(entry: dict[str, Any]) -> WorkerLedger:
     earlier = entry.get("earlier")
-    return WorkerLedger(**{**entry, "earlier": None if earlier is None else WorkerLedger(**earlier)})
+    return WorkerLedger(**{**entry, "earlier": None if earlier is None else _ended(earlier)})
 
 
 def _add(total: WorkerLedger, part: WorkerLedger) -> WorkerLedger:
     return replace(
         total,
-        flown=total.flown + max(part.flown, part.accepted + part.lost + part.rejected),
+        flown=total.flown + part.flown,
         produced=total.produced + part.produced,
         accepted=total.accepted + part.accepted,
         lost=total.lost + part.lost,

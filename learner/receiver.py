@@ -222,6 +222,7 @@ class Receiver:
         self._log(f"a chunk of worker {sender.name} came damaged: {error}")
         expected = self.intake.expected(sender)
         if sender.sequence < expected:
+            self._tell("duplicate", sender, 1)  # its worker is told so, as of one that came whole
             return "duplicate", ""
         self._bad(sender.name, str(error))
         start, sequence, times = self._damaged.get(sender.name, (0, 0, 0))

@@ -308,12 +308,15 @@ class Learner:
         self._journal.write("status", **values, agents=agents)
 
     def _unexplained(self) -> int:
-        """Return accepted steps that are neither in replay's count nor in the queue; anything but 0 is a defect."""
+        """Return by how many steps the ledger fails to close, and misses replay and queue; anything but 0 is a defect.
+
+        Both count as sizes, so that neither makes up for the other.
+        """
         receiver = self._receiver
         with receiver.gate:
-            accepted = receiver.intake.totals()["accepted"]
+            accepted, unclosed = receiver.intake.totals()["accepted"], receiver.intake.unexplained()
             queued = sum(arrival.chunk.rows.steps for arrival in list(receiver.arrivals.queue))
-        return int(accepted - self.trainer.environment_steps - queued)
+        return abs(int(accepted - self.trainer.environment_steps - queued)) + unclosed
 
     def _checkpoint(self, *, wait: bool = False) -> None:
         started = time.monotonic()

@@ -183,7 +183,7 @@ class Sender:
         with self._changed:
             # Before the spool looks empty: in lockstep the worker flies on as soon as it does.
             self.required_version = required_version
-            kept = "refused" if verdict == "refused" else "told"
+            kept = {"refused": "refused", "duplicate": "again"}.get(verdict, "told")
             self._history.add(Entry(kept, self._worker, self._incarnation, number, number, steps))
             self._held.popleft()
             if verdict == "refused":

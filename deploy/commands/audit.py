@@ -50,6 +50,11 @@ def _show(found: Audit) -> None:
     console.print(f"lost: {lost}; {found.duplicates:,} duplicate chunks; {found.starts} starts of the learner")
     if found.damaged:
         console.print(f"{found.damaged} lines of the histories cannot be read")
-    for sentence in [*found.unexplained, *found.doubled][:NAMED]:
+    if found.torn:
+        console.print(f"{found.torn} histories end with a torn line, as a killed process leaves it", highlight=False)
+    named = found.named()
+    for sentence in named[:NAMED]:
         console.print(sentence, highlight=False, soft_wrap=True)
+    if len(named) > NAMED:
+        console.print(f"and {len(named) - NAMED} more, which --json names", highlight=False)
     console.print(f"unexplained: {len(found.unexplained)}, counted twice: {len(found.doubled)}", highlight=False)

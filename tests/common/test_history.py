@@ -1,7 +1,7 @@
 """Histories say what happened, stay small, and survive torn lines and full disks."""
 
 from common import history
-from common.history import End, Entry, History, Resume, Start, parse, read, text
+from common.history import End, Entry, History, Resume, Start, Unreadable, parse, read, text
 
 
 def chunk(number: int, verdict: str = "accepted", steps: int = 10) -> Entry:
@@ -51,6 +51,18 @@ def test_a_torn_line_is_counted_and_healed(tmp_path):
     assert read(path) == ([chunk(1)], 1)
     History(path).add(chunk(2))
     assert read(path) == ([chunk(1), chunk(2)], 0)
+
+
+def test_a_damaged_line_in_the_middle_stays(tmp_path):
+    """A line that is none, with others behind it or with its line break, was not torn off by a kill, and is kept."""
+    path = tmp_path / "h.jsonl"
+    path.write_text(text(chunk(1)) + "\njunk\n" + text(chunk(2)) + "\n")
+    held = [chunk(1), Unreadable("junk"), chunk(2)]
+    assert read(path) == (held, 0)
+    History(path).add(chunk(3))
+    assert [*held, chunk(3)] == read(path)[0]
+    path.write_text("junk\n")
+    assert read(path) == ([Unreadable("junk")], 0)
 
 
 def test_a_disk_that_refuses_is_said_and_made_good(tmp_path, monkeypatch):

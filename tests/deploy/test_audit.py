@@ -5,7 +5,7 @@ import json
 import pytest
 
 from common.history import End, Entry, History, Resume, Start
-from deploy.audit import audit
+from deploy.audit import NAMED, audit
 from deploy.cli import dispatch
 
 
@@ -52,13 +52,90 @@ def test_what_an_ended_worker_held_is_lost(tmp_path):
         ([("accepted", 1, 4, 10)], [made(3), ("told", 1, 3, 10)], "chunk a/1/4 was accepted"),
         ([("accepted", 1, 3, 20)], [made(3)], "chunk a/1/1 has 10 steps"),
         ([("accepted", 1, 2, 10), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never came"),
+        ([("accepted", 5, 6, 10)], None, "chunk a/1/1 to 4 never came"),
+        ([Resume({"a": (1, 4)}), ("accepted", 5, 6, 10)], None, "chunk a/1/4 to 4 never came"),
+        ([("accepted", 1, 2, 10), Resume({"a": (1, 5)}), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never came"),
+        ([("refused", 1, 1, 0)], [made(1), ("told", 1, 1, 10)], "chunk a/1/1 was refused, and its worker was told"),
+        ([("accepted", 1, 1, 10)], [made(1), ("refused", 1, 1, 10)], "chunk a/1/1 was accepted, and its worker was"),
+        (
+            [("accepted", 1, 2, 10), Resume({"a": (1, 2)})],
+            [made(2), ("told", 1, 1, 10), ("refused", 2, 2, 10)],
+            "chunk a/1/2 was rolled back, and its worker was told that it is refused",
+        ),
+        (
+            [("accepted", 1, 1, 10)],
+            [made(1), ("told", 1, 2, 10)],
+            "chunk a/1/2 was told to be accepted, and its worker",
+        ),
     ],
 )
 def test_what_nobody_can_explain_is_named(tmp_path, learner, worker, said):
-    """An acknowledgement without a record, a chunk from nowhere, other steps and a gap are each named."""
+    """An acknowledgement without a record, a chunk from nowhere, other steps, a gap, two verdicts are each named."""
     found = write(tmp_path, learner, worker)
     assert not found.clean
     assert found.unexplained[0].startswith(said)
+
+
+@pytest.mark.parametrize("fate", ["accepted", "refused"])
+def test_a_repeated_chunk_is_a_duplicate_whatever_became_of_it(tmp_path, fate):
+    """A worker whose first answer was lost hears only that the chunk came again, also when it had been refused."""
+    steps = 10 if fate == "accepted" else 0
+    found = write(tmp_path, [(fate, 1, 1, steps), ("duplicate", 1, 1, 1)], [made(1), ("again", 1, 1, 10)])
+    assert found.clean, found.unexplained
+    assert found.chunks["accepted" if fate == "accepted" else "rejected"] == 1
+
+
+@pytest.mark.parametrize("before", [Resume({"a": (1, 5)}), ("missing", 5, 5, 40)])
+def test_a_late_beginning_that_is_explained(tmp_path, before):
+    """A checkpoint that knows of the chunks before the history, or their declared loss, is an explanation."""
+    found = write(tmp_path, [before, ("accepted", 5, 6, 10)])
+    assert found.clean, found.unexplained
+    assert found.chunks["accepted"] == 2
+
+
+def damage(path, number):
+    """Spoil one line of a file; return how many it has."""
+    lines = path.read_text().splitlines(keepends=True)
+    lines[number - 1] = lines[number - 1].replace("]", "")
+    path.write_text("".join(lines))
+    return len(lines)
+
+
+@pytest.mark.parametrize("name", ["learner", "rollout-a"])
+def test_a_damaged_line_is_named_also_after_its_process_came_back(tmp_path, name):
+    """A line in the middle that nobody can read is not clean, and going on with the file does not wipe it out."""
+    write(tmp_path, [("accepted", 1, 2, 10), ("missing", 3, 3, 0)], [made(2), ("told", 1, 2, 10)])
+    path = tmp_path / "history" / f"{name}.jsonl"
+    assert damage(path, 1) == 3
+    said = f"line 1 of {name}.jsonl cannot be read, and is not torn off."
+    for _ in range(2):
+        found = audit(tmp_path)
+        assert (found.named(), found.clean, found.damaged, found.torn) == ([said], False, 1, 0)
+        History(path)
+
+
+def test_a_torn_last_line_is_no_defect(tmp_path):
+    """What a killed process left half written is counted, and the chunk is still in flight."""
+    write(tmp_path, [("accepted", 1, 1, 10)], [made(2), ("told", 1, 1, 10)])
+    with (tmp_path / "history" / "rollout-a.jsonl").open("a") as file:
+        file.write('["told","a",1,2,')
+    found = audit(tmp_path)
+    assert found.clean, found.unexplained
+    assert (found.torn, found.damaged, found.chunks["in_flight"]) == (1, 0, 1)
+
+
+def test_all_ids_are_named(tmp_path, capsys):
+    """As JSON every one; as a table the first, and how many more there are."""
+    found = write(tmp_path, [("accepted", 1, 1, 10)], [made(31), ("told", 1, 31, 10)])
+    names = [f"chunk a/1/{number} " for number in range(2, 32)]
+    assert len(found.unexplained) == len(names)
+    assert dispatch(["audit", str(tmp_path), "--json"]) == 1
+    named = json.loads(capsys.readouterr().out)["named"]
+    assert all(sentence.startswith(name) for sentence, name in zip(named, names, strict=True))
+    assert dispatch(["audit", str(tmp_path)]) == 1
+    said = capsys.readouterr().out
+    assert said.count("chunk a/1/") == NAMED
+    assert "and 10 more" in said
 
 
 def test_a_chunk_that_was_taken_twice_is_named(tmp_path, capsys):

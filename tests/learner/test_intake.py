@@ -1,10 +1,16 @@
 """The intake takes each chunk once, in order, and its ledger explains every environment step."""
 
+import queue
+import threading
+from dataclasses import replace
+from types import SimpleNamespace
+
 import pytest
 
 from common.errors import CheckpointError
 from common.messages import Envelope
 from learner.intake import OTHERS, Intake
+from learner.service import Learner
 
 
 def sender(sequence: int, incarnation: int = 1, name: str = "w") -> Envelope:
@@ -101,11 +107,13 @@ def produce(intake: Intake, name: str, sequence: int, steps: int, incarnation: i
     intake.accept(who, steps, produced=sequence * steps, flown=flown)
 
 
-def assert_columns_add_up(totals: dict[str, int], rows: dict[str, dict[str, int]]) -> None:
+def assert_columns_add_up(totals: dict[str, int], rows: dict[str, dict[str, int]], flown: int) -> None:
+    """Assert that rows make up the totals, and fates what workers said that they had flown."""
     for name, total in totals.items():
         assert sum(row[name] for row in rows.values()) == total, name
     for row in (totals, *rows.values()):
         assert row["produced"] == row["accepted"] + row["lost"] + row["rejected"] + row["in_flight"]
+    assert totals["produced"] == flown
 
 
 def test_every_worker_has_an_account_over_all_its_starts() -> None:
@@ -121,7 +129,7 @@ def test_every_worker_has_an_account_over_all_its_starts() -> None:
         assert list(rows) == ["a", "b"]
         assert [rows["a"][name] for name in ("produced", "accepted", "lost", "in_flight")] == [90, 30, 40, 20]
         assert (rows["b"]["produced"], rows["b"]["accepted"]) == (7, 7)
-        assert_columns_add_up(totals, rows)
+        assert_columns_add_up(totals, rows, flown=50 + 10 + 30 + 7)
 
 
 def test_of_many_workers_those_in_trouble_and_the_busiest_are_told_and_the_others_summed() -> None:
@@ -135,19 +143,85 @@ def test_of_many_workers_those_in_trouble_and_the_busiest_are_told_and_the_other
     assert list(rows) == ["w5", "w59", "w58", "w57", OTHERS]
     assert rows["w5"]["lost"] == 30
     assert rows[OTHERS]["workers"] == 56
-    assert_columns_add_up(totals, rows)
+    assert_columns_add_up(totals, rows, flown=sum(range(10, 70)) + 5 + 60 - 15)
 
 
 def test_a_checkpoint_without_single_accounts_still_adds_up() -> None:
-    """What a checkpoint of an older form knows only in sum stands in the row of the others."""
+    """What a checkpoint of an older form knows only in sum stands in the row of the others, and is explained."""
     intake, again = Intake(), Intake()
     produce(intake, "a", 1, 10, flown=50)
     produce(intake, "a", 1, 10, incarnation=2)
     state = intake.state()
     for entry in state["workers"].values():
         del entry["earlier"]
+    state["closed"]["produced"] = 10  # what a killed start still held was not in it
     again.restore(state)
     totals, rows = again.accounts()
     assert totals == intake.totals()
     assert (rows["a"]["produced"], rows[OTHERS]["lost"], rows[OTHERS]["workers"]) == (10, 40, 0)
-    assert_columns_add_up(totals, rows)
+    assert_columns_add_up(totals, rows, flown=60)
+    assert again.unexplained() == 0
+
+
+def flight(intake: Intake) -> int:
+    """Book all that can become of steps, also out of order and over two starts; return what the workers have flown."""
+    produce(intake, "a", 1, 10, flown=90)
+    assert intake.judge(sender(1, name="a"), 1) == "duplicate"
+    intake.refuse(sender(2, name="a"))
+    produce(intake, "a", 3, 10, flown=40)  # an older request, which says less than the first one
+    produce(intake, "a", 6, 10, flown=90)
+    intake.refuse_aged(sender(7, name="a"), 10, 70, 90)
+    intake.lose(sender(8, name="a"), 10, 80, 95)
+    produce(intake, "b", 1, 7, flown=3)  # flown is written after the chunk is made
+    produce(intake, "a", 1, 10, incarnation=2, flown=30)
+    return 95 + 7 + 30
+
+
+def test_the_ledger_closes_against_what_workers_say() -> None:
+    """Duplicates, refusals, losses, requests out of order and a killed start leave nothing unexplained."""
+    intake = Intake()
+    flown = flight(intake)
+    totals, rows = intake.accounts()
+    assert [totals[name] for name in ("accepted", "lost", "rejected", "in_flight")] == [47, 45, 20, 20]
+    assert_columns_add_up(totals, rows, flown)
+    assert intake.unexplained() == 0
+
+
+@pytest.mark.parametrize("times", [0, 2])
+@pytest.mark.parametrize("fate", ["accepted", "lost", "rejected"])
+@pytest.mark.parametrize("ends", [False, True])
+def test_a_ledger_that_books_wrongly_is_unexplained(times: int, fate: str, ends: bool) -> None:
+    """Each fate that is booked twice, or not at all, shows by exactly its steps, also after the start has ended."""
+    intake = Intake()
+    produce(intake, "w", 1, 10)
+    before = getattr(intake.workers["w"], fate)
+    {"accepted": intake.accept, "lost": intake.lose, "rejected": intake.refuse_aged}[fate](sender(2), 10, 20, 20)
+    intake.workers["w"] = replace(intake.workers["w"], **{fate: before + 10 * times})
+    produce(intake, "w", 3, 10, flown=50)
+    if ends:
+        produce(intake, "w", 1, 10, incarnation=2)
+    totals, rows = intake.accounts()
+    assert intake.unexplained() == 10
+    assert totals["unexplained"] == rows["w"]["unexplained"] == 10 * (1 - times)
+    assert totals["in_flight"] == (0 if ends else 20)
+
+
+def test_two_errors_do_not_make_up_for_each_other() -> None:
+    """Steps forgotten of one worker and as many booked twice of another are both counted."""
+    intake = Intake()
+    for name, accepted in (("a", 0), ("b", 20)):
+        produce(intake, name, 1, 10)
+        intake.workers[name] = replace(intake.workers[name], accepted=accepted)
+    assert intake.totals()["unexplained"] == 0
+    assert intake.unexplained() == 20
+
+
+@pytest.mark.parametrize(("booked", "in_replay", "said"), [(10, 10, 0), (10, 7, 3), (20, 20, 10), (0, 10, 20)])
+def test_the_learner_tells_of_both_defects(booked: int, in_replay: int, said: int) -> None:
+    """Its figure holds what the accounts fail to close by, and what of the accepted is not in replay; sizes add up."""
+    intake = Intake()
+    produce(intake, "w", 1, 10)
+    intake.workers["w"] = replace(intake.workers["w"], accepted=booked)
+    receiver = SimpleNamespace(gate=threading.Lock(), intake=intake, arrivals=queue.Queue())
+    learner = SimpleNamespace(_receiver=receiver, trainer=SimpleNamespace(environment_steps=in_replay))
+    assert Learner._unexplained(learner) == said
