@@ -80,18 +80,39 @@ def _paper_block(run: dict[str, Any]) -> str:
 
 def _second_worker_block(data: dict[str, Any]) -> str:
     steps, ledger = data["environment_steps_per_second"], data["ledger"]
+    # Results made before the number was written down are of a machine with two.
+    cores = data.get("cores", 2)
     one, two, after = (f"{steps[name]:,.0f}" for name in ("one_worker", "two_workers", "after_kill"))
     names = ("produced", "accepted", "lost", "in_flight", "unexplained")
     produced, accepted, lost, in_flight, unexplained = (f"{ledger[name]:,}" for name in names)
     return "\n".join(
         [
             f"`{data['command']}` (commit {data['commit']}): one worker delivers {one} environment",
-            f"steps a second into replay, two deliver {two} ({data['gain']:.2f} times as many, on two cores that the",
-            f"learner shares), and after kill -9 of the second one goes on with {after}. Of {produced} steps",
+            f"steps a second into replay, two deliver {two} ({data['gain']:.2f} times as many, on {cores} cores that",
+            f"the learner shares), and after kill -9 of the second one goes on with {after}. Of {produced} steps",
             f"{accepted} were accepted, {lost} lost, {in_flight} in flight at the end, {unexplained} unexplained.",
             "",
+            *_sweep_rows(data.get("sweep", [])),
         ]
     )
+
+
+def _sweep_rows(sweep: list[dict[str, Any]]) -> list[str]:
+    """Return the table by number of workers; nothing for results that were made before there was one."""
+    if not sweep:
+        return []
+    rows = [
+        "| workers | environment steps a second | update rounds a second | learner, MiB | all workers, MiB |",
+        "|---:|---:|---:|---:|---:|",
+    ]
+    for line in sweep:
+        used = [
+            f"{line[who]['pss_mib']:,.0f} ({line[who]['rss_mib']:,.0f})" if line[who] else "-"
+            for who in ("learner", "all_workers")
+        ]
+        pace = (f"{line['environment_steps_per_second']:,.0f}", f"{line['updates_per_second']:,.0f}")
+        rows.append("| " + " | ".join((f"{line['workers']}", *pace, *used)) + " |")
+    return [*rows, "", "Memory is PSS, pages that processes share divided among them, and in brackets RSS.", ""]
 
 
 def _forms_block(data: dict[str, Any]) -> str:

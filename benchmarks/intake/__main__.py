@@ -159,7 +159,7 @@ def transports(bench: Bench) -> dict[str, Callable[[str, int], Result]]:
         ),
         RAY_NAME: lambda label, workers: bench.peer(RAY, label, workers),
         TORCHRL_NAME: lambda label, workers: bench.peer(TORCHRL, label, workers),
-        ZMQ_NAME: lambda label, workers: bench.zmq(label, workers),
+        ZMQ_NAME: bench.zmq,
     }
 
 

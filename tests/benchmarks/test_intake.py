@@ -82,6 +82,7 @@ class ABench:
 
     def __init__(self) -> None:
         self.asked: list[tuple[str, int]] = []
+        self.peer = self.zmq = None
 
     def ours(self, label, workers, **how):
         """Return the number of workers, and of cases so far."""
