@@ -216,6 +216,34 @@ def _hosts_block(data: dict[str, Any]) -> str:
     )
 
 
+def _watch_block(data: dict[str, Any]) -> str:
+    bare, *others = data["watchers"]
+    rows = [
+        "| watchers | watching, of its processor time | frames a second | a whole step, more than without | it had |",
+        "|---:|---:|---:|---:|---:|",
+        f"| {bare['watchers']} | {bare['watching_percent']:.2f} % | - | - | {bare['processor_share']:.2f} cores |",
+    ]
+    for line in others:
+        extra = (
+            f"{line['extra_percent']:+.1f} % ({line['extra_percent_least']:+.1f} to {line['extra_percent_most']:+.1f})"
+        )
+        share, frames = f"{line['watching_percent']:.2f} %", f"{line['frames_per_second']:.0f}"
+        rows.append(f"| {line['watchers']} | {share} | {frames} | {extra} | {line['processor_share']:.2f} cores |")
+    # The kept file may be older than the note of its commit.
+    commit = f", commit {data['commit']}" if "commit" in data else ""
+    numbers = ", ".join(str(line["watchers"]) for line in data["watchers"])
+    return "\n".join(
+        [
+            f"`{data['command']}`{commit} ([results/watch.json](results/watch.json)):",
+            f"{numbers} watchers take turns of {data['seconds']:.0f} s, {data['rounds']} rounds, with one worker that",
+            "flies as fast as it can.",
+            "",
+            *rows,
+            "",
+        ]
+    )
+
+
 BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
     "README.md": ("results", ("docs/results/default/evaluation.json",), _run_block),
     "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
@@ -229,6 +257,7 @@ BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
         ("docs/results/tasks/simple_spread/results.json", "docs/results/tasks/half_cheetah/results.json"),
         _tasks_block,
     ),
+    "docs/watch.md": ("cost", ("docs/results/watch.json",), _watch_block),
 }
 """For each document: the block's name, the data that it shows, and the function that writes it."""
 
