@@ -1,6 +1,6 @@
 """What it costs a worker to be watched.
 
-Run `python -m benchmarks.watch --json`.
+Run `python -m benchmarks.watch --write docs/results/watch.json`, then `make docs`.
 
 One worker flies the default farm as fast as it can; stretches in which nobody watches, one watcher watches and four
 watch take turns in one run. The listener and the watchers are a process of their own, as they are in a run. Counted is
@@ -13,7 +13,8 @@ import selectors
 import subprocess
 import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
@@ -25,6 +26,7 @@ from common.config import RunConfig
 from common.config.files import to_toml
 from common.endpoint import Endpoint, free_endpoint
 from common.process import Presence
+from deploy.provenance import provenance
 from deploy.watching.hub import Hub, Seat
 from deploy.watching.source import Source
 from rollout.collector import Collector
@@ -47,6 +49,8 @@ class Arguments:
     """Numbers of watchers; the first is what the others are compared with."""
     json: bool = False
     """Print one JSON object."""
+    write: Path | None = None
+    """File for the same object."""
     other_side: str | None = None
     """Endpoint; be the listener and the watchers (the command starts itself so)."""
 
@@ -77,13 +81,16 @@ class _TimedLens(Lens):
 
 def main() -> None:
     """Measure and print."""
-    arguments = tyro.cli(Arguments)
+    arguments = tyro.cli(Arguments, prog="python -m benchmarks.watch")
     if arguments.other_side is not None:
         _watch(Endpoint.parse(arguments.other_side))
         return
     result = measure(arguments)
+    text = json.dumps(result, indent=2) + "\n"
+    if arguments.write is not None:
+        arguments.write.write_text(text, encoding="utf-8")
     if arguments.json:
-        sys.stdout.write(json.dumps(result, indent=2) + "\n")
+        sys.stdout.write(text)
         return
     for row in result["watchers"]:
         sys.stdout.write(
@@ -105,7 +112,8 @@ def measure(arguments: Arguments) -> dict[str, Any]:
         other.kill()
         other.wait()
     rows = [_row(number, found[number], found[arguments.watchers[0]]) for number in arguments.watchers]
-    return {"command": "python -m benchmarks.watch --json", **asdict(arguments), "watchers": rows}
+    made = {"rounds": arguments.rounds, "seconds": arguments.seconds, "watchers": rows}
+    return {**provenance("benchmarks.watch"), **made}
 
 
 def _rounds(arguments: Arguments, bus: Bus, other: "subprocess.Popen[str]") -> dict[int, list[_Tally]]:

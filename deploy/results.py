@@ -80,18 +80,39 @@ def _paper_block(run: dict[str, Any]) -> str:
 
 def _second_worker_block(data: dict[str, Any]) -> str:
     steps, ledger = data["environment_steps_per_second"], data["ledger"]
+    # Results made before the number was written down are of a machine with two.
+    cores = data.get("cores", 2)
     one, two, after = (f"{steps[name]:,.0f}" for name in ("one_worker", "two_workers", "after_kill"))
     names = ("produced", "accepted", "lost", "in_flight", "unexplained")
     produced, accepted, lost, in_flight, unexplained = (f"{ledger[name]:,}" for name in names)
     return "\n".join(
         [
             f"`{data['command']}` (commit {data['commit']}): one worker delivers {one} environment",
-            f"steps a second into replay, two deliver {two} ({data['gain']:.2f} times as many, on two cores that the",
-            f"learner shares), and after kill -9 of the second one goes on with {after}. Of {produced} steps",
+            f"steps a second into replay, two deliver {two} ({data['gain']:.2f} times as many, on {cores} cores that",
+            f"the learner shares), and after kill -9 of the second one goes on with {after}. Of {produced} steps",
             f"{accepted} were accepted, {lost} lost, {in_flight} in flight at the end, {unexplained} unexplained.",
             "",
+            *_sweep_rows(data.get("sweep", [])),
         ]
     )
+
+
+def _sweep_rows(sweep: list[dict[str, Any]]) -> list[str]:
+    """Return the table by number of workers; nothing for results that were made before there was one."""
+    if not sweep:
+        return []
+    rows = [
+        "| workers | environment steps a second | update rounds a second | learner, MiB | all workers, MiB |",
+        "|---:|---:|---:|---:|---:|",
+    ]
+    for line in sweep:
+        used = [
+            f"{line[who]['pss_mib']:,.0f} ({line[who]['rss_mib']:,.0f})" if line[who] else "-"
+            for who in ("learner", "all_workers")
+        ]
+        pace = (f"{line['environment_steps_per_second']:,.0f}", f"{line['updates_per_second']:,.0f}")
+        rows.append("| " + " | ".join((f"{line['workers']}", *pace, *used)) + " |")
+    return [*rows, "", "Memory is PSS, pages that processes share divided among them, and in brackets RSS.", ""]
 
 
 def _forms_block(data: dict[str, Any]) -> str:
@@ -195,6 +216,34 @@ def _hosts_block(data: dict[str, Any]) -> str:
     )
 
 
+def _watch_block(data: dict[str, Any]) -> str:
+    bare, *others = data["watchers"]
+    rows = [
+        "| watchers | watching, of its processor time | frames a second | a whole step, more than without | it had |",
+        "|---:|---:|---:|---:|---:|",
+        f"| {bare['watchers']} | {bare['watching_percent']:.2f} % | - | - | {bare['processor_share']:.2f} cores |",
+    ]
+    for line in others:
+        extra = (
+            f"{line['extra_percent']:+.1f} % ({line['extra_percent_least']:+.1f} to {line['extra_percent_most']:+.1f})"
+        )
+        share, frames = f"{line['watching_percent']:.2f} %", f"{line['frames_per_second']:.0f}"
+        rows.append(f"| {line['watchers']} | {share} | {frames} | {extra} | {line['processor_share']:.2f} cores |")
+    # The kept file may be older than the note of its commit.
+    commit = f", commit {data['commit']}" if "commit" in data else ""
+    numbers = ", ".join(str(line["watchers"]) for line in data["watchers"])
+    return "\n".join(
+        [
+            f"`{data['command']}`{commit} ([results/watch.json](results/watch.json)):",
+            f"{numbers} watchers take turns of {data['seconds']:.0f} s, {data['rounds']} rounds, with one worker that",
+            "flies as fast as it can.",
+            "",
+            *rows,
+            "",
+        ]
+    )
+
+
 BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
     "README.md": ("results", ("docs/results/default/evaluation.json",), _run_block),
     "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
@@ -208,6 +257,7 @@ BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
         ("docs/results/tasks/simple_spread/results.json", "docs/results/tasks/half_cheetah/results.json"),
         _tasks_block,
     ),
+    "docs/watch.md": ("cost", ("docs/results/watch.json",), _watch_block),
 }
 """For each document: the block's name, the data that it shows, and the function that writes it."""
 

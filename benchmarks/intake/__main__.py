@@ -1,13 +1,15 @@
 """Environment steps a second that a learner accepts into replay, beside other ways to move them.
 
-    python -m benchmarks.intake [--json] [--write docs/results/intake] [--pip-args=...]
+    python -m benchmarks.intake [--json] [--write docs/results/intake] [--workers 8 64 256 ...] [--pip-args=...]
 
 Two processes on one machine, a player that stands for many workers and a sink, and a third where there is a router.
 Ours does all that a run does (checksum, checks, deduplication, ledger, acknowledgement, copy into replay); the peers
 move the same arrays and copy them into a preallocated ring. Ray and TorchRL run in environments of their own, which are
 made when they are missing; each with one player. At every size each transport has as many chunks under way from each
 worker as one of our requests takes from a spool, except TorchRL, whose collector makes one batch after another. Every
-case is measured in turn, the whole sequence several times, and the best of each counts.
+case is measured in turn, the whole sequence several times, and the best of each counts. Every size is measured with the
+first number of workers, 128 KB with the others, too; these all play in the one player, so that it is the learner's side
+that is loaded, and TorchRL is left out there because its collector stands for one worker.
 """
 
 import argparse
@@ -17,7 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,15 +27,18 @@ from benchmarks.intake.player import in_flight
 from benchmarks.intake.record import record, write
 from benchmarks.peers.catalogue import ROOT, Program
 from benchmarks.peers.report import table
-from benchmarks.peers.session import THREAD_VARIABLES
 from benchmarks.peers.venvs import interpreter, provide
 from common.config import RolloutConfig
 from common.endpoint import free_endpoint
 from common.errors import EiaSecError
 from deploy.provenance import provenance
+from deploy.threads import thread_environment
 
 SIZES: Final = {"16 KB": 16_384, "128 KB": 131_072, "1 MB": 1_048_576}
+SWEPT: Final = "128 KB"
+"""The size that is measured with every number of workers."""
 WORKERS: Final = 8
+MOST_WORKERS: Final = 4096
 LIMIT: Final = 180.0
 """Seconds after which a case counts as failed."""
 RAY = Program("intake", "Ray", "benchmarks.intake.peer_ray", "intake")
@@ -42,6 +47,8 @@ ZMQ = Program("intake", "pyzmq", "benchmarks.intake.peer_zmq", "intake")
 RAY_NAME, TORCHRL_NAME, ZMQ_NAME = "Ray actors", "TorchRL distributed collector", "pyzmq"
 PEERS: Final = {RAY_NAME: RAY, TORCHRL_NAME: TORCHRL, ZMQ_NAME: ZMQ}
 Result = dict[str, float]
+Table = dict[str, dict[str, Result]]
+"""For each transport, and each size or number of workers."""
 
 
 class Bench:
@@ -63,12 +70,12 @@ class Bench:
         for label, size in SIZES.items():
             write(record(size), scratch / label)
 
-    def _load(self, label: str) -> tuple[str, ...]:
+    def _load(self, label: str, workers: int) -> tuple[str, ...]:
         """Return the arguments that say how many workers play, and how many chunks each has under way."""
-        return "--workers", str(WORKERS), "--chunks", str(self.under_way[label])
+        return "--workers", str(workers), "--chunks", str(self.under_way[label])
 
     def _start(self, python: str, *arguments: str) -> "subprocess.Popen[str]":
-        environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "1"), "PYTHONPATH": str(ROOT)}
+        environment = {**os.environ, **thread_environment(1), "PYTHONPATH": str(ROOT)}
         return subprocess.Popen(
             [python, "-m", *arguments],
             cwd=ROOT,
@@ -89,7 +96,7 @@ class Bench:
         result: Result = json.loads(output.strip().rpartition("\n")[2])
         return result
 
-    def ours(self, label: str, *, routed: bool, shared: bool) -> Result:
+    def ours(self, label: str, workers: int, *, routed: bool, shared: bool) -> Result:
         """Measure ours, through a router or direct, with shared memory or over TCP alone."""
         endpoint = free_endpoint()
         more = ["--shared-memory"] if shared else []
@@ -105,29 +112,29 @@ class Bench:
             running.append(sink)
             assert sink.stdout is not None
             sink.stdout.readline()
-            size = ("--bytes", str(SIZES[label]))
-            running.append(self._start(sys.executable, "benchmarks.intake.player", *where, *size, *self._load(label)))
+            load = ("--bytes", str(SIZES[label]), *self._load(label, workers))
+            running.append(self._start(sys.executable, "benchmarks.intake.player", *where, *load))
             return self._result(sink)
         finally:
             end(running)
 
-    def peer(self, program: Program, label: str) -> Result:
+    def peer(self, program: Program, label: str, workers: int) -> Result:
         """Measure a peer that starts its own processes."""
         folder = ("--folder", str(self._scratch / label), "--seconds", str(self._seconds))
         python = str(interpreter(program, self._venvs))
-        sink = self._start(python, program.module, *folder, *self._load(label))
+        sink = self._start(python, program.module, *folder, *self._load(label, workers))
         try:
             return self._result(sink)
         finally:
             end([sink])
 
-    def zmq(self, label: str) -> Result:
+    def zmq(self, label: str, workers: int) -> Result:
         """Measure pyzmq."""
         endpoint = free_endpoint()
         address = f"tcp://{endpoint.host}:{endpoint.port}"
         python, folder = str(interpreter(ZMQ, self._venvs)), ("--folder", str(self._scratch / label))
         sink = self._start(python, ZMQ.module, "sink", address, *folder, "--seconds", str(self._seconds))
-        player = self._start(python, ZMQ.module, "player", address, *folder, *self._load(label))
+        player = self._start(python, ZMQ.module, "player", address, *folder, *self._load(label, workers))
         try:
             return self._result(sink)
         finally:
@@ -141,15 +148,17 @@ def end(processes: "list[subprocess.Popen[str]]") -> None:
         process.communicate()
 
 
-def transports(bench: Bench) -> dict[str, Callable[[str], Result]]:
-    """Return how each transport is measured at a size."""
+def transports(bench: Bench) -> dict[str, Callable[[str, int], Result]]:
+    """Return how each transport is measured at a size, with a number of workers."""
     return {
-        "EIA-SEC, TCP": lambda label: bench.ours(label, routed=False, shared=False),
-        "EIA-SEC, shared memory": lambda label: bench.ours(label, routed=False, shared=True),
-        "EIA-SEC, TCP through a router": lambda label: bench.ours(label, routed=True, shared=False),
-        "EIA-SEC, shared memory through a router": lambda label: bench.ours(label, routed=True, shared=True),
-        RAY_NAME: lambda label: bench.peer(RAY, label),
-        TORCHRL_NAME: lambda label: bench.peer(TORCHRL, label),
+        "EIA-SEC, TCP": lambda label, workers: bench.ours(label, workers, routed=False, shared=False),
+        "EIA-SEC, shared memory": lambda label, workers: bench.ours(label, workers, routed=False, shared=True),
+        "EIA-SEC, TCP through a router": lambda label, workers: bench.ours(label, workers, routed=True, shared=False),
+        "EIA-SEC, shared memory through a router": lambda label, workers: bench.ours(
+            label, workers, routed=True, shared=True
+        ),
+        RAY_NAME: lambda label, workers: bench.peer(RAY, label, workers),
+        TORCHRL_NAME: lambda label, workers: bench.peer(TORCHRL, label, workers),
         ZMQ_NAME: bench.zmq,
     }
 
@@ -159,78 +168,120 @@ def wanted(name: str, only: list[str] | None) -> bool:
     return not only or any(word in name for word in only)
 
 
-def measure(bench: Bench, repeats: int, only: list[str] | None) -> tuple[dict[str, dict[str, Result]], list[str]]:
-    """Return the best of all repeats of each case, and what failed."""
-    found: dict[str, dict[str, Result]] = {}
+def cases(name: str, workers: Sequence[int]) -> list[tuple[str, int]]:
+    """Return the sizes and numbers of workers that a transport is measured with."""
+    first, *others = workers
+    swept = [] if name == TORCHRL_NAME else [(SWEPT, number) for number in others]
+    return [*((label, first) for label in SIZES), *swept]
+
+
+def measure(
+    bench: Bench, repeats: int, only: list[str] | None, workers: Sequence[int]
+) -> tuple[Table, Table, list[str]]:
+    """Return the best of all repeats of each case, by size and by number of workers, and what failed."""
+    found: dict[str, dict[tuple[str, int], Result]] = {}
     failures = []
+    chosen = {name: run for name, run in transports(bench).items() if wanted(name, only)}
     for repeat in range(repeats):
-        for name, run in transports(bench).items():
-            for label, size in SIZES.items():
-                if not wanted(name, only):
-                    continue
+        for name, run in chosen.items():
+            for case in cases(name, workers):
+                told = f"{name}, {case[0]}, {case[1]} workers"
                 try:
-                    result = run(label)
+                    result = run(*case)
                 except EiaSecError as error:
-                    failures.append(f"{name}, {label}: {error}")
+                    failures.append(f"{told}: {error}")
                     sys.stderr.write(f"{failures[-1]}\n")
                     continue
-                sys.stderr.write(f"{repeat + 1}: {name}, {label}: {result['env_steps_per_second']:,.0f} steps/s\n")
-                before = found.setdefault(name, {}).get(str(size))
+                sys.stderr.write(f"{repeat + 1}: {told}: {result['env_steps_per_second']:,.0f} steps/s\n")
+                before = found.setdefault(name, {}).get(case)
                 if before is None or result["env_steps_per_second"] > before["env_steps_per_second"]:
-                    found[name][str(size)] = {key: round(value, 1) for key, value in result.items()}
-    return found, failures
+                    found[name][case] = {key: round(value, 1) for key, value in result.items()}
+    return (*tables(found, workers), failures)
+
+
+def tables(found: dict[str, dict[tuple[str, int], Result]], workers: Sequence[int]) -> tuple[Table, Table]:
+    """Return what was found by the bytes of a chunk, and by the number of workers where there were several."""
+    by_size, by_workers = {}, {}
+    for name, results in found.items():
+        by_size[name] = {
+            str(SIZES[label]): result for (label, number), result in results.items() if number == workers[0]
+        }
+        swept = {str(number): result for (label, number), result in results.items() if label == SWEPT}
+        if len(workers) > 1 and name != TORCHRL_NAME:
+            by_workers[name] = swept
+    return by_size, by_workers
 
 
 def page(data: dict[str, Any]) -> str:
     """Return the results as Markdown."""
-    rows, under_way = [], data["chunks_under_way"]
-    for name, by_size in data["transports"].items():
-        cells = [by_size.get(str(size)) for size in SIZES.values()]
+    under_way = data["chunks_under_way"]
+    lines = [
+        "# What a learner takes in",
+        "",
+        f"`{data['command']}`, commit {data['commit']}:",
+        "environment steps a second into replay and, in brackets, MB a second;",
+        f"{data['cores']} cores for player and sink together, {data['workers']} workers.",
+        "Each has as many chunks under way as one of our requests takes from a spool: "
+        + ", ".join(f"{count} of {label}" for label, count in under_way.items())
+        + ";",
+        "the same for the peers, except TorchRL, whose collector makes one batch after another.",
+        "",
+        *_rows(data["transports"], {str(size): f"{label} chunks" for label, size in SIZES.items()}),
+    ]
+    if by_workers := data.get("by_workers"):
+        numbers = sorted({number for results in by_workers.values() for number in results}, key=int)
+        lines += ["", f"With other numbers of workers, all of them played by one process, {SWEPT} chunks:", ""]
+        lines += _rows(by_workers, {number: f"{int(number):,} workers" for number in numbers})
+    return "\n".join([*lines, ""])
+
+
+def _rows(found: Table, columns: dict[str, str]) -> list[str]:
+    """Return a table with a row for each transport, and a column, by its key in the results, for each title."""
+    rows = []
+    for name, results in found.items():
+        cells = [results.get(key) for key in columns]
         told = [f"{c['env_steps_per_second']:,.0f} ({c['mb_per_second']:,.0f})" if c else "-" for c in cells]
         rows.append([name, *told])
-    head = ["transport", *(f"{label} chunks" for label in SIZES)]
-    return "\n".join(
-        [
-            "# What a learner takes in",
-            "",
-            f"`{data['command']}`, commit {data['commit']}:",
-            "environment steps a second into replay and, in brackets, MB a second;",
-            f"{data['cores']} cores for player and sink together, {WORKERS} workers.",
-            "Each has as many chunks under way as one of our requests takes from a spool: "
-            + ", ".join(f"{count} of {label}" for label, count in under_way.items())
-            + ";",
-            "the same for the peers, except TorchRL, whose collector makes one batch after another.",
-            "",
-            *table(head, rows, 1),
-            "",
-        ]
-    )
+    return table(["transport", *columns.values()], rows, 1)
 
 
-def main() -> None:
-    """Measure and print; exit with 1 when a case has failed."""
+def options() -> argparse.Namespace:
+    """Return what the command line asks for."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.intake", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     parser.add_argument("--write", type=Path, metavar="FOLDER")
     parser.add_argument("--seconds", type=float, default=4.0)
     parser.add_argument("--repeats", type=int, default=2)
+    more = f"workers that play: the first number at every size, the others at {SWEPT}"
+    parser.add_argument("--workers", type=int, nargs="+", default=[WORKERS], metavar="N", help=more)
     parser.add_argument("--spool", type=int, default=RolloutConfig().spool_chunks, help="chunks in a worker's spool")
     parser.add_argument("--only", nargs="+", metavar="WORD", help="only transports whose name holds one of these")
     parser.add_argument("--venvs", type=Path, default=ROOT / "benchmarks" / ".venvs")
     parser.add_argument("--pip-args", default="", help="added to pip install")
     asked = parser.parse_args()
+    if not all(1 <= number <= MOST_WORKERS for number in asked.workers):
+        parser.error(f"--workers must be 1 to {MOST_WORKERS}.")
+    if len(set(asked.workers)) < len(asked.workers):
+        parser.error("--workers names a number twice.")
+    return asked
+
+
+def main() -> None:
+    """Measure and print; exit with 1 when a case has failed."""
+    asked = options()
     for name, program in PEERS.items():
         if wanted(name, asked.only):
             provide(program, asked.venvs, asked.pip_args)
     with tempfile.TemporaryDirectory() as scratch:
         bench = Bench(asked.seconds, asked.venvs, Path(scratch), asked.spool)
-        found, failures = measure(bench, asked.repeats, asked.only)
+        found, by_workers, failures = measure(bench, asked.repeats, asked.only, asked.workers)
     data = {
         **provenance("benchmarks.intake"),
         "cores": os.cpu_count(),
-        "workers": WORKERS,
+        "workers": asked.workers[0],
         "chunks_under_way": bench.under_way,
         "transports": found,
+        **({"by_workers": by_workers} if by_workers else {}),
         "failures": failures,
     }
     if asked.write:

@@ -25,7 +25,6 @@ from scipy.stats import bootstrap
 
 from benchmarks.peers.catalogue import ROOT, Program
 from benchmarks.peers.report import table
-from benchmarks.peers.session import THREAD_VARIABLES
 from benchmarks.peers.spread import EPISODE_STEPS, NOISE, curve
 from benchmarks.peers.venvs import interpreter, provide
 from common.errors import EiaSecError
@@ -34,6 +33,7 @@ from deploy.figures import DPI, OTHER_COLOURS
 from deploy.provenance import provenance
 from deploy.report import read_metrics
 from deploy.rundir import METRICS
+from deploy.threads import thread_environment
 
 RATES: Final = (5e-4, 1e-3, 2e-3)
 """Learning rates that are tried for every program at first."""
@@ -121,7 +121,7 @@ def each_episode(records: Sequence[Line]) -> list[float]:
 def run_peer(program: Program, case: Case, budget: Budget, venvs: Path) -> Line:
     """Train with a peer in its own environment; raise EiaSecError if it fails."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    environment |= dict.fromkeys(THREAD_VARIABLES, "1")
+    environment |= thread_environment(1)
     asked = {**vars(case), **vars(budget)}
     del asked["software"]
     command = [str(interpreter(program, venvs)), "-m", program.module]

@@ -1,13 +1,16 @@
 """A Compose file of a fleet: every process as a service on one Docker host."""
 
-from typing import Any
+from typing import Any, Final
 
 from common.config.files import to_toml
 from deploy.hosts import containers
 from deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, probe
 from deploy.hosts.description import Fleet
-from deploy.hosts.plan import Places, Process, processes
+from deploy.hosts.plan import SHARING, Places, Process, processes
 from deploy.rundir import HISTORY
+
+SHARED: Final = "memory"
+"""The volume that stands in for /dev/shm in every container that hands transitions over in memory."""
 
 
 def compose(fleet: Fleet) -> dict[str, bytes]:
@@ -20,7 +23,9 @@ def compose(fleet: Fleet) -> dict[str, bytes]:
     places = inside(fleet, fleet.listener[0])
     planned = processes(fleet, places)
     services = {service_of(process): _service(fleet, places, process) for process in planned}
-    document = {"services": services}
+    document: dict[str, Any] = {"services": services}
+    if fleet.network.shared_memory:
+        document["volumes"] = {SHARED: _memory()}
     files = {"compose.yaml": as_yaml([document]).encode(), "config.toml": to_toml(fleet.config).encode()}
     for process in planned:
         for name, data in key_files(fleet, process.identity).items():
@@ -62,12 +67,25 @@ def _service(fleet: Fleet, places: Places, process: Process) -> dict[str, Any]:
     return service
 
 
-def _volumes(fleet: Fleet, process: Process) -> list[str]:
-    volumes = []
+def _memory() -> dict[str, Any]:
+    """Return the shared volume: a tmpfs of its own, because one container's /dev/shm ends when that starts again.
+
+    It has no size, so that it may grow as a host's own /dev/shm does: each session of Zenoh keeps 16 MiB there, and a
+    write beyond the end of a tmpfs kills a process.
+    """
+    options = {"type": "tmpfs", "device": "tmpfs", "o": "mode=1777,nosuid,nodev,noexec"}
+    return {"driver": "local", "driver_opts": options}
+
+
+def _volumes(fleet: Fleet, process: Process) -> list[Any]:
+    volumes: list[Any] = []
     if process.role == "learner":
         volumes += [f"./run:{containers.RUN_DIR}", f"./config.toml:{containers.CONFIG}:ro"]
     if process.role == "rollout":
         volumes.append(f"./run/{HISTORY}:{containers.RUN_DIR}/{HISTORY}")
     if fleet.keys is not None:
         volumes.append(f"./keys/{process.identity}:{containers.KEYS}:ro")
+    if SHARING in process.arguments:
+        mount = {"type": "volume", "source": SHARED, "target": "/dev/shm", "volume": {"nocopy": True}}
+        volumes.append(mount)
     return volumes

@@ -26,9 +26,12 @@ def kubernetes(fleet: Fleet) -> dict[str, str]:
     for each host of the file has as many replicas as that has workers.
 
     Raises:
-        ConfigError: without certificates, when nobody said that this is meant; a name that Kubernetes does not take.
+        ConfigError: without certificates, when nobody said that this is meant; a name that Kubernetes does not take;
+            transitions through memory, which pods do not share.
         CredentialsError: a certificate is missing or cannot be used.
     """
+    if fleet.network.shared_memory:
+        raise ConfigError(f"{fleet.path}: pods share no memory; leave network.shared_memory out for Kubernetes.")
     places = inside(fleet, service_name(fleet, fleet.listener[0]))
     planned = [process for process in processes(fleet, places) if fleet.keys is not None or process.role != "rollout"]
     workloads = [(_name(fleet, process), process, 1) for process in planned]
@@ -43,7 +46,7 @@ def kubernetes(fleet: Fleet) -> dict[str, str]:
     config = _object(
         "v1", "ConfigMap", _label(f"{fleet.run}-config"), fleet, data={"config.toml": to_toml(fleet.config)}
     )
-    objects = [config, _service(fleet)]
+    objects = [config, _service(fleet), *(_headless(fleet, name) for name, process, _ in workloads if _stays(process))]
     objects += [_workload(fleet, places, *workload) for workload in workloads]
     files = {"fleet.yaml": as_yaml(objects)}
     if fleet.keys is not None:
@@ -82,6 +85,21 @@ def _service(fleet: Fleet) -> Object:
     return _object("v1", "Service", service_name(fleet, role), fleet, spec=spec)
 
 
+def _headless(fleet: Fleet, name: str) -> Object:
+    """Return the Service that a StatefulSet must have, headless; others reach the learner by the listener's, if any."""
+    spec = {"clusterIP": "None", "selector": _selector(fleet, name)}
+    return _object("v1", "Service", _headless_name(name), fleet, spec=spec)
+
+
+def _headless_name(name: str) -> str:
+    return _label(f"{name}-pods")
+
+
+def _stays(process: Process) -> bool:
+    """Return whether a process keeps a volume, and is a StatefulSet for it."""
+    return process.role == "learner"
+
+
 def _selector(fleet: Fleet, name: str) -> Object:
     return {"app.kubernetes.io/instance": _label(fleet.run), "app.kubernetes.io/component": name}
 
@@ -90,7 +108,7 @@ def _workload(fleet: Fleet, places: Places, name: str, process: Process, replica
     selector = _selector(fleet, name)
     template = {"metadata": {"labels": selector}, "spec": _pod(fleet, places, name, process)}
     spec: Object = {"replicas": replicas, "selector": {"matchLabels": selector}}
-    if process.role != "learner":
+    if not _stays(process):
         # Two processes of one name must not run at the same time.
         spec |= {"strategy": {"type": "Recreate"}, "template": template}
         return _object("apps/v1", "Deployment", name, fleet, spec=spec)
@@ -98,12 +116,12 @@ def _workload(fleet: Fleet, places: Places, name: str, process: Process, replica
     if fleet.containers.storage_class:
         claim["storageClassName"] = fleet.containers.storage_class
     volume = {"metadata": {"name": "data"}, "spec": claim}
-    spec |= {"serviceName": name, "template": template, "volumeClaimTemplates": [volume]}
+    spec |= {"serviceName": _headless_name(name), "template": template, "volumeClaimTemplates": [volume]}
     return _object("apps/v1", "StatefulSet", name, fleet, spec=spec)
 
 
 def _pod(fleet: Fleet, places: Places, name: str, process: Process) -> Object:
-    learner, tls = process.role == "learner", fleet.keys is not None
+    learner, tls = _stays(process), fleet.keys is not None
     mounts = [{"name": "data", "mountPath": "/data"}]
     volumes: list[Object] = [] if learner else [{"name": "data", "emptyDir": {}}]
     pod: Object = {

@@ -12,6 +12,9 @@ PATIENCE: Final = "86400"
 ORDER: Final = ("rollout", "elite", "learner", "router")
 """Roles in the order in which they are stopped: workers deliver what they hold first."""
 
+SHARING: Final = "--shared-memory"
+"""Option of those that hand transitions over in memory."""
+
 
 @dataclass(frozen=True)
 class Process:
@@ -116,7 +119,7 @@ def _tls(fleet: Fleet, places: Places, who: Identity) -> tuple[str, ...]:
 
 
 def _shared(fleet: Fleet) -> tuple[str, ...]:
-    return ("--shared-memory",) if fleet.network.shared_memory else ()
+    return (SHARING,) if fleet.network.shared_memory else ()
 
 
 def _insecure(fleet: Fleet) -> tuple[str, ...]:

@@ -6,6 +6,7 @@ import re
 import shutil
 import stat
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -208,10 +209,8 @@ def test_manifests_start_the_fleet(fleet, tmp_path):
             assert container["resources"]["limits"] == {"nvidia.com/gpu": 1}
     assert sorted(started) == roles(fleet)
     name = f"field-1-{fleet.listener[0]}"
-    assert any(
-        objects["Service", name]["spec"]["selector"].items() <= w["spec"]["selector"]["matchLabels"].items()
-        for w in workloads
-    )
+    assert chosen_by(objects["Service", name], workloads) == [name]
+    assert "clusterIP" not in objects["Service", name]["spec"]
     assert from_toml(objects["ConfigMap", "field-1-config"]["data"]["config.toml"], RunConfig()) == fleet.config
     if fleet.keys is not None:
         certificate = base64.b64decode(objects["Secret", f"{name}-keys"]["data"]["cert.pem"])
@@ -219,6 +218,63 @@ def test_manifests_start_the_fleet(fleet, tmp_path):
         assert name in credentials.hosts_of(credentials.read_certificate(tmp_path / "cert.pem"))
         assert stat.S_IMODE((tmp_path / "out" / "secrets.yaml").stat().st_mode) == 0o600
         assert "PRIVATE KEY" not in (tmp_path / "out" / "fleet.yaml").read_text()
+
+
+def chosen_by(service: dict[str, Any], workloads: list[dict[str, Any]]) -> list[str]:
+    """Return the names of the workloads whose pods a Service chooses."""
+    wanted = service["spec"]["selector"].items()
+    return [w["metadata"]["name"] for w in workloads if wanted <= w["spec"]["template"]["metadata"]["labels"].items()]
+
+
+def test_each_stateful_set_has_its_headless_service(fleet, tmp_path):
+    """The Service that a StatefulSet names is among the rendered ones, headless, and chooses its pods alone."""
+    render(fleet, "kubernetes", tmp_path / "out")
+    found = manifests(tmp_path / "out")
+    services = {entry["metadata"]["name"]: entry for entry in found if entry["kind"] == "Service"}
+    workloads = [entry for entry in found if entry["kind"] in ("Deployment", "StatefulSet")]
+    (learner,) = [entry for entry in workloads if entry["kind"] == "StatefulSet"]
+    governing = services[learner["spec"]["serviceName"]]
+    assert governing["spec"]["clusterIP"] == "None"
+    assert chosen_by(governing, workloads) == [learner["metadata"]["name"]]
+    assert len(services) == 2
+
+
+def sharing(fleet: Fleet) -> Fleet:
+    """Return a fleet whose transitions go through memory."""
+    return replace(fleet, network=replace(fleet.network, shared_memory=True))
+
+
+def test_containers_that_share_memory_have_the_same_shm(fleet, tmp_path):
+    """Whoever is told to share memory finds the same tmpfs, not one from the disk, at /dev/shm; nobody else does."""
+    render(sharing(fleet), "compose", tmp_path / "out")
+    document = yaml.safe_load((tmp_path / "out" / "compose.yaml").read_text())
+    check_compose(document)
+    told = {name for name, service in document["services"].items() if "--shared-memory" in service["command"]}
+    assert told == set(document["services"]) - {"elite"}
+    mounts = {
+        name: [volume["source"] for volume in service["volumes"] if isinstance(volume, dict)]
+        for name, service in document["services"].items()
+    }
+    (volume,) = document["volumes"]
+    assert mounts == {name: [volume] if name in told else [] for name in document["services"]}
+    targets = [v["target"] for s in document["services"].values() for v in s["volumes"] if isinstance(v, dict)]
+    assert set(targets) == {"/dev/shm"}
+    assert document["volumes"][volume]["driver_opts"]["type"] == "tmpfs"
+
+
+def test_without_the_option_nothing_is_shared(fleet, tmp_path):
+    """Containers keep their own /dev/shm, and the file names no volume."""
+    render(fleet, "compose", tmp_path / "out")
+    text = (tmp_path / "out" / "compose.yaml").read_text()
+    assert "/dev/shm" not in text
+    assert "volumes" not in yaml.safe_load(text)
+
+
+def test_pods_do_not_share_memory(fleet, tmp_path):
+    """A fleet whose transitions go through memory is refused for Kubernetes, before anything is written."""
+    with pytest.raises(ConfigError, match=r"pods share no memory; leave network\.shared_memory out"):
+        render(sharing(fleet), "kubernetes", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_containers_without_certificates_need_a_word(tmp_path):

@@ -1,6 +1,7 @@
 """A replay shows the episode that an evaluation flies, side by side, and films are written picture by picture."""
 
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +10,18 @@ from matplotlib.image import imread
 
 from common.config.files import to_toml
 from common.errors import EiaSecError, UsageError
+from common.policy_file import save_policy
 from deploy import film
 from deploy.cli import dispatch
 from deploy.commands import replay as command
 from deploy.exit_codes import run_command
 from deploy.film import Film, find_ffmpeg
-from deploy.replay import Contest, scenes_of
+from deploy.replay import Contest, paper_pictures, scenes_of
+from deploy.rundir import POLICY, RunDirectory
 from rollout.contest import ContestPicture
 from rollout.evaluation import evaluate
 from rollout.policies import policy_of
-from tests.watching.stage import CONFIG
+from tests.watching.stage import CONFIG, a_bank
 
 WORLD = CONFIG.farm.world
 BOTH = Contest(CONFIG.farm, ("greedy", "lawnmower"), ("one", "other"), 1003, 1)
@@ -135,6 +138,29 @@ def test_the_command_makes_film_and_pictures(tmp_path, ffmpeg, capsys):
     assert len(read) == 3
     assert np.abs(read[0].astype(int) - read[2]).mean() > 1.0
     assert capsys.readouterr().out.count("written:") == 3
+
+
+def test_a_run_is_replayed_with_its_own_policy(tmp_path, ffmpeg, capsys):
+    """Of a run's directory its configuration and its saved actors are flown, on the farm that is asked for."""
+    run = tmp_path / "mine"
+    short = replace(CONFIG, farm=replace(CONFIG.farm, world=replace(WORLD, steps=12)))
+    RunDirectory(run).prepare(short, resume=False)
+    save_policy(run / POLICY, a_bank(), {"seed": "0"})
+    words = ["replay", str(run), "--farm", "1004", "--film", "gif", "--every", "4"]
+    assert run_command(lambda: dispatch(words)) == 0
+    made = run / "replay"
+    assert {path.name for path in made.iterdir()} == {"farm-1004.gif", "farm-1004.png", "farm-1004.pdf"}
+    written = capsys.readouterr().out
+    assert all(str(path) in written for path in made.iterdir())
+    read = decoded(ffmpeg, made / "farm-1004.gif", 960, 540)
+    assert len(read) == 1 + 12 // 4
+    shown = imread(made / "farm-1004.png")
+    other = tmp_path / "other.png"
+    flown = Contest(short.farm, (str(run / POLICY), "lawnmower"), ("mine", "lawnmower"), 1004, 0)
+    paper_pictures(flown, [other])
+    np.testing.assert_array_equal(shown, imread(other))
+    paper_pictures(replace(flown, policies=("static", "lawnmower")), [other])
+    assert np.abs(shown - imread(other)).max() > 0.1
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """The figures in README and docs are those of the committed results."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,18 @@ def test_a_block_replaces_only_itself(document: str) -> None:
     assert text.endswith(f"{end}\nafter")
     assert "outdated" not in text
     assert len(text) > 300
+
+
+def test_the_cost_of_watching_tells_its_commit_when_it_is_known() -> None:
+    """A file that names none is shown without; nothing is made up."""
+    block = BLOCKS["docs/watch.md"][2]
+    data = json.loads((ROOT / "docs" / "results" / "watch.json").read_text(encoding="utf-8"))
+    without = {key: value for key, value in data.items() if key != "commit"}
+    assert ", commit abc1234 (" in block({**without, "commit": "abc1234"})
+    assert "commit" not in block(without)
+    watched = data["watchers"][-1]
+    shown = [line for line in block(without).splitlines() if line.startswith(f"| {watched['watchers']} |")]
+    assert [f"{watched['watching_percent']:.2f} %" in line for line in shown] == [True]
 
 
 def test_the_kept_run_is_that_of_the_default_preset() -> None:
