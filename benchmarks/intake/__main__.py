@@ -220,7 +220,7 @@ def page(data: dict[str, Any]) -> str:
         "",
         f"`{data['command']}`, commit {data['commit']}:",
         "environment steps a second into replay and, in brackets, MB a second;",
-        f"{data['cores']} cores for player and sink together, {data['workers']} workers.",
+        f"{data['cores']} cores for player and sink together, {_workers(data['workers'])}.",
         "Each has as many chunks under way as one of our requests takes from a spool: "
         + ", ".join(f"{count} of {label}" for label, count in under_way.items())
         + ";",
@@ -231,8 +231,12 @@ def page(data: dict[str, Any]) -> str:
     if by_workers := data.get("by_workers"):
         numbers = sorted({number for results in by_workers.values() for number in results}, key=int)
         lines += ["", f"With other numbers of workers, all of them played by one process, {SWEPT} chunks:", ""]
-        lines += _rows(by_workers, {number: f"{int(number):,} workers" for number in numbers})
+        lines += _rows(by_workers, {number: _workers(int(number)) for number in numbers})
     return "\n".join([*lines, ""])
+
+
+def _workers(number: int) -> str:
+    return f"{number:,} worker{'s' if number != 1 else ''}"
 
 
 def _rows(found: Table, columns: dict[str, str]) -> list[str]:
