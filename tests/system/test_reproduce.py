@@ -76,12 +76,14 @@ def test_two_starts_do_not_share_the_records(tmp_path: Path) -> None:
     )
     try:
         until(lambda: list(tmp_path.glob("*.job.json")), "a run begins")
+        first.send_signal(signal.SIGSTOP)  # so that it is not done before the other has started
         second = subprocess.run(
             [sys.executable, "-m", "deploy.cli", *arguments], text=True, capture_output=True, check=False
         )
         assert second.returncode == 2
         assert "in use by another process" in second.stderr
     finally:
+        first.send_signal(signal.SIGCONT)
         first.send_signal(signal.SIGTERM)
         first.wait(timeout=60)
 
