@@ -25,6 +25,13 @@ class Pair:
     def ip(self, *words: str) -> None:
         subprocess.run(["ip", *words], check=True, capture_output=True)
 
+    def emulate(self, *words: str) -> bool:
+        """Have the kernel emulate a worse link, as in `loss 5%`; return whether it can (netem)."""
+        if shutil.which("tc") is None:
+            return False
+        command = ["ip", "netns", "exec", self.worker, "tc", "qdisc", "replace", "dev", "worker0", "root", "netem"]
+        return subprocess.run([*command, *words], check=False, capture_output=True).returncode == 0
+
     @contextmanager
     def parted(self, way: str) -> Iterator[None]:
         """Part them: link (down), both, to_learner or to_worker (blackhole routes); heal afterwards."""

@@ -2,6 +2,7 @@
 
 import subprocess
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -91,6 +92,21 @@ def test_partitions_at_full_dose(tmp_path):
     if figures is not None:
         tell("partitions", **figures)
     check_partitions(figures, 15.0)
+
+
+def test_a_link_that_loses_packets(tmp_path):
+    """Where the kernel emulates networks: one packet in twenty lost, doubled or late costs time and no chunk."""
+    with namespaces() as pair:
+        if pair is None:
+            pytest.skip("making network namespaces needs more rights")
+        if not pair.emulate("delay", "10ms", "5ms", "loss", "5%", "duplicate", "5%"):
+            pytest.skip("this kernel has no network emulation (netem)")
+        with closing(Apart(tmp_path, pair)) as fleet:
+            fleet.learner("--insecure")
+            fleet.worker()
+            until(lambda: fleet.taken() > 50, "chunks over a bad link", 240.0)
+            fleet.end()
+            assert fleet.audit().chunks["lost"] == 0
 
 
 def bad_links(directory: Path, stall: float) -> dict[str, Any]:
