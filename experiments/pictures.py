@@ -135,10 +135,10 @@ def main(arguments: list[str]) -> None:
     """Make both pictures and note whose they are."""
     folder = Path(arguments[0]) if arguments else FOLDER
     folder.mkdir(parents=True, exist_ok=True)
+    # Before the pictures, which would make a commit that holds them look changed.
+    notes = {**provenance("experiments.pictures"), "policy": load_policy(TRAINED)[0].digest()[:16]}
     replay_picture(folder / "replay.png")
     watch_picture(folder / "watch.png")
-    policy = load_policy(TRAINED)[0].digest()
-    notes = {**provenance("experiments.pictures"), "policy": policy[:16]}
     (folder / "pictures.json").write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
 
 
