@@ -118,7 +118,10 @@ def watch_picture(path: Path) -> None:
         page = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
         page.goto(address)
         find = f"""() => {{ if (!window.watching) return -1; const p = watching.past;
-            for (let n = p.first; n <= p.last; n++) if (p.at(n) && p.at(n).step === {STEP}) return n; return -1 }}"""
+            const step = (n) => n >= p.first && p.at(n) ? p.at(n).step : -1;
+            for (let n = p.first; n <= p.last; n++)
+                if (step(n) === {STEP} && step(n - {STEP - 1}) === 1) return n;  // an episode that was seen from its start
+            return -1 }}"""
         place, deadline = -1, time.monotonic() + PATIENCE
         while place < 0 and time.monotonic() < deadline:
             time.sleep(0.2)
