@@ -39,6 +39,11 @@ RUN, WORKER = "farm", "0"
 FARM, STEP = 1003, 300
 """Farm and step of the film's picture; the page shows the worker's own farm at that step."""
 PATIENCE = 120.0
+FIND = f"""() => {{ if (!window.watching) return -1;
+const p = watching.past; const step = (n) => n >= p.first && p.at(n) ? p.at(n).step : -1;
+for (let n = p.first; n <= p.last; n++) if (step(n) === {STEP} && step(n - {STEP - 1}) === 1) return n;
+return -1 }}"""
+"""Number of the frame of that step of an episode that was seen from its start, or -1."""
 
 
 def replay_picture(path: Path) -> None:
@@ -117,15 +122,10 @@ def watch_picture(path: Path) -> None:
         browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
         page.goto(address)
-        find = f"""() => {{ if (!window.watching) return -1; const p = watching.past;
-            const step = (n) => n >= p.first && p.at(n) ? p.at(n).step : -1;
-            for (let n = p.first; n <= p.last; n++)
-                if (step(n) === {STEP} && step(n - {STEP - 1}) === 1) return n;  // an episode that was seen from its start
-            return -1 }}"""
         place, deadline = -1, time.monotonic() + PATIENCE
         while place < 0 and time.monotonic() < deadline:
             time.sleep(0.2)
-            place = page.evaluate(find)
+            place = page.evaluate(FIND)
         page.click("#play")
         slide = "n => {const s = document.getElementById('slider'); s.value = n; s.dispatchEvent(new Event('input'))}"
         page.evaluate(slide, place)
