@@ -3,8 +3,8 @@
     python -m experiments.pictures [FOLDER]      # docs/images; needs Playwright and a Chromium
 
 `watch.png` is the page of `eia-sec watch` while a worker flies that policy, `replay.png` one picture of a film against
-the strongest heuristic. Both say which parameters they show: the start of their digest stands in `pictures.json`, and a
-test compares it with the policy's.
+the strongest heuristic. `pictures.json` says which parameters they show, by the start of their digest, and a test
+compares it with the policy's.
 """
 
 import json
@@ -17,11 +17,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from common.actors import ActorBank
 from common.bus import Bus
+from common.config import RunConfig
 from common.config.files import to_toml
 from common.config.presets import preset
 from common.endpoint import Endpoint, free_endpoint
-from common.errors import UsageError
+from common.errors import EiaSecError, UsageError
 from common.policy_file import load_policy
 from common.process import Presence
 from deploy.provenance import provenance
@@ -62,24 +64,25 @@ def replay_picture(path: Path) -> None:
 
 
 @contextmanager
-def flying() -> Iterator[Endpoint]:
-    """Fly the policy that ships and show it, as a worker does."""
-    config, (bank, _) = preset("default"), load_policy(TRAINED)
-    where, over = free_endpoint(), threading.Event()
+def flying(
+    config: RunConfig, bank: ActorBank, run: str, name: str, endpoint: Endpoint | None = None, noise: float = 0.0
+) -> Iterator[tuple[Endpoint, Showing]]:
+    """Fly and show on a thread, as a worker does, with a listening bus of its own and no learner."""
+    where, over = endpoint or free_endpoint(), threading.Event()
     with Bus.listen(where, "control") as bus:
-        collector = Collector(config, WORKER, 1)
-        showing = Showing(bus, RUN, WORKER, 1, collector, to_toml(config))
-        presence = Presence(bus, RUN, "rollout", WORKER, 1)
+        collector = Collector(config, name, 1)
+        showing = Showing(bus, run, name, 1, collector, to_toml(config))
+        presence = Presence(bus, run, "rollout", name, 1)
 
         def loop() -> None:
             while not over.wait(0.005):
-                showing.tend(0, 0.0, False)
-                collector.collect(bank, 0.0, False)
+                showing.tend(0, noise, False)
+                collector.collect(bank, noise, False)
 
         thread = threading.Thread(target=loop)
         thread.start()
         try:
-            yield where
+            yield where, showing
         finally:
             over.set()
             thread.join()
@@ -87,11 +90,11 @@ def flying() -> Iterator[Endpoint]:
 
 
 @contextmanager
-def serving(endpoint: Endpoint) -> Iterator[str]:
-    """Serve the page of `eia-sec watch`; give its address."""
+def serving(endpoint: Endpoint, run: str) -> Iterator[str]:
+    """Serve the page of `eia-sec watch` for whatever worker there is; give its address."""
     with Bus.connect(endpoint, "control", wait=PATIENCE) as bus:
         hub, over = Hub(), threading.Event()
-        source = Source(bus, RUN, None, hub)
+        source = Source(bus, run, None, hub)
 
         def tend() -> None:
             while not over.wait(0.02):
@@ -112,13 +115,15 @@ def watch_picture(path: Path) -> None:
 
     Raises:
         UsageError: there is no Chromium.
+        EiaSecError: the page has not shown that step in time.
     """
     from playwright.sync_api import sync_playwright  # noqa: PLC0415  (loaded only where a picture is made)
 
     chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         raise UsageError("there is no Chromium on the path; name one in the variable CHROMIUM.")
-    with flying() as endpoint, serving(endpoint) as address, sync_playwright() as driver:
+    worker = flying(preset("default"), load_policy(TRAINED)[0], RUN, WORKER)
+    with worker as (endpoint, _), serving(endpoint, RUN) as address, sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
         page.goto(address)
@@ -126,6 +131,8 @@ def watch_picture(path: Path) -> None:
         while place < 0 and time.monotonic() < deadline:
             time.sleep(0.2)
             place = page.evaluate(FIND)
+        if place < 0:
+            raise EiaSecError("the page did not show the wanted step in time.")
         page.click("#play")
         slide = "n => {const s = document.getElementById('slider'); s.value = n; s.dispatchEvent(new Event('input'))}"
         page.evaluate(slide, place)

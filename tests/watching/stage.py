@@ -1,23 +1,21 @@
 """A worker that shows a small farm, without a learner: by hand with a clock of the test's, or over a real bus."""
 
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
 
 from common.actors import ActorBank
-from common.bus import Bus
 from common.config import FarmConfig, RunConfig, WorldConfig
 from common.config.files import to_toml
 from common.config.run import RolloutConfig
-from common.endpoint import Endpoint, free_endpoint
+from common.endpoint import Endpoint
 from common.messages import Envelope, ViewMessage, WatchRequest
-from common.process import Presence
 from common.team import farm_team
+from experiments import pictures
 from rollout.collector import Collector
 from rollout.showing import Showing
 
@@ -136,25 +134,6 @@ class AWorker:
             self.now += seconds
 
 
-@contextmanager
-def flying(name: str = "w", endpoint: Endpoint | None = None) -> Iterator[tuple[Endpoint, Showing]]:
-    """Fly and show on a thread, as a worker does, with a listening bus of its own."""
-    where, over = endpoint or free_endpoint(), threading.Event()
-    with Bus.listen(where, "control") as bus:
-        collector, bank = a_collector(), a_bank()
-        showing = Showing(bus, RUN, name, 1, collector, to_toml(CONFIG))
-        presence = Presence(bus, RUN, "rollout", name, 1)
-
-        def loop() -> None:
-            while not over.wait(0.005):
-                showing.tend(3, 0.1, False)
-                collector.collect(bank, 0.1, False)
-
-        thread = threading.Thread(target=loop)
-        thread.start()
-        try:
-            yield where, showing
-        finally:
-            over.set()
-            thread.join()
-            del presence
+def flying(name: str = "w", endpoint: Endpoint | None = None) -> AbstractContextManager[tuple[Endpoint, Showing]]:
+    """Fly and show the small farm, as a worker does."""
+    return pictures.flying(CONFIG, a_bank(), RUN, name, endpoint, noise=0.1)

@@ -2,16 +2,12 @@
 
 import os
 import shutil
-import threading
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
-from common.bus import Bus
-from deploy.watching.hub import Hub
-from deploy.watching.server import WebServer
-from deploy.watching.source import Source
+from experiments.pictures import serving
 from rollout.layout import make_layout
 from rollout.palette import SOIL_STOPS, rgb
 from tests.watching.stage import CONFIG, RUN, flying, until
@@ -31,34 +27,22 @@ if (f.step > 5 && new Set(a.subarray(f.i * w, (f.i + 1) * w)).size > 1) return n
 @contextmanager
 def looking():
     """Open the page of a worker that flies; yield the page, the worker and what the browser complained of."""
-    with flying() as (endpoint, showing), Bus.connect(endpoint, "control", wait=30.0) as bus:
-        hub, over = Hub(), threading.Event()
-        source = Source(bus, RUN, None, hub)
-
-        def tend():
-            while not over.wait(0.02):
-                source.tend(hub.seats > 0)
-
-        thread = threading.Thread(target=tend)
-        thread.start()
-        try:
-            with WebServer(hub, "127.0.0.1", 0) as web, playwright.sync_playwright() as driver:
-                browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-                page = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
-                complaints = []
-                page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
-                page.on("pageerror", lambda error: complaints.append(str(error)))
-                page.on("requestfailed", lambda request: complaints.append(request.url))
-                page.goto(f"http://127.0.0.1:{web.port}/")
-                until(
-                    lambda: page.evaluate("window.watching && watching.past.frames.length > 45"), "frames in the page"
-                )
-                yield page, showing, complaints
-                browser.close()
-                until(lambda: showing.watchers == 0, "the end of the watching")
-        finally:
-            over.set()
-            thread.join()
+    with (
+        flying() as (endpoint, showing),
+        serving(endpoint, RUN) as address,
+        playwright.sync_playwright() as driver,
+    ):
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
+        complaints = []
+        page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("requestfailed", lambda request: complaints.append(request.url))
+        page.goto(address)
+        until(lambda: page.evaluate("window.watching && watching.past.frames.length > 45"), "frames in the page")
+        yield page, showing, complaints
+        browser.close()
+        until(lambda: showing.watchers == 0, "the end of the watching")
 
 
 def test_the_page_shows_what_the_worker_flies():
