@@ -9,6 +9,7 @@ from typing import Final
 
 from common.errors import UsageError
 from deploy.exit_codes import run_command
+from deploy.memory import keep_freed_memory
 from deploy.threads import thread_environment
 
 
@@ -69,6 +70,7 @@ def dispatch(arguments: list[str]) -> int:
     # Before numpy is loaded: a process that starts as many compute threads as there are cores slows all the others.
     for variable, threads in thread_environment(1).items():
         os.environ.setdefault(variable, threads)
+    keep_freed_memory()
     return int(importlib.import_module(command.module).command(arguments[1:]) or 0)
 
 

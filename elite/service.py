@@ -223,8 +223,9 @@ class Coordinator:
         self, orders: Sequence[tuple[str, list[int], EvaluationOrder]], versions: list[int], stop: StopSignal
     ) -> dict[int, Float32]:
         answers: dict[int, Float32] = {}
+        # No daemons: a stop leaves them asking until the bus is closed, and the process must not end under them.
         threads = [
-            threading.Thread(target=self._ask_one, args=(worker, share, order, answers, versions), daemon=True)
+            threading.Thread(target=self._ask_one, args=(worker, share, order, answers, versions))
             for worker, share, order in orders
         ]
         for thread in threads:

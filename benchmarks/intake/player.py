@@ -21,6 +21,7 @@ from common.endpoint import Endpoint
 from common.messages import ChunkAck, ChunkMessage, Envelope
 from common.team import farm_team
 from common.zenoh_config import connecting
+from deploy.memory import keep_freed_memory
 
 
 class Worker:
@@ -90,6 +91,7 @@ def main() -> None:
     parser.add_argument("--name", default="p")
     parser.add_argument("--shared-memory", action="store_true")
     options = parser.parse_args()
+    keep_freed_memory()
     message, steps = a_message(options.bytes)
     endpoint = Endpoint.parse(options.endpoint, shared_memory=options.shared_memory)
     config = zenoh.Config()

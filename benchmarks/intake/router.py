@@ -8,6 +8,7 @@ import zenoh
 
 from common.endpoint import Endpoint
 from common.zenoh_config import listening
+from deploy.memory import keep_freed_memory
 
 
 def main() -> None:
@@ -16,6 +17,7 @@ def main() -> None:
     parser.add_argument("endpoint")
     parser.add_argument("--shared-memory", action="store_true")
     options = parser.parse_args()
+    keep_freed_memory()
     config = zenoh.Config()
     endpoint = Endpoint.parse(options.endpoint, shared_memory=options.shared_memory)
     for key, value in listening(endpoint, "bulk", mode="router").items():

@@ -14,6 +14,7 @@ from common.bus import Bus
 from common.config import FarmConfig, ReplayConfig
 from common.endpoint import Endpoint
 from common.team import farm_team
+from deploy.memory import keep_freed_memory
 from learner.intake import Intake
 from learner.receiver import Receiver
 from learner.replay import Replay
@@ -31,6 +32,7 @@ def main() -> None:
     parser.add_argument("--routed", action="store_true", help="the endpoint is a router's")
     parser.add_argument("--shared-memory", action="store_true")
     options = parser.parse_args()
+    keep_freed_memory()
     endpoint = Endpoint.parse(options.endpoint, shared_memory=options.shared_memory)
     team = farm_team(FarmConfig())
     replay, taken = Replay(team, CAPACITY), [0, 0]

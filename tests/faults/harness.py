@@ -105,6 +105,10 @@ class FaultRun(Processes):
         until(lambda: self.taken(worker) > before, f"another chunk {worker}", seconds)
         return time.monotonic() - started
 
+    def until_led(self, times: int) -> None:
+        """Wait until coordinators have taken the lead so many times."""
+        until(lambda: self.log("elite").count(" leads.") >= times, f"coordinator {times} leads")
+
     def steps_of(self, verdict: str, worker: str) -> int:
         """Return the chunks of one verdict in a worker's own history."""
         path = self.directory / "run" / "history" / f"rollout-{worker}.jsonl"
