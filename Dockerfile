@@ -1,16 +1,19 @@
 # One image for every process of EIA-SEC; the process is the command: docker run eia-sec rollout --connect ...
 #
 #   docker build -t eia-sec .                                        # torch as the package index has it: CUDA on x86-64
-#   docker build -t eia-sec --build-arg VARIANT=cpu \
-#                --build-arg PIP_ARGS="--extra-index-url ..." .      # torch from an index of CPU-only wheels
+#   docker build -t eia-sec --build-arg VARIANT=cpu --build-arg TORCH_INDEX=URL .
 #
-# VARIANT   cuda or cpu. cuda asks the NVIDIA container runtime for the accelerators; the libraries are torch's own.
-# PYTHON    version of the base image
-# PIP_ARGS  added to every pip install
+# VARIANT      cuda or cpu. cuda asks the NVIDIA container runtime for the accelerators; the libraries are torch's own.
+#              cpu fails unless the torch that came is one without CUDA.
+# TORCH_INDEX  an index of torch's wheels, looked into beside the usual one; cpu needs the one of CPU-only wheels
+# PYTHON       version of the base image
+# PIP_ARGS     added to every pip install
 ARG VARIANT=cuda
 ARG PYTHON=3.11
 
 FROM python:${PYTHON}-slim-bookworm AS base
+ARG VARIANT
+ARG TORCH_INDEX=""
 ARG PIP_ARGS=""
 ENV PYTHONUNBUFFERED=1 \
     PIP_NO_CACHE_DIR=1 \
@@ -24,7 +27,13 @@ WORKDIR /src
 # The largest packages first, in a layer of their own that a change of the source leaves as it is.
 COPY constraints.txt ./
 # hadolint ignore=SC2086
-RUN pip install -c constraints.txt ${PIP_ARGS} torch numba scipy
+RUN if [ "${VARIANT}" = cpu ] && [ -z "${TORCH_INDEX}" ]; then \
+        echo "VARIANT=cpu needs --build-arg TORCH_INDEX=URL, an index of CPU-only wheels of torch." >&2; exit 2; \
+    fi \
+    && pip install -c constraints.txt ${PIP_ARGS} ${TORCH_INDEX:+--extra-index-url "${TORCH_INDEX}"} torch numba scipy \
+    && if [ "${VARIANT}" = cpu ]; then \
+        python -c "import sys, torch; sys.exit('TORCH_INDEX gave a torch with CUDA.' if torch.version.cuda else 0)"; \
+    fi
 COPY pyproject.toml README.md LICENSE ./
 COPY common common
 COPY rollout rollout

@@ -179,8 +179,8 @@ def keep_growth(folder: Path, rounds: int) -> None:
 
     found = growth(rounds)
     folder.mkdir(parents=True, exist_ok=True)
-    origin = provenance("benchmarks.learner")
-    (folder / "growth.json").write_text(json.dumps({**origin, **found}, indent=1) + "\n")
+    origin, team = provenance("benchmarks.learner"), farm_team(RunConfig().farm).digest
+    (folder / "growth.json").write_text(json.dumps({**origin, "team": team, **found}, indent=1) + "\n")
     made = f"Made by `{origin['command']}` (commit {origin['commit']})"
     head = f"{made}; the least of many rounds, one thread.\n\n"
     (folder / "growth.md").write_text(head + table([line for lines in found.values() for line in lines]))

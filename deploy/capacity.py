@@ -17,6 +17,7 @@ from common.actors import ActorBank
 from common.chunks import fitting
 from common.config import LearnerConfig, ReplayConfig, RolloutConfig, RunConfig
 from common.config.checks import positive, within
+from common.errors import ConfigError
 from common.messages import ParametersMessage
 from common.team import TeamSpec, farm_team
 from deploy.exit_codes import DONE, run_command
@@ -100,7 +101,11 @@ class Measured:
 
     @classmethod
     def of(cls, intake: dict[str, Any], growth: dict[str, Any], workers: dict[str, Any]) -> "Measured":
-        """Take the figures out of the results in SOURCES."""
+        """Take the figures out of the results in SOURCES; raise ConfigError when they are of another team's rows."""
+        present = farm_team(RunConfig().farm).digest
+        for source in (intake, growth, workers):
+            if source["team"] != present:
+                raise ConfigError(f"`{source['command']}` was measured with another team; run it again.")
         wanted = {"algorithm": "eia-sec", "width": RunConfig().algorithm.hidden, "agents": 12, "threads": 1}
         rounds = [line["ms"] for line in growth["agents"] if wanted.items() <= line.items()]
         return cls(

@@ -31,6 +31,9 @@ eia-sec monitor --run farm --connect tcp/127.0.0.1:7447 --json    # one line of 
 number may watch. It needs no file of the run and no configuration. What it shows is what the processes tell of
 themselves once a second, on keys that any Zenoh client can read; this page lists them.
 
+The higher the terminal, the more it lists: at 80 x 24 the last elites, the ledger, curves and processes; from 33 lines
+on (a few more while alarms are shown) also the newest four imitation events, each with theta and every elite's omega.
+
 ## Ten lines in place of the monitor
 
 `docs/examples/subscriber.py` needs `eclipse-zenoh` and `msgpack`, and nothing of this project:

@@ -244,11 +244,37 @@ def _watch_block(data: dict[str, Any]) -> str:
     )
 
 
+def _fly_block(data: dict[str, Any]) -> str:
+    rows = [
+        "| rate | decisions | latency, ms: median, 99 %, most | round trip, ms: median, 99 %, most | left out |",
+        "|---:|---:|---:|---:|---:|",
+    ]
+    for line in data["flights"]:
+        node, flown = line["node"], line["flight"]
+        latency, trip = (
+            ", ".join(f"{spread[name]:.{digits}f}" for name, digits in (("median", 2), ("p99", 1), ("most", 1)))
+            for spread in (node["latency"], flown["round_trip_ms"])
+        )
+        left_out = f"{node['overruns']:,} of {node['periods'] + node['overruns']:,} periods"
+        rows.append(f"| {line['rate']:g} | {node['decisions']:,} | {latency} | {trip} | {left_out} |")
+    return "\n".join(
+        [
+            f"`{data['command']}`, commit {data['commit']} ([results/fly.json](results/fly.json)):",
+            "twelve UAVs, `eia-sec fly --policy trained --rate R` and `eia-sec simulator` on one machine with two",
+            "cores.",
+            "",
+            *rows,
+            "",
+        ]
+    )
+
+
 BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
     "README.md": ("results", ("docs/results/default/evaluation.json",), _run_block),
     "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
     "docs/architecture.md": ("second-worker", ("docs/results/second_worker.json",), _second_worker_block),
     "docs/capacity.md": ("capacity", capacity.SOURCES, capacity.block),
+    "docs/fly.md": ("latency", ("docs/results/fly.json",), _fly_block),
     "docs/heuristics.md": ("heuristics", ("docs/results/heuristics/results.json",), _heuristics_block),
     "docs/hosts.md": ("hosts", ("docs/results/hosts/results.json",), _hosts_block),
     "docs/method.md": ("forms", ("docs/results/critic_forms/forms.json",), _forms_block),

@@ -28,6 +28,7 @@ from common.config.presets import PRESETS
 from common.endpoint import Endpoint, free_endpoint
 from common.errors import EiaSecError, UsageError
 from common.messages import CommandMessage
+from common.team import farm_team
 from deploy.exit_codes import run_command
 from deploy.fleet import Fleet
 from deploy.provenance import provenance
@@ -190,7 +191,8 @@ def main() -> None:
                 result = measure(arguments, bus, Fleet(bus, RUN), Crew(supervisor, endpoint), learner)
         finally:
             supervisor.stop()
-    text = json.dumps({**provenance("experiments.second_worker"), **result}, indent=1)
+    origin = {**provenance("experiments.second_worker"), "team": farm_team(arguments.config().farm).digest}
+    text = json.dumps({**origin, **result}, indent=1)
     arguments.output.parent.mkdir(parents=True, exist_ok=True)
     arguments.output.write_text(text + "\n", encoding="utf-8")
     sys.stdout.write(text + "\n")

@@ -28,9 +28,10 @@ from benchmarks.intake.record import record, write
 from benchmarks.peers.catalogue import ROOT, Program
 from benchmarks.peers.report import table
 from benchmarks.peers.venvs import interpreter, provide
-from common.config import RolloutConfig
+from common.config import FarmConfig, RolloutConfig
 from common.endpoint import free_endpoint
 from common.errors import EiaSecError
+from common.team import farm_team
 from deploy.provenance import provenance
 from deploy.threads import thread_environment
 
@@ -281,6 +282,7 @@ def main() -> None:
         found, by_workers, failures = measure(bench, asked.repeats, asked.only, asked.workers)
     data = {
         **provenance("benchmarks.intake"),
+        "team": farm_team(FarmConfig()).digest,
         "cores": os.cpu_count(),
         "workers": asked.workers[0],
         "chunks_under_way": bench.under_way,

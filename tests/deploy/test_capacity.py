@@ -1,15 +1,18 @@
 """The capacity model against hand-made measurements, and the command that prints it."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from common.errors import ConfigError
 from deploy import capacity
 from deploy.capacity import DIRECT, ROUND_TRIPS, ROUTED, Measured, Plan
 
+ROOT = Path(__file__).resolve().parents[2]
 # A chunk takes 1 ms and 1 us for each KB; a step is 1,000 bytes.
 KB, MB = 131_072, 1_048_576
 RATE = {size: size / (1e-3 + size / 1e9) / 1e6 for size in (KB, MB)}
@@ -76,3 +79,13 @@ def test_the_page_shows_every_distance():
     """The block of docs/capacity.md has a column for each round trip."""
     text = capacity.block(*(json.loads(Path(source).read_text()) for source in capacity.SOURCES))
     assert all(f" {ms:,.0f} |" in text for ms in ROUND_TRIPS)
+
+
+def test_figures_of_another_team_are_refused():
+    """Bytes of a step and times of a round follow from the team; a result that is older than it is named."""
+    sources = [json.loads((ROOT / source).read_text()) for source in capacity.SOURCES]
+    assert Measured.of(*sources).step_bytes() > 0
+    for number, source in enumerate(sources):
+        others = [{**s, "team": "0" * 16} if n == number else s for n, s in enumerate(sources)]
+        with pytest.raises(ConfigError, match=re.escape(source["command"])):
+            Measured.of(*others)

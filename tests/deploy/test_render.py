@@ -2,10 +2,12 @@
 
 import base64
 import json
+import os
 import re
 import shutil
 import stat
 import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -294,6 +296,35 @@ def test_dockerfile_copies_what_there_is(tmp_path):
     assert all((ROOT / source).exists() for source in sources)
     assert "USER 10001:10001" in text
     assert 'ENTRYPOINT ["eia-sec"]' in text
+
+
+@pytest.mark.parametrize(
+    ("variant", "index", "cuda", "code", "asked"),
+    [
+        ("cuda", "", "12.8", 0, "pip install -c constraints.txt torch numba scipy"),
+        ("cpu", "", "", 2, ""),
+        ("cpu", "file:///w", "", 0, "pip install -c constraints.txt --extra-index-url file:///w torch numba scipy"),
+        ("cpu", "file:///w", "12.8", 1, "pip install -c constraints.txt --extra-index-url file:///w torch numba scipy"),
+    ],
+)
+def test_image_without_cuda_is_without_cuda(tmp_path, variant, index, cuda, code, asked):
+    """The step that installs torch asks the index that was named, and fails rather than bring CUDA's libraries."""
+    step = re.search(r"^RUN (if .*?fi)$", (ROOT / "Dockerfile").read_text(), re.MULTILINE | re.DOTALL)
+    (tmp_path / "torch.py").write_text(f"class version:\n    cuda = {cuda or None!r}\n")
+    (tmp_path / "pip").write_text(f'#!/bin/sh\necho pip "$@" > {tmp_path / "asked"}\n')
+    (tmp_path / "python").symlink_to(sys.executable)
+    (tmp_path / "pip").chmod(0o755)
+    build = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": str(tmp_path), "PIP_ARGS": ""}
+    done = subprocess.run(
+        ["sh", "-c", step.group(1)],
+        env={**build, "VARIANT": variant, "TORCH_INDEX": index},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == code, done.stderr
+    assert ("TORCH_INDEX" in done.stderr) == (code != 0)
+    assert asked == ((tmp_path / "asked").read_text().strip() if asked else "")
 
 
 def test_dockerfile_has_no_lint():

@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+from pathlib import Path
 
 import pytest
 from rich.console import Console
@@ -116,7 +117,10 @@ def test_imitation_events_say_who_was_the_elite_when_there_is_room():
     lines = drawn(SNAPSHOT, 120, 40)
     assert line_with("elite c (omega)", lines).split()[1:4] == ["event", "episode", "theta"]
     assert line_with(" 640 ", lines).split()[1:-1] == ["6", "640", "0.00156", "2", "(0.81)", "0", "(-)", "3", "(-1.50)"]
-    assert not [line for line in drawn(SNAPSHOT, 120, 24) if "omega" in line]
+    calm = dataclasses.replace(SNAPSHOT, alarms=())
+    shown_at = {height: any("omega" in line for line in drawn(calm, 80, height)) for height in (24, 32, 33, 50)}
+    assert shown_at == {24: False, 32: False, 33: True, 50: True}
+    assert "from 33 lines" in (Path(__file__).resolve().parents[2] / "docs" / "monitoring.md").read_text()
 
 
 def test_empty_snapshot_says_what_is_not_known():

@@ -123,7 +123,7 @@ class FaultRun(Processes):
             for name in group:
                 self.running[name].send_signal(signal.SIGTERM)
             for name in group:
-                assert self.wait(name, seconds) == 0, self.log(name)
+                assert (code := self.wait(name, seconds)) == 0, f"{name} ended with {code}:\n{self.log(name)}"
         return time.monotonic() - started
 
     def audit(self) -> Audit:

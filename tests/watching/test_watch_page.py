@@ -9,7 +9,7 @@ import pytest
 
 from experiments.pictures import serving
 from rollout.layout import make_layout
-from rollout.palette import SOIL_STOPS, rgb
+from rollout.palette import AGE_STOPS, SOIL_STOPS, rgb
 from tests.watching.stage import CONFIG, RUN, flying, until
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -76,7 +76,7 @@ def test_the_page_shows_what_the_worker_flies():
         monitoring = np.reshape(frame["parts"], (3, -1))[1].sum()
         shown = page.inner_text("#reward tbody tr:nth-child(2) td:nth-child(2)").replace("\N{MINUS SIGN}", "-")
         assert float(shown) == pytest.approx(monitoring, abs=0.0051)
-        assert soil_matches(page, frame)
+        assert colours_match(page, frame)
         step = page.evaluate("watching.view.head")
         page.keyboard.press("Escape")
         page.select_option("#speed", "100")
@@ -87,25 +87,34 @@ def test_the_page_shows_what_the_worker_flies():
         assert complaints == []
 
 
-def soil_matches(page, frame):
-    """Return whether most plots' corners have the colour of their VDF; UAVs, sensors and trails hide a few."""
+def colours_match(page, frame):
+    """Return whether most plots have the colour of their VDF and most sensors that of their AoI.
+
+    Looked at are the plots' corners and the sensors' middles; UAVs, links, sensors and trails hide a few.
+    """
     # Reach covers most of this small field with a tint of its own.
     page.evaluate("Object.assign(watching.view.field.scene.reach, {monitoring: 0, collection: 0})")
     page.evaluate("watching.view.drawn = ''")
     until(lambda: page.evaluate("watching.view.drawn !== ''"), "another drawing")
-    colours = page.evaluate(
-        """([px, py]) => { const { field, scene } = watching.view; const pen = field.canvas.getContext('2d');
-        const ratio = devicePixelRatio; const found = [];
-        for (let a = 0; a < px; a++) for (let b = 0; b < py; b++) { const [fx, fy] = scene.field;
-        const [x, y] = [field.x((a + 0.03) * fx / px), field.y((b + 0.03) * fy / py)];
-        found.push([...pen.getImageData(Math.round(x * ratio), Math.round(y * ratio), 1, 1).data].slice(0, 3)) }
-        return found }""",
-        [WORLD.plots_x, WORLD.plots_y],
+    steps = np.array([WORLD.plots_x, WORLD.plots_y])
+    corners = (np.indices(steps).reshape(2, -1).T + 0.03) / steps * [WORLD.field_x, WORLD.field_y]
+    soil = matching(page, corners, frame["vdf"], SOIL_STOPS)
+    return soil and matching(page, np.reshape(frame["sensor"], (-1, 2)), frame["aoi"], AGE_STOPS)
+
+
+def matching(page, places, levels, stops):
+    """Return whether most places of the field, in m, have the colours of their levels, and these are not all one."""
+    found = page.evaluate(
+        """places => { const { field } = watching.view; const pen = field.canvas.getContext('2d');
+        const at = metres => Math.round(metres * devicePixelRatio);
+        return places.map(([x, y]) =>
+            [...pen.getImageData(at(field.x(x)), at(field.y(y)), 1, 1).data].slice(0, 3)) }""",
+        np.asarray(places).tolist(),
     )
-    stops = np.array([rgb(stop) for stop in SOIL_STOPS], np.float64)
-    share = np.array(frame["vdf"]) / 255
-    wanted = np.stack([np.interp(share, np.linspace(0, 1, len(stops)), stops[:, c]) for c in range(3)], axis=1)
-    close = np.abs(np.array(colours) - wanted).max(axis=1) <= 2
+    known = np.array([rgb(stop) for stop in stops], np.float64)
+    share = np.array(levels) / 255
+    wanted = np.stack([np.interp(share, np.linspace(0, 1, len(known)), known[:, c]) for c in range(3)], axis=1)
+    close = np.abs(np.array(found) - wanted).max(axis=1) <= 2
     return close.mean() >= 0.6 and len(np.unique(wanted, axis=0)) > 1
 
 

@@ -1,0 +1,68 @@
+"""`start = "systemd"`: a keeper is a transient unit of the user's systemd, which gives it almost no environment."""
+
+import os
+import sys
+
+import pytest
+
+from common.errors import EiaSecError
+from deploy.hosts import agent
+from tests.system.fleet import until
+
+SYSTEMD_RUN = """#!{python}
+# As systemd-run does: the command runs apart from its caller, with the variables that were named and no others.
+import os, subprocess, sys
+with open({said!r}, "a") as file:
+    file.write("\\n".join(sys.argv[1:]) + "\\n")
+options, command = sys.argv[1 : sys.argv.index("--")], sys.argv[sys.argv.index("--") + 1 :]
+given = dict(o.removeprefix("--setenv=").split("=", 1) for o in options if o.startswith("--setenv="))
+log = next(o.rpartition("append:")[2] for o in options if o.startswith("--property=StandardError=append:"))
+with open(log, "ab") as output:
+    subprocess.Popen(command, env={{"HOME": "/", **given}}, cwd="/", stdin=subprocess.DEVNULL, stdout=output,
+                     stderr=output, start_new_session=True)
+"""
+
+
+@pytest.fixture
+def systemd_run(tmp_path, monkeypatch):
+    """A `systemd-run` that is found first, and where it writes what it was told."""
+    tools, said = tmp_path / "tools", tmp_path / "said"
+    tools.mkdir()
+    program = tools / "systemd-run"
+    program.write_text(SYSTEMD_RUN.format(python=sys.executable, said=str(said)))
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tools}:{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(p for p in sys.path if p))
+    return program, said
+
+
+def test_a_keeper_is_a_unit_of_its_own(systemd_run, tmp_path):
+    """It comes up with the plan, under a name that the folder decides, and writes into the folder's log."""
+    folder = tmp_path / "host"
+    process = {"arguments": ["farm", "--help"], "threads": 1}
+    agent.up(folder, {"rollout.here-0": process}, {}, "systemd")
+    words = systemd_run[1].read_text().splitlines()
+    assert words[:3] == ["--user", "--quiet", "--collect"]
+    assert words[3].startswith("--unit=eia-sec-")
+    assert words[words.index("--") + 1] == sys.executable
+    log = folder / agent.LOG
+    until(lambda: log.exists() and "rollout.here-0" in log.read_text(), "the keeper's log")
+    agent.down(folder, ["rollout"], 30.0, kill=True)
+    agent.up(folder, {}, {}, "systemd")
+    units = {word for word in systemd_run[1].read_text().splitlines() if word.startswith("--unit=")}
+    assert len(units) == 1
+    until(lambda: not agent.status(folder)["processes"], "the keeper's end")
+
+
+def test_why_a_unit_did_not_start_is_said(systemd_run, tmp_path):
+    """Without a session's bus `systemd-run --user` fails, and its reason is told."""
+    systemd_run[0].write_text("#!/bin/sh\necho 'Failed to connect to bus' >&2\nexit 1\n")
+    with pytest.raises(EiaSecError, match="did not start the keeper: Failed to connect to bus"):
+        agent.up(tmp_path / "host", {}, {}, "systemd")
+
+
+def test_a_host_without_systemd_says_so(tmp_path, monkeypatch):
+    """The sentence names what to write instead."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(EiaSecError, match='write start = "detached"'):
+        agent.up(tmp_path / "host", {}, {}, "systemd")
