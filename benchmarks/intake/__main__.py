@@ -21,12 +21,12 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
+from benchmarks.intake.page import RAY_NAME, SIZES, SWEPT, TORCHRL_NAME, ZMQ_NAME, Result, Table, page
 from benchmarks.intake.player import in_flight
 from benchmarks.intake.record import record, write
 from benchmarks.peers.catalogue import ROOT, Program
-from benchmarks.peers.report import table
 from benchmarks.peers.venvs import interpreter, provide
 from common.config import FarmConfig, RolloutConfig
 from common.endpoint import free_endpoint
@@ -35,9 +35,6 @@ from common.team import farm_team
 from deploy.provenance import provenance
 from deploy.threads import thread_environment
 
-SIZES: Final = {"16 KB": 16_384, "128 KB": 131_072, "1 MB": 1_048_576}
-SWEPT: Final = "128 KB"
-"""The size that is measured with every number of workers."""
 WORKERS: Final = 8
 MOST_WORKERS: Final = 4096
 LIMIT: Final = 180.0
@@ -45,11 +42,7 @@ LIMIT: Final = 180.0
 RAY = Program("intake", "Ray", "benchmarks.intake.peer_ray", "intake")
 TORCHRL = Program("intake", "TorchRL", "benchmarks.intake.peer_torchrl", "benchmarl")
 ZMQ = Program("intake", "pyzmq", "benchmarks.intake.peer_zmq", "intake")
-RAY_NAME, TORCHRL_NAME, ZMQ_NAME = "Ray actors", "TorchRL distributed collector", "pyzmq"
 PEERS: Final = {RAY_NAME: RAY, TORCHRL_NAME: TORCHRL, ZMQ_NAME: ZMQ}
-Result = dict[str, float]
-Table = dict[str, dict[str, Result]]
-"""For each transport, and each size or number of workers."""
 
 
 class Bench:
@@ -211,43 +204,6 @@ def tables(found: dict[str, dict[tuple[str, int], Result]], workers: Sequence[in
         if len(workers) > 1 and name != TORCHRL_NAME:
             by_workers[name] = swept
     return by_size, by_workers
-
-
-def page(data: dict[str, Any]) -> str:
-    """Return the results as Markdown."""
-    under_way = data["chunks_under_way"]
-    lines = [
-        "# What a learner takes in",
-        "",
-        f"`{data['command']}`, commit {data['commit']}:",
-        "environment steps a second into replay and, in brackets, MB a second;",
-        f"{data['cores']} cores for player and sink together, {_workers(data['workers'])}.",
-        "Each has as many chunks under way as one of our requests takes from a spool: "
-        + ", ".join(f"{count} of {label}" for label, count in under_way.items())
-        + ";",
-        "the same for the peers, except TorchRL, whose collector makes one batch after another.",
-        "",
-        *_rows(data["transports"], {str(size): f"{label} chunks" for label, size in SIZES.items()}),
-    ]
-    if by_workers := data.get("by_workers"):
-        numbers = sorted({number for results in by_workers.values() for number in results}, key=int)
-        lines += ["", f"With other numbers of workers, all of them played by one process, {SWEPT} chunks:", ""]
-        lines += _rows(by_workers, {number: _workers(int(number)) for number in numbers})
-    return "\n".join([*lines, ""])
-
-
-def _workers(number: int) -> str:
-    return f"{number:,} worker{'s' if number != 1 else ''}"
-
-
-def _rows(found: Table, columns: dict[str, str]) -> list[str]:
-    """Return a table with a row for each transport, and a column, by its key in the results, for each title."""
-    rows = []
-    for name, results in found.items():
-        cells = [results.get(key) for key in columns]
-        told = [f"{c['env_steps_per_second']:,.0f} ({c['mb_per_second']:,.0f})" if c else "-" for c in cells]
-        rows.append([name, *told])
-    return table(["transport", *columns.values()], rows, 1)
 
 
 def options() -> argparse.Namespace:

@@ -8,11 +8,12 @@ import pytest
 
 from benchmarks.intake import __main__ as driver
 from benchmarks.intake.chunks import CAPACITY, NAMES, Ring, Window, read, steps_in_rows
+from benchmarks.intake.page import SIZES, page
 from benchmarks.intake.record import record, write
 from common.errors import EiaSecError
 
 
-@pytest.mark.parametrize("size", driver.SIZES.values())
+@pytest.mark.parametrize("size", SIZES.values())
 def test_a_recorded_chunk_has_the_wanted_size(size, tmp_path):
     """It is real experience that the learner takes, within a tenth of the size, and the peers read the same arrays."""
     chunk = record(size)
@@ -72,8 +73,8 @@ def test_our_path_takes_chunks_in(routed, tmp_path, capsys):
         **{"command": "c", "commit": "d", "cores": 2, "workers": 2, "chunks_under_way": bench.under_way},
         "transports": {"ours": {"131072": result}},
     }
-    assert f"{result['env_steps_per_second']:,.0f}" in driver.page(data)
-    assert "4 of 128 KB" in driver.page(data)
+    assert f"{result['env_steps_per_second']:,.0f}" in page(data)
+    assert "4 of 128 KB" in page(data)
     assert json.dumps(data)
 
 
@@ -95,7 +96,7 @@ class ABench:
 def test_numbers_of_workers_have_a_table_of_their_own():
     """The first number is measured at every size, the others at one; the table by size keeps its shape."""
     found, by_workers, failures = driver.measure(ABench(), 2, ["EIA-SEC"], [8, 64, 300])
-    sizes = {str(size) for size in driver.SIZES.values()}
+    sizes = {str(size) for size in SIZES.values()}
     assert len(found) == len(by_workers) == 4
     assert all(set(results) == sizes for results in found.values())
     routed = "EIA-SEC, shared memory through a router"
@@ -107,10 +108,28 @@ def test_numbers_of_workers_have_a_table_of_their_own():
     assert len(failures) == 2
     assert "300 workers" in failures[0]
     data = {"command": "c", "commit": "d", "cores": 2, "workers": 8, "chunks_under_way": {"128 KB": 4}}
-    text = driver.page({**data, "transports": found, "by_workers": by_workers})
+    text = page({**data, "transports": found, "by_workers": by_workers})
     assert "| transport | 8 workers | 64 workers | 300 workers |" in text
     assert f"| {routed} |" in text
-    assert "300 workers" not in driver.page({**data, "transports": found})
+    assert "300 workers" not in page({**data, "transports": found})
+
+
+def test_the_page_says_who_reaches_what_is_wanted():
+    """Multiples of Ray's rate stand beside the bounds, and those that fall short are named."""
+    rates = {"EIA-SEC, TCP": (10, 49, 60), "EIA-SEC, shared memory": (20, 50, 300), "Ray actors": (5, 10, 40)}
+    found = {
+        name: {
+            str(size): {"env_steps_per_second": 1e3 * rate, "mb_per_second": 1.0}
+            for size, rate in zip(SIZES.values(), own, strict=True)
+        }
+        for name, own in rates.items()
+    }
+    data = {"command": "c", "commit": "d", "cores": 2, "workers": 8, "chunks_under_way": {"128 KB": 4}}
+    text = page({**data, "transports": found})
+    assert "| EIA-SEC, TCP | 2.0 | 4.9 | 1.5 |" in text
+    assert "5 times at 128 KB (reached: shared memory; not: TCP)" in text
+    assert "300,000 steps a second at some size\n(reached: shared memory; not: TCP)." in text
+    assert "wanted" not in page({**data, "transports": {"EIA-SEC, TCP": found["EIA-SEC, TCP"]}})
 
 
 def test_one_number_of_workers_needs_no_table():
@@ -118,14 +137,14 @@ def test_one_number_of_workers_needs_no_table():
     bench = ABench()
     found, by_workers, failures = driver.measure(bench, 1, ["EIA-SEC, TCP"], [8])
     assert (by_workers, failures) == ({}, [])
-    assert set(bench.asked) == {(label, 8) for label in driver.SIZES}
+    assert set(bench.asked) == {(label, 8) for label in SIZES}
     assert set(found) == {"EIA-SEC, TCP", "EIA-SEC, TCP through a router"}
 
 
 def test_a_collector_that_stands_for_one_worker_is_not_swept():
     """TorchRL's player has no number of workers to change."""
-    assert driver.cases(driver.TORCHRL_NAME, [8, 64]) == [(label, 8) for label in driver.SIZES]
-    assert driver.cases(driver.ZMQ_NAME, [8, 64]) == [*((label, 8) for label in driver.SIZES), ("128 KB", 64)]
+    assert driver.cases(driver.TORCHRL_NAME, [8, 64]) == [(label, 8) for label in SIZES]
+    assert driver.cases(driver.ZMQ_NAME, [8, 64]) == [*((label, 8) for label in SIZES), ("128 KB", 64)]
 
 
 @pytest.mark.parametrize("words", [["0"], ["8", "5000"], ["8", "8"], ["many"]])
@@ -142,4 +161,4 @@ def test_the_kept_page_is_made_of_the_kept_figures():
     """The page is what the command writes beside its JSON."""
     folder = Path(__file__).resolve().parents[2] / "docs" / "results" / "intake"
     data = json.loads((folder / "intake.json").read_text(encoding="utf-8"))
-    assert (folder / "README.md").read_text(encoding="utf-8") == driver.page(data)
+    assert (folder / "README.md").read_text(encoding="utf-8") == page(data)

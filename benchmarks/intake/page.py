@@ -1,0 +1,98 @@
+"""The page of the intake benchmark, from its figures."""
+
+from typing import Any, Final
+
+from benchmarks.peers.report import table
+
+SIZES: Final = {"16 KB": 16_384, "128 KB": 131_072, "1 MB": 1_048_576}
+SWEPT: Final = "128 KB"
+"""The size that is measured with every number of workers, and compared with Ray's."""
+RAY_NAME, TORCHRL_NAME, ZMQ_NAME = "Ray actors", "TorchRL distributed collector", "pyzmq"
+OURS: Final = "EIA-SEC"
+"""How the names of our transports begin."""
+TIMES_RAY: Final = 5.0
+"""The least multiple of Ray's rate that is wanted at SWEPT."""
+STEPS: Final = 300_000
+"""Environment steps a second that are wanted."""
+Result = dict[str, float]
+Table = dict[str, dict[str, Result]]
+"""For each transport, and each size or number of workers."""
+
+
+def page(data: dict[str, Any]) -> str:
+    """Return the results as Markdown."""
+    under_way = data["chunks_under_way"]
+    lines = [
+        "# What a learner takes in",
+        "",
+        f"`{data['command']}`, commit {data['commit']}:",
+        "environment steps a second into replay and, in brackets, MB a second;",
+        f"{data['cores']} cores for player and sink together, {_workers(data['workers'])}.",
+        "Each has as many chunks under way as one of our requests takes from a spool: "
+        + ", ".join(f"{count} of {label}" for label, count in under_way.items())
+        + ";",
+        "the same for the peers, except TorchRL, whose collector makes one batch after another.",
+        "",
+        *_rows(data["transports"], {str(size): f"{label} chunks" for label, size in SIZES.items()}),
+        *_aims(data["transports"]),
+    ]
+    if by_workers := data.get("by_workers"):
+        numbers = sorted({number for results in by_workers.values() for number in results}, key=int)
+        lines += ["", f"With other numbers of workers, all of them played by one process, {SWEPT} chunks:", ""]
+        lines += _rows(by_workers, {number: _workers(int(number)) for number in numbers})
+    return "\n".join([*lines, ""])
+
+
+def _workers(number: int) -> str:
+    return f"{number:,} worker{'s' if number != 1 else ''}"
+
+
+def _rows(found: Table, columns: dict[str, str]) -> list[str]:
+    """Return a table with a row for each transport, and a column, by its key in the results, for each title."""
+    rows = []
+    for name, results in found.items():
+        cells = [results.get(key) for key in columns]
+        told = [f"{c['env_steps_per_second']:,.0f} ({c['mb_per_second']:,.0f})" if c else "-" for c in cells]
+        rows.append([name, *told])
+    return table(["transport", *columns.values()], rows, 1)
+
+
+def _aims(found: Table) -> list[str]:
+    """Return how often our transports take in what Ray does, and which of them reach what is wanted."""
+    rays = found.get(RAY_NAME, {})
+    sizes = {label: str(size) for label, size in SIZES.items() if str(size) in rays}
+    ours = {name: results for name, results in found.items() if name.startswith(OURS)}
+    if not sizes or not ours:
+        return []
+    times = {
+        name: {
+            label: results[size]["env_steps_per_second"] / rays[size]["env_steps_per_second"]
+            for label, size in sizes.items()
+            if size in results
+        }
+        for name, results in ours.items()
+    }
+    rows = [
+        [name, *(f"{known[label]:.1f}" if label in known else "-" for label in sizes)] for name, known in times.items()
+    ]
+    most = {name: max(result["env_steps_per_second"] for result in results.values()) for name, results in ours.items()}
+    near = {name: known[SWEPT] >= TIMES_RAY for name, known in times.items() if SWEPT in known}
+    fast = {name: rate >= STEPS for name, rate in most.items()}
+    return [
+        "",
+        "How many times as much as Ray's actors:",
+        "",
+        *table(["transport", *sizes], rows, 1),
+        "",
+        f"Wanted are {TIMES_RAY:g} times at {SWEPT} ({_told(near)}) and {STEPS:,} steps a second at some size",
+        f"({_told(fast)}).",
+    ]
+
+
+def _told(reached: dict[str, bool]) -> str:
+    """Return who reaches something and who does not."""
+    short: dict[bool, list[str]] = {True: [], False: []}
+    for name, does in reached.items():
+        short[does].append(name.removeprefix(f"{OURS}, "))
+    told = [f"{word}: {', '.join(names)}" for word, names in (("reached", short[True]), ("not", short[False])) if names]
+    return "; ".join(told)
