@@ -1,0 +1,105 @@
+"""What the scripts that train on the farm share: their command line, their farm, and the looks at what was learnt."""
+
+import argparse
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from common.config import FarmConfig
+from common.team import Float32
+from rollout.evaluation import evaluate
+from rollout.parallel_env import FarmParallelEnv, Infos, Observations
+from rollout.policies import Policy
+
+Point = dict[str, float]
+
+
+class SteeredFarm(FarmParallelEnv):
+    """The PettingZoo farm with what ours does between actors and farm: steering by a lattice, and smaller rewards.
+
+    Args:
+        reward_scale: factor on every reward.
+    """
+
+    def __init__(self, reward_scale: float) -> None:
+        super().__init__()
+        self._reward_scale = reward_scale
+
+    def step(
+        self, actions: Mapping[str, Float32]
+    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+        """Let all UAVs act for one step."""
+        row = np.clip(np.concatenate([actions[name] for name in self.agents])[None], -1.0, 1.0)
+        (steered,) = self.batch.team.steer(self.batch.observation, np.asarray(row, np.float32))
+        given = {name: steered[2 * k : 2 * k + 2] for k, name in enumerate(self.agents)}
+        seen, rewards, *rest = super().step(given)
+        return seen, {name: self._reward_scale * reward for name, reward in rewards.items()}, *rest
+
+
+def farm_options(software: str) -> argparse.ArgumentParser:
+    """Return the command line that all scripts understand."""
+    parser = argparse.ArgumentParser(description=f"When {software} flies the farm well enough.")
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--began", type=float, required=True, help="when the clock started, seconds since 1970")
+    parser.add_argument("--limit", type=float, required=True, help="seconds of training at most")
+    parser.add_argument("--every", type=float, required=True, help="seconds of training between two looks")
+    parser.add_argument("--reward", type=float, required=True, help="what is wanted, per agent")
+    parser.add_argument("--farms", type=int, nargs="+", required=True, help="seeds of the farms that are looked at")
+    parser.add_argument("--threads", type=int, required=True)
+    parser.add_argument("--environments", type=int, required=True)
+    parser.add_argument("--warmup", type=int, required=True, help="environment steps of random actions at first")
+    parser.add_argument("--updates-per-step", type=float, required=True)
+    parser.add_argument("--width", type=int, required=True)
+    parser.add_argument("--batch", type=int, required=True)
+    parser.add_argument("--capacity", type=int, required=True)
+    parser.add_argument("--actor-rate", type=float, required=True)
+    parser.add_argument("--critic-rate", type=float, required=True)
+    parser.add_argument("--discount", type=float, required=True)
+    parser.add_argument("--target-rate", type=float, required=True)
+    parser.add_argument("--reward-scale", type=float, required=True)
+    parser.add_argument("--noise", type=float, required=True, help="deviation of the exploration, actions in -1..1")
+    return parser
+
+
+def reward_of(policy: Policy, farms: Sequence[int]) -> float:
+    """Return a policy's reward per agent without noise: the mean over one episode of each of some farms."""
+    return evaluate(FarmConfig(), policy, farms, 1, name="policy", batch=len(farms)).total.reward
+
+
+class Course:
+    """The looks at a policy while it is trained; the clock stands while somebody looks.
+
+    Attributes:
+        points: seconds of training, environment steps, update rounds and reward at each look.
+
+    Args:
+        options: those of `farm_options`.
+    """
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._options = options
+        self._next, self._paused = options.every, 0.0
+        self.points: list[Point] = []
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of training since the process was started."""
+        return time.time() - float(self._options.began) - self._paused
+
+    def over(self, policy: Policy, steps: int, updates: int) -> bool:
+        """Look when it is time to; return whether what is wanted was reached, or the time is up."""
+        seconds = self.seconds
+        if seconds < min(self._next, self._options.limit):
+            return False
+        looked = time.time()
+        reward = reward_of(policy, self._options.farms)
+        self._paused += time.time() - looked
+        self._next = seconds + self._options.every
+        self.points.append({"seconds": round(seconds, 2), "steps": steps, "updates": updates, "reward": reward})
+        return reward >= self._options.reward or seconds >= self._options.limit
+
+    def result(self) -> dict[str, Any]:
+        """Return the line that is handed over."""
+        return {"points": self.points}

@@ -1,0 +1,258 @@
+"""How soon a training on the farm reaches the lawnmower's reward: ours beside AgileRL's and BenchMARL's MADDPG.
+
+    python -m benchmarks.peers.reach [--write docs/results/reach] [--seeds 3] [--json]
+
+Ours is `eia-sec train` as a user starts it: the default preset, with learner, coordinator and worker as processes of
+their own. The peers train on the same PettingZoo farm with as many farms side by side, the same widths, batch, rates,
+discount, reward scale, exploration noise, warm-up and update rounds per environment step, and may use all cores. The
+clock starts with the command and stands while somebody looks at a peer's policy; ours is looked at afterwards, from the
+parameters that it publishes. A peer that has not reached the reward after `--times` times our slowest seed is ended.
+"""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+from matplotlib.figure import Figure
+
+from benchmarks.peers.catalogue import ROOT, Program
+from benchmarks.peers.flights import Point, reward_of
+from benchmarks.peers.report import table
+from benchmarks.peers.venvs import interpreter, provide
+from common import keys
+from common.actors import ActorBank
+from common.bus import Bus, Sample
+from common.config import RunConfig
+from common.config.presets import PRESETS
+from common.endpoint import Endpoint, free_endpoint
+from common.errors import EiaSecError
+from common.messages import ParametersMessage
+from common.team import farm_team
+from deploy.commands.train import RUN
+from deploy.exit_codes import run_command
+from deploy.figures import DPI, OTHER_COLOURS
+from deploy.provenance import provenance
+from deploy.threads import thread_environment
+from rollout.policies import ActorPolicy, policy_of
+
+BAR: Final = "lawnmower"
+FARMS: Final = tuple(range(1000, 1020))
+"""Farms that no training sees."""
+OURS: Final = "EIA-SEC"
+PEERS: Final = (
+    Program("learner", "AgileRL", "benchmarks.peers.reach_agilerl", "agilerl"),
+    Program("learner", "BenchMARL", "benchmarks.peers.reach_benchmarl", "benchmarl"),
+)
+LOOK_SECONDS: Final = 1.0
+"""Time between two looks at ours; looking costs it nothing."""
+JOIN_SECONDS: Final = 120.0
+Line = dict[str, Any]
+
+
+def run_ours(seed: int, limit: float, wanted: float) -> Line:
+    """Train until the time is up, and return the looks up to the first that shows the wanted reward.
+
+    Raises:
+        EiaSecError: when the training fails.
+    """
+    endpoint = free_endpoint()
+    with tempfile.TemporaryDirectory() as scratch:
+        words = ("train", "--seed", str(seed), "--endpoint", str(endpoint), "--no-report")
+        command = [sys.executable, "-m", "deploy.cli", *words, "--run-dir", str(Path(scratch) / "run")]
+        began = time.time()
+        with (Path(scratch) / "log").open("wb") as log:
+            process = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log)
+            try:
+                published = _published(endpoint, began, limit)
+            finally:
+                process.send_signal(signal.SIGINT)
+                process.wait(JOIN_SECONDS)
+        if not published:
+            raise EiaSecError("our training published nothing.")
+    points: list[Point] = []
+    for seconds, message in published:
+        bank = ActorBank(farm_team(PRESETS["default"].farm), message.hidden, message.flat, message.head)
+        reward = reward_of(ActorPolicy(bank), FARMS)
+        points.append({"seconds": round(seconds, 2), "steps": message.environment_steps, "reward": reward})
+        if reward >= wanted:
+            break
+    return {"points": points}
+
+
+def _published(endpoint: Endpoint, began: float, limit: float) -> list[tuple[float, ParametersMessage]]:
+    """Return the parameters that are published, the newest every LOOK_SECONDS, with the seconds since the start."""
+    kept: list[tuple[float, Sample]] = []
+    with Bus.connect(endpoint, "control", wait=JOIN_SECONDS) as bus:
+        state = bus.subscribe_state(keys.PARAMETERS.key(RUN))
+        while (seconds := time.time() - began) < limit:
+            if (sample := state.poll()) is not None:
+                kept.append((seconds, sample))
+            time.sleep(LOOK_SECONDS)
+    return [(seconds, ParametersMessage.decode(sample.payload)) for seconds, sample in kept]
+
+
+def run_peer(program: Program, seed: int, limit: float, wanted: float, asked: argparse.Namespace) -> Line:
+    """Train with a peer in its own environment; raise EiaSecError if it fails."""
+    config = PRESETS["default"]
+    environment = os.environ | thread_environment(1) | {"PYTHONPATH": str(ROOT)}
+    words = {
+        **{"seed": seed, "limit": limit, "every": asked.every, "reward": wanted, "threads": os.cpu_count()},
+        **settings(config),
+        "began": time.time(),
+    }
+    command = [str(interpreter(program, asked.venvs)), "-m", program.module, "--farms", *map(str, FARMS)]
+    command += [text for name, value in words.items() for text in (f"--{name.replace('_', '-')}", str(value))]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise EiaSecError(f"{program.module} failed: {done.stderr.strip().rpartition(chr(10))[2]}")
+    result = json.loads(done.stdout.strip().rpartition("\n")[2])
+    return {**result["lines"][0], "versions": result["versions"]}
+
+
+def settings(config: RunConfig) -> dict[str, Any]:
+    """Return what a peer is told to train with: that of a configuration of ours."""
+    algorithm, replay = config.algorithm, config.replay
+    return {
+        "environments": config.rollout.environments,
+        "warmup": replay.warmup_steps,
+        "updates_per_step": replay.updates_per_step,
+        "width": algorithm.hidden,
+        "batch": algorithm.batch,
+        "capacity": replay.capacity,
+        "actor_rate": algorithm.actor_rate,
+        "critic_rate": algorithm.critic_rate,
+        "discount": algorithm.discount,
+        "target_rate": algorithm.target_rate,
+        "reward_scale": algorithm.reward_scale,
+        "noise": config.exploration.start,
+    }
+
+
+def reached(run: Line, wanted: float) -> float | None:
+    """Return the seconds after which a run flew well enough, or None."""
+    return next((float(point["seconds"]) for point in run["points"] if point["reward"] >= wanted), None)
+
+
+def summary(data: Line) -> list[Line]:
+    """Return for each program how many seeds reached the reward, when, and how much longer than ours that is."""
+    wanted, rows = data["wanted"], []
+    for software in dict.fromkeys(run["software"] for run in data["runs"]):
+        mine = [run for run in data["runs"] if run["software"] == software]
+        times = [reached(run, wanted) for run in mine]
+        known = [seconds for seconds in times if seconds is not None]
+        # A seed that did not reach it took at least as long as it was given.
+        least = [run["points"][-1]["seconds"] if at is None else at for run, at in zip(mine, times, strict=True)]
+        rows.append(
+            {
+                **{"software": software, "seeds": len(mine), "reached": len(known)},
+                **{"seconds": median(least), "least": min(least), "most": max(least)},
+                "best": max(point["reward"] for run in mine for point in run["points"]),
+            }
+        )
+    ours = next(row["seconds"] for row in rows if row["software"] == OURS)
+    return [{**row, "times": row["seconds"] / ours} for row in rows]
+
+
+def page(data: Line) -> str:
+    """Return the results as Markdown."""
+    rows = []
+    for row in summary(data):
+        more = "" if row["reached"] == row["seeds"] else "> "
+        seconds = f"{more}{row['seconds']:.0f} ({row['least']:.0f} to {row['most']:.0f})"
+        rows.append(
+            [
+                row["software"],
+                f"{row['reached']} of {row['seeds']}",
+                seconds,
+                f"{more}{row['times']:.1f}",
+                f"{row['best']:.0f}",
+            ]
+        )
+    head = ["program", "seeds that reached it", "seconds: median (range)", "times ours", "best reward seen"]
+    told = (
+        f"`{data['command']}`, commit {data['commit']}: seconds from the command until a policy, flown without\n"
+        f"noise on farms {FARMS[0]}..{FARMS[-1]}, earns the {BAR}'s {data['wanted']:.0f} per agent.\n"
+        f"{data['cores']} cores. Ours is `eia-sec train`; the peers train MADDPG on the same PettingZoo farm with the\n"
+        "default preset's settings, and their actions steer by the lattice as those of our actors do. They are looked\n"
+        "at every "
+        f"{data['every']:g} s of training and ended after {data['limit']:.0f} s.\n"
+    )
+    return "\n".join(
+        [f"# Time to the {BAR}'s reward", "", told, *table(head, rows, 1), "", "![Curves](curves.png)", ""]
+    )
+
+
+def picture(data: Line) -> Figure:
+    """Return the reward without noise against the seconds of training, one line for each seed."""
+    figure = Figure(figsize=(7.0, 3.8), layout="constrained")
+    axes = figure.subplots()
+    names = list(dict.fromkeys(run["software"] for run in data["runs"]))
+    for software, colour in zip(names, OTHER_COLOURS, strict=False):
+        for number, run in enumerate(run for run in data["runs"] if run["software"] == software):
+            seconds, reward = zip(*((point["seconds"], point["reward"]) for point in run["points"]), strict=True)
+            label = software if number == 0 else None
+            axes.plot(seconds, reward, color=colour, marker=".", linewidth=1.6, label=label)
+    axes.axhline(data["wanted"], color="0.4", linewidth=1.0, linestyle="--")
+    axes.annotate(BAR, (1.0, data["wanted"]), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=9)
+    axes.set(xscale="log", xlabel="seconds since the command", ylabel="reward per agent")
+    axes.grid(True, color="0.9")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=9, loc="lower right")
+    return figure
+
+
+def options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.peers.reach", description=(__doc__ or "").partition("\n")[0]
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument("--write", type=Path, metavar="FOLDER", help="write data, page and picture here")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=90.0, help="time that ours gets")
+    parser.add_argument("--times", type=float, default=12.0, help="times our slowest seed that a peer gets")
+    parser.add_argument("--every", type=float, default=15.0, help="seconds of training between two looks at a peer")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="only these peers")
+    parser.add_argument("--venvs", type=Path, default=ROOT / "benchmarks" / ".venvs")
+    parser.add_argument("--pip-args", default="", help="added to pip install")
+    return parser.parse_args(arguments)
+
+
+def measure() -> int:
+    """Train everything in turn, then print or write; return 0."""
+    asked = options()
+    peers = [program for program in PEERS if not asked.only or program.name in asked.only]
+    for program in peers:
+        provide(program, asked.venvs, asked.pip_args)
+    wanted = reward_of(policy_of(BAR, PRESETS["default"].farm), FARMS)
+    runs = [{"software": OURS, "seed": seed, **run_ours(seed, asked.seconds, wanted)} for seed in range(asked.seeds)]
+    slowest = max(reached(run, wanted) or asked.seconds for run in runs)
+    limit = asked.times * slowest
+    for program in peers:
+        for seed in range(asked.seeds):
+            runs.append({"software": program.name, "seed": seed, **run_peer(program, seed, limit, wanted, asked)})
+            sys.stderr.write(f"{program.name}, seed {seed}: {reached(runs[-1], wanted)}\n")
+    data = {
+        **provenance("benchmarks.peers.reach"),
+        **{"cores": os.cpu_count(), "wanted": wanted, "limit": limit, "every": asked.every, "runs": runs},
+    }
+    if asked.write:
+        asked.write.mkdir(parents=True, exist_ok=True)
+        (asked.write / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        (asked.write / "README.md").write_text(page(data), encoding="utf-8")
+        picture(data).savefig(asked.write / "curves.png", dpi=DPI)
+    sys.stdout.write(json.dumps(summary(data), indent=1) + "\n" if asked.json else page(data))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run_command(measure))

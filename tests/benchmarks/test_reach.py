@@ -1,0 +1,115 @@
+"""When a training has reached what is wanted: the clock, the farm that all programs fly, and the page."""
+
+import argparse
+
+import numpy as np
+import pytest
+
+from benchmarks.peers import flights, reach
+from benchmarks.peers.flights import Course, SteeredFarm
+from common.config import FarmConfig
+from common.config.presets import PRESETS
+from rollout.farms import FarmBatch
+
+
+def test_peers_fly_what_our_actors_fly():
+    """The same actions lead to the same course, steered and with smaller rewards, as in one of our workers."""
+    assert PRESETS["default"].farm == FarmConfig()
+    farm, ours = SteeredFarm(0.1), FarmBatch(FarmConfig(), 1)
+    seen, _ = farm.reset(options={"farm": 3, "episode": 5})
+    ours.reset(0, 3, 5)
+    draw = np.random.default_rng(0)
+    for _ in range(5):
+        row = draw.uniform(-1.2, 1.2, (1, ours.team.action_size)).astype(np.float32)
+        given = dict(zip(farm.possible_agents, row.reshape(-1, 2), strict=True))
+        ours.step(ours.team.steer(ours.observation, np.clip(row, -1.0, 1.0)))
+        seen, rewards, *_ = farm.step(given)
+        np.testing.assert_array_equal(np.concatenate(list(seen.values())), ours.observation[0])
+        np.testing.assert_allclose(list(rewards.values()), 0.1 * ours.reward[0], rtol=1e-6)
+
+
+def a_course(monkeypatch, rewards, **more):
+    """Return a course whose looks take ten seconds each and see these rewards, and the clock."""
+    clock = [1000.0]
+    seen = iter(rewards)
+
+    def look(policy, farms):
+        clock[0] += 10.0
+        return next(seen)
+
+    monkeypatch.setattr(flights, "reward_of", look)
+    monkeypatch.setattr(flights.time, "time", lambda: clock[0])
+    options = {"began": 1000.0, "every": 5.0, "limit": 20.0, "reward": 900.0, "farms": [1000], **more}
+    return Course(argparse.Namespace(**options)), clock
+
+
+def test_looking_takes_no_time_of_the_training(monkeypatch):
+    """The clock stands while a policy is looked at, and the first look that shows enough ends the training."""
+    course, clock = a_course(monkeypatch, [100.0, 899.0, 901.0])
+    ended = []
+    for second in range(1, 30):
+        clock[0] += 1.0
+        ended.append(course.over(None, 8 * second, second))
+        if ended[-1]:
+            break
+    assert ended == [False] * 14 + [True]
+    assert [(p["seconds"], p["steps"], p["reward"]) for p in course.points] == [
+        (5.0, 40, 100.0),
+        (10.0, 80, 899.0),
+        (15.0, 120, 901.0),
+    ]
+
+
+def test_a_training_that_learns_nothing_ends(monkeypatch):
+    """At the limit there is a last look, whatever it shows."""
+    course, clock = a_course(monkeypatch, [1.0] * 9, limit=12.0)
+    while not course.over(None, 0, 0):
+        clock[0] += 1.0
+    assert [p["seconds"] for p in course.points] == [5.0, 10.0, 12.0]
+
+
+def a_result():
+    """Return a result in which one of AgileRL's two seeds reached what is wanted and BenchMARL's did not."""
+
+    def run(software, seed, *points):
+        return {
+            "software": software,
+            "seed": seed,
+            "points": [{"seconds": s, "steps": 1, "reward": r} for s, r in points],
+        }
+
+    runs = [
+        run("EIA-SEC", 0, (10.0, 5.0), (20.0, 950.0)),
+        run("EIA-SEC", 1, (30.0, 951.0)),
+        run("AgileRL", 0, (200.0, 10.0), (250.0, 960.0)),
+        run("AgileRL", 1, (360.0, 800.0)),
+        run("BenchMARL", 0, (360.0, -5.0)),
+    ]
+    origin = {"command": "c", "commit": "d", "cores": 2, "wanted": 950.0, "limit": 360.0, "every": 15.0}
+    return {**origin, "runs": runs}
+
+
+def test_who_never_got_there_took_longer_than_it_was_given():
+    """A seed that was ended counts with the time that it had, and is told as a bound."""
+    found = {row["software"]: row for row in reach.summary(a_result())}
+    assert found["EIA-SEC"] | {"best": 0} == {
+        **{"software": "EIA-SEC", "seeds": 2, "reached": 2, "seconds": 25.0, "least": 20.0, "most": 30.0},
+        **{"best": 0, "times": 1.0},
+    }
+    assert (found["AgileRL"]["reached"], found["AgileRL"]["seconds"]) == (1, 305.0)
+    assert found["BenchMARL"]["times"] == pytest.approx(14.4)
+    text = reach.page(a_result())
+    assert "| EIA-SEC | 2 of 2 | 25 (20 to 30) | 1.0 | 951 |" in text
+    assert "| AgileRL | 1 of 2 | > 305 (250 to 360) | > 12.2 | 960 |" in text
+    assert "| BenchMARL | 0 of 1 | > 360 (360 to 360) | > 14.4 | -5 |" in text
+    assert len(reach.picture(a_result()).axes[0].lines) == 6
+
+
+def test_peers_are_told_our_settings():
+    """What a peer trains with is the default preset's, under the names that the scripts understand."""
+    told = reach.settings(PRESETS["default"])
+    words = [text for name, value in told.items() for text in (f"--{name.replace('_', '-')}", str(value))]
+    asked = {"seed": 0, "began": 0, "limit": 1, "every": 1, "reward": 1, "farms": 1000, "threads": 2}
+    others = [text for name, value in asked.items() for text in (f"--{name}", str(value))]
+    parsed = flights.farm_options("a peer").parse_args([*others, *words])
+    assert (parsed.environments, parsed.updates_per_step, parsed.reward_scale) == (8, 0.125, 0.1)
