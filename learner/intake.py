@@ -103,14 +103,11 @@ class Intake:
         Returns:
             the steps before it that are lost, as became known only now.
         """
-        ledger, lost = self._spent(sender, steps, produced, flown)
-        self.workers[sender.name] = replace(ledger, accepted=ledger.accepted + steps)
-        return lost
+        return self._spend(sender, steps, produced, flown, accepted=steps)
 
     def lose(self, sender: Envelope, steps: int, produced: int, flown: int) -> None:
         """Book a chunk as lost that an earlier start of the learner had accepted, after its last checkpoint."""
-        ledger, _ = self._spent(sender, steps, produced, flown)
-        self.workers[sender.name] = replace(ledger, lost=ledger.lost + steps)
+        self._spend(sender, steps, produced, flown, lost=steps)
 
     def refuse(self, sender: Envelope) -> None:
         """Book a refused chunk of which only the sender is known; its number is spent."""
@@ -124,10 +121,7 @@ class Intake:
 
     def refuse_aged(self, sender: Envelope, steps: int, produced: int, flown: int) -> int:
         """Book a chunk that is refused because its policy is too old; return the steps before it that are lost."""
-        ledger, lost = self._spent(sender, steps, produced, flown)
-        refused, aged = ledger.refused + 1, ledger.aged + 1
-        self.workers[sender.name] = replace(ledger, rejected=ledger.rejected + steps, refused=refused, aged=aged)
-        return lost
+        return self._spend(sender, steps, produced, flown, rejected=steps, refused=1, aged=1)
 
     def note_damaged(self, sender: Envelope) -> None:
         """Count a damaged frame; its number is not spent, so the chunk can come again."""
@@ -182,21 +176,26 @@ class Intake:
         except (KeyError, TypeError, AttributeError) as error:
             raise CheckpointError(f"the checkpoint's ledger is not readable: {error}") from error
 
-    def _spent(self, sender: Envelope, steps: int, produced: int, flown: int) -> tuple[WorkerLedger, int]:
-        """Return the account with a chunk's number spent and what was missing before it booked, and the steps lost."""
+    def _spend(self, sender: Envelope, steps: int, produced: int, flown: int, **booked: int) -> int:
+        """Spend a chunk's number, and book what was missing before it and what is said of itself.
+
+        Returns:
+            the steps before it that are lost.
+        """
         ledger = self._ledger(sender)
         missing = max(0, produced - steps - ledger.produced)
         rejected = missing if ledger.pending_rejected and sender.sequence == ledger.expected else 0
-        spent = replace(
+        booked["lost"] = booked.get("lost", 0) + missing - rejected
+        booked["rejected"] = booked.get("rejected", 0) + rejected
+        self.workers[sender.name] = replace(
             ledger,
             expected=sender.sequence + 1,
             flown=max(ledger.flown, flown, produced),
             produced=max(ledger.produced, produced),
-            lost=ledger.lost + missing - rejected,
-            rejected=ledger.rejected + rejected,
             pending_rejected=False,
+            **{name: getattr(ledger, name) + count for name, count in booked.items()},
         )
-        return spent, missing - rejected
+        return missing - rejected
 
     def _now(self) -> tuple[WorkerLedger, dict[str, WorkerLedger]]:
         with self._switch:

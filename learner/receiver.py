@@ -2,6 +2,7 @@
 
 import queue
 import threading
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -98,11 +99,25 @@ class Receiver:
         self._most_lag = replay.max_lag_versions
         self.server, self._team, self._lockstep = server, team, lockstep
         self._most_rows = replay.capacity
-        self._closing = threading.Event()
+        self._closing, self._dealt_with = threading.Event(), threading.Event()
         self.gate = threading.Lock()
         self._logged = 0
         self._thread = threading.Thread(target=self._run, name="receiver", daemon=True)
         self._thread.start()
+
+    def next_arrival(self, seconds: float) -> Arrival | None:
+        """Return the next chunk, or None when none has come after so long, or a little sooner.
+
+        Who waits is woken by a whole request or a full queue, not by each chunk: two threads that hand Python's lock to
+        and fro for every chunk spend more time on that than on chunks.
+        """
+        with suppress(queue.Empty):
+            return self.arrivals.get_nowait()
+        self._dealt_with.wait(seconds)
+        self._dealt_with.clear()
+        with suppress(queue.Empty):
+            return self.arrivals.get_nowait()
+        return None
 
     def close(self) -> None:
         """Take no more chunks; every accepted one is in the queue when this returns."""
@@ -139,6 +154,7 @@ class Receiver:
                 self.malformed += 1
                 self._log(f"dropped a request on {incoming.key}: {error}")
                 incoming.refuse(str(error))
+            self._dealt_with.set()
 
     def _receive(self, incoming: Incoming) -> None:
         worker = keys.parse(incoming.key).variables.get("worker", "")
@@ -270,6 +286,7 @@ class Receiver:
                     ledger = self.intake.workers[sender.name]
                     self.arrivals.put_nowait(Arrival(chunk, sender, ledger, self.intake.closed, owed))
                     return TAKEN
+            self._dealt_with.set()
             self._closing.wait(FULL_SECONDS)
 
     def _bad(self, worker: str, reason: str) -> None:

@@ -151,12 +151,9 @@ class Learner:
     def _await_arrival(self) -> Arrival | None:
         """Return the next chunk, or None after a short wait, which is counted."""
         started = time.monotonic()
-        try:
-            return self._receiver.arrivals.get(timeout=0.02)
-        except queue.Empty:
-            return None
-        finally:
-            self._waited["data"] += time.monotonic() - started
+        arrival = self._receiver.next_arrival(0.02)
+        self._waited["data"] += time.monotonic() - started
+        return arrival
 
     def _lockstep_turn(self, stop: StopSignal) -> None:
         arrival = self._await_arrival()

@@ -5,7 +5,6 @@ deduplication, ledger, acknowledgement and the copy into replay.
 """
 
 import argparse
-import queue
 import sys
 
 from benchmarks.intake.chunks import CAPACITY, Window, tell
@@ -44,9 +43,7 @@ def main() -> None:
         sys.stdout.flush()
         window = Window(lambda: (taken[0], taken[1]), options.seconds)
         while not window.over():
-            try:
-                arrival = receiver.arrivals.get(timeout=0.02)
-            except queue.Empty:
+            if (arrival := receiver.next_arrival(0.02)) is None:
                 continue
             rows, sender = arrival.chunk.rows, arrival.sender
             replay.add(rows, sender.version, f"{sender.name}/{sender.incarnation}", sender.sequence)

@@ -69,7 +69,7 @@ def test_a_training_that_learns_nothing_ends(monkeypatch):
 
 
 def a_result():
-    """Return a result in which one of AgileRL's two seeds reached what is wanted and BenchMARL's did not."""
+    """Return a result in which one of AgileRL's two seeds reached half of the bar and BenchMARL's did not."""
 
     def run(software, seed, *points):
         return {
@@ -79,29 +79,31 @@ def a_result():
         }
 
     runs = [
-        run("EIA-SEC", 0, (10.0, 5.0), (20.0, 950.0)),
-        run("EIA-SEC", 1, (30.0, 951.0)),
-        run("AgileRL", 0, (200.0, 10.0), (250.0, 960.0)),
-        run("AgileRL", 1, (360.0, 800.0)),
+        run("EIA-SEC", 0, (10.0, 5.0), (20.0, 550.0), (60.0, 800.0)),
+        run("EIA-SEC", 1, (30.0, 551.0), (70.0, 560.0)),
+        run("AgileRL", 0, (200.0, 10.0), (250.0, 510.0)),
+        run("AgileRL", 1, (360.0, 300.0)),
         run("BenchMARL", 0, (360.0, -5.0)),
     ]
-    origin = {"command": "c", "commit": "d", "cores": 2, "wanted": 950.0, "limit": 360.0, "every": 15.0}
+    origin = {"command": "c", "commit": "d", "cores": 2, "bar": 1000.0, "seconds": 70.0, "limit": 360.0, "every": 15.0}
     return {**origin, "runs": runs}
 
 
 def test_who_never_got_there_took_longer_than_it_was_given():
-    """A seed that was ended counts with the time that it had, and is told as a bound."""
-    found = {row["software"]: row for row in reach.summary(a_result())}
-    assert found["EIA-SEC"] | {"best": 0} == {
-        **{"software": "EIA-SEC", "seeds": 2, "reached": 2, "seconds": 25.0, "least": 20.0, "most": 30.0},
-        **{"best": 0, "times": 1.0},
+    """A seed that was ended counts with the time that it had; where ours did not get there nothing is divided."""
+    found = {(row["software"], row["share"]): row for row in reach.summary(a_result())}
+    assert found["EIA-SEC", 0.5] == {
+        **{"software": "EIA-SEC", "share": 0.5, "seeds": 2, "reached": 2, "seconds": 25.0, "least": 20.0, "most": 30.0},
+        "times": 1.0,
     }
-    assert (found["AgileRL"]["reached"], found["AgileRL"]["seconds"]) == (1, 305.0)
-    assert found["BenchMARL"]["times"] == pytest.approx(14.4)
+    assert (found["AgileRL", 0.5]["reached"], found["AgileRL", 0.5]["seconds"]) == (1, 305.0)
+    assert found["BenchMARL", 0.5]["times"] == pytest.approx(14.4)
+    assert (found["EIA-SEC", 0.75]["reached"], found["EIA-SEC", 0.75]["times"]) == (1, None)
     text = reach.page(a_result())
-    assert "| EIA-SEC | 2 of 2 | 25 (20 to 30) | 1.0 | 951 |" in text
-    assert "| AgileRL | 1 of 2 | > 305 (250 to 360) | > 12.2 | 960 |" in text
-    assert "| BenchMARL | 0 of 1 | > 360 (360 to 360) | > 14.4 | -5 |" in text
+    assert "| 50% (500) | EIA-SEC | 2 of 2 | 25 (20 to 30) | 1.0 |" in text
+    assert "| 50% (500) | AgileRL | 1 of 2 | > 305 (250 to 360) | > 12.2 |" in text
+    assert "| 75% (750) | EIA-SEC | 1 of 2 | > 65 (60 to 70) | - |" in text
+    assert "EIA-SEC 800, AgileRL 510, BenchMARL -5." in text
     assert len(reach.picture(a_result()).axes[0].lines) == 6
 
 

@@ -153,9 +153,7 @@ def travel(road: Road, workers: int, chunks: int, receiver: Receiver, door: Door
 
     def absorb() -> None:
         while not ended.is_set() or not receiver.arrivals.empty():
-            try:
-                arrival = receiver.arrivals.get(timeout=0.05)
-            except queue.Empty:
+            if (arrival := receiver.next_arrival(0.05)) is None:
                 continue
             number = int(arrival.chunk.rows.observation[0, 0])
             assert number == arrival.sender.sequence

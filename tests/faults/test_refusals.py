@@ -167,6 +167,23 @@ def test_a_learner_that_ends_takes_the_beginning_of_a_request():
     shut(receiver, door)
 
 
+@pytest.mark.parametrize("room", [16, 2])
+def test_who_waits_for_chunks_is_woken(room):
+    """A whole request wakes the learner, and so does a full queue, while the rest of the request waits for room."""
+    receiver, door = front_door(intake_chunks=room)
+    sending = threading.Thread(target=door.pass_on, args=[parcel(*(of(a_chunk(n), n) for n in range(1, 6)))])
+    sending.start()
+    taken: list[int] = []
+    while len(taken) < 5:
+        # Without being woken it would wait for longer than a test may take.
+        if (arrival := receiver.next_arrival(1e6)) is not None:
+            taken.append(arrival.sender.sequence)
+    sending.join(10.0)
+    assert taken == [1, 2, 3, 4, 5]
+    assert receiver.next_arrival(0.001) is None
+    shut(receiver, door)
+
+
 SMALL = of(a_chunk(1)).encode()
 TOO_MUCH = {
     "no chunk at all": DeliveryMessage(1, 1, ()).encode(),
