@@ -8,6 +8,7 @@ it. Latencies are the node's own over its newest 1,000 decisions, round trips th
 """
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -19,17 +20,19 @@ import tyro
 
 from common import keys
 from common.bus import Bus, Subscription
+from common.config import FarmConfig
 from common.endpoint import Endpoint, free_endpoint
 from common.errors import EiaSecError
 from common.messages import MetricMessage
+from common.team import farm_team
 from deploy.exit_codes import run_command
 from deploy.provenance import provenance
 
 RUN: Final = "fly"
 LIMIT: Final = 600.0
 """Seconds after which a flight counts as failed."""
-REPORT_SECONDS: Final = 2.5
-"""Time in which the node's figures of the flight's end come for sure."""
+REPORT_SECONDS: Final = 30.0
+"""Most time that the node's figures of the flight's end may take; they come once a second."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,10 @@ def fly(arguments: Arguments, rate: float) -> dict[str, Any]:
             told = _last_report(reports)
     finally:
         node.terminate()
-        node.wait(30.0)
+        try:
+            node.wait(30.0)
+        except subprocess.TimeoutExpired:
+            node.kill()
     names = ("periods", "overruns", "decisions", "hovers", "latency")
     return {"rate": rate, "flight": flown, "node": {name: told[name] for name in names}}
 
@@ -83,12 +89,15 @@ def _simulate(arguments: Arguments, rate: float, endpoint: Endpoint, where: tupl
 
 
 def _last_report(reports: Subscription) -> dict[str, Any]:
-    """Return the first figures that come when nothing is flown any more."""
+    """Return the figures as soon as two reports that come after the flight tell of equally many decisions."""
     list(reports.drain())
-    deadline = time.monotonic() + REPORT_SECONDS
+    deadline, before = time.monotonic() + REPORT_SECONDS, -1
     while time.monotonic() < deadline:
         if (sample := reports.poll()) is not None:
-            return MetricMessage.decode(sample.payload).values
+            values = MetricMessage.decode(sample.payload).values
+            if values["decisions"] == before:
+                return values
+            before = values["decisions"]
         time.sleep(0.01)
     raise EiaSecError("the flight node told no figures.")
 
@@ -97,7 +106,9 @@ def measure() -> int:
     """Measure, print and write; return 0."""
     arguments = tyro.cli(Arguments, prog="python -m benchmarks.fly")
     flights = [fly(arguments, rate) for rate in arguments.rates]
-    result = {**provenance("benchmarks.fly"), "farm": arguments.farm, "flights": flights}
+    vehicles, cores = farm_team(FarmConfig()).agents, os.cpu_count()
+    origin = {**provenance("benchmarks.fly"), "farm": arguments.farm, "vehicles": vehicles, "cores": cores}
+    result = {**origin, "flights": flights}
     text = json.dumps(result, indent=2) + "\n"
     if arguments.write is not None:
         arguments.write.write_text(text, encoding="utf-8")

@@ -104,7 +104,7 @@ class Measured:
         """Take the figures out of the results in SOURCES; raise ConfigError when they are of another team's rows."""
         present = farm_team(RunConfig().farm).digest
         for source in (intake, growth, workers):
-            if source["team"] != present:
+            if source.get("team") != present:
                 raise ConfigError(f"`{source['command']}` was measured with another team; run it again.")
         wanted = {"algorithm": "eia-sec", "width": RunConfig().algorithm.hidden, "agents": 12, "threads": 1}
         rounds = [line["ms"] for line in growth["agents"] if wanted.items() <= line.items()]

@@ -5,14 +5,14 @@ from typing import Final
 
 MMAP_BYTES: Final = 32 * 1024 * 1024
 """Blocks from this size on are the kernel's own; the C library takes no larger value."""
-TRIM_BYTES: Final = 64 * 1024 * 1024
-"""Free memory at a heap's end that is kept instead of being given back."""
+TRIM_BYTES: Final = 16 * 1024 * 1024
+"""Free memory at a heap's end that is kept instead of being given back; threads that allocate much have heaps apart."""
 _M_TRIM_THRESHOLD: Final = -1
 _M_MMAP_THRESHOLD: Final = -3
 
 
 def keep_freed_memory() -> bool:
-    """Have the C library keep up to TRIM_BYTES that become free, for blocks of up to MMAP_BYTES.
+    """Have the C library keep up to TRIM_BYTES of each heap that become free, for blocks of up to MMAP_BYTES.
 
     By itself it gives what a large message held back to the kernel, and takes it anew for the next one, page by page.
 

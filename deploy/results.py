@@ -260,8 +260,8 @@ def _fly_block(data: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"`{data['command']}`, commit {data['commit']} ([results/fly.json](results/fly.json)):",
-            "twelve UAVs, `eia-sec fly --policy trained --rate R` and `eia-sec simulator` on one machine with two",
-            "cores.",
+            f"{data['vehicles']} UAVs, `eia-sec fly --policy trained --rate R` and `eia-sec simulator` on one machine",
+            f"with {data['cores']} cores. Latencies are of the newest 1,000 decisions, round trips of all.",
             "",
             *rows,
             "",

@@ -108,8 +108,8 @@ class Receiver:
     def next_arrival(self, seconds: float) -> Arrival | None:
         """Return the next chunk, or None when none has come after so long, or a little sooner.
 
-        Who waits is woken by a whole request or a full queue, not by each chunk: two threads that hand Python's lock to
-        and fro for every chunk spend more time on that than on chunks.
+        Only one thread may call it. It is woken by a whole request or a full queue, not by each chunk: two threads that
+        hand Python's lock to and fro for every chunk spend more time on that than on chunks.
         """
         with suppress(queue.Empty):
             return self.arrivals.get_nowait()
@@ -154,7 +154,8 @@ class Receiver:
                 self.malformed += 1
                 self._log(f"dropped a request on {incoming.key}: {error}")
                 incoming.refuse(str(error))
-            self._dealt_with.set()
+            if not self.arrivals.empty():
+                self._dealt_with.set()
 
     def _receive(self, incoming: Incoming) -> None:
         worker = keys.parse(incoming.key).variables.get("worker", "")

@@ -61,8 +61,8 @@ def _aims(found: Table) -> list[str]:
     """Return how often our transports take in what Ray does, and which of them reach what is wanted."""
     rays = found.get(RAY_NAME, {})
     sizes = {label: str(size) for label, size in SIZES.items() if str(size) in rays}
-    ours = {name: results for name, results in found.items() if name.startswith(OURS)}
-    if not sizes or not ours:
+    ours = {name: results for name, results in found.items() if name.startswith(OURS) and results}
+    if SWEPT not in sizes or not ours:
         return []
     times = {
         name: {
@@ -73,7 +73,7 @@ def _aims(found: Table) -> list[str]:
         for name, results in ours.items()
     }
     rows = [
-        [name, *(f"{known[label]:.1f}" if label in known else "-" for label in sizes)] for name, known in times.items()
+        [name, *(f"{known[label]:.2f}" if label in known else "-" for label in sizes)] for name, known in times.items()
     ]
     most = {name: max(result["env_steps_per_second"] for result in results.values()) for name, results in ours.items()}
     near = {name: known[SWEPT] >= TIMES_RAY for name, known in times.items() if SWEPT in known}
@@ -84,7 +84,9 @@ def _aims(found: Table) -> list[str]:
         "",
         *table(["transport", *sizes], rows, 1),
         "",
-        f"Wanted are {TIMES_RAY:g} times at {SWEPT} ({_told(near)}) and {STEPS:,} steps a second at some size",
+        f"Wanted are {TIMES_RAY:g} times at {SWEPT}",
+        f"({_told(near)})",
+        f"and {STEPS:,} steps a second, which we read as at some size of chunks",
         f"({_told(fast)}).",
     ]
 

@@ -20,7 +20,7 @@ from learner.replay import Replay
 
 RUN = "intake"
 WAITING = 64
-"""Requests that may wait, as in `learner.service`."""
+"""Requests that may wait; a learner has room for more."""
 
 
 def main() -> None:

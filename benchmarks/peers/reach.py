@@ -4,9 +4,10 @@
 
 Ours is `eia-sec train` as a user starts it: the default preset, with learner, coordinator and worker as processes of
 their own. The peers train on the same PettingZoo farm with as many farms side by side, the same widths, batch, rates,
-discount, reward scale, exploration noise, warm-up and update rounds per environment step, and may use all cores. The
-clock starts with the command and stands while somebody looks at a peer's policy; ours is looked at afterwards, from the
-parameters that it publishes. Everybody is ended after a while, or with the lawnmower's reward.
+discount, reward scale, warm-up (BenchMARL's collector only), update rounds per environment step, and the exploration
+noise that ours begins with; they may use all cores. The clock starts with the command and stands while somebody looks at
+a peer's policy; ours is looked at afterwards, from the parameters that it publishes. Everybody is ended after a while, a
+peer also when it earns what the lawnmower does.
 """
 
 import argparse
@@ -75,17 +76,25 @@ def run_ours(seed: int, limit: float) -> Line:
             process = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log)
             try:
                 published = _published(endpoint, began, limit)
+                if process.poll() is not None or not published:
+                    raise EiaSecError("our training ended by itself, or published nothing.")
             finally:
-                process.send_signal(signal.SIGINT)
-                process.wait(JOIN_SECONDS)
-        if not published:
-            raise EiaSecError("our training published nothing.")
+                _end(process)
     points: list[Point] = []
     for seconds, message in published:
         bank = ActorBank(farm_team(PRESETS["default"].farm), message.hidden, message.flat, message.head)
         reward = reward_of(ActorPolicy(bank), FARMS)
         points.append({"seconds": round(seconds, 2), "steps": message.environment_steps, "reward": reward})
     return {"points": points}
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    """Stop a training as a user does; one that does not end is killed."""
+    process.send_signal(signal.SIGINT)
+    try:
+        process.wait(JOIN_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
 
 
 def _published(endpoint: Endpoint, began: float, limit: float) -> list[tuple[float, ParametersMessage]]:
@@ -111,7 +120,11 @@ def run_peer(program: Program, seed: int, bar: float, asked: argparse.Namespace)
     }
     command = [str(interpreter(program, asked.venvs)), "-m", program.module, "--farms", *map(str, FARMS)]
     command += [text for name, value in words.items() for text in (f"--{name.replace('_', '-')}", str(value))]
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    # Looking takes longer than training where a peer's actors are slow.
+    patience = JOIN_SECONDS + 10.0 * asked.limit
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=patience
+    )
     if done.returncode:
         raise EiaSecError(f"{program.module} failed: {done.stderr.strip().rpartition(chr(10))[2]}")
     result = json.loads(done.stdout.strip().rpartition("\n")[2])

@@ -1,12 +1,15 @@
 """BenchMARL: when its MADDPG flies the farm well enough. Runs in the environment of requirements/benchmarl.txt.
 
 BenchMARL's own experiment with TorchRL's wrapper around the PettingZoo farm: a group for each type of UAV, actors and
-critics of their own. Gradient clipping and everything that is not named here are its defaults.
+critics of their own. Gradient clipping and everything that is not named here are its defaults. Its warm-up is of the
+collector alone: update rounds begin with the first steps.
 """
 
 import argparse
 import contextlib
+import itertools
 import tempfile
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -33,10 +36,12 @@ class FarmTask(TaskClass):
     """The farm, its UAVs grouped by type."""
 
     reward_scale = 1.0
+    made = itertools.count()
 
     def get_env_fun(self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any) -> Callable[[], Any]:
-        """Return a function that makes the environment."""
-        return lambda: PettingZooWrapper(SteeredFarm(self.reward_scale), use_mask=False, seed=seed)
+        """Return a function that makes an environment, with a seed of its own each time."""
+        first = (seed or 0) * 1000
+        return lambda: PettingZooWrapper(SteeredFarm(self.reward_scale), use_mask=False, seed=first + next(self.made))
 
     def supports_continuous_actions(self) -> bool:
         """Say yes."""
@@ -117,17 +122,21 @@ class EnoughError(Exception):
 class Looks(Callback):
     """Looks at the policy whenever steps have been collected."""
 
-    def __init__(self, course: Course, updates_per_step: float, warmup: int) -> None:
+    def __init__(self, course: Course) -> None:
         super().__init__()
-        self._course, self._rate, self._warmup = course, updates_per_step, warmup
-        self._steps = 0
+        self._course, self._steps = course, 0
+        self._updates: Counter[str] = Counter()
 
     def on_batch_collected(self, batch: TensorDictBase) -> None:
         """Look when it is time to."""
         self._steps += batch.numel()
-        updates = round(self._rate * max(0, self._steps - self._warmup))
+        updates = max(self._updates.values(), default=0)
         if self._course.over(Learnt(self.experiment.policy), self._steps, updates):
             raise EnoughError
+
+    def on_train_step(self, batch: TensorDictBase, group: str) -> None:
+        """Count a training step of a group."""
+        self._updates[group] += 1
 
 
 def configuration(options: argparse.Namespace, folder: str) -> ExperimentConfig:
@@ -152,6 +161,8 @@ def main() -> None:
     """Train and print."""
     options = farm_options("BenchMARL").parse_args()
     torch.set_num_threads(options.threads)
+    if options.actor_rate != options.critic_rate:
+        raise ValueError("BenchMARL has one learning rate for actors and critics.")
     algorithm = MaddpgConfig.get_from_yaml()
     algorithm.share_param_critic = False
     cells = [options.width, options.width]
@@ -166,7 +177,7 @@ def main() -> None:
             critic_model_config=MlpConfig(**vars(model)),
             seed=options.seed,
             config=configuration(options, folder),
-            callbacks=[Looks(course, options.updates_per_step, options.warmup)],
+            callbacks=[Looks(course)],
         )
         with contextlib.suppress(EnoughError):
             experiment.run()

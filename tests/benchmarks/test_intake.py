@@ -126,9 +126,9 @@ def test_the_page_says_who_reaches_what_is_wanted():
     }
     data = {"command": "c", "commit": "d", "cores": 2, "workers": 8, "chunks_under_way": {"128 KB": 4}}
     text = page({**data, "transports": found})
-    assert "| EIA-SEC, TCP | 2.0 | 4.9 | 1.5 |" in text
-    assert "5 times at 128 KB (reached: shared memory; not: TCP)" in text
-    assert "300,000 steps a second at some size\n(reached: shared memory; not: TCP)." in text
+    assert "| EIA-SEC, TCP | 2.00 | 4.90 | 1.50 |" in text
+    assert "5 times at 128 KB\n(reached: shared memory; not: TCP)\nand 300,000 steps a second" in text
+    assert text.rstrip().endswith("(reached: shared memory; not: TCP).")
     assert "wanted" not in page({**data, "transports": {"EIA-SEC, TCP": found["EIA-SEC, TCP"]}})
 
 

@@ -86,6 +86,7 @@ def test_figures_of_another_team_are_refused():
     sources = [json.loads((ROOT / source).read_text()) for source in capacity.SOURCES]
     assert Measured.of(*sources).step_bytes() > 0
     for number, source in enumerate(sources):
-        others = [{**s, "team": "0" * 16} if n == number else s for n, s in enumerate(sources)]
-        with pytest.raises(ConfigError, match=re.escape(source["command"])):
-            Measured.of(*others)
+        for of_another in ({**source, "team": "0" * 16}, {name: source[name] for name in source if name != "team"}):
+            others = [of_another if n == number else s for n, s in enumerate(sources)]
+            with pytest.raises(ConfigError, match=re.escape(source["command"])):
+                Measured.of(*others)

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from common.errors import EiaSecError
-from deploy.hosts import agent
+from deploy.hosts import agent, keeper
 from tests.system.fleet import until
 
 SYSTEMD_RUN = """#!{python}
@@ -33,7 +33,20 @@ def systemd_run(tmp_path, monkeypatch):
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tools}:{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(p for p in sys.path if p))
-    return program, said
+    yield program, said
+    for folder in (tmp_path / "host", tmp_path / "other"):
+        if folder.exists():
+            agent.down(folder, ["rollout"], 10.0, kill=True)
+            until(lambda folder=folder: not has_keeper(folder), "the keeper's end")
+
+
+def has_keeper(folder):
+    """Return whether somebody holds the folder's lock."""
+    held = keeper.lock(folder)
+    if held is None:
+        return True
+    held.close()
+    return False
 
 
 def test_a_keeper_is_a_unit_of_its_own(systemd_run, tmp_path):
@@ -48,10 +61,13 @@ def test_a_keeper_is_a_unit_of_its_own(systemd_run, tmp_path):
     log = folder / agent.LOG
     until(lambda: log.exists() and "rollout.here-0" in log.read_text(), "the keeper's log")
     agent.down(folder, ["rollout"], 30.0, kill=True)
+    until(lambda: not has_keeper(folder), "the keeper's end")
     agent.up(folder, {}, {}, "systemd")
-    units = {word for word in systemd_run[1].read_text().splitlines() if word.startswith("--unit=")}
-    assert len(units) == 1
-    until(lambda: not agent.status(folder)["processes"], "the keeper's end")
+    agent.up(tmp_path / "other", {}, {}, "systemd")
+    units = [word for word in systemd_run[1].read_text().splitlines() if word.startswith("--unit=")]
+    assert len(units) >= 3
+    assert len(set(units[:2])) == 1
+    assert units[-1] != units[0]
 
 
 def test_why_a_unit_did_not_start_is_said(systemd_run, tmp_path):

@@ -105,9 +105,9 @@ class FaultRun(Processes):
         until(lambda: self.taken(worker) > before, f"another chunk {worker}", seconds)
         return time.monotonic() - started
 
-    def until_led(self, times: int) -> None:
-        """Wait until coordinators have taken the lead so many times."""
-        until(lambda: self.log("elite").count(" leads.") >= times, f"coordinator {times} leads")
+    def until_led(self, since: str) -> None:
+        """Wait until a coordinator has taken the lead that had not written so much into the log yet."""
+        until(lambda: "coordinator elite leads." in self.log("elite")[len(since) :], "a coordinator that leads")
 
     def steps_of(self, verdict: str, worker: str) -> int:
         """Return the chunks of one verdict in a worker's own history."""

@@ -142,8 +142,9 @@ def kill_coordinator(directory: Path, kills: int) -> dict[str, Any]:
             fleet.kill("elite")
             started = time.monotonic()
             fleet.until_more()
+            told = fleet.log("elite")
             fleet.coordinator()
-            fleet.until_led(len(recovery) + 2)
+            fleet.until_led(told)
             # What the one that was killed had delivered is in here, so the next event is of its successor.
             before = fleet.status()["event"]
             until(lambda before=before: fleet.status()["event"] > before, "an imitation event")

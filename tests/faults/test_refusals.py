@@ -175,8 +175,10 @@ def test_who_waits_for_chunks_is_woken(room):
     sending.start()
     taken: list[int] = []
     while len(taken) < 5:
-        # Without being woken it would wait for longer than a test may take.
-        if (arrival := receiver.next_arrival(1e6)) is not None:
+        began = time.monotonic()
+        arrival = receiver.next_arrival(30.0)
+        assert arrival is not None or time.monotonic() - began < 30.0, "nobody woke it"
+        if arrival is not None:
             taken.append(arrival.sender.sequence)
     sending.join(10.0)
     assert taken == [1, 2, 3, 4, 5]
