@@ -4,10 +4,10 @@
 
 Ours is `eia-sec train` as a user starts it: the default preset, with learner, coordinator and worker as processes of
 their own. The peers train on the same PettingZoo farm with as many farms side by side, the same widths, batch, rates,
-discount, reward scale, warm-up (BenchMARL's collector only), update rounds per environment step, and the exploration
-noise that ours begins with; they may use all cores. The clock starts with the command and stands while somebody looks at
-a peer's policy; ours is looked at afterwards, from the parameters that it publishes. Everybody is ended after a while, a
-peer also when it earns what the lawnmower does.
+discount, reward scale, warm-up (BenchMARL's collector only), update rounds per environment step, and the noise that
+ours begins with; they may use all cores. The clock starts with the command and stands while somebody looks at a peer's
+policy; ours is looked at afterwards, from the parameters that it publishes. Everybody is ended after a while, a peer
+also when it earns what the lawnmower does.
 """
 
 import argparse
