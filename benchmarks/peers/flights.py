@@ -19,6 +19,8 @@ Point = dict[str, float]
 class SteeredFarm(FarmParallelEnv):
     """The PettingZoo farm with what ours does between actors and farm: steering by a lattice, and smaller rewards.
 
+    Infos are empty, because TorchRL's wrapper takes none that hold a dictionary.
+
     Args:
         reward_scale: factor on every reward.
     """
@@ -34,8 +36,14 @@ class SteeredFarm(FarmParallelEnv):
         row = np.clip(np.concatenate([actions[name] for name in self.agents])[None], -1.0, 1.0)
         (steered,) = self.batch.team.steer(self.batch.observation, np.asarray(row, np.float32))
         given = {name: steered[2 * k : 2 * k + 2] for k, name in enumerate(self.agents)}
-        seen, rewards, *rest = super().step(given)
-        return seen, {name: self._reward_scale * reward for name, reward in rewards.items()}, *rest
+        seen, rewards, terminated, truncated, infos = super().step(given)
+        scaled = {name: self._reward_scale * reward for name, reward in rewards.items()}
+        return seen, scaled, terminated, truncated, {name: {} for name in infos}
+
+    def reset(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Observations, Infos]:
+        """Begin an episode."""
+        seen, infos = super().reset(seed, options)
+        return seen, {name: {} for name in infos}
 
 
 def farm_options(software: str) -> argparse.ArgumentParser:
