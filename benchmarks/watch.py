@@ -6,6 +6,10 @@ One worker flies the default farm as fast as it can; stretches in which nobody w
 watch take turns in one run. The listener and the watchers are a process of their own, as they are in a run. Counted is
 the worker's whole processor time for each environment step, which is as noisy as the machine; and, exactly, the part of
 it that watching takes: the main thread's time in `Showing` and the lens, and that of all other threads, Zenoh's.
+
+Where cores share caches or are two halves of one, a step takes longer because the watchers' process works beside it,
+whatever that does. As a control, there are stretches in which nobody watches and the other process is kept as busy as
+it was with the most watchers.
 """
 
 import json
@@ -18,6 +22,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
+import psutil
 import tyro
 
 from common.actors import ActorBank
@@ -35,6 +40,8 @@ from rollout.showing import Showing
 
 RUN: Final = "watch"
 CHECK_SECONDS: Final = 0.05
+CONTROL: Final = -1
+"""In the place of a number of watchers: nobody watches, and the other process is busy with nothing."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,7 @@ class _Tally:
     beside: float = 0.0
     frames: int = 0
     wall: float = 0.0
+    other: float = 0.0
 
 
 class _TimedLens(Lens):
@@ -92,9 +100,10 @@ def main() -> None:
     if arguments.json:
         sys.stdout.write(text)
         return
-    for row in result["watchers"]:
+    for row in (*result["watchers"], result["control"]):
+        who = "nobody, the other process busy" if row["watchers"] == CONTROL else f"{row['watchers']} watchers"
         sys.stdout.write(
-            f"{row['watchers']} watchers: {row['processor_us_per_step']:.2f} us of processor time a step, "
+            f"{who}: {row['processor_us_per_step']:.2f} us of processor time a step, "
             f"{row['extra_percent']:+.2f} % ({row['extra_percent_least']:+.2f} to {row['extra_percent_most']:+.2f}), "
             f"of which {row['watching_percent']:.3f} % for watching; {row['frames_per_second']:.1f} frames/s\n"
         )
@@ -111,8 +120,8 @@ def measure(arguments: Arguments) -> dict[str, Any]:
     finally:
         other.kill()
         other.wait()
-    rows = [_row(number, found[number], found[arguments.watchers[0]]) for number in arguments.watchers]
-    made = {"rounds": arguments.rounds, "seconds": arguments.seconds, "watchers": rows}
+    rows = [_row(number, found[number], found[arguments.watchers[0]]) for number in (*arguments.watchers, CONTROL)]
+    made = {"rounds": arguments.rounds, "seconds": arguments.seconds, "watchers": rows[:-1], "control": rows[-1]}
     return {**provenance("benchmarks.watch"), **made}
 
 
@@ -123,16 +132,20 @@ def _rounds(arguments: Arguments, bus: Bus, other: "subprocess.Popen[str]") -> d
     lens = showing._lens = _TimedLens(collector.environments, 0)  # type: ignore[arg-type]  # a worker of farms
     presence = Presence(bus, RUN, "rollout", "w", 1)
     bank = ActorBank.initial(collector.team, config.algorithm.hidden, seed=0)
-    found: dict[int, list[_Tally]] = {number: [] for number in arguments.watchers}
+    cases = (*arguments.watchers, CONTROL)
+    found: dict[int, list[_Tally]] = {number: [] for number in cases}
+    beside = psutil.Process(other.pid)
     for turn in range(arguments.rounds):
-        order = arguments.watchers if turn % 2 == 0 else arguments.watchers[::-1]
-        for number in order:
+        for number in cases if turn % 2 == 0 else cases[::-1]:
+            busy = found[max(cases)][-1].other if number == CONTROL else 0.0
             assert other.stdin is not None
-            other.stdin.write(f"{number}\n")
+            other.stdin.write(f"{max(0, number)} {busy}\n")
             other.stdin.flush()
-            while showing.watchers != number:
+            while showing.watchers != max(0, number):
                 _fly(collector, showing, bank, CHECK_SECONDS, _Tally())
+            before = sum(beside.cpu_times()[:2])
             found[number].append(_stretch(collector, showing, lens, bank, arguments.seconds))
+            found[number][-1].other = (sum(beside.cpu_times()[:2]) - before) / found[number][-1].wall
     del presence
     return found
 
@@ -179,6 +192,7 @@ def _row(number: int, tallies: list[_Tally], base: list[_Tally]) -> dict[str, An
         "watching_percent": 100.0 * (main + beside) / processor,
         "frames_per_second": sum(tally.frames for tally in tallies) / sum(tally.wall for tally in tallies),
         "processor_share": processor / sum(tally.wall for tally in tallies),
+        "other_share": median(tally.other for tally in tallies),
     }
 
 
@@ -202,14 +216,17 @@ def _watch(endpoint: Endpoint) -> None:
                 source.tend(True)
                 while seat.take(0.0) is not None:
                     pass
-            time.sleep(CHECK_SECONDS)
+            busy_until = time.monotonic() + wanted.busy * CHECK_SECONDS
+            while time.monotonic() < busy_until:
+                pass
+            time.sleep(CHECK_SECONDS * (1.0 - wanted.busy))
 
 
 class _Wanted:
-    """The last number that came on standard input, read without waiting."""
+    """The last number of watchers, and share of a core to keep busy, that came on standard input."""
 
     def __init__(self) -> None:
-        self.number = 0
+        self.number, self.busy = 0, 0.0
         self._selector = selectors.DefaultSelector()
         self._selector.register(sys.stdin, selectors.EVENT_READ)
 
@@ -219,7 +236,8 @@ class _Wanted:
             line = sys.stdin.readline()
             if not line:
                 sys.exit(0)
-            self.number = int(line)
+            number, busy = line.split()
+            self.number, self.busy = int(number), min(0.95, float(busy))
 
 
 if __name__ == "__main__":

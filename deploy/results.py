@@ -223,12 +223,15 @@ def _watch_block(data: dict[str, Any]) -> str:
         "|---:|---:|---:|---:|---:|",
         f"| {bare['watchers']} | {bare['watching_percent']:.2f} % | - | - | {bare['processor_share']:.2f} cores |",
     ]
-    for line in others:
+    control = [data["control"]] if "control" in data else []
+    for line in (*others, *control):
         extra = (
             f"{line['extra_percent']:+.1f} % ({line['extra_percent_least']:+.1f} to {line['extra_percent_most']:+.1f})"
         )
         share, frames = f"{line['watching_percent']:.2f} %", f"{line['frames_per_second']:.0f}"
-        rows.append(f"| {line['watchers']} | {share} | {frames} | {extra} | {line['processor_share']:.2f} cores |")
+        busy = f"0, and the other process busy with nothing for {100 * line.get('other_share', 0.0):.0f} % of its time"
+        who = busy if line in control else str(line["watchers"])
+        rows.append(f"| {who} | {share} | {frames} | {extra} | {line['processor_share']:.2f} cores |")
     # The kept file may be older than the note of its commit.
     commit = f", commit {data['commit']}" if "commit" in data else ""
     numbers = ", ".join(str(line["watchers"]) for line in data["watchers"])

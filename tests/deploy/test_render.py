@@ -140,6 +140,41 @@ def test_words_reach_the_process_as_they_are():
     assert [_word(word) for word in ("plain", "100%", "$HOME", 'a "b"')] == ["plain", "100%%", "$$HOME", '"a \\"b\\""']
 
 
+def compose_program() -> list[str]:
+    """Return the words that Compose is called by here; skip where there is none."""
+    for words in (["docker", "compose"], ["docker-compose"]):
+        if (
+            shutil.which(words[0])
+            and not subprocess.run([*words, "version"], capture_output=True, check=False).returncode
+        ):
+            return words
+    pytest.skip("needs docker compose")
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_compose_takes_the_file(fleet, tmp_path, shared):
+    """`docker compose config` has nothing to say, and finds every service."""
+    words = compose_program()
+    render(sharing(fleet) if shared else fleet, "compose", tmp_path / "out")
+    services = yaml.safe_load((tmp_path / "out" / "compose.yaml").read_text())["services"]
+    done = subprocess.run(
+        [
+            *words,
+            "--project-directory",
+            str(tmp_path / "out"),
+            "-f",
+            str(tmp_path / "out" / "compose.yaml"),
+            "config",
+            "--services",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert set(done.stdout.split()) == set(services)
+
+
 def test_compose_file_is_what_the_specification_says(fleet, tmp_path):
     """The file passes the schema of the specification, and its services are the fleet's processes."""
     render(fleet, "compose", tmp_path / "out")

@@ -47,3 +47,15 @@ def test_the_kept_run_is_that_of_the_default_preset() -> None:
     """What the README calls the default preset's result was made with exactly its settings."""
     kept = from_toml(ROOT / "docs" / "results" / "default" / "config.toml", PRESETS["quick"])
     assert kept == PRESETS["default"]
+
+
+def test_watching_costs_the_worker_less_than_two_percent() -> None:
+    """What the page says of the committed figures is what they are."""
+    data = json.loads((ROOT / "docs" / "results" / "watch.json").read_text(encoding="utf-8"))
+    watched = [line for line in data["watchers"] if line["watchers"]]
+    assert {line["watchers"] for line in watched} >= {1, 4}
+    assert all(line["watching_percent"] < 2.0 for line in watched)
+    control = {**data["watchers"][0], "other_share": 0.25, "extra_percent": 7.5}
+    block = BLOCKS["docs/watch.md"][2]({**data, "control": control})
+    assert "busy with nothing for 25 % of its time |" in block
+    assert "+7.5 %" in block

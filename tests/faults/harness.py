@@ -107,7 +107,7 @@ class FaultRun(Processes):
 
     def until_led(self, since: str) -> None:
         """Wait until a coordinator has taken the lead that had not written so much into the log yet."""
-        until(lambda: "coordinator elite leads." in self.log("elite")[len(since) :], "a coordinator that leads")
+        until(lambda: "coordinator coordinator leads." in self.log("elite")[len(since) :], "a coordinator that leads")
 
     def steps_of(self, verdict: str, worker: str) -> int:
         """Return the chunks of one verdict in a worker's own history."""
