@@ -183,7 +183,7 @@ def _hosts_block(data: dict[str, Any]) -> str:
     rows = [
         ("`eia-sec up` on five hosts, until every keeper has its plan", f"{data['seconds_to_start']} s"),
         (
-            "until the learner has the first chunk; the simulator was compiled meanwhile",
+            "until the learner has the first chunk; with an empty cache the simulator is compiled first",
             f"{data['seconds_to_first_chunk']} s",
         ),
         ("`eia-sec up` with a sixth host, until its first chunk", f"{data['seconds_to_join']} s"),
