@@ -7,12 +7,10 @@ is not named here are its defaults.
 import argparse
 import tempfile
 import time
-from collections.abc import Callable
 from typing import Any
 
 import torch
 from benchmarl.algorithms import MaddpgConfig
-from benchmarl.environments import TaskClass
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models import MlpConfig
 from mpe2 import simple_spread_v3
@@ -22,6 +20,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from benchmarks.peers.clock import hand_over
 from benchmarks.peers.spread import EPISODE_STEPS, curve, spread_options
+from benchmarks.peers.wrapped_task import WrappedTask
 
 COLLECTED = 100
 """Environment steps between two bursts of update rounds."""
@@ -31,65 +30,6 @@ def wrapped(seed: int | None) -> EnvBase:
     """Return the environment as TorchRL sees it."""
     env = simple_spread_v3.parallel_env(continuous_actions=True, max_cycles=EPISODE_STEPS)
     return PettingZooWrapper(env, use_mask=False, categorical_actions=False, seed=seed)
-
-
-class SpreadTask(TaskClass):
-    """simple_spread of mpe2."""
-
-    def get_env_fun(self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any) -> Callable[[], Any]:
-        """Return a function that makes the environment."""
-        return lambda: wrapped(seed)
-
-    def supports_continuous_actions(self) -> bool:
-        """Say yes."""
-        return True
-
-    def supports_discrete_actions(self) -> bool:
-        """Say no."""
-        return False
-
-    def has_render(self, env: EnvBase) -> bool:
-        """Say no."""
-        return False
-
-    def max_steps(self, env: EnvBase) -> int:
-        """Return the length of an episode."""
-        return EPISODE_STEPS
-
-    def group_map(self, env: EnvBase) -> dict[str, list[str]]:
-        """Return the names of the agents of each group."""
-        return dict(env.group_map)
-
-    def observation_spec(self, env: EnvBase) -> Any:
-        """Return what the agents see, and nothing else."""
-        spec = env.observation_spec.clone()
-        for group in self.group_map(env):
-            for key in [key for key in spec[group].keys() if key != "observation"]:  # noqa: SIM118 - specs need keys()
-                del spec[group, key]
-        for key in [key for key in spec.keys() if key not in self.group_map(env)]:  # noqa: SIM118 - specs need keys()
-            del spec[key]
-        return spec
-
-    def info_spec(self, env: EnvBase) -> None:
-        """Return nothing."""
-        return
-
-    def state_spec(self, env: EnvBase) -> None:
-        """Return nothing: critics see all observations."""
-        return
-
-    def action_spec(self, env: EnvBase) -> Any:
-        """Return the agents' actions."""
-        return env.full_action_spec
-
-    def action_mask_spec(self, env: EnvBase) -> None:
-        """Return nothing."""
-        return
-
-    @staticmethod
-    def env_name() -> str:
-        """Return the name in BenchMARL's output."""
-        return "mpe2"
 
 
 class Rewards(Callback):
@@ -147,7 +87,7 @@ def main() -> None:
     rewards = Rewards()
     with tempfile.TemporaryDirectory() as folder:
         experiment = Experiment(
-            task=SpreadTask("spread", {}),
+            task=WrappedTask("spread", wrapped, EPISODE_STEPS),
             algorithm_config=algorithm,
             model_config=model,
             critic_model_config=MlpConfig(**vars(model)),

@@ -7,15 +7,12 @@ collector alone: update rounds begin with the first steps.
 
 import argparse
 import contextlib
-import itertools
 import tempfile
 from collections import Counter
-from collections.abc import Callable
 from typing import Any
 
 import torch
 from benchmarl.algorithms import MaddpgConfig
-from benchmarl.environments import TaskClass
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models import MlpConfig
 from tensordict import TensorDict, TensorDictBase
@@ -24,75 +21,30 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from benchmarks.peers.clock import hand_over
 from benchmarks.peers.flights import Course, SteeredFarm, farm_options
+from benchmarks.peers.wrapped_task import WrappedTask
+from common.config import FarmConfig
 from common.team import Float32
 from rollout.farms import FarmBatch
 
 COLLECTED = 800
 """Environment steps between two bursts of update rounds."""
-EPISODE_STEPS = 500
 
 
-class FarmTask(TaskClass):
-    """The farm, its UAVs grouped by type."""
+class Farms:
+    """Makes wrapped farms, each of which draws its episodes from a seed of its own, whatever is given.
 
-    reward_scale = 1.0
-    made = itertools.count()
+    Args:
+        reward_scale: factor on every reward.
+        first: seed of the first farm.
+    """
 
-    def get_env_fun(self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any) -> Callable[[], Any]:
-        """Return a function that makes an environment, with a seed of its own each time."""
-        first = (seed or 0) * 1000
-        return lambda: PettingZooWrapper(SteeredFarm(self.reward_scale), use_mask=False, seed=first + next(self.made))
+    def __init__(self, reward_scale: float, first: int) -> None:
+        self._reward_scale, self._next = reward_scale, first
 
-    def supports_continuous_actions(self) -> bool:
-        """Say yes."""
-        return True
-
-    def supports_discrete_actions(self) -> bool:
-        """Say no."""
-        return False
-
-    def has_render(self, env: EnvBase) -> bool:
-        """Say no."""
-        return False
-
-    def max_steps(self, env: EnvBase) -> int:
-        """Return the length of an episode."""
-        return EPISODE_STEPS
-
-    def group_map(self, env: EnvBase) -> dict[str, list[str]]:
-        """Return the names of the agents of each group."""
-        return dict(env.group_map)
-
-    def observation_spec(self, env: EnvBase) -> Any:
-        """Return what the agents see, and nothing else."""
-        spec = env.observation_spec.clone()
-        for group in self.group_map(env):
-            for key in [key for key in spec[group].keys() if key != "observation"]:  # noqa: SIM118 - specs need keys()
-                del spec[group, key]
-        for key in [key for key in spec.keys() if key not in self.group_map(env)]:  # noqa: SIM118 - specs need keys()
-            del spec[key]
-        return spec
-
-    def info_spec(self, env: EnvBase) -> None:
-        """Return nothing."""
-        return
-
-    def state_spec(self, env: EnvBase) -> None:
-        """Return nothing: critics see all observations of their group."""
-        return
-
-    def action_spec(self, env: EnvBase) -> Any:
-        """Return the agents' actions."""
-        return env.full_action_spec
-
-    def action_mask_spec(self, env: EnvBase) -> None:
-        """Return nothing."""
-        return
-
-    @staticmethod
-    def env_name() -> str:
-        """Return the name in BenchMARL's output."""
-        return "farm"
+    def __call__(self, seed: int | None) -> EnvBase:
+        """Return one more farm."""
+        self._next += 1
+        return PettingZooWrapper(SteeredFarm(self._reward_scale), use_mask=False, seed=self._next - 1)
 
 
 class Learnt:
@@ -167,11 +119,10 @@ def main() -> None:
     algorithm.share_param_critic = False
     cells = [options.width, options.width]
     model = MlpConfig(num_cells=cells, layer_class=torch.nn.Linear, activation_class=torch.nn.ReLU)
-    course, task = Course(options), FarmTask("farm", {})
-    task.reward_scale = options.reward_scale
+    course, farms = Course(options), Farms(options.reward_scale, options.seed * options.environments)
     with tempfile.TemporaryDirectory() as folder:
         experiment = Experiment(
-            task=task,
+            task=WrappedTask("farm", farms, FarmConfig().world.steps),
             algorithm_config=algorithm,
             model_config=model,
             critic_model_config=MlpConfig(**vars(model)),
