@@ -177,7 +177,7 @@ class Intake:
             raise CheckpointError(f"the checkpoint's ledger is not readable: {error}") from error
 
     def _spend(self, sender: Envelope, steps: int, produced: int, flown: int, **booked: int) -> int:
-        """Spend a chunk's number, and book what was missing before it and what is said of itself.
+        """Spend a chunk's number; book what was missing before it, and the counts in `booked` for the chunk itself.
 
         Returns:
             the steps before it that are lost.

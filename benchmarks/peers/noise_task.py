@@ -7,10 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from benchmarl.environments import TaskClass
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
+
+from benchmarks.peers.plain_task import PlainTask
 
 Groups = list[tuple[str, int, int, int]]
 
@@ -76,25 +77,13 @@ class NoiseEnv(EnvBase):
         torch.manual_seed(seed or 0)
 
 
-class NoiseTask(TaskClass):
+class NoiseTask(PlainTask):
     """The task; its configuration holds `groups` and `state`, see NoiseEnv."""
 
     def get_env_fun(self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any) -> Callable[[], Any]:
         """Return a function that makes the environments."""
         groups, state = self.config["groups"], self.config["state"]
         return lambda: NoiseEnv(groups, num_envs, state)
-
-    def supports_continuous_actions(self) -> bool:
-        """Say yes."""
-        return True
-
-    def supports_discrete_actions(self) -> bool:
-        """Say no."""
-        return False
-
-    def has_render(self, env: EnvBase) -> bool:
-        """Say no."""
-        return False
 
     def max_steps(self, env: EnvBase) -> int:
         """Return the length of an evaluation, which never happens."""
@@ -111,10 +100,6 @@ class NoiseTask(TaskClass):
             del spec["state"]
         return spec
 
-    def info_spec(self, env: EnvBase) -> None:
-        """Return nothing."""
-        return
-
     def state_spec(self, env: EnvBase) -> Composite | None:
         """Return the global state, if there is one."""
         return Composite({"state": env.observation_spec_unbatched["state"].clone()}) if self.config["state"] else None
@@ -122,10 +107,6 @@ class NoiseTask(TaskClass):
     def action_spec(self, env: EnvBase) -> Composite:
         """Return the groups' actions."""
         return env.full_action_spec_unbatched
-
-    def action_mask_spec(self, env: EnvBase) -> None:
-        """Return nothing."""
-        return
 
     @staticmethod
     def env_name() -> str:

@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
-from benchmarl.environments import TaskClass
 from torchrl.envs import EnvBase
 
+from benchmarks.peers.plain_task import PlainTask
 
-class WrappedTask(TaskClass):
+
+class WrappedTask(PlainTask):
     """An environment in TorchRL's wrapper, whose agents are grouped by their names and see observations alone.
 
     Args:
@@ -23,18 +24,6 @@ class WrappedTask(TaskClass):
     def get_env_fun(self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any) -> Callable[[], Any]:
         """Return a function that makes the environment."""
         return lambda: self._make(seed)
-
-    def supports_continuous_actions(self) -> bool:
-        """Say yes."""
-        return True
-
-    def supports_discrete_actions(self) -> bool:
-        """Say no."""
-        return False
-
-    def has_render(self, env: EnvBase) -> bool:
-        """Say no."""
-        return False
 
     def max_steps(self, env: EnvBase) -> int:
         """Return the length of an episode."""
@@ -54,10 +43,6 @@ class WrappedTask(TaskClass):
             del spec[key]
         return spec
 
-    def info_spec(self, env: EnvBase) -> None:
-        """Return nothing."""
-        return
-
     def state_spec(self, env: EnvBase) -> None:
         """Return nothing: critics see all observations."""
         return
@@ -65,10 +50,6 @@ class WrappedTask(TaskClass):
     def action_spec(self, env: EnvBase) -> Any:
         """Return the agents' actions."""
         return env.full_action_spec
-
-    def action_mask_spec(self, env: EnvBase) -> None:
-        """Return nothing."""
-        return
 
     @staticmethod
     def env_name() -> str:
