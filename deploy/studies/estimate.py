@@ -41,11 +41,12 @@ class Estimator:
         self._known: dict[tuple[Any, ...], float] = {}
 
     def learn(self, jobs: Sequence[Job]) -> None:
-        """Take the times of jobs that have a record."""
+        """Take the times of jobs that have a record; of several alike the least, as other work only adds to it."""
         for job in jobs:
             record = self._records.get(job)
             if record is not None and record.get("seconds"):
-                self._known[_likeness(job)] = max(0.0, float(record["seconds"])) / _amount(job)
+                likeness, each = _likeness(job), max(0.0, float(record["seconds"])) / _amount(job)
+                self._known[likeness] = min(each, self._known.get(likeness, each))
 
     def seconds(self, job: Job) -> float:
         """Return how long a job will take in a process of its own, s."""

@@ -227,6 +227,19 @@ def test_estimates_follow_from_what_was_measured(bench, trained):
     assert estimator.seconds(twice) - estimator.seconds(once) == pytest.approx(took, rel=0.01)
 
 
+def test_a_busy_machine_does_not_count(trained, tmp_path):
+    """Of several runs alike the one that took least tells how long the next takes, in whatever order they come."""
+    records = Records(tmp_path / "records")
+    runs = [replace(trained, config=replace(trained.config, seed=seed)) for seed in range(4)]
+    for run, seconds in zip(runs, (90.0, 30.0, 60.0), strict=False):
+        records.put(run, {"command": "eia-sec reproduce training", "commit": "abc"}, seconds, {})
+        records.path(run, POLICY_SUFFIX).touch()
+    estimator = Estimator(records)
+    estimator.learn(runs)
+    longer = replace(runs[3], config=replace(runs[3].config, episodes=2 * trained.config.episodes))
+    assert estimator.seconds(longer) - estimator.seconds(runs[3]) == pytest.approx(30.0)
+
+
 def test_short_jobs_share_a_process(bench):
     """Jobs keep their order, and a long one has a process of its own."""
     jobs = [*bench.references(), *bench.runs(EIA_SEC, 1)]
