@@ -7,8 +7,11 @@ from typing import Any, Final
 
 from deploy import capacity
 from deploy.intervals import interval_table
+from deploy.studies.scales import FIRST_FARM
+from deploy.studies.verdicts import shown
 
 RUN: Final = "EIA-SEC (this run)"
+TRAINING: Final = "docs/results/reproduce/training/results.json"
 TAIL_EPISODES: Final = 40
 """Episodes at the end of a training curve whose mean is its final value."""
 
@@ -44,7 +47,34 @@ def _table(run: dict[str, Any], label: str) -> list[str]:
     return rows
 
 
-def _run_block(run: dict[str, Any]) -> str:
+def _methods_rows(study: dict[str, Any]) -> list[str]:
+    """Return the methods of the study `training`, tuned and trained alike, best reward first."""
+    methods = sorted(study["methods"].items(), key=lambda item: -item[1]["reward"][0])
+    first, seeds, size = next(iter(study["methods"])), len(methods[0][1]["runs"]), study["sizes"]
+    rows = [
+        f"Beside the paper's baselines: equal tuning, {size['episodes']} episodes and {seeds} seeds each, flown on",
+        f"farms {FIRST_FARM}..{FIRST_FARM + size['farms'] - 1}; interquartile means with 95 % bootstrap intervals, and",
+        "normalised: 0 is the random policy, 1 the best heuristic. Made by",
+        f"`{study['command']}`, commits {', '.join(commits_of(study))}.",
+        "",
+        f"| method | reward per agent | normalised | AoI | VDF | P({first} is better) |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for name, method in methods:
+        better = study["improvement"].get(name)
+        figures = [shown(method["figures"][figure], 2) for figure in ("aoi", "vdf")]
+        cells = [shown(method["reward"]), shown(method["normalised"], 2), *figures, shown(better, 2) if better else ""]
+        rows.append(" | ".join(["", f"**{name}**" if name == first else name, *cells, ""]).strip())
+    return [*rows, "", "[All claims of the paper, one by one](docs/reproduce.md).", ""]
+
+
+def commits_of(study: dict[str, Any]) -> list[str]:
+    """Return the commits that made a study's runs, in the order of their first runs."""
+    runs = (run for method in study["methods"].values() for run in method["runs"])
+    return list(dict.fromkeys(str(run["commit"]) for run in runs))
+
+
+def _run_block(run: dict[str, Any], study: dict[str, Any]) -> str:
     farms = run["evaluations"][0]["farms"]
     return "\n".join(
         [
@@ -59,6 +89,7 @@ def _run_block(run: dict[str, Any]) -> str:
             "EIA-SEC, on its own farm. [Curves](docs/results/default/curves.png),",
             "[all results](docs/results/README.md).",
             "",
+            *_methods_rows(study),
             "![Paths of all UAVs on an unseen farm](docs/results/default/trajectories.png)",
             "",
         ]
@@ -273,7 +304,7 @@ def _fly_block(data: dict[str, Any]) -> str:
 
 
 BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
-    "README.md": ("results", ("docs/results/default/evaluation.json",), _run_block),
+    "README.md": ("results", ("docs/results/default/evaluation.json", TRAINING), _run_block),
     "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
     "docs/architecture.md": ("second-worker", ("docs/results/second_worker.json",), _second_worker_block),
     "docs/capacity.md": ("capacity", capacity.SOURCES, capacity.block),

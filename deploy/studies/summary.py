@@ -8,6 +8,7 @@ import numpy as np
 from deploy.studies.bench import TWELVE, Bench
 from deploy.studies.jobs import Job
 from deploy.studies.methods import CANDIDATES, Method
+from deploy.studies.scales import TRIAL_SEED
 from deploy.studies.statistics import (
     Interval,
     Numbers,
@@ -61,13 +62,16 @@ def reference_summary(bench: Bench, uavs: int = TWELVE) -> dict[str, Any]:
 
 
 def choice_summary(bench: Bench, methods: Sequence[Method]) -> dict[str, Any]:
-    """Return what each trial of each method came to, and which settings were chosen."""
+    """Return what each trial of each method came to, which settings were chosen, and what made the trials."""
     names = list(CANDIDATES)[: bench.scale.candidates]
     found: dict[str, Any] = {}
     for method in methods:
-        rewards = bench.scores(bench.trials(method)).mean(axis=1)
+        jobs = bench.trials(method)
+        rewards = bench.scores(jobs).mean(axis=1)
         trials = {name: round(float(reward), DIGITS) for name, reward in zip(names, rewards, strict=True)}
-        found[method.name] = {"chosen": bench.choice(method), "trials": trials}
+        records = [bench.records.get(job) for job in jobs]
+        commits = sorted({str(record["commit"]) for record in records if record is not None})
+        found[method.name] = {"chosen": bench.choice(method), "trials": trials, "seed": TRIAL_SEED, "commits": commits}
     return found
 
 

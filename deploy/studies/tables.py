@@ -123,9 +123,13 @@ def choices(data: Results) -> str:
         [method, *(_chosen(found["trials"][name], name == found["chosen"]) for name in names)]
         for method, found in data["choice"].items()
     ]
+    # Results that were made before trials told where they come from are shown without.
+    commits = sorted({commit for found in data["choice"].values() for commit in found.get("commits", [])})
+    seeds = sorted({found["seed"] for found in data["choice"].values() if "seed" in found})
+    made = f"Trials: seed {', '.join(map(str, seeds))}, commit {', '.join(commits)}.\n" if commits else ""
     return table(["method", *names], rows) + (
         "\nReward per agent of one trial each, on farms that are neither trained on nor reported; the settings of the "
-        "bold\none are in force. Every method has the same candidates, the same budget and the same seed.\n"
+        "bold\none are in force. Every method has the same candidates, the same budget and the same seed.\n" + made
     )
 
 

@@ -59,3 +59,18 @@ def test_watching_costs_the_worker_less_than_two_percent() -> None:
     block = BLOCKS["docs/watch.md"][2]({**data, "control": control})
     assert "busy with nothing for 25 % of its time |" in block
     assert "+7.5 %" in block
+
+
+def test_methods_stand_in_the_order_of_their_rewards() -> None:
+    """Every method of the study has a row, the best first, with the runs' commits; what it is compared with is bold."""
+    folder = ROOT / "docs" / "results"
+    run = json.loads((folder / "default" / "evaluation.json").read_text(encoding="utf-8"))
+    study = json.loads((folder / "reproduce" / "smoke" / "training" / "results.json").read_text(encoding="utf-8"))
+    _, _, table = BLOCKS["README.md"][2](run, study).partition("Beside the paper's baselines")
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in table.splitlines() if row.startswith("|")][2:]
+    wanted = sorted(study["methods"], key=lambda name: -study["methods"][name]["reward"][0])
+    assert [row[0].strip("*") for row in rows] == wanted
+    assert [row[0] for row in rows if row[0].startswith("**")] == ["**EIA-SEC**"]
+    assert [row[0] for row in rows if not row[5]] == ["**EIA-SEC**"]
+    assert f"commits {study['commit']}." in table
+    assert f"{study['sizes']['episodes']} episodes and {study['sizes']['seeds']} seeds" in table
