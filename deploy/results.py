@@ -51,11 +51,12 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
     """Return the methods of the study `training`, tuned and trained alike, best reward first."""
     methods = sorted(study["methods"].items(), key=lambda item: -item[1]["reward"][0])
     first, seeds, size = next(iter(study["methods"])), len(methods[0][1]["runs"]), study["sizes"]
+    commits = dict.fromkeys(run["commit"] for method in study["methods"].values() for run in method["runs"])
     rows = [
         f"Beside the paper's baselines: equal tuning, {size['episodes']} episodes and {seeds} seeds each, flown on",
         f"farms {FIRST_FARM}..{FIRST_FARM + size['farms'] - 1}; interquartile means with 95 % bootstrap intervals, and",
         "normalised: 0 is the random policy, 1 the best heuristic. Made by",
-        f"`{study['command']}`, commits {', '.join(commits_of(study))}.",
+        f"`{study['command']}`, commits {', '.join(commits)}.",
         "",
         f"| method | reward per agent | normalised | AoI | VDF | P({first} is better) |",
         "|---|---:|---:|---:|---:|---:|",
@@ -66,12 +67,6 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
         cells = [shown(method["reward"]), shown(method["normalised"], 2), *figures, shown(better, 2) if better else ""]
         rows.append(" | ".join(["", f"**{name}**" if name == first else name, *cells, ""]).strip())
     return [*rows, "", "[All claims of the paper, one by one](docs/reproduce.md).", ""]
-
-
-def commits_of(study: dict[str, Any]) -> list[str]:
-    """Return the commits that made a study's runs, in the order of their first runs."""
-    runs = (run for method in study["methods"].values() for run in method["runs"])
-    return list(dict.fromkeys(str(run["commit"]) for run in runs))
 
 
 def _run_block(run: dict[str, Any], study: dict[str, Any]) -> str:
