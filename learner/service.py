@@ -29,6 +29,7 @@ from common.team import TeamSpec
 from learner.board import Board, flattened
 from learner.desk import Desk
 from learner.intake import Intake
+from learner.overdue import Overdue
 from learner.past import take_up
 from learner.receiver import Arrival, Receiver
 from learner.reports import Curves, Journal, imitation_record
@@ -41,6 +42,8 @@ BURST_ROUNDS = 8
 """Update rounds between two looks at the mail."""
 PROGRESS_SECONDS = 0.1
 REPORT_SECONDS = 1.0
+HELD_SECONDS = 0.002
+"""Pause between two looks at the mail while training waits for an imitation event."""
 DRAIN_SECONDS = 3.0
 """Longest time for which a learner that ends takes in what workers still hold."""
 QUIET_SECONDS = 0.5
@@ -61,6 +64,7 @@ class LearnerOptions:
         resume: whether to go on from the newest whole checkpoint.
         lockstep: whether one worker and the learner take turns.
         patience: seconds to wait for a router.
+        await_elite: whether late imitation events are waited for even before a coordinator has come.
     """
 
     run: str
@@ -70,6 +74,7 @@ class LearnerOptions:
     resume: bool = False
     lockstep: bool = False
     patience: float = 60.0
+    await_elite: bool = False
 
 
 class Learner:
@@ -85,6 +90,7 @@ class Learner:
         self._history = History(options.run_dir / HISTORY if options.run_dir else None)
         take_up(self._history, self._absorbed, self._epoch, resumed=options.resume)
         self._schedule = ImitationSchedule.of(config)
+        self._overdue = Overdue(self._schedule)
         self._board = Board(options.run_dir)
         self._journal, self._curves = Journal(options.run_dir, elapsed), Curves(self._team)
         self._state = "training"
@@ -133,7 +139,7 @@ class Learner:
 
     def _turn(self, stop: StopSignal) -> None:
         trainer = self.trainer
-        while trainer.episodes < self._config.episodes and not trainer.leads():
+        while trainer.episodes < self._config.episodes and not (trainer.leads() or self._awaits_elite()):
             try:
                 self._absorb(self._receiver.arrivals.get_nowait())
             except queue.Empty:
@@ -143,10 +149,15 @@ class Learner:
         if rounds > 0:
             trainer.train(rounds)
             self._waited["training"] += time.monotonic() - started
-            return
-        arrival = self._await_arrival()
-        if arrival is not None:
+        elif self._awaits_elite():
+            time.sleep(HELD_SECONDS)
+            self._waited["imitation"] += time.monotonic() - started
+        elif (arrival := self._await_arrival()) is not None:
             self._absorb(arrival)
+
+    def _awaits_elite(self) -> bool:
+        trainer, expected = self.trainer, self._options.await_elite or self._desk.lease.holder is not None
+        return self._overdue.holds(trainer.events, trainer.episodes, expected=expected, now=time.monotonic())
 
     def _await_arrival(self) -> Arrival | None:
         """Return the next chunk, or None after a short wait, which is counted."""
@@ -167,7 +178,7 @@ class Learner:
         while self._schedule.is_due(self.trainer.events, self.trainer.episodes) and not (stop or self._desk.draining):
             started = time.monotonic()
             self._keep_house()
-            time.sleep(0.002)
+            time.sleep(HELD_SECONDS)
             self._waited["imitation"] += time.monotonic() - started
         self._receiver.required_version = self.trainer.version
         if arrival.incoming is not None:
@@ -290,12 +301,7 @@ class Learner:
             "statistics": t.statistics(),
             "evaluation_steps": t.evaluation_steps,
             "checkpoints": self._storage.statistics(),
-            "alarms": [
-                text
-                for text in (self._storage.alarm, self._journal.failure, self._board.failure, self._history.failure)
-                if text
-            ]
-            + self._receiver.offenders.alarms(),
+            "alarms": self._alarms(),
         }
         self._presence.report(values, t.version)
         agents = t.figures.by_agent()
@@ -303,6 +309,11 @@ class Learner:
         self._board.write(t.environment_steps, flattened({name: values[name] for name in told} | {"agents": agents}))
         del values["alarms"], values["imitations"]
         self._journal.write("status", **values, agents=agents)
+
+    def _alarms(self) -> list[str]:
+        late = self._overdue.alarm(self.trainer.events, self.trainer.episodes, time.monotonic())
+        found = (self._storage.alarm, self._journal.failure, self._board.failure, self._history.failure, late)
+        return [text for text in found if text] + self._receiver.offenders.alarms()
 
     def _unexplained(self) -> int:
         """Return by how many steps the ledger fails to close, and misses replay and queue; anything but 0 is a defect.

@@ -48,6 +48,9 @@ class LearnerArguments:
     """Seconds to wait for a router."""
     lockstep: bool = False
     """Take turns with exactly one worker, so that the outcome is bit-equal to a run inside one process."""
+    await_elite: bool = False
+    """An imitation event that is a whole cycle late holds new experience, for 20 s at most, even before a coordinator
+    has come; for whatever starts one, too."""
     settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
 
 
@@ -83,6 +86,7 @@ def command(arguments: Sequence[str]) -> int:
             resume=resume,
             lockstep=options.lockstep,
             patience=options.patience,
+            await_elite=options.await_elite,
         ),
         options.settings,
         team_of(options.settings),

@@ -148,7 +148,7 @@ class _Training:
         learner = ["learner", "--run", RUN, "--listen", where, "--run-dir", str(self._directory.path)]
         shared = ["--shared-memory"] if options.shared_memory else []
         learner += [*shared, *self._tls(LEARNER)]
-        learner += ["--config", str(self._directory.path / CONFIG)]
+        learner += ["--config", str(self._directory.path / CONFIG), "--await-elite"]
         learner += ["--lockstep"] if options.lockstep else []
         learner += ["--resume"] if options.resume else []
         again = [] if options.resume or options.lockstep else ["--resume"]

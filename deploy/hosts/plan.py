@@ -103,7 +103,7 @@ def _learner(fleet: Fleet, places: Places) -> Process:
         met: tuple[str, ...] = ("--listen", places.listen, *_insecure(fleet))
     else:
         met = ("--connect", places.endpoint, "--patience", PATIENCE)
-    kept = ("--run-dir", places.run_dir, "--config", places.config, "--resume-if-any")
+    kept = ("--run-dir", places.run_dir, "--config", places.config, "--resume-if-any", "--await-elite")
     tls = _tls(fleet, places, Identity("learner", "learner"))
     arguments = ("learner", "--run", fleet.run, *met, *_shared(fleet), *kept, *tls)
     return Process("learner", "learner", fleet.learner.host, arguments, fleet.config.learner.threads)

@@ -90,6 +90,19 @@ def stranded(processes: Processes, learner: subprocess.Popen[bytes]) -> bool:
     return False
 
 
+def test_a_late_coordinator_is_waited_for(processes: Processes) -> None:
+    """New experience waits for an event that is a whole cycle late, instead of a run that ends without imitation."""
+    processes.learner("--await-elite")
+    processes.worker()
+    until(lambda: any(r["waits"]["imitation"] > 0.5 for r in processes.records("status")), "a wait for imitation")
+    assert processes.records("status")[-1]["episodes"] == 4
+    processes.coordinator()
+    assert processes.wait("learner") == 0, processes.log("learner")
+    first = processes.records("imitation")[0]
+    assert (first["event"], first["episodes"]) == (1, 4)
+    assert processes.records("status")[-1]["ledger"]["unexplained"] == 0
+
+
 def test_a_worker_that_is_killed_and_replaced(processes: Processes) -> None:
     """After kill -9 with chunks in its spool a new start goes on; what no request held is explained, nothing twice."""
     processes.config.write_text(BEHIND)
