@@ -11,7 +11,8 @@ from common import frame, keys
 from common.bus import Bus
 from common.config import RolloutConfig
 from common.errors import BusError
-from common.messages import ChunkAck, ChunkMessage, Envelope
+from common.imitation import ImitationEvent
+from common.messages import ChunkAck, ChunkMessage, CommandMessage, Envelope, ImitationMessage, ReceiptMessage
 from deploy.audit import audit
 from tests.faults.harness import BEHIND
 from tests.system.fleet import RUN, Processes, until
@@ -90,17 +91,22 @@ def stranded(processes: Processes, learner: subprocess.Popen[bytes]) -> bool:
     return False
 
 
-def test_a_late_coordinator_is_waited_for(processes: Processes) -> None:
+def test_a_late_event_is_waited_for(processes: Processes) -> None:
     """New experience waits for an event that is a whole cycle late, instead of a run that ends without imitation."""
+    event = ImitationEvent(1, 1, 2, 0.1, (0, 1, 1), ((0.5,), (0.1, 0.2), (0.1, 0.2)))
     processes.learner("--await-elite")
     processes.worker()
+    epoch = processes.configuration().epoch
     until(lambda: any(r["waits"]["imitation"] > 0.5 for r in processes.records("status")), "a wait for imitation")
     assert processes.records("status")[-1]["episodes"] == 4
-    processes.coordinator()
-    assert processes.wait("learner") == 0, processes.log("learner")
-    first = processes.records("imitation")[0]
-    assert (first["event"], first["episodes"]) == (1, 4)
-    assert processes.records("status")[-1]["ledger"]["unexplained"] == 0
+    with Bus.connect(processes.endpoint, "control") as bus:
+        late = Envelope("elite", "late", 1, 1).encode()
+        bus.ask(keys.COMMAND.key(RUN, verb="lead"), CommandMessage("late").encode(), 5.0, late)
+        answer = bus.ask(keys.IMITATION.key(RUN), ImitationMessage.of(event, epoch).encode(), 5.0, late)
+    assert answer is not None
+    assert ReceiptMessage.decode(answer) == ReceiptMessage(True, "")
+    assert finish(processes)["unexplained"] == 0
+    assert [(record["event"], record["episodes"]) for record in processes.records("imitation")] == [(1, 4)]
 
 
 def test_a_worker_that_is_killed_and_replaced(processes: Processes) -> None:
