@@ -1,7 +1,7 @@
 """`eia-sec reproduce`: the paper's studies, each by one command that goes on where it was stopped."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -14,16 +14,17 @@ from common.process import StopSignal
 from deploy.exit_codes import DONE, INTERRUPTED
 from deploy.options import parse
 from deploy.rundir import RunDirectory
-from deploy.studies.bench import Bench
+from deploy.studies.bench import TWELVE, Bench
 from deploy.studies.catalogue import STUDIES
 from deploy.studies.jobs import Job, Records
 from deploy.studies.perform import perform_all
 from deploy.studies.reproduce import Plan, announce, carry_out
-from deploy.studies.scales import SCALES
+from deploy.studies.scales import SCALES, Scale
 
 RUN: Final = "run"
 """The word, in a study's place, by which studies start their runs: `run COMMAND RECORDS/JOB.job.json ...`."""
 ALL: Final = "all"
+SCALABILITY: Final = "scalability"
 LOCK: Final = "reproduce.lock"
 
 
@@ -44,8 +45,30 @@ class ReproduceArguments:
     """Folder for data, pictures and tables; each study has its own in there."""
     records: Path = Path("runs/reproduce/records")
     """Folder of the finished runs, which all studies share."""
+    seeds: int = 0
+    """Seeds of every method; 0 for the study's own number."""
+    uavs: tuple[int, ...] = ()
+    """Team sizes of scalability; by default all of the scale's, and in any case 12, which the others stand beside."""
     plan: bool = False
     """Only say what is missing and how long it takes."""
+
+    def sizes(self) -> Scale:
+        """Return the scale with what was asked for.
+
+        Raises:
+            UsageError: no study can have such seeds or teams.
+        """
+        within(0, 1000, seeds=self.seeds)
+        scale = SCALES[self.scale]
+        if self.seeds:
+            scale = replace(scale, seeds=self.seeds, side_seeds=self.seeds)
+        if self.uavs:
+            if self.study != SCALABILITY:
+                raise UsageError(f"--uavs is for {SCALABILITY} alone.")
+            for uavs in self.uavs:
+                within(3, 999, uavs=uavs)
+            scale = replace(scale, uavs=tuple(sorted({TWELVE, *self.uavs})))
+        return scale
 
 
 def command(arguments: Sequence[str]) -> int:
@@ -58,7 +81,7 @@ def command(arguments: Sequence[str]) -> int:
         wrong = f"there is no study {options.study!r}" if options.study else "nothing to reproduce"
         raise UsageError(f"{wrong}; the studies are {', '.join(STUDIES)}, and {ALL}.")
     console = Console(highlight=False, soft_wrap=True, markup=False)
-    bench = Bench(SCALES[options.scale], Records(options.records))
+    bench = Bench(options.sizes(), Records(options.records))
     held = RunDirectory(options.records)
     held.lock(LOCK)  # as long as this object lives
     names = tuple(STUDIES) if options.study == ALL else (options.study,)

@@ -136,7 +136,7 @@ STUDIES: Final[Mapping[str, Study]] = {
         lambda bench: _comparison(bench, ABLATIONS, bench.scale.side_seeds),
     ),
     "ensemble": Study("Members of the shared ensemble critic, k_s", _ensemble_stages, _ensemble),
-    "scalability": Study("M4: teams from 6 to 96 UAVs", _scalability_stages, _scalability),
+    "scalability": Study("M4: smaller and larger teams", _scalability_stages, _scalability),
     "inference": Study("M5: time of a decision", _inference_stages, _inference),
     "trajectories": Study("Where the UAVs fly, and what they collect", _trajectory_stages, flight_summary),
 }

@@ -169,8 +169,8 @@ def scalability(data: Results | None) -> list[Row]:
     """Return M4's rewards: that they hardly change, and each number against that of 12 UAVs."""
     teams = {} if data is None else {uavs: team["reward"] for uavs, team in data["teams"].items()}
     claim, rows = "M4: the reward hardly depends on the number of UAVs, 6 to 24", []
-    if teams:
-        values = [teams[str(uavs)][0] for uavs in REWARD_BY_UAVS if str(uavs) in teams]
+    if all(str(uavs) in teams for uavs in REWARD_BY_UAVS):
+        values = [teams[str(uavs)][0] for uavs in REWARD_BY_UAVS]
         apart = (max(values) - min(values)) / abs(float(np.mean(values)))
         told = _listed({uavs: shown(reward) for uavs, reward in teams.items()})
         rows = [Row(claim, told, "holds" if apart <= STABLE else "does not hold", f"range {apart:.0%} of the mean")]

@@ -163,6 +163,13 @@ def test_numbers_are_compared_as_ratios():
     """Twice the paper's rewards throughout have the paper's ratios, and hold."""
     teams = {str(n): {"reward": (2 * r, 2 * r - 1, 2 * r + 1)} for n, r in REWARD_BY_UAVS.items()}
     assert [row.verdict for row in scalability({"teams": teams})] == base_among(6, "Reward with 12", scalability)
+    del teams["24"]
+    some = {row.paper: row.verdict for row in scalability({"teams": teams})}
+    assert [paper for paper, verdict in some.items() if verdict == "cannot be told"] == [
+        "M4: the reward hardly depends on the number of UAVs, 6 to 24",
+        "Reward with 12 UAVs: 895.04",
+        "Reward with 24 UAVs: 881.34",
+    ]
     methods = {f"k_s = {k}": {"reward": (2 * r, 2 * r - 1, 2 * r + 1)} for k, r in REWARD_BY_MEMBERS.items()}
     assert [row.verdict for row in members({"methods": methods})] == base_among(7, "k_s = 2:", members)
     turned = copy.deepcopy(methods)

@@ -11,6 +11,7 @@ from common.errors import UsageError
 from common.imitation import ImitationSchedule
 from common.policy_file import save_policy
 from common.team import farm_team
+from deploy.commands.reproduce import ReproduceArguments
 from deploy.studies.bench import Bench
 from deploy.studies.catalogue import STUDIES
 from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
@@ -183,3 +184,11 @@ def test_studies_share_their_runs(tmp_path):
     runs = {job.digest for job in bench.runs(EIA_SEC, 1)}
     for name in ("training", "ablation", "ensemble", "scalability", "trajectories"):
         assert runs <= {job.digest for stage in STUDIES[name].stages(bench) for job in stage}, name
+
+
+def test_seeds_and_teams_can_be_asked_for():
+    """The scale has what was said, 12 UAVs in any case; without a word it is the scale itself."""
+    assert ReproduceArguments("scalability").sizes() == FULL
+    asked = ReproduceArguments("scalability", uavs=(24, 6), seeds=1).sizes()
+    assert (asked.uavs, asked.seeds, asked.side_seeds) == ((6, 12, 24), 1, 1)
+    assert replace(asked, uavs=FULL.uavs, seeds=FULL.seeds, side_seeds=FULL.side_seeds) == FULL
