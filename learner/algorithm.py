@@ -79,12 +79,14 @@ class Algorithm(ABC):
     Attributes:
         head: kind of the actors' last layer.
         critics_each: critics of one agent.
+        climbed_each: how many of these the actors climb.
         noise_blocks: standard normal numbers that a round takes, in action layouts.
         phases: rounds after which the kind of round repeats.
     """
 
     head: ClassVar[Head] = "deterministic"
     critics_each: ClassVar[int] = 1
+    climbed_each: ClassVar[int] = 1
     noise_blocks: ClassVar[int] = 0
 
     def __init__(self, config: AlgorithmConfig, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
@@ -95,7 +97,7 @@ class Algorithm(ABC):
         self.next = Inputs(team, config.batch, joint, like, cores=cores, views=pooled)
         self.actors = Actors(config, team, like, head=self.head, target=self.has_target_actors(), cores=cores)
         self.actors.initialise(seed)
-        self.critics = Critics(config, team, like, each=self.critics_each, cores=cores)
+        self.critics = Critics(config, team, like, each=self.critics_each, climbed=self.climbed_each, cores=cores)
         self.change = like.new_zeros(config.batch * team.action_size)
         self.slopes = like.new_zeros(config.batch * team.action_size)
         self.change_views = action_views(team, config.batch, self.change)
@@ -111,6 +113,7 @@ class Algorithm(ABC):
         self.critic_views, self.target_views, self.gradient_views = (
             self.critics.bank.parameters(flat) for flat in (self.phi, self.target_phi, self.critic_gradient)
         )
+        self.climbed_views = self.critics.climbed_bank.parameters(self.phi)
         self.critic_adam = Adam(
             self.phi,
             self.critic_gradient,
@@ -181,21 +184,21 @@ class Algorithm(ABC):
         return action
 
     def appraise(self, action: Tensor) -> Tensor:
-        """Return the critics' values [k, agents, B] of the actors' actions, from which `change` was made."""
+        """Return the climbed critics' values [k, agents, B] of the actors' actions, from which `change` was made."""
         if self.config.others != "batch" and self.config.joint_critics:
             self.current.decide(action)
-            return self.critics.forward(self.critic_views, self.current)
-        return self.critics.forward(self.critic_views, self.current, self.change_views)
+            return self.critics.appraise(self.climbed_views, self.current)
+        return self.critics.appraise(self.climbed_views, self.current, self.change_views)
 
     def slope(self, upstream: Tensor) -> None:
         """Write the gradient of sum(upstream * value) by the actors' actions into `slopes`, after `appraise`."""
         self.slopes.zero_()
         if not self.config.climbs_together:
-            self.critics.action_gradient(self.critic_views, upstream, self.slope_views)
+            self.critics.action_gradient(self.climbed_views, upstream, self.slope_views)
             return
         rows = self._team_slopes.zero_()
         shared = [rows.expand(group.count, *rows.shape) for group in self.team.groups]
-        self.critics.action_gradient(self.critic_views, upstream, shared)
+        self.critics.action_gradient(self.climbed_views, upstream, shared)
         for view, part in zip(self.slope_views, self.team.action_slices(), strict=True):
             view.copy_(torch.unflatten(rows[:, part], 1, (view.shape[0], -1)).transpose(0, 1))
 

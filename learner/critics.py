@@ -26,19 +26,32 @@ class Critics:
         team: the layout of the team.
         like: a tensor of the wanted device and type.
         each: critics of one agent, k.
+        climbed: how many of these the actors climb, from the first one on.
         cores: processor cores to compute on by compiled kernels; 0 to compute by torch.
+
+    Attributes:
+        bank: all of them.
+        climbed_bank: those that the actors climb.
     """
 
-    def __init__(self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, each: int, cores: int) -> None:
+    def __init__(
+        self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, each: int, climbed: int, cores: int
+    ) -> None:
         self._config, self._team, self.each = config, team, each
+        self._climbed = climbed
         self._joint = config.joint_critics
         self.bank = Bank([self._stack(kind) for _ in range(each) for kind in range(len(team.groups))], config.hidden)
         self._orders = [
             torch.tensor([[0, *(1 + c for c in own)] for own in view_columns(team, kind)], device=like.device)
             for kind in range(len(team.groups) if self._joint else 0)
         ]
-        self._pass = make_pass(self.bank, like, cores=cores)
-        self.values = self._pass.output.view(each, team.agents, config.batch)
+        self._pass = self._ascent = make_pass(self.bank, like, cores=cores)
+        self.climbed_bank = self.bank
+        if climbed < each:
+            self.climbed_bank = self.bank.part(climbed * len(team.groups))
+            self._ascent = make_pass(self.climbed_bank, like, cores=cores)
+        self._values = self._pass.output.view(each, team.agents, config.batch)
+        self._climbed_values = self._ascent.output.view(climbed, team.agents, config.batch)
 
     def _stack(self, kind: int) -> Stack:
         group, width = self._team.groups[kind], critic_width(self._team, kind, self._joint)
@@ -94,18 +107,23 @@ class Critics:
             return first
         return first.gather(1, self._orders[kind][:, :, None].expand_as(first))
 
-    def forward(self, parameters: Parameters, inputs: Inputs, delta: list[Tensor] | None = None) -> Tensor:
-        """Return all predictions [k, agents, B], valid until the next call; see `Pass` for `delta`."""
-        self._pass.forward(parameters, inputs.critic * self.each, delta * self.each if delta else ())
-        return self.values
+    def forward(self, parameters: Parameters, inputs: Inputs) -> Tensor:
+        """Return all predictions [k, agents, B], valid until the next call."""
+        self._pass.forward(parameters, inputs.critic * self.each)
+        return self._values
+
+    def appraise(self, parameters: Parameters, inputs: Inputs, delta: list[Tensor] | None = None) -> Tensor:
+        """Return those predictions that the actors climb, likewise; see `Pass` for `delta`."""
+        self._ascent.forward(parameters, inputs.critic * self._climbed, delta * self._climbed if delta else ())
+        return self._climbed_values
 
     def parameter_gradient(self, parameters: Parameters, inputs: Inputs, upstream: Tensor, into: Parameters) -> None:
         """Write the gradient of sum(upstream * prediction) by the parameters."""
         self._pass.parameter_gradient(parameters, inputs.critic * self.each, upstream.reshape(-1), into)
 
     def action_gradient(self, parameters: Parameters, upstream: Tensor, into: list[Tensor]) -> None:
-        """Add the gradient of sum(upstream * prediction) by every agent's own action to `into`.
+        """Add the gradient of sum(upstream * prediction) by every agent's own action to `into`, after `appraise`.
 
         Where actors climb the sum of all critics (`others = "team"`), the action of a critic is that of the whole team.
         """
-        self._pass.action_gradient(parameters, upstream.reshape(-1), into * self.each)
+        self._ascent.action_gradient(parameters, upstream.reshape(-1), into * self._climbed)

@@ -11,6 +11,7 @@ Forward, for inputs x with the leading one:  h1 = relu(x W1),  h2 = relu([1 h1] 
 by network, so that a network's numbers stay in the processor's cache.
 """
 
+import copy
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -107,13 +108,23 @@ class Bank:
 
     def __init__(self, stacks: Sequence[Stack], hidden: int) -> None:
         self.stacks, self.hidden = tuple(stacks), hidden
-        self.rows = sum(stack.count * stack.rows for stack in stacks)
-        self.outputs = sum(stack.count * stack.rows * stack.outputs for stack in stacks)
         self.typed: list[list[Block]] = []
         self.size = 0
         for layer in range(3):
             self.typed.append(self._lay_out(layer))
+        self._count()
+
+    def _count(self) -> None:
+        self.rows = sum(stack.count * stack.rows for stack in self.stacks)
+        self.outputs = sum(stack.count * stack.rows * stack.outputs for stack in self.stacks)
         self.blocks = [self.typed[0], _joined(self.typed[1]), _joined(self.typed[2])]
+
+    def part(self, stacks: int) -> "Bank":
+        """Return the first so many stacks as a bank of their own, at the same places of the same flat vector."""
+        part = copy.copy(self)
+        part.stacks, part.typed = self.stacks[:stacks], [blocks[:stacks] for blocks in self.typed]
+        part._count()
+        return part
 
     def _lay_out(self, layer: int) -> list[Block]:
         blocks, row = [], 0

@@ -52,6 +52,7 @@ class EiaSec(Algorithm):
         self.critic_views, self.target_views, self.gradient_views = (
             self.critics.bank.parameters(flat[:local]) for flat in vectors
         )
+        self.climbed_views = self.critic_views
         networks = self.critics.bank.segments()
         trained = size if config.ensemble_gradient else local
         if self.ensemble:
@@ -157,12 +158,12 @@ class EiaSec(Algorithm):
         """Climb (step 6); return what was climbed, and how far the members lie apart there, where asked for."""
         config, action = self.config, self.choose()
         mixture = self.ensemble is not None and config.actor_objective == "mixture"
-        local = self.critics.forward(self.critic_views, self.current, self.change_views)
+        local = self.critics.appraise(self.climbed_views, self.current, self.change_views)
         climbed, spread = local[0].clone() if figures else None, None
         self.slopes.zero_()
         share = config.mixture_epsilon if mixture else 1.0
         local.fill_(-share / config.batch)
-        self.critics.action_gradient(self.critic_views, local, self.slope_views)
+        self.critics.action_gradient(self.climbed_views, local, self.slope_views)
         if mixture and self.ensemble:
             values = self.ensemble.forward(self.members, self.current, self.change_views)
             if climbed is not None:

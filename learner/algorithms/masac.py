@@ -52,6 +52,7 @@ class Masac(Algorithm):
 
     head = "gaussian"
     critics_each = 2
+    climbed_each = 2
     noise_blocks = 2
 
     def __init__(self, config: AlgorithmConfig, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
@@ -102,7 +103,7 @@ class Masac(Algorithm):
         before = output.index_select(0, self._mean) + spread
         correction = 2.0 * (math.log(2.0) - before - softplus(-2.0 * before))
         density = noise.square() * -0.5 - log_deviation - correction - 0.5 * math.log(2.0 * math.pi)
-        rows = self.critics.values.shape[1] * self.config.batch
+        rows = self.team.agents * self.config.batch
         total = density.new_zeros(rows).index_add_(0, self._row, density)
         inside = (raw == log_deviation).to(raw.dtype)
         return Sample(before.tanh_(), spread, inside, total.view(-1, self.config.batch))

@@ -47,10 +47,9 @@ class Matd3(Algorithm):
             return None
         action = self.choose()
         value = self.appraise(action)
-        climbed = value[0].clone()
+        climbed = value[0].clone() if figures else None
         if not phase:
-            value[0].fill_(-1.0 / config.batch)
-            value[1].zero_()
+            value.fill_(-1.0 / config.batch)
             self.slope(value)
             self.climb(action)
-        return self.told(error, climbed, target) if figures else None
+        return self.told(error, climbed, target) if climbed is not None else None
