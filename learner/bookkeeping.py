@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.transitions import TRANSITION
-from learner.kernels import Function, Table
+from learner.compilation import Function
+from learner.kernels import Table
 
 
 def booking(function: Function) -> Function:

@@ -26,6 +26,7 @@ from learner.kernels import (
     Table,
 )
 from learner.networks import Bank, Parameters, Pass, StackedPass
+from learner.products import piece_size
 
 
 def make_pass(bank: Bank, like: Tensor, *, cores: int) -> Pass:
@@ -76,9 +77,11 @@ class CompiledPass:
         costs = table[:, ROWS] * table[:, WIDTH] * (table[:, FAN_IN] + table[:, WIDTH] + table[:, FAN_OUT])
         self._order, self._bounds = shares(costs.tolist(), cores)
         self._table, self._parts = table[self._order], self._bounds.shape[0] - 1
-        self._h1 = np.zeros(bank.rows * bank.hidden, like.new_empty(0).numpy().dtype)
-        self._h2 = np.zeros_like(self._h1)
-        space = max(s.rows * (2 * bank.hidden + s.action_size) for s in bank.stacks)
+        size, kind = bank.rows * bank.hidden, like.new_empty(0).numpy().dtype
+        hidden = np.zeros(2 * size + kernels.APART, kind)
+        self._h1, self._h2 = hidden[:size], hidden[size + kernels.APART :]
+        space = max(kernels.scratch_size(s.rows, bank.hidden, s.action_size) for s in bank.stacks)
+        self._piece = piece_size()
         self._scratch = np.zeros(self._parts * space, self._h1.dtype)
         self.output = like.new_empty(bank.outputs)
         self._output = self.output.numpy()
@@ -87,7 +90,8 @@ class CompiledPass:
 
     def _placed(self, tensors: Sequence[Tensor]) -> tuple[NDArray[Any], Table]:
         """Return the storage of one tensor for each stack, and where each network's part starts in it."""
-        key = tuple(tensor.data_ptr() for tensor in tensors)
+        # All are views of one storage in the team's order, so whoever begins, steps and ends alike is alike.
+        key = tensors[0].data_ptr(), tensors[0].stride(0), tensors[-1].data_ptr(), len(tensors)
         found = self._known.get(key)
         if found is None:
             starts = [t.storage_offset() + n * t.stride(0) for t in tensors for n in range(t.shape[0])]
@@ -101,9 +105,9 @@ class CompiledPass:
         change, places = self._placed(delta) if delta else self._nothing
         work = self._table, starts, x, parameters.flat.numpy(), change, places, self._h1, self._h2, self._output
         if self._parts > 1:
-            kernels.forward_on_cores(self._bounds, *work)
+            kernels.forward_on_cores(self._bounds, *work, self._piece)
         else:
-            kernels.forward(*work)
+            kernels.forward(*work, self._piece)
         return self.output
 
     def parameter_gradient(
@@ -114,9 +118,9 @@ class CompiledPass:
         flat, above = parameters.flat.numpy(), upstream.numpy()
         work = self._table, starts, x, flat, above, self._h1, self._h2, self._scratch, into.flat.numpy()
         if self._parts > 1:
-            kernels.parameter_gradient_on_cores(self._bounds, *work)
+            kernels.parameter_gradient_on_cores(self._bounds, *work, self._piece)
         else:
-            kernels.parameter_gradient(*work)
+            kernels.parameter_gradient(*work, self._piece)
 
     def action_gradient(self, parameters: Parameters, upstream: Tensor, into: Sequence[Tensor]) -> None:
         """See `Pass`."""
@@ -124,9 +128,9 @@ class CompiledPass:
         flat, above = parameters.flat.numpy(), upstream.numpy()
         work = self._table, flat, above, self._h1, self._h2, self._scratch, slopes, places
         if self._parts > 1:
-            kernels.action_gradient_on_cores(self._bounds, *work)
+            kernels.action_gradient_on_cores(self._bounds, *work, self._piece)
         else:
-            kernels.action_gradient(*work)
+            kernels.action_gradient(*work, self._piece)
 
 
 def _table(bank: Bank) -> Table:

@@ -7,34 +7,26 @@ The functions whose names end in `_on_cores` share the same work: `bounds` says 
 numbers, each core takes. A network's own numbers are the same on any number of cores.
 """
 
-from collections.abc import Callable
-from typing import Any, Final, TypeVar, cast
+from typing import Final
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-Function = TypeVar("Function", bound=Callable[..., Any])
-Floats = NDArray[Any]
-"""A flat vector of float32 or float64, all of one call alike."""
+from learner.compilation import compiled, shared
+from learner.products import Floats, multiply, multiply_by_turned, multiply_turned
+
 Table = NDArray[np.int64]
 
 ROWS, FAN_IN, WIDTH, FAN_OUT, FIRST, SECOND, HEAD, ROW, OUTPUT, OWN, OWN_SIZE, COLUMNS = range(12)
 """Columns of a table: rows; inputs with the one; units of a hidden layer; outputs; where the layers start in the flat
 parameters; where the rows start among all rows; where the outputs start; the first input of the own action and its
 size."""
-FASTMATH: Final = {"reassoc", "contract", "nsz"}
-"""Sums may be taken in another order, as vector instructions do; numbers that are not finite stay so."""
 
-
-def compiled(function: Function) -> Function:
-    """Compile a function; the machine code is kept on disk."""
-    return cast(Function, numba.njit(nogil=True, fastmath=FASTMATH, error_model="numpy", cache=True)(function))
-
-
-def shared(function: Function) -> Function:
-    """Compile a function whose loop over `prange` runs on as many cores as numba may use."""
-    return cast(Function, numba.njit(nogil=True, parallel=True, error_model="numpy", cache=True)(function))
+APART: Final = 336
+"""Numbers between one buffer of a network and the next: without them lines of all would share a place in the cache."""
+SWEEP: Final = 2048
+"""Parameters that Adam takes before their target follows, so that these are still in the cache."""
 
 
 @compiled
@@ -48,6 +40,7 @@ def forward(
     h1: Floats,
     h2: Floats,
     output: Floats,
+    piece: int,
 ) -> None:
     """Compute h1, h2 and the outputs of all networks.
 
@@ -61,6 +54,7 @@ def forward(
         h1: activations of the first layer [all rows * hidden], written.
         h2: those of the second, written.
         output: written.
+        piece: see `learner.products.piece_size`.
     """
     width = table[0, WIDTH]
     none = np.zeros(width, h1.dtype)
@@ -70,19 +64,15 @@ def forward(
         inputs = x[starts[n] : starts[n] + rows * fan_in].reshape((rows, fan_in))
         first = parameters[table[n, FIRST] : table[n, FIRST] + fan_in * width].reshape((fan_in, width))
         lower, upper = h1[start:end].reshape((rows, width)), h2[start:end].reshape((rows, width))
-        np.dot(inputs, first, lower)
+        multiply(inputs, first, lower, piece)
         if delta.shape[0] > 0:
             size, own = table[n, OWN_SIZE], table[n, OWN]
-            change = delta[places[n] : places[n] + rows * size].reshape((rows, size))
-            for r in range(rows):
-                for k in range(size):
-                    for c in range(width):
-                        lower[r, c] += change[r, k] * first[own + k, c]
+            _shift(lower, delta[places[n] : places[n] + rows * size].reshape((rows, size)), first[own : own + size])
         _rectify(lower, none)
         begin = table[n, SECOND]
         bias = parameters[begin : begin + width]
         second = parameters[begin + width : begin + width + width * width].reshape((width, width))
-        np.dot(lower, second, upper)
+        multiply(lower, second, upper, piece)
         _rectify(upper, bias)
         begin = table[n, HEAD]
         bias = parameters[begin : begin + fan_out]
@@ -110,18 +100,18 @@ def parameter_gradient(
     h2: Floats,
     scratch: Floats,
     into: Floats,
+    piece: int,
 ) -> None:
     """Write the gradient of sum(upstream * output) by all parameters.
 
-    `scratch` holds twice as many activations, and own actions, as a network has rows.
+    `scratch` is as large as `scratch_size` tells.
     """
     width = table[0, WIDTH]
     for n in range(table.shape[0]):
         rows, fan_in, fan_out = table[n, ROWS], table[n, FAN_IN], table[n, FAN_OUT]
         start, end = table[n, ROW] * width, (table[n, ROW] + rows) * width
         lower, upper = h1[start:end].reshape((rows, width)), h2[start:end].reshape((rows, width))
-        z2 = scratch[: rows * width].reshape((rows, width))
-        z1 = scratch[rows * width : 2 * rows * width].reshape((rows, width))
+        z2, z1, rest = _scratch(scratch, rows, width)
         above = upstream[table[n, OUTPUT] : table[n, OUTPUT] + rows * fan_out]
         begin = table[n, HEAD]
         head = parameters[begin + fan_out : begin + fan_out + width * fan_out]
@@ -140,12 +130,13 @@ def parameter_gradient(
         begin = table[n, SECOND]
         _column_sums(z2, into[begin : begin + width])
         second = parameters[begin + width : begin + width + width * width].reshape((width, width))
-        np.dot(lower.T, z2, into[begin + width : begin + width + width * width].reshape((width, width)))
-        np.dot(z2, second.T, z1)
+        slopes = into[begin + width : begin + width + width * width].reshape((width, width))
+        multiply_turned(lower, z2, slopes, piece)
+        multiply_by_turned(z2, second, z1, rest, piece)
         _mask(z1, lower)
         inputs = x[starts[n] : starts[n] + rows * fan_in].reshape((rows, fan_in))
         begin = table[n, FIRST]
-        np.dot(inputs.T, z1, into[begin : begin + fan_in * width].reshape((fan_in, width)))
+        multiply_turned(inputs, z1, into[begin : begin + fan_in * width].reshape((fan_in, width)), piece)
 
 
 @compiled
@@ -158,6 +149,7 @@ def action_gradient(
     scratch: Floats,
     into: Floats,
     places: Table,
+    piece: int,
 ) -> None:
     """Add the gradient of sum(upstream * output) by the own actions to `into`, for scalar networks."""
     width = table[0, WIDTH]
@@ -165,20 +157,42 @@ def action_gradient(
         rows = table[n, ROWS]
         start, end = table[n, ROW] * width, (table[n, ROW] + rows) * width
         lower, upper = h1[start:end].reshape((rows, width)), h2[start:end].reshape((rows, width))
-        z2 = scratch[: rows * width].reshape((rows, width))
-        z1 = scratch[rows * width : 2 * rows * width].reshape((rows, width))
+        z2, z1, rest = _scratch(scratch, rows, width)
         above = upstream[table[n, OUTPUT] : table[n, OUTPUT] + rows]
         begin = table[n, HEAD]
         _outer(above, parameters[begin + 1 : begin + 1 + width], upper, z2)
         begin = table[n, SECOND] + width
-        np.dot(z2, parameters[begin : begin + width * width].reshape((width, width)).T, z1)
+        second = parameters[begin : begin + width * width].reshape((width, width))
+        multiply_by_turned(z2, second, z1, rest, piece)
         _mask(z1, lower)
         size, own = table[n, OWN_SIZE], table[n, FIRST] + table[n, OWN] * width
-        part = scratch[2 * rows * width : 2 * rows * width + rows * size]
+        part = rest[: rows * size]
         np.dot(z1, parameters[own : own + size * width].reshape((size, width)).T, part.reshape((rows, size)))
         slope = into[places[n] : places[n] + rows * size]
         for k in range(rows * size):
             slope[k] += part[k]
+
+
+def scratch_size(rows: int, width: int, action: int) -> int:
+    """Return how many numbers gradients need besides, for rows of a width with own actions."""
+    return 2 * (rows * width + APART) + max(rows * action, width * width)
+
+
+@compiled
+def _scratch(scratch: Floats, rows: int, width: int) -> tuple[Floats, Floats, Floats]:
+    """Return two buffers [rows, width] and the numbers behind them."""
+    size = rows * width
+    first, second = scratch[:size], scratch[size + APART : 2 * size + APART]
+    return first.reshape((rows, width)), second.reshape((rows, width)), scratch[2 * (size + APART) :]
+
+
+@compiled
+def _shift(sums: Floats, change: Floats, weights: Floats) -> None:
+    """Add what a change of a few inputs [rows, a] adds to sums [rows, width]."""
+    for r in range(sums.shape[0]):
+        for k in range(change.shape[1]):
+            for c in range(sums.shape[1]):
+                sums[r, c] += change[r, k] * weights[k, c]
 
 
 @compiled
@@ -234,15 +248,17 @@ def adam(
         target: [P], or empty.
     """
     blend, keep, take, rate, epsilon, follow = settings
-    for i in range(parameters.shape[0]):
-        slope = gradient[i]
-        first = mean[i] + (slope - mean[i]) * blend
-        second = square[i] * keep + slope * slope * take
-        mean[i], square[i] = first, second
-        parameters[i] -= rate * first / (np.sqrt(second) + epsilon)
-    if target.shape[0] > 0:
-        for i in range(target.shape[0]):
-            target[i] += (parameters[i] - target[i]) * follow
+    for start in range(0, parameters.shape[0], SWEEP):
+        part = slice(start, start + SWEEP)
+        values, slopes = parameters[part], gradient[part]
+        means, squares, followers = mean[part], square[part], target[part]
+        for i in range(values.shape[0]):
+            first = means[i] + (slopes[i] - means[i]) * blend
+            second = squares[i] * keep + slopes[i] * slopes[i] * take
+            means[i], squares[i] = first, second
+            values[i] -= rate * first / (np.sqrt(second) + epsilon)
+        for i in range(followers.shape[0]):
+            followers[i] += (values[i] - followers[i]) * follow
 
 
 @compiled
@@ -274,11 +290,12 @@ def forward_on_cores(
     h1: Floats,
     h2: Floats,
     output: Floats,
+    piece: int,
 ) -> None:
     """Do `forward`; `places` has a line for each network, even where `delta` is empty."""
     for part in numba.prange(bounds.shape[0] - 1):
         a, b = bounds[part], bounds[part + 1]
-        forward(table[a:b], starts[a:b], x, parameters, delta, places[a:b], h1, h2, output)
+        forward(table[a:b], starts[a:b], x, parameters, delta, places[a:b], h1, h2, output, piece)
 
 
 @shared
@@ -293,13 +310,14 @@ def parameter_gradient_on_cores(
     h2: Floats,
     scratch: Floats,
     into: Floats,
+    piece: int,
 ) -> None:
     """Do `parameter_gradient`; `scratch` is as large for each core."""
     size = scratch.shape[0] // (bounds.shape[0] - 1)
     for part in numba.prange(bounds.shape[0] - 1):
         a, b = bounds[part], bounds[part + 1]
         own = scratch[part * size : (part + 1) * size]
-        parameter_gradient(table[a:b], starts[a:b], x, parameters, upstream, h1, h2, own, into)
+        parameter_gradient(table[a:b], starts[a:b], x, parameters, upstream, h1, h2, own, into, piece)
 
 
 @shared
@@ -313,6 +331,7 @@ def action_gradient_on_cores(
     scratch: Floats,
     into: Floats,
     places: Table,
+    piece: int,
 ) -> None:
     """Do `action_gradient`; `scratch` is as large for each core, each of which adds up a sum of its own first."""
     parts = bounds.shape[0] - 1
@@ -321,7 +340,7 @@ def action_gradient_on_cores(
     for part in numba.prange(parts):
         a, b = bounds[part], bounds[part + 1]
         own = scratch[part * size : (part + 1) * size]
-        action_gradient(table[a:b], parameters, upstream, h1, h2, own, sums[part], places[a:b])
+        action_gradient(table[a:b], parameters, upstream, h1, h2, own, sums[part], places[a:b], piece)
     for part in range(parts):
         for k in range(into.shape[0]):
             into[k] += sums[part, k]
