@@ -1,7 +1,8 @@
 """The learner's arithmetic compiled for processor cores: passes of small networks, and Adam.
 
 A network's products, its biases, its rectifiers and their gradients follow one another while its numbers are in the
-cache. All arrays are flat and contiguous; a table says where each network's parts start. The products are BLAS's.
+cache. All arrays are flat and contiguous; a table says where each network's parts start. The products are those of
+`learner.products`.
 
 The functions whose names end in `_on_cores` share the same work: `bounds` says which lines of the table, or which
 numbers, each core takes. A network's own numbers are the same on any number of cores.
