@@ -72,18 +72,7 @@ def multiply(a: Floats, b: Floats, out: Floats, piece: int) -> None:
     if piece == WHOLE:
         np.dot(a, b, out)
         return
-    rows, inner, columns, size = a.shape[0], a.shape[1], b.shape[1], a.itemsize
-    kind, zero, one = _constants(size)
-    deep = _share(inner, BLOCK // (columns * size))
-    tall = _share(rows, piece // (deep * columns))
-    for k in range(0, inner, deep):
-        beta = one if k > 0 else zero
-        right = b.ctypes.data + k * columns * size
-        for r in range(0, rows, tall):
-            left = a.ctypes.data + (r * inner + k) * size
-            result = out.ctypes.data + r * columns * size
-            sizes = columns, min(tall, rows - r), min(deep, inner - k)
-            _gemm(kind, _PLAIN, _PLAIN, *sizes, one, right, columns, left, inner, beta, result, columns)
+    _in_pieces(a, b, out, _PLAIN, a.shape[1], 1, piece)
 
 
 @compiled
@@ -99,18 +88,7 @@ def multiply_turned(a: Floats, b: Floats, out: Floats, piece: int) -> None:
     if piece == WHOLE:
         np.dot(a.T, b, out)
         return
-    rows, inner, columns, size = a.shape[0], a.shape[1], b.shape[1], a.itemsize
-    kind, zero, one = _constants(size)
-    deep = _share(rows, BLOCK // (columns * size))
-    tall = _share(inner, piece // (deep * columns))
-    for r in range(0, rows, deep):
-        beta = one if r > 0 else zero
-        right = b.ctypes.data + r * columns * size
-        for k in range(0, inner, tall):
-            left = a.ctypes.data + (r * inner + k) * size
-            result = out.ctypes.data + k * columns * size
-            sizes = columns, min(tall, inner - k), min(deep, rows - r)
-            _gemm(kind, _PLAIN, _TURNED, *sizes, one, right, columns, left, inner, beta, result, columns)
+    _in_pieces(a, b, out, _TURNED, 1, a.shape[1], piece)
 
 
 @compiled
@@ -146,6 +124,33 @@ def turn(matrix: Floats, out: Floats) -> None:
                     place[np.uint64((c + j) * rows + r + i)] = source[np.uint64((r + i) * columns + c + j)]
     out[whole_columns:] = matrix[:, whole_columns:].T
     out[:, whole_rows:] = matrix[whole_rows:].T
+
+
+@compiled
+def _in_pieces(a: Floats, b: Floats, out: Floats, letter: int, step: int, term: int, piece: int) -> None:
+    """Write a product whose sums have as many terms as b has rows.
+
+    Args:
+        a: the first factor, plain or to be transposed.
+        b: [terms, C].
+        out: [lines, C].
+        letter: how BLAS is to take `a`.
+        step: how far the numbers of `a` for a line of the result and for the next are apart.
+        term: how far those of two neighbouring terms are apart.
+        piece: multiplications of a piece.
+    """
+    lines, terms, columns, size = out.shape[0], b.shape[0], b.shape[1], a.itemsize
+    kind, zero, one = _constants(size)
+    deep = _share(terms, BLOCK // (columns * size))
+    tall = _share(lines, piece // (deep * columns))
+    for t in range(0, terms, deep):
+        beta = one if t > 0 else zero
+        right = b.ctypes.data + t * columns * size
+        for n in range(0, lines, tall):
+            left = a.ctypes.data + (n * step + t * term) * size
+            result = out.ctypes.data + n * columns * size
+            sizes = columns, min(tall, lines - n), min(deep, terms - t)
+            _gemm(kind, _PLAIN, letter, *sizes, one, right, columns, left, a.shape[1], beta, result, columns)
 
 
 @compiled
