@@ -165,6 +165,9 @@ def members(data: Results | None) -> list[Row]:
     return rows
 
 
+SHARED: Final = "what the farm's sensors and plots supply does not grow with the team that shares it"
+
+
 def scalability(data: Results | None) -> list[Row]:
     """Return M4's rewards: that they hardly change, and each number against that of 12 UAVs."""
     teams = {} if data is None else {uavs: team["reward"] for uavs, team in data["teams"].items()}
@@ -173,7 +176,7 @@ def scalability(data: Results | None) -> list[Row]:
         values = [teams[str(uavs)][0] for uavs in REWARD_BY_UAVS]
         apart = (max(values) - min(values)) / abs(float(np.mean(values)))
         told = _listed({uavs: shown(reward) for uavs, reward in teams.items()})
-        rows = [Row(claim, told, "holds" if apart <= STABLE else "does not hold", f"range {apart:.0%} of the mean")]
+        rows = [Row(claim, told, "holds" if apart <= STABLE else "does not hold", f"range {apart:.0%} of the mean; {SHARED}")]
     else:
         rows = [Row(claim)]
     for uavs, paper in REWARD_BY_UAVS.items():

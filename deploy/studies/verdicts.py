@@ -54,9 +54,14 @@ def lower(one: Triple, other: Triple) -> Answer:
 
 
 def alike(paper: float, ours: float, near: float = NEAR) -> Verdict:
-    """Return how two ratios agree: within the tolerance, only on the same side of 1, or not."""
+    """Return how two ratios agree: within the tolerance, only on the same side of 1, or not.
+
+    A ratio of the paper that is itself within the tolerance of 1 has no side: it says that there is no difference.
+    """
     if abs(ours / paper - 1.0) <= near:
         return "holds"
+    if abs(paper - 1.0) <= near:
+        return "does not hold"
     return "holds in part" if (ours - 1.0) * (paper - 1.0) > 0.0 else "does not hold"
 
 

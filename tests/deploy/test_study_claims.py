@@ -45,6 +45,12 @@ def test_ratios_agree_within_five_percent(ours, verdict):
     assert alike(0.81, ours) == verdict
 
 
+@pytest.mark.parametrize(("ours", "verdict"), [(1.01, "holds"), (0.94, "holds"), (0.46, "does not hold")])
+def test_a_ratio_near_one_has_no_side(ours, verdict):
+    """Beside the paper's 0.98, which says that nothing changes, half as much is no agreement."""
+    assert alike(0.98, ours) == verdict
+
+
 def test_the_best_of_several():
     """It has to be the first, and clearly, and another has to be clearly above it to refute that."""
     clear = {"1": (5, 4, 6), "2": (9, 8, 10)}
