@@ -176,7 +176,8 @@ def scalability(data: Results | None) -> list[Row]:
         values = [teams[str(uavs)][0] for uavs in REWARD_BY_UAVS]
         apart = (max(values) - min(values)) / abs(float(np.mean(values)))
         told = _listed({uavs: shown(reward) for uavs, reward in teams.items()})
-        rows = [Row(claim, told, "holds" if apart <= STABLE else "does not hold", f"range {apart:.0%} of the mean; {SHARED}")]
+        why = f"range {apart:.0%} of the mean; {SHARED}"
+        rows = [Row(claim, told, "holds" if apart <= STABLE else "does not hold", why)]
     else:
         rows = [Row(claim)]
     for uavs, paper in REWARD_BY_UAVS.items():
