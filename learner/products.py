@@ -69,9 +69,6 @@ def multiply(a: Floats, b: Floats, out: Floats, piece: int) -> None:
         out: [R, C].
         piece: see `piece_size`.
     """
-    if piece == WHOLE:
-        np.dot(a, b, out)
-        return
     _in_pieces(a, b, out, _PLAIN, a.shape[1], 1, piece)
 
 
@@ -85,9 +82,6 @@ def multiply_turned(a: Floats, b: Floats, out: Floats, piece: int) -> None:
         out: [K, C].
         piece: see `piece_size`.
     """
-    if piece == WHOLE:
-        np.dot(a.T, b, out)
-        return
     _in_pieces(a, b, out, _TURNED, 1, a.shape[1], piece)
 
 
@@ -141,7 +135,7 @@ def _in_pieces(a: Floats, b: Floats, out: Floats, letter: int, step: int, term: 
     """
     lines, terms, columns, size = out.shape[0], b.shape[0], b.shape[1], a.itemsize
     kind, zero, one = _constants(size)
-    deep = _share(terms, BLOCK // (columns * size))
+    deep = terms if piece == WHOLE else _share(terms, BLOCK // (columns * size))
     tall = _share(lines, piece // (deep * columns))
     for t in range(0, terms, deep):
         beta = one if t > 0 else zero
