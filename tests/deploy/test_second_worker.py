@@ -22,14 +22,20 @@ SLOW = Arguments(workers=(1, 2, 4), seconds=10.0, settle=1.0)
 
 
 class ASupervisor:
-    """Starts processes that only sleep, and remembers what they were to be."""
+    """Starts processes that only sleep, and remembers what they were to be.
+
+    Each is awaited: right behind exec a process has a page or two, which is 0.0 MiB.
+    """
 
     def __init__(self) -> None:
         self.started: dict[str, Child] = {}
 
     def start(self, name, arguments):
         """Start one."""
-        process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+        words = "import time; print('up', flush=True); time.sleep(600)"
+        process = subprocess.Popen([sys.executable, "-c", words], stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"up\n"
         self.started[name] = Child(name, arguments, 1, process=process)
         return self.started[name]
 
@@ -41,7 +47,7 @@ def supervisor():
     yield made
     for child in made.started.values():
         child.process.kill()
-        child.process.wait()
+        child.process.communicate()
 
 
 class AFleet:
