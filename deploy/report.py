@@ -69,11 +69,24 @@ def evaluate_all(config: RunConfig, policy: Path, farms: Sequence[int]) -> list[
 
 
 def read_metrics(path: Path) -> list[dict[str, Any]]:
-    """Return the records of metrics.jsonl; a line that was cut by a crash is left out."""
-    records = []
+    """Return the records of metrics.jsonl.
+
+    A line that was cut by a crash is left out, and so are records of what came after the checkpoint from which the run
+    was resumed: it was lost and done again.
+    """
+    records: list[dict[str, Any]] = []
     for line in path.read_text(encoding="utf-8").splitlines():
         try:
-            records.append(json.loads(line))
+            record = json.loads(line)
         except ValueError:
             continue
+        if record["kind"] == "resume":
+            records = [earlier for earlier in records if not _undone(earlier, record)]
+        records.append(record)
     return records
+
+
+def _undone(record: dict[str, Any], resume: dict[str, Any]) -> bool:
+    if record["kind"] == "imitation":
+        return bool(record["event"] > resume["events"])
+    return any(record.get(name, 0) > resume[name] for name in ("episodes", "environment_steps", "updates"))

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import IO
 
 from common.config import RunConfig
-from common.config.files import differences, from_toml, to_toml
+from common.config.files import differences, from_toml, method_of, to_toml
 from common.errors import RunDirError
 
 CONFIG = "config.toml"
@@ -26,13 +26,15 @@ class RunDirectory:
     def prepare(self, config: RunConfig, *, resume: bool) -> None:
         """Create the folder with its configuration, or check that it is this configuration's.
 
+        A run that is resumed may have other settings of its processes, see `common.config.files.method_of`.
+
         Raises:
             RunDirError: when the folder holds another configuration, holds a run that was not to be resumed, or
                 holds none that could be.
         """
         held = self.path / CONFIG
         if held.exists():
-            self._compare(from_toml(held, RunConfig()), config)
+            self._compare(from_toml(held, RunConfig()), config, resume=resume)
             if not resume and (self.path / METRICS).exists():
                 raise RunDirError(f"{self.path} already holds a run; add --resume or choose another --run-dir.")
             return
@@ -56,6 +58,17 @@ class RunDirectory:
         self._lock.write(str(os.getpid()))
         self._lock.flush()
 
+    def adopt(self, config: RunConfig) -> None:
+        """Take over a configuration that `prepare` has let pass, once the folder is locked."""
+        if self.configuration() == config:
+            return
+        fresh = self.path / f"{CONFIG}.new"
+        try:
+            fresh.write_text(to_toml(config), encoding="utf-8")
+            fresh.replace(self.path / CONFIG)
+        except OSError as error:
+            raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
+
     def configuration(self) -> RunConfig:
         """Return the configuration; raise RunDirError when the folder holds none."""
         held = self.path / CONFIG
@@ -75,8 +88,8 @@ class RunDirectory:
             return False
         return bool(lines) and '"kind": "end"' in lines[-1] and '"state": "finished"' in lines[-1]
 
-    def _compare(self, held: RunConfig, wanted: RunConfig) -> None:
-        found = differences(held, wanted)
+    def _compare(self, held: RunConfig, wanted: RunConfig, *, resume: bool) -> None:
+        found = differences(method_of(held), method_of(wanted)) if resume else differences(held, wanted)
         if found:
             more = f" and {len(found) - 3} more" if len(found) > 3 else ""
             raise RunDirError(f"{self.path} belongs to another configuration: {'; '.join(found[:3])}{more}.")

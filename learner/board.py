@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tensorboardX.event_file_writer import EventsWriter
-from tensorboardX.proto.event_pb2 import Event
+from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.summary_pb2 import Summary
 
 FOLDER = "tensorboard"
@@ -45,11 +45,19 @@ class Board:
             step: environment steps of the run.
             scalars: values; groups of names are divided by a slash.
         """
+        values = [Summary.Value(tag=name, simple_value=value) for name, value in scalars.items()]
+        self._put(Event(wall_time=time.time(), step=step, summary=Summary(value=values)))
+
+    def resume(self, step: int) -> None:
+        """Say that a run goes on from a step: TensorBoard then leaves out what stands beyond it in earlier files."""
+        # It leaves out the step itself, too, which is not beyond.
+        self._put(Event(wall_time=time.time(), step=step + 1, session_log=SessionLog(status=SessionLog.START)))
+
+    def _put(self, event: Any) -> None:
         if self._writer is None:
             return
-        values = [Summary.Value(tag=name, simple_value=value) for name, value in scalars.items()]
         try:
-            self._writer.write_event(Event(wall_time=time.time(), step=step, summary=Summary(value=values)))
+            self._writer.write_event(event)
             self._writer.flush()
         except OSError as error:
             self._fail(error)

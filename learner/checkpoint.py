@@ -5,7 +5,8 @@
 
 `tensors` is the SHA-256 of the tensors' file and `sha256` that of the manifest without this entry, so a flipped bit is
 noticed wherever it is. A checkpoint is written under a temporary name, flushed to the disk, renamed, and the rename is
-flushed too: what bears a checkpoint's name is complete, unless the disk itself damages it later.
+flushed too: what bears a checkpoint's name is complete, unless the disk itself damages it later. One that is found to
+be damaged loses its name, so that it does not count among those that are kept, and stays until the next is found.
 
 Tensors are hashed and written piece by piece. The library's own `save` would first copy all of them twice into memory,
 and hold the interpreter's lock meanwhile, under which no other thread trains.
@@ -18,7 +19,7 @@ import os
 import re
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -40,6 +41,7 @@ MAX_TENSORS: Final = 64 * 2**30
 """Largest tensors' file that is read, bytes."""
 _NAME = re.compile(r"checkpoint-(\d{8,12})")
 _PARTIAL = "partial-"
+_DAMAGED = "damaged-"
 _DTYPES: Final = {torch.float64: "F64", torch.int64: "I64", torch.float32: "F32", torch.int32: "I32", torch.uint8: "U8"}
 _PIECE_BYTES: Final = 2**20
 
@@ -51,12 +53,12 @@ class Found:
     Attributes:
         tensors: by name.
         manifest: the body that was saved with them.
-        skipped: one sentence for each newer checkpoint that is damaged.
+        skipped: each newer checkpoint that is damaged, and a sentence that says so.
     """
 
     tensors: dict[str, Tensor]
     manifest: dict[str, Any]
-    skipped: tuple[str, ...]
+    skipped: tuple[tuple[Path, str], ...]
 
 
 def save(
@@ -109,17 +111,30 @@ def load_latest(directory: Path) -> Found | None:
     Raises:
         CheckpointError: when there are checkpoints and every one is damaged.
     """
-    skipped: list[str] = []
+    skipped: list[tuple[Path, str]] = []
     for _, path in reversed(_checkpoints(directory)):
         try:
             tensors, manifest = load(path)
         except CheckpointError as error:
-            skipped.append(str(error))
+            skipped.append((path, str(error)))
         else:
             return Found(tensors, manifest, tuple(skipped))
     if skipped:
-        raise CheckpointError(f"no checkpoint in {directory} is whole: {' '.join(skipped)}")
+        raise CheckpointError(f"no checkpoint in {directory} is whole: {' '.join(text for _, text in skipped)}")
     return None
+
+
+def set_aside(paths: Sequence[Path]) -> None:
+    """Take the names of damaged checkpoints, and remove what was set aside before.
+
+    Raises:
+        OSError: when the disk does not let it.
+    """
+    for path in paths:
+        for leftover in path.parent.glob(f"{_DAMAGED}*"):
+            shutil.rmtree(leftover)
+    for path in paths:
+        path.rename(path.with_name(_DAMAGED + path.name))
 
 
 def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -48,7 +48,8 @@ class Graphs:
                 self._algorithm.round(batch, noise, phase, figures=figures)
         torch.cuda.current_stream().wait_stream(side)
         graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
+        # A thread may be reading tensors for a checkpoint meanwhile, which no capture of this one is to forbid.
+        with torch.cuda.graph(graph, capture_error_mode="thread_local"):
             result = self._algorithm.round(batch, noise, phase, figures=figures)
         for name, tensor in state.items():
             tensor.copy_(kept[name])

@@ -1,9 +1,10 @@
 """What the learner tells: metrics.jsonl in the run directory, and lossy metric messages on the bus."""
 
 import json
+import os
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -34,7 +35,7 @@ class Journal:
         self.imitations: deque[dict[str, Any]] = deque(maxlen=IMITATIONS)
         self._file: TextIO | None = None
         if directory is not None:
-            self._file = (directory / "metrics.jsonl").open("a", encoding="utf-8")
+            self._file = _continued(directory / "metrics.jsonl")
         self._started = time.monotonic() - elapsed
 
     @property
@@ -61,11 +62,16 @@ class Journal:
 
 
 class Curves:
-    """Moving averages over the newest finished episodes."""
+    """Moving averages over the newest finished episodes.
 
-    def __init__(self, team: TeamSpec) -> None:
+    Args:
+        team: the layout of the team.
+        recent: episodes that had finished before a run was resumed, oldest first.
+    """
+
+    def __init__(self, team: TeamSpec, recent: Iterable[EpisodeSummary] = ()) -> None:
         self._team = team
-        self._recent: deque[dict[str, Any]] = deque(maxlen=SMOOTHED_EPISODES)
+        self._recent: deque[dict[str, Any]] = deque(map(self._figures, recent), maxlen=SMOOTHED_EPISODES)
 
     def add(self, episodes: Sequence[EpisodeSummary]) -> dict[str, Any]:
         """Take finished episodes in; return their own means."""
@@ -82,6 +88,16 @@ class Curves:
         for group, part in zip(self._team.groups, self._team.agent_slices(), strict=True):
             reward[group.name] = sum(episode.reward[part]) / group.count
         return {"reward": reward, "steps": episode.steps, **episode.figures}
+
+
+def _continued(path: Path) -> TextIO:
+    """Open a file for further lines; one that a crash has cut is ended, so that it spoils no other."""
+    with path.open("ab+") as file:
+        if file.tell():
+            file.seek(-1, os.SEEK_END)
+            if file.read(1) != b"\n":
+                file.write(b"\n")
+    return path.open("a", encoding="utf-8")
 
 
 def imitation_record(team: TeamSpec, event: ImitationEvent) -> dict[str, Any]:

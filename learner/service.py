@@ -2,7 +2,6 @@
 
 import queue
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -11,7 +10,6 @@ from common import keys
 from common.bus import Bus
 from common.config import RunConfig
 from common.config.files import to_toml
-from common.endpoint import Endpoint
 from common.errors import BusError, ProtocolError, UsageError
 from common.history import History
 from common.imitation import ImitationSchedule
@@ -29,6 +27,7 @@ from common.team import TeamSpec
 from learner.board import Board, flattened
 from learner.desk import Desk
 from learner.intake import Intake
+from learner.options import LearnerOptions
 from learner.overdue import Overdue
 from learner.past import take_up
 from learner.receiver import Arrival, Receiver
@@ -52,31 +51,6 @@ FAREWELL_SECONDS = 0.5
 """Time for the last messages to leave before the sessions close."""
 
 
-@dataclass(frozen=True)
-class LearnerOptions:
-    """How to start the learner.
-
-    Attributes:
-        run: the run's name.
-        endpoint: where to listen, or where a router listens.
-        listen: whether this process listens itself.
-        run_dir: where checkpoints, metrics and the configuration go, or None to keep nothing.
-        resume: whether to go on from the newest whole checkpoint.
-        lockstep: whether one worker and the learner take turns.
-        patience: seconds to wait for a router.
-        await_elite: whether late imitation events are waited for even before a coordinator has come.
-    """
-
-    run: str
-    endpoint: Endpoint
-    listen: bool
-    run_dir: Path | None
-    resume: bool = False
-    lockstep: bool = False
-    patience: float = 60.0
-    await_elite: bool = False
-
-
 class Learner:
     """The learner's loop; all its methods run in the main thread."""
 
@@ -92,13 +66,21 @@ class Learner:
         self._schedule = ImitationSchedule.of(config)
         self._overdue = Overdue(self._schedule)
         self._board = Board(options.run_dir)
-        self._journal, self._curves = Journal(options.run_dir, elapsed), Curves(self._team)
+        self._journal, self._curves = Journal(options.run_dir, elapsed), Curves(self._team, self.trainer.recent)
+        if options.resume:
+            self._tell_resumption()
         self._state = "training"
         self._waited = {"data": 0.0, "imitation": 0.0, "producers": 0.0, "training": 0.0, "checkpoint": 0.0}
         self._lag = 0.0
         self._times = dict.fromkeys(("progress", "report", "publish", "checkpoint", "held"), time.monotonic())
         self._published_updates = -1
         self._open(control, bulk)
+
+    def _tell_resumption(self) -> None:
+        """Say from where the run goes on: what an earlier start told beyond that did not come to stay."""
+        counters = ("episodes", "environment_steps", "updates", "events")
+        self._journal.write("resume", **{name: getattr(self.trainer, name) for name in counters})
+        self._board.resume(self.trainer.environment_steps)
 
     def _open(self, control: Bus, bulk: Bus) -> None:
         run = self._options.run

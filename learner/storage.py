@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from common.config import RunConfig
-from common.config.files import digest
+from common.config.files import digest, method_of
 from common.errors import CheckpointError, RunDirError
 from common.policy_file import save_policy
 from common.process import log
@@ -23,7 +23,7 @@ class RunStorage:
 
     Args:
         directory: the run directory, or None.
-        config: the run; a checkpoint of another configuration is refused.
+        config: the run; a checkpoint of another method is refused, see `common.config.files.method_of`.
 
     Attributes:
         skipped: checkpoints that fell due while the one before was still being written.
@@ -34,7 +34,7 @@ class RunStorage:
     def __init__(self, directory: Path | None, config: RunConfig) -> None:
         self._directory = directory
         self._config = config
-        self._digest = digest(config)
+        self._digest, self._method = digest(config), digest(method_of(config))
         self._writer = CheckpointWriter(directory / CHECKPOINTS, config.learner.keep_checkpoints) if directory else None
         self.skipped = 0
         self.pause = self.longest_pause = 0.0
@@ -66,7 +66,7 @@ class RunStorage:
         started = time.perf_counter()
         tensors, state = trainer.snapshot()
         manifest: dict[str, Any] = {
-            "configuration": self._digest,
+            "configuration": self._method,
             "trainer": state,
             "intake": intake.state(),
             "elapsed": elapsed,
@@ -110,10 +110,9 @@ class RunStorage:
         found = checkpoint.load_latest(self._directory / CHECKPOINTS)
         if found is None:
             return 0.0, 0
-        for message in found.skipped:
-            log(f"ALARM: {message}")
+        self._set_aside(found)
         manifest = found.manifest
-        if manifest.get("configuration") != self._digest:
+        if manifest.get("configuration") != self._method:
             raise RunDirError(f"the checkpoint in {self._directory} belongs to another configuration.")
         try:
             trainer.restore(found.tensors, manifest["trainer"])
@@ -121,6 +120,14 @@ class RunStorage:
             return float(manifest["elapsed"]), int(manifest["epoch"])
         except (KeyError, TypeError, ValueError) as error:
             raise CheckpointError(f"the checkpoint in {self._directory} is not readable: {error}") from error
+
+    def _set_aside(self, found: checkpoint.Found) -> None:
+        for _, message in found.skipped:
+            log(f"ALARM: {message}")
+        try:
+            checkpoint.set_aside([path for path, _ in found.skipped])
+        except OSError as error:
+            log(f"ALARM: a damaged checkpoint could not be set aside: {error.strerror or error}.")
 
     def write_policy(self, trainer: Trainer) -> None:
         """Write the present actors as policy.safetensors."""

@@ -27,6 +27,7 @@ from common.seeds import stream
 from common.team import TeamSpec
 from common.transitions import TRANSITION, Chunk, EpisodeSummary
 from learner.arithmetic import choose_products
+from learner.device import usable_device
 from learner.engine import Engine, Figures
 from learner.figures import RETURN_ROUNDS, SHARE, RunningFigures, newest_returns
 from learner.frozen import Frozen, whole
@@ -55,6 +56,9 @@ class Trainer:
         config: the run.
         team: the layout of the team.
 
+    Raises:
+        ConfigError: when the configured device is not there.
+
     Attributes:
         environment_steps: environment steps absorbed.
         updates: update rounds done.
@@ -68,7 +72,7 @@ class Trainer:
 
     def __init__(self, config: RunConfig, team: TeamSpec) -> None:
         self.config, self.team = config, team
-        if torch.device(config.learner.device).type == "cpu":
+        if usable_device(config.learner.device).type == "cpu":
             choose_products()
         self.engine = Engine(config.algorithm, team, config.seed, config.learner.device)
         algorithm, device = config.algorithm, config.learner.device

@@ -8,7 +8,6 @@ from typing import Any
 
 from torch import Tensor
 
-from common.errors import CheckpointError
 from common.process import log
 from learner import checkpoint
 from learner.frozen import Frozen
@@ -62,7 +61,8 @@ class CheckpointWriter:
             self.seconds = time.perf_counter() - started
             self.written += 1
             self.failure = ""
-        except (OSError, CheckpointError, MemoryError) as error:
+        except Exception as error:
+            # Whatever it is, such as a device without memory: raised at the next checkpoint it would end the training.
             self.failure = f"no checkpoint could be written ({error}); the one before stands."
             log(f"ALARM: {self.failure}")
         finally:

@@ -13,7 +13,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
-from common.config.run import RunConfig
+from common.config.run import EvaluationConfig, LearnerConfig, RunConfig
 from common.config.sites import MAX_SENSORS, Sites
 from common.errors import ConfigError
 
@@ -80,6 +80,15 @@ def differences(a: RunConfig, b: RunConfig) -> list[str]:
 def digest(config: RunConfig) -> str:
     """Return sixteen hexadecimal digits that name this configuration; equal configurations have equal digests."""
     return hashlib.sha256(to_toml(config).encode()).hexdigest()[:16]
+
+
+def method_of(config: RunConfig) -> RunConfig:
+    """Return the configuration without what a run may change when it is resumed.
+
+    That is how the learner's process works, and how its policy is evaluated at the end: threads, device, how often
+    checkpoints are written and how many stay. They change a run's speed, and rounding, and not what is trained.
+    """
+    return dataclasses.replace(config, learner=LearnerConfig(), evaluation=EvaluationConfig())
 
 
 def format_value(value: Value) -> str:

@@ -1,12 +1,16 @@
 """One run: the farm, the method, the processes and their budget."""
 
+import re
 from dataclasses import dataclass, field
+from typing import Final
 
 from common.config.checks import not_negative, positive, within
 from common.config.environment import EnvConfig
 from common.config.farm import FarmConfig
 from common.config.learning import AlgorithmConfig, EliteConfig, ExplorationConfig, ReplayConfig
 from common.errors import ConfigError
+
+_DEVICE: Final = re.compile(r"cpu|cuda(:\d{1,3})?")
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class LearnerConfig:
     threads: int = 1
     """Compute threads of the learner."""
     device: str = "cpu"
-    """Torch device of the engine."""
+    """Where the engine computes: cpu, cuda, or cuda:1 for the second accelerator."""
     publish_seconds: float = 0.5
     """Least time between two published parameter versions, s."""
     checkpoint_seconds: float = 60.0
@@ -55,8 +59,10 @@ class LearnerConfig:
     """Newest checkpoints that are kept."""
 
     def __post_init__(self) -> None:
-        """Refuse times that never come."""
+        """Refuse times that never come, and what is no device."""
         within(1, 256, threads=self.threads)
+        if not _DEVICE.fullmatch(self.device):
+            raise ConfigError(f"device must be cpu, cuda or cuda:NUMBER, not {self.device!r}.")
         within(1, 1000, keep_checkpoints=self.keep_checkpoints)
         positive(publish_seconds=self.publish_seconds, checkpoint_seconds=self.checkpoint_seconds)
 

@@ -12,7 +12,9 @@ from common.endpoint import DEFAULT, Endpoint
 from common.errors import UsageError
 from deploy.options import base_configuration, parse
 from deploy.rundir import RunDirectory
-from learner.service import LearnerOptions, serve
+from learner.device import usable_device
+from learner.options import LearnerOptions
+from learner.service import serve
 from rollout.environments import team_of
 
 
@@ -73,10 +75,12 @@ def command(arguments: Sequence[str]) -> int:
         endpoint.credentials.require("learner")
     if not options.connect:
         endpoint.require_private(options.insecure)
+    usable_device(options.settings.learner.device)  # a mistake to tell before anything is made
     if options.run_dir is not None:
         directory = RunDirectory(options.run_dir)
         directory.prepare(options.settings, resume=resume)
         directory.lock("learner.lock")
+        directory.adopt(options.settings)
     serve(
         LearnerOptions(
             run=options.run,

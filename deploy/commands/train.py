@@ -77,12 +77,14 @@ def command(arguments: Sequence[str]) -> int:
     if options.lockstep and options.workers != 1:
         raise ConfigError("--lockstep takes turns with exactly one worker; leave --workers at 1.")
     team_of(options.settings)  # an environment that cannot be trained is a mistake to tell before anything is made
+    _require_device(options.settings.learner.device)
     endpoint = _endpoint(options)
     endpoint.require_private(insecure=False)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     directory = RunDirectory(options.run_dir or Path("runs") / f"{options.preset}-{stamp}")
     directory.prepare(options.settings, resume=options.resume)
     directory.lock("train.lock")
+    directory.adopt(options.settings)
     console = Console(stderr=False)
     console.print(f"run directory {directory.path}; watch from elsewhere with:", highlight=False)
     console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}", highlight=False)
@@ -95,6 +97,14 @@ def command(arguments: Sequence[str]) -> int:
         more += "" if options.settings.env.is_farm else f" --env {options.settings.env.name}"
         console.print(f"stopped; go on with: eia-sec train --run-dir {directory.path} --resume{more}", highlight=False)
     return 0
+
+
+def _require_device(name: str) -> None:
+    """Raise ConfigError unless the learner's device is there, before anything is made."""
+    if name != "cpu":
+        from learner.device import usable_device  # noqa: PLC0415  (torch loads for seconds, and only this needs it)
+
+        usable_device(name)
 
 
 def _endpoint(options: TrainArguments) -> Endpoint:

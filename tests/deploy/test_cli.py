@@ -4,11 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from common.config import RunConfig
+from common.config import EvaluationConfig, LearnerConfig, RunConfig
 from common.config.files import to_toml
+from common.errors import RunDirError
 from deploy.cli import COMMANDS, dispatch
 from deploy.exit_codes import run_command
 from deploy.options import base_configuration
+from deploy.rundir import RunDirectory
 
 
 def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -76,6 +78,9 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["train", "--farm_file=nowhere.shp"], "must end in .csv"),
         (["learner", "--farm-file", "nowhere.json"], "nowhere.json"),
         (["train", "--farm.world.sites", "1"], "--farm.world.sites"),
+        (["train", "--learner.device", "tpu"], "device must be cpu"),
+        (["train", "--learner.device", "cuda:999"], "learner.device is cuda:999"),
+        (["learner", "--learner.device", "cuda:999", "--run-dir", "run"], "learner.device is cuda:999"),
         (["reproduce"], "nothing to reproduce"),
         (["reproduce", "harvest"], "no study 'harvest'"),
         (["reproduce", "training", "--scale", "half"], "half"),
@@ -110,6 +115,21 @@ def test_another_configuration_is_refused(capsys: pytest.CaptureFixture[str], tm
     error = complaint(capsys, "train", "--run-dir", str(tmp_path), "--seed", "8")
     assert "another configuration" in error
     assert "seed" in error
+
+
+def test_what_a_resumed_run_may_change(tmp_path: Path) -> None:
+    """Settings of the learner's process and of the evaluation at the end; the folder then holds the new ones."""
+    held, wanted = RunConfig(seed=7), RunConfig(seed=7, learner=LearnerConfig(threads=2), evaluation=EvaluationConfig())
+    directory = RunDirectory(tmp_path / "run")
+    directory.prepare(held, resume=False)
+    with pytest.raises(RunDirError, match=r"learner\.threads"):
+        directory.prepare(wanted, resume=False)
+    directory.prepare(wanted, resume=True)
+    assert directory.configuration() == held
+    directory.adopt(wanted)
+    assert directory.configuration() == wanted
+    with pytest.raises(RunDirError, match="seed"):
+        directory.prepare(RunConfig(seed=8), resume=True)
 
 
 def test_resuming_what_never_ran_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -68,9 +68,24 @@ def test_any_damage_is_noticed_and_the_one_before_is_used(tmp_path, file, way):
         found = checkpoint.load_latest(tmp_path)
         assert found.manifest == {"number": 1}
         assert len(found.skipped) == 1
-        assert "checkpoint-00000002" in found.skipped[0]
+        assert "checkpoint-00000002" in found.skipped[0][1]
     path.write_bytes(whole)
     assert checkpoint.load_latest(tmp_path).manifest == {"number": 2}
+
+
+def test_a_damaged_checkpoint_takes_no_place_of_a_whole_one(tmp_path):
+    """Of two that are kept the newer is damaged: the next one leaves the whole one alone, which may be wanted again."""
+    for number in (1, 2):
+        path = checkpoint.save(tmp_path, TENSORS, {"number": number}, keep=2)
+    for number in (3, 4):
+        (path / "tensors.safetensors").write_bytes(b"")
+        found = checkpoint.load_latest(tmp_path)
+        assert found.manifest == {"number": 1}
+        checkpoint.set_aside([damaged for damaged, _ in found.skipped])
+        path = checkpoint.save(tmp_path, TENSORS, {"number": number}, keep=2)
+    assert checkpoint.load_latest(tmp_path).manifest == {"number": 4}
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["checkpoint-00000001", "checkpoint-00000002", "damaged-checkpoint-00000002"]
 
 
 def test_a_file_that_is_gone_is_noticed(tmp_path):

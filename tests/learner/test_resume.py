@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from common.config import AlgorithmConfig, LearnerConfig, ReplayConfig, RunConfig
+from common.config import AlgorithmConfig, EvaluationConfig, LearnerConfig, ReplayConfig, RunConfig
 from common.errors import RunDirError
 from common.imitation import ImitationEvent
 from common.messages import Envelope
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from learner import checkpoint
+from learner.algorithms import ALGORITHMS
 from learner.intake import Intake
 from learner.storage import CHECKPOINTS, RunStorage
 from learner.trainer import Trainer
@@ -83,20 +84,20 @@ def assert_equal_runs(one, other):
     assert one.statistics() == other.statistics()
 
 
-def check_resume(directory, cut, updates):
+def check_resume(directory, cut, updates, config=CONFIG):
     """Save at the cut while training goes on, take that up in a new trainer, and compare after more updates."""
     torch.set_num_threads(1)
-    more = int(updates / (CONFIG.replay.updates_per_step * ENVIRONMENTS * STEPS)) + (8 if cut == 1 else 1)
+    more = int(updates / (config.replay.updates_per_step * ENVIRONMENTS * STEPS)) + (8 if cut == 1 else 1)
     chunks = recorded(cut + more)
-    whole, ledger, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(directory, CONFIG)
+    whole, ledger, storage = Trainer(config, TEAM), Intake(), RunStorage(directory, config)
     play(whole, ledger, chunks, 0, cut)
     kept, before = ledger.state(), whole.updates
     storage.save(whole, ledger, 12.5, 3)
     play(whole, ledger, chunks, cut, cut + more)
     storage.close()
     assert storage.alarm == ""
-    resumed, again = Trainer(replace(CONFIG, seed=CONFIG.seed), TEAM), Intake()
-    assert RunStorage(directory, CONFIG).restore(resumed, again) == (12.5, 3)
+    resumed, again = Trainer(replace(config, seed=config.seed), TEAM), Intake()
+    assert RunStorage(directory, config).restore(resumed, again) == (12.5, 3)
     assert (again.state(), resumed.updates) == (kept, before)
     play(resumed, again, chunks, cut, cut + more)
     assert whole.updates >= before + updates
@@ -108,6 +109,14 @@ def check_resume(directory, cut, updates):
 def test_resume_is_bit_equal(tmp_path, cut):
     """Twenty further updates from each cut point: weights, moments, replay, counters and random states are equal."""
     check_resume(tmp_path, cut, 20)
+
+
+@pytest.mark.parametrize("cut", [7, 44])
+@pytest.mark.parametrize("name", [name for name in ALGORITHMS if name != "eia-sec"])
+def test_resume_is_bit_equal_for_every_algorithm(tmp_path, name, cut):
+    """Likewise with both normalisations and clipped gradients, whose state is part of a checkpoint, too."""
+    aids = {"observation_normalisation": True, "reward_normalisation": True, "gradient_clip": 0.5}
+    check_resume(tmp_path, cut, 20, replace(CONFIG, algorithm=replace(CONFIG.algorithm, name=name, **aids)))
 
 
 @pytest.mark.nightly
@@ -190,6 +199,7 @@ def check_damage(directory, times, capfd):
         play(trainer, intake, chunks, number, number + 1)
         storage.save(trainer, intake, float(number), 1, wait=True)
     newest = directory / CHECKPOINTS / "checkpoint-00000002"
+    aside = newest.with_name(f"damaged-{newest.name}")
     files = {path: path.read_bytes() for path in newest.iterdir()}
     fresh = Trainer(CONFIG, TEAM)
     for _ in range(times):
@@ -200,6 +210,8 @@ def check_damage(directory, times, capfd):
         capfd.readouterr()
         assert RunStorage(directory, CONFIG).restore(fresh, Intake())[0] == 0.0
         assert "checkpoint-00000002 is damaged" in "".join(capfd.readouterr())
+        assert not newest.exists()
+        aside.rename(newest)
         path.write_bytes(whole)
     assert RunStorage(directory, CONFIG).restore(fresh, Intake())[0] == 1.0
 
@@ -214,6 +226,31 @@ def test_a_damaged_checkpoint_is_noticed_and_the_one_before_used(tmp_path, capfd
 def test_a_damaged_checkpoint_is_noticed_a_thousand_times(tmp_path, capfd):
     """A thousand cuts and flips at random places."""
     check_damage(tmp_path, 1000, capfd)
+
+
+def test_any_fault_of_a_write_is_an_alarm_and_the_next_one_is_written(tmp_path, monkeypatch):
+    """An error that nobody thought of, of the device for instance, does not come up again at the next checkpoint."""
+    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(tmp_path, CONFIG)
+
+    def fail(*arguments):
+        raise RuntimeError("out of memory")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(checkpoint, "_write_tensors", fail)
+        storage.save(trainer, intake, 0.0, 1, wait=True)
+    assert "out of memory" in storage.alarm
+    storage.save(trainer, intake, 1.0, 1, wait=True)
+    assert storage.alarm == ""
+    assert checkpoint.load_latest(tmp_path / CHECKPOINTS).manifest["elapsed"] == 1.0
+
+
+def test_a_run_goes_on_with_other_settings_of_its_process(tmp_path):
+    """How many checkpoints are kept, how often, threads and the evaluation at the end may change."""
+    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(tmp_path, CONFIG)
+    storage.save(trainer, intake, 3.0, 1, wait=True)
+    learner = LearnerConfig(threads=2, checkpoint_seconds=7.0, keep_checkpoints=5)
+    other = replace(CONFIG, learner=learner, evaluation=EvaluationConfig(farms=3))
+    assert RunStorage(tmp_path, other).restore(Trainer(other, TEAM), Intake()) == (3.0, 1)
 
 
 def test_a_checkpoint_of_another_configuration_is_refused(tmp_path):

@@ -14,6 +14,8 @@ import pytest
 
 from common.bus import Bus
 from common.endpoint import free_endpoint
+from deploy.report import read_metrics
+from deploy.rundir import METRICS
 from tests.system.fleet import TINY, until
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")
@@ -106,6 +108,27 @@ def test_interrupt_drains_and_resume_goes_on(training: Training) -> None:
     assert counts == sorted(counts)
     training.process.send_signal(signal.SIGTERM)
     assert training.wait(30.0) == 0
+
+
+def test_what_a_killed_learner_told_is_told_once(training: Training) -> None:
+    """It begins again, as there was no checkpoint yet; who reads the records has each episode once."""
+    training.config.write_text(LONG, encoding="utf-8")
+    training.start("--no-report")
+    until(lambda: training.episodes() >= 4, "training")
+    next(child for child in training.children() if "learner" in child.cmdline()).kill()
+    path = training.run_dir / METRICS
+
+    def again() -> int:
+        return sum(record["kind"] == "episodes" for record in read_metrics(path)) if resumed() else 0
+
+    def resumed() -> bool:
+        return '"kind": "resume"' in path.read_text(encoding="utf-8")
+
+    until(lambda: again() >= 4, "going on")
+    counts = [record["episodes"] for record in read_metrics(path) if record["kind"] == "episodes"]
+    assert counts == sorted(set(counts))
+    raw = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
+    assert len([record for record in raw if record["kind"] == "episodes"]) > len(counts)
 
 
 def test_no_orphans_after_kill(training: Training) -> None:

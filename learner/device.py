@@ -1,0 +1,24 @@
+"""Where the engine computes, and whether that is there."""
+
+import torch
+
+from common.errors import ConfigError
+
+
+def usable_device(name: str) -> torch.device:
+    """Return the device of this name.
+
+    Args:
+        name: cpu, cuda or cuda:NUMBER.
+
+    Raises:
+        ConfigError: when this machine, or this build of torch, has none of that name.
+    """
+    device = torch.device(name)
+    if device.type == "cuda":
+        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+        if count == 0:
+            raise ConfigError(f"learner.device is {name}, and torch {torch.__version__} finds no CUDA device here.")
+        if (device.index or 0) >= count:
+            raise ConfigError(f"learner.device is {name}, and the last CUDA device here is cuda:{count - 1}.")
+    return device

@@ -1,0 +1,87 @@
+"""What a learner tells of a run that goes on after a crash."""
+
+import json
+
+import pytest
+from tensorboardX.proto.event_pb2 import SessionLog
+
+from common.team import GroupSpec, TeamSpec
+from common.transitions import EpisodeSummary
+from deploy.report import read_metrics
+from learner.board import FOLDER, Board
+from learner.reports import SMOOTHED_EPISODES, Curves, Journal
+from tests.learner.test_figures import events
+
+TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
+
+
+def write_run(journal, first, last):
+    """Write the records of some episodes, ten steps and one update each, and an imitation event after every second."""
+    for episode in range(first, last):
+        counters = {"episodes": episode, "environment_steps": 10 * episode, "updates": episode}
+        journal.write("episodes", **counters, reward={"mean": float(episode)})
+        if episode % 2 == 0:
+            journal.write("imitation", episodes=episode, event=episode // 2)
+        journal.write("status", **counters)
+    journal.close()
+
+
+def told(path, kind, name):
+    return [record[name] for record in read_metrics(path) if record["kind"] == kind]
+
+
+def test_what_a_crash_undid_is_left_out(tmp_path):
+    """Of episodes 1..7 a checkpoint had kept 4, with an event fewer: the rest comes from the start that went on."""
+    write_run(Journal(tmp_path), 1, 8)
+    journal = Journal(tmp_path)
+    journal.write("resume", episodes=4, environment_steps=40, updates=4, events=1)
+    write_run(journal, 5, 10)
+    path = tmp_path / "metrics.jsonl"
+    assert told(path, "episodes", "episodes") == told(path, "status", "updates") == list(range(1, 10))
+    assert told(path, "imitation", "event") == [1, 3, 4]
+    assert len(told(path, "resume", "time")) == 1
+
+
+def test_a_run_that_begins_again_has_nothing_from_before(tmp_path):
+    """Without a checkpoint everything is done again."""
+    write_run(Journal(tmp_path), 1, 4)
+    journal = Journal(tmp_path)
+    journal.write("resume", episodes=0, environment_steps=0, updates=0, events=0)
+    write_run(journal, 1, 2)
+    assert told(tmp_path / "metrics.jsonl", "episodes", "episodes") == [1]
+
+
+@pytest.mark.parametrize("cut", [1, 5, 30])
+def test_a_line_that_a_crash_has_cut_spoils_no_other(tmp_path, cut):
+    """The next start ends it, so that its own first line can be read."""
+    write_run(Journal(tmp_path), 1, 3)
+    path = tmp_path / "metrics.jsonl"
+    path.write_bytes(path.read_bytes()[:-cut])
+    write_run(Journal(tmp_path), 3, 4)
+    assert told(path, "episodes", "episodes") == [1, 2, 3]
+    assert told(path, "status", "episodes") == [1, 3] if cut > 1 else [1, 2, 3]
+    lines = path.read_text().splitlines()
+    assert sum(line.endswith("}") for line in lines) >= len(lines) - 1
+    assert json.loads(lines[-1])["kind"] == "status"
+
+
+def test_moving_averages_go_on_with_the_episodes_before():
+    """After a resumption they are those of the run that was not interrupted."""
+    episodes = [EpisodeSummary(0, k, 50, (float(k),) * 5, {"aoi": 0.1 * k}) for k in range(60)]
+    whole, resumed = Curves(TEAM), Curves(TEAM, episodes[:50])
+    whole.add(episodes[:50])
+    assert resumed.smoothed() == whole.smoothed() != Curves(TEAM).smoothed()
+    assert resumed.smoothed()["reward"]["a"] == pytest.approx(
+        sum(range(50 - SMOOTHED_EPISODES, 50)) / SMOOTHED_EPISODES
+    )
+    assert whole.add(episodes[50:]) == resumed.add(episodes[50:])
+    assert resumed.smoothed() == whole.smoothed()
+
+
+def test_tensorboard_is_told_from_where_a_run_goes_on(tmp_path):
+    """It leaves out what it has at the step of a session's start or beyond; the checkpoint's own step stays."""
+    board = Board(tmp_path)
+    board.resume(700)
+    board.close()
+    starts = [event for event in events(tmp_path / FOLDER) if event.session_log.status == SessionLog.START]
+    assert [event.step for event in starts] == [701]
