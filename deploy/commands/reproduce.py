@@ -61,7 +61,7 @@ class ReproduceArguments:
         within(0, 1000, seeds=self.seeds)
         scale = SCALES[self.scale]
         if self.seeds:
-            scale = replace(scale, seeds=self.seeds, side_seeds=self.seeds)
+            scale = replace(scale, seeds=self.seeds, side_seeds=self.seeds, team_seeds=self.seeds)
         if self.uavs:
             if self.study != SCALABILITY:
                 raise UsageError(f"--uavs is for {SCALABILITY} alone.")

@@ -33,10 +33,11 @@ class Bench:
     def trials(self, method: Method) -> list[Job]:
         """Return the tuning trials of a method: each candidate once, evaluated on the farms of choice alone."""
         scale = self.scale
+        episodes = scale.long_trial_episodes if method.late else scale.trial_episodes
         return [
             self._train(
                 f"{method.name}, trial: {candidate}",
-                configuration(self.base(), method, candidate, TRIAL_SEED, scale.trial_episodes),
+                configuration(self.base(), method, candidate, TRIAL_SEED, episodes),
                 (CHOICE_FARM, scale.choice_farms),
             )
             for candidate in list(CANDIDATES)[: scale.candidates]

@@ -22,11 +22,13 @@ class Study:
         title: what it shows.
         stages: returns its jobs.
         summarise: returns its results once all jobs are done.
+        flies: whether that takes the policies of its runs, and not their records alone.
     """
 
     title: str
     stages: Callable[[Bench], Stages]
     summarise: Callable[[Bench], dict[str, Any]]
+    flies: bool = False
 
 
 def _compared(bench: Bench, methods: tuple[Method, ...], seeds: int) -> Stages:
@@ -73,14 +75,14 @@ def _scalability_stages(bench: Bench) -> Stages:
     jobs: list[Job] = []
     for uavs in bench.scale.uavs:
         jobs += bench.references(uavs) + bench.timing(EIA_SEC, uavs)
-        jobs += bench.runs(EIA_SEC, bench.scale.side_seeds, uavs=uavs)
+        jobs += bench.runs(EIA_SEC, bench.scale.team_seeds, uavs=uavs)
     return [bench.trials(EIA_SEC), jobs]
 
 
 def _scalability(bench: Bench) -> dict[str, Any]:
     teams: dict[str, Any] = {}
     for uavs in bench.scale.uavs:
-        runs = bench.runs(EIA_SEC, bench.scale.side_seeds, uavs=uavs)
+        runs = bench.runs(EIA_SEC, bench.scale.team_seeds, uavs=uavs)
         teams[str(uavs)] = {
             "references": reference_summary(bench, uavs),
             "time": _times(bench, EIA_SEC, uavs),
@@ -138,6 +140,6 @@ STUDIES: Final[Mapping[str, Study]] = {
     "ensemble": Study("Members of the shared ensemble critic, k_s", _ensemble_stages, _ensemble),
     "scalability": Study("M4: smaller and larger teams", _scalability_stages, _scalability),
     "inference": Study("M5: time of a decision", _inference_stages, _inference),
-    "trajectories": Study("Where the UAVs fly, and what they collect", _trajectory_stages, flight_summary),
+    "trajectories": Study("Where the UAVs fly, and what they collect", _trajectory_stages, flight_summary, True),
 }
 """Every study by the word that names it."""

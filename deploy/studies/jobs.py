@@ -103,10 +103,11 @@ class Records:
             return None
         if record["format"] != FORMAT or record["job"] != job.digest:
             return None
-        if job.kind == "train" and not self.path(job, POLICY_SUFFIX).is_file():
-            log(f"{path} has lost its policy and is made anew.")
-            return None
         return record
+
+    def forget(self, job: Job) -> None:
+        """Remove a job's record, so that it is done again."""
+        self.path(job).unlink(missing_ok=True)
 
     def result(self, job: Job) -> dict[str, Any]:
         """Return the result of a job that is done."""
@@ -115,9 +116,13 @@ class Records:
         found: dict[str, Any] = record["result"]
         return found
 
-    def missing(self, jobs: list[Job]) -> list[Job]:
-        """Return the jobs without a record, each once."""
-        return [job for job in {job.digest: job for job in jobs}.values() if self.get(job) is None]
+    def missing(self, jobs: list[Job], *, flown: bool = False) -> list[Job]:
+        """Return the jobs without a record, each once; where they are to be `flown`, trainings without a policy too."""
+        return [job for job in {job.digest: job for job in jobs}.values() if not self._is_done(job, flown=flown)]
+
+    def _is_done(self, job: Job, *, flown: bool) -> bool:
+        lost = flown and job.kind == "train" and not self.path(job, POLICY_SUFFIX).is_file()
+        return self.get(job) is not None and not lost
 
     def put(self, job: Job, made: Mapping[str, Any], seconds: float, result: Mapping[str, Any]) -> None:
         """Write a record; the file appears whole or not at all."""

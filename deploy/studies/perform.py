@@ -147,7 +147,7 @@ class _Log:
         farms: farms of the noise-free evaluations on the way.
         wanted: how many of them.
         told: called with the share that is done.
-        bank: the newest noise-free actors that were evaluated, at first those that nothing has trained.
+        bank: the newest noise-free actors whose numbers were finite; at first those that nothing has trained.
     """
 
     config: RunConfig
@@ -166,6 +166,7 @@ class _Log:
         """Note a chunk's episodes; evaluate when it is time; raise when the critics have left all bounds."""
         self.told(min(1.0, trainer.environment_steps / (self.config.episodes * self.config.farm.world.steps)))
         self.counts |= {name: getattr(trainer, name) for name in COUNTERS}
+        self.bank = trainer.actors().noise_free()
         if not chunk.episodes:
             return
         self.episodes += chunk.episodes
@@ -180,7 +181,6 @@ class _Log:
         """Evaluate the present actors without noise, unless that was just done."""
         if self.checks and self.checks[-1]["episodes"] == trainer.episodes:
             return
-        self.bank = trainer.actors().noise_free()
         score = evaluate(self.config.farm, ActorPolicy(self.bank), self.farms, 1, name="").total
         named = {"reward": score.reward, "aoi": score.figures["aoi"], "vdf": score.figures["vdf"]}
         self.checks.append({"episodes": trainer.episodes, **{name: round(v, DIGITS) for name, v in named.items()}})

@@ -51,9 +51,9 @@ class Plan:
 
 def announce(plan: Plan) -> float:
     """Say what is missing and how long that will take; return the seconds."""
-    stages = STUDIES[plan.study].stages(plan.bench)
-    jobs = [job for stage in stages for job in stage]
-    missing = plan.bench.records.missing(jobs)
+    study = STUDIES[plan.study]
+    jobs = [job for stage in study.stages(plan.bench) for job in stage]
+    missing = plan.bench.records.missing(jobs, flown=study.flies)
     there = len({job.digest for job in jobs}) - len(missing)
     if missing:
         plan.tell(
@@ -87,7 +87,9 @@ def carry_out(plan: Plan, stop: StopSignal) -> bool:
         # What a later stage consists of follows from the earlier ones' results, so it is asked for only now.
         stage = study.stages(bench)[number]
         estimator.learn(stage)
-        missing = bench.records.missing(stage)
+        missing = bench.records.missing(stage, flown=study.flies)
+        for job in missing:
+            bench.records.forget(job)
         seconds = {job.digest: estimator.seconds(job) for job in missing}
         if missing and not runner.run(missing, seconds, stop):
             return False
@@ -128,5 +130,6 @@ def draw(study: str, data: dict[str, Any], bench: Bench, folder: Path) -> list[s
 def sizes(bench: Bench) -> dict[str, Any]:
     """Return what the scale comes to, as the page needs it."""
     scale = bench.scale
-    names = ("episodes", "seeds", "side_seeds", "trial_episodes", "farms", "choice_farms")
+    seeds = ("seeds", "side_seeds", "team_seeds")
+    names = ("episodes", *seeds, "trial_episodes", "long_trial_episodes", "farms", "choice_farms")
     return {**{name: getattr(scale, name) for name in names}, "paper_farm": scale.paper_farm}

@@ -25,8 +25,10 @@ class Scale:
         settings: TOML over the default preset, the same for every method.
         episodes: budget of a run, episodes, those of elite imitation included.
         seeds: seeds of `training`.
-        side_seeds: seeds of `ablation`, `ensemble` and `scalability`.
+        side_seeds: seeds of `ablation` and `ensemble`.
+        team_seeds: seeds of `scalability`.
         trial_episodes: budget of a tuning trial.
+        long_trial_episodes: the same of a method that converges later, see `Method.late`.
         candidates: settings that are tried for each method, the first of CANDIDATES.
         farms: farms that results are reported on.
         choice_farms: farms that settings are chosen on.
@@ -46,7 +48,9 @@ class Scale:
     episodes: int
     seeds: int
     side_seeds: int
+    team_seeds: int
     trial_episodes: int
+    long_trial_episodes: int
     candidates: int
     farms: int
     choice_farms: int
@@ -76,8 +80,10 @@ FULL: Final = Scale(
     settings="",
     episodes=800,
     seeds=5,
-    side_seeds=3,
+    side_seeds=5,
+    team_seeds=3,
     trial_episodes=200,
+    long_trial_episodes=400,
     candidates=5,
     farms=100,
     choice_farms=20,
@@ -107,7 +113,9 @@ SMOKE: Final = Scale(
     episodes=40,
     seeds=2,
     side_seeds=2,
+    team_seeds=2,
     trial_episodes=24,
+    long_trial_episodes=32,
     candidates=2,
     farms=4,
     choice_farms=2,

@@ -1,7 +1,9 @@
 """Jobs, their records, and what is compared with what."""
 
 import json
+import tarfile
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -97,22 +99,43 @@ def test_a_damaged_record_counts_as_missing(damage, bench):
     assert bench.records.missing([job]) == [job]
 
 
-def test_a_training_record_needs_its_policy(bench):
-    """Without the policy file, from which paths are drawn, the run is done again."""
+def test_a_training_that_is_flown_needs_its_policy(bench):
+    """Without the policy file, from which paths are drawn, its record is enough for every other study."""
     job = bench.runs(EIA_SEC, 1)[0]
     bench.records.put(job, MADE, 1.0, {})
-    assert bench.records.missing([job]) == [job]
+    assert bench.records.missing([job]) == []
+    assert bench.records.missing([job], flown=True) == [job]
     bank = ActorBank.initial(farm_team(job.config.farm), 16, 0)
     save_policy(bench.records.path(job, POLICY_SUFFIX), bank, {})
-    assert bench.records.missing([job]) == []
+    assert bench.records.missing([job], flown=True) == []
+    assert [name for name, study in STUDIES.items() if study.flies] == ["trajectories"]
+    bench.records.forget(job)
+    bench.records.forget(job)
+    assert bench.records.missing([job]) == [job]
+
+
+def test_kept_records_are_found_by_their_study(tmp_path):
+    """Those that lie beside the page of `scalability`, unpacked, are all that its page was made from."""
+    folder = Path(__file__).resolve().parents[2] / "docs" / "results" / "reproduce" / "scalability"
+    with tarfile.open(folder / "records.tar.xz") as kept:
+        kept.extractall(tmp_path, filter="data")
+    data = json.loads((folder / "results.json").read_text())
+    bench = Bench(replace(FULL, uavs=tuple(int(uavs) for uavs in data["teams"])), Records(tmp_path))
+    assert bench.choice(EIA_SEC) == data["choice"][EIA_SEC.name]["chosen"]
+    stages = STUDIES["scalability"].stages(bench)
+    assert [job.label for stage in stages for job in bench.records.missing(stage)] == []
 
 
 @pytest.mark.parametrize("scale", [SMOKE, FULL], ids=lambda scale: scale.name)
 def test_every_method_is_tuned_and_trained_alike(scale, tmp_path):
-    """Trials and runs of all methods have the same candidates, seeds, farms, farm, processes and budget."""
+    """Candidates, seeds, farms, farm, processes and budget are the same; trials are longer where methods are slower."""
     bench = Bench(scale, Records(tmp_path))
     methods = (*ABLATIONS, *PEERS)
-    for jobs in ([bench.trials(method) for method in methods], [bench.runs(method, 2) for method in methods]):
+    late = [method.name for method in methods if method.late]
+    assert late == ["EIA only", "neither", "MADDPG", "MATD3", "MASAC"]
+    assert scale.trial_episodes < scale.long_trial_episodes < scale.episodes
+    trials = [[bench.trials(method) for method in methods if method.late is slow] for slow in (False, True)]
+    for jobs in (*trials, [bench.runs(method, 2) for method in methods]):
         assert len({len(own) for own in jobs}) == 1
         for alike in zip(*jobs, strict=True):
             configs = [job.config for job in alike]
@@ -190,5 +213,6 @@ def test_seeds_and_teams_can_be_asked_for():
     """The scale has what was said, 12 UAVs in any case; without a word it is the scale itself."""
     assert ReproduceArguments("scalability").sizes() == FULL
     asked = ReproduceArguments("scalability", uavs=(24, 6), seeds=1).sizes()
-    assert (asked.uavs, asked.seeds, asked.side_seeds) == ((6, 12, 24), 1, 1)
-    assert replace(asked, uavs=FULL.uavs, seeds=FULL.seeds, side_seeds=FULL.side_seeds) == FULL
+    assert (asked.uavs, asked.seeds, asked.side_seeds, asked.team_seeds) == ((6, 12, 24), 1, 1, 1)
+    own = {name: getattr(FULL, name) for name in ("uavs", "seeds", "side_seeds", "team_seeds")}
+    assert replace(asked, **own) == FULL

@@ -1,5 +1,6 @@
 """Runs of the studies, and whole studies, at a scale of seconds inside this process."""
 
+import contextlib
 import json
 import re
 from dataclasses import replace
@@ -7,9 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.errors import SimulationError
+from common.actors import ActorBank
+from common.errors import SchemaError, SimulationError
 from common.policy_file import load_policy
 from common.process import StopSignal
+from common.team import farm_team
 from deploy.inprocess import train_inprocess
 from deploy.studies.bench import Bench
 from deploy.studies.catalogue import STUDIES
@@ -18,7 +21,7 @@ from deploy.studies.estimate import Estimator
 from deploy.studies.flights import heading_order, visited_share
 from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
 from deploy.studies.methods import EIA_SEC, PEERS
-from deploy.studies.perform import StoppedError, perform
+from deploy.studies.perform import DIVERGED, StoppedError, perform
 from deploy.studies.reproduce import PAGE, RESULTS, Plan, announce, carry_out
 from deploy.studies.runner import Runner, duration, packed, progress
 from deploy.studies.scales import CHOICE_FARM, FIRST_FARM
@@ -104,15 +107,40 @@ def test_evaluations_on_the_way_are_on_farms_of_choice(bench, trained):
     assert result["checks"][-1]["episodes"] == result["episodes"]
 
 
-def test_a_run_that_diverges_is_cut_short_and_said_so(bench):
-    """Its record is finite, its curve shorter, and its policy the last one that was evaluated."""
+def newest_actors(config):
+    """Train alone until a loss is beyond the bound, or an actor's number is not finite; return the last finite ones."""
+    found = [ActorBank.initial(farm_team(config.farm), config.algorithm.hidden, config.seed)]
+
+    class EndedError(Exception):
+        pass
+
+    def watch(trainer, chunk):
+        found.append(trainer.actors().noise_free())
+        losses = [value for key, value in trainer.statistics().items() if key.startswith("critic_loss")]
+        if chunk.episodes and not all(loss <= DIVERGED for loss in losses):
+            raise EndedError
+
+    with contextlib.suppress(EndedError, SchemaError):
+        train_inprocess(config, watch)
+    return found[-1]
+
+
+@pytest.mark.parametrize(("rate", "moved"), [(1e6, False), (1e-3, True)])
+def test_a_run_that_diverges_is_cut_short_and_said_so(bench, rate, moved):
+    """Its record is finite, its curve shorter, and its policy the newest whose numbers were."""
     (job,) = bench.runs(EIA_SEC, 1)
-    wild = replace(job.config.algorithm, critic_rate=1e6, reward_scale=1e4)
+    wild = replace(job.config.algorithm, critic_rate=rate, reward_scale=1e4)
     job = replace(job, config=replace(job.config, algorithm=wild))
     perform(job, bench.records, "test")
     result = bench.records.result(job)
     assert result["diverged"] is True
     assert result["episodes"] < job.config.episodes
+    bank, _ = load_policy(bench.records.path(job, POLICY_SUFFIX))
+    assert bank.digest() == newest_actors(job.config).digest()
+    assert (bank.digest() != ActorBank.initial(bank.team, bank.hidden, job.config.seed).digest()) is moved
+    farms = range(FIRST_FARM, FIRST_FARM + TINY.farms)
+    flown = evaluate(job.config.farm, ActorPolicy(bank), farms, 1, name="")
+    np.testing.assert_allclose(result["evaluation"]["reward"], [s.reward for s in flown.per_farm], atol=1e-4)
     text = bench.records.path(job).read_text()
     assert "NaN" not in text
     assert "Infinity" not in text
