@@ -12,14 +12,16 @@ import pytest
 from safetensors.numpy import load_file
 
 from common.actors import ActorBank
-from common.config import EnvConfig, FarmConfig, ObservationConfig, RunConfig
+from common.config import AlgorithmConfig, EnvConfig, FarmConfig, ObservationConfig, ReplayConfig, RunConfig
 from common.config.files import to_toml
 from common.policy_file import save_policy
 from common.team import GroupSpec, TeamSpec, farm_team
+from common.transitions import TRANSITION, Chunk, Rows
 from deploy.cli import dispatch
 from deploy.exit_codes import run_command
 from deploy.export import agent_names
 from deploy.layout import action_names, observation_names
+from learner.trainer import Trainer
 from rollout.farms import FarmBatch
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "export.md"
@@ -65,6 +67,34 @@ def test_onnx_models_act_as_the_policy_does(run, capsys):
         assert len(json.loads(metadata["action"])) == action.shape[1]
         assert metadata["sha256"] == bank.digest()
         assert json.loads(metadata["origin"])["seed"] == "3"
+
+
+def test_what_was_trained_with_every_aid_is_exported(tmp_path):
+    """Models of MASAC's actors, whose observations were standardised, act as these without noise do."""
+    team, draw = TeamSpec((GroupSpec("walker", 2, 5, 3), GroupSpec("flyer", 1, 4, 1))), np.random.default_rng(4)
+    config = RunConfig(
+        env=EnvConfig("some.module:env"),
+        algorithm=AlgorithmConfig(name="masac", hidden=8, batch=16, observation_normalisation=True, actor_rate=0.05),
+        replay=ReplayConfig(capacity=256, warmup_steps=0),
+    )
+    flag = np.full(200, TRANSITION, np.uint8)
+    flag[-1] = 0
+    seen = draw.normal(3.0, 5.0, (200, team.observation_size)).astype(np.float32)
+    tried = draw.uniform(-1, 1, (200, team.action_size)).astype(np.float32)
+    trainer = Trainer(config, team)
+    trainer.absorb(Chunk(Rows(seen, tried, draw.normal(size=(200, team.agents)).astype(np.float32), flag)))
+    trainer.train(20)
+    bank = trainer.actors()
+    assert bank.head == "gaussian"
+    (tmp_path / "config.toml").write_text(to_toml(config))
+    save_policy(tmp_path / "policy.safetensors", bank, {"seed": "3"})
+    assert dispatch(["export", "--run-dir", str(tmp_path)]) == 0
+    for name, (observation, action) in by_agent(bank.noise_free(), seen).items():
+        (found,) = onnxruntime.InferenceSession(tmp_path / "export" / f"{name}.onnx").run(
+            ["action"], {"observation": observation}
+        )
+        np.testing.assert_allclose(found, action, atol=2e-5)
+        assert np.ptp(action) > 0.1
 
 
 def test_plain_tensors_are_the_policys_own(run, tmp_path_factory):
