@@ -81,7 +81,6 @@ class Algorithm(ABC):
         critics_each: critics of one agent.
         climbed_each: how many of these the actors climb.
         noise_blocks: standard normal numbers that a round takes, in action layouts.
-        phases: rounds after which the kind of round repeats.
     """
 
     head: ClassVar[Head] = "deterministic"
@@ -126,6 +125,11 @@ class Algorithm(ABC):
     def has_target_actors(self) -> bool:
         """Return whether next actions are chosen by target actors."""
         return False
+
+    @classmethod
+    def phases(cls, config: AlgorithmConfig) -> int:
+        """Return after how many rounds the kind of round repeats; in one of so many the actors step."""
+        return 1
 
     def phase(self, number: int) -> int:
         """Return which kind of round the round of this number is; 0 where all are alike."""

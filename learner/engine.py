@@ -40,6 +40,7 @@ class Engine:
             far as numba may use as many, on a CPU, and 0 elsewhere.
 
     Attributes:
+        cores: processor cores that compiled kernels compute on; 0 where torch computes.
         algorithm: the algorithm with its networks.
         rounds: update rounds done, int64 [].
         random: the generator of the rounds' noise; its state is part of a run's state.
@@ -59,7 +60,7 @@ class Engine:
         like = torch.empty(0, device=device, dtype=dtype)
         if cores is None:
             cores = usable_cores(torch.get_num_threads()) if like.device.type == "cpu" else 0
-        self._cores = cores
+        self.cores = cores
         self.algorithm = ALGORITHMS[config.name](config, team, seed, like, cores=cores)
         self.normalisation = Normalisation(
             team, like, observations=config.observation_normalisation, rewards=config.reward_normalisation
@@ -82,8 +83,8 @@ class Engine:
                 next_observation=normal.observed(batch.next_observation),
                 reward=normal.rewarded(batch.reward),
             )
-        if self._cores > 1:
-            numba.set_num_threads(usable_cores(self._cores))  # a setting of the thread that calls
+        if self.cores > 1:
+            numba.set_num_threads(usable_cores(self.cores))  # a setting of the thread that calls
         phase = self.algorithm.phase(int(self.rounds))
         self.rounds.add_(1)
         if self._graphs is not None:

@@ -12,6 +12,7 @@ MADDPG with the three changes of TD3. One round, for every agent i at once:
 import torch
 from torch import Tensor
 
+from common.config import AlgorithmConfig
 from learner.algorithm import Algorithm, Batch, Figures
 
 
@@ -25,9 +26,14 @@ class Matd3(Algorithm):
         """See `Algorithm`."""
         return True
 
+    @classmethod
+    def phases(cls, config: AlgorithmConfig) -> int:
+        """See `Algorithm`."""
+        return config.actor_delay
+
     def phase(self, number: int) -> int:
         """Return 0 in rounds with a step of the actors."""
-        return (number + 1) % self.config.actor_delay
+        return (number + 1) % self.phases(self.config)
 
     def round(self, batch: Batch, noise: Tensor, phase: int, *, figures: bool) -> Figures | None:
         """See `Algorithm`."""
