@@ -1,13 +1,16 @@
 """Milliseconds of one update round of all agents, beside the time that its arithmetic alone would take; and decisions.
 
-    python -m benchmarks.learner [--json] [--widths 64 128 256] [--threads 1] [--rounds 300]
-    python -m benchmarks.learner --growth docs/results/learner
+    python -m benchmarks.learner [--json] [--widths 64 128 256] [--threads 1] [--rounds 300] [--device cuda]
+    python -m benchmarks.learner --growth docs/results/learner [--redraw]
 
-A round includes drawing its batch from a full replay buffer. The limit divides the multiplications and additions of
-the matrix products of a round by the speed of a large matrix product on as many threads, measured in the same run. A
-decision takes all UAVs of one time step from observations to actions. Every time is the least of many.
+A round includes drawing its batch from a full replay buffer. Rounds are timed in bursts of at least two, as those of
+other projects are in `benchmarks.peers`, and an algorithm whose rounds differ in whole cycles of them. The limit
+divides the multiplications and additions of the matrix products of a round by the speed of a large matrix product on
+as many threads, or on the same device, measured in the same run. A decision takes all UAVs of one time step from
+observations to actions, on one thread of the processor. Every time is the least of many.
 
-`--growth` measures how a round grows with agents, width and batch, and writes growth.json, growth.md and growth.png.
+`--growth` measures how a round grows with agents, width and batch, and writes growth.json, growth.md and growth.png;
+with `--redraw` it makes the latter two anew from growth.json.
 """
 
 import argparse
@@ -25,37 +28,65 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import numpy as np  # noqa: E402  (the variables above count only before numpy is loaded)
 import torch  # noqa: E402  (as above)
+from matplotlib.figure import Figure  # noqa: E402  (as above)
 
+from benchmarks.peers.clock import BURST  # noqa: E402  (as above)
 from common.actors import ActorBank  # noqa: E402  (as above)
-from common.config import AlgorithmConfig, FarmConfig, ReplayConfig, RunConfig, WorldConfig  # noqa: E402  (as above)
+from common.config import (  # noqa: E402  (as above)
+    AlgorithmConfig,
+    FarmConfig,
+    LearnerConfig,
+    ReplayConfig,
+    RunConfig,
+    WorldConfig,
+)
+from common.errors import UsageError  # noqa: E402  (as above)
 from common.team import TeamSpec, farm_team  # noqa: E402  (as above)
 from common.transitions import TRANSITION, Chunk, Rows  # noqa: E402  (as above)
+from deploy.exit_codes import run_command  # noqa: E402  (as above)
 from deploy.provenance import provenance  # noqa: E402  (as above)
 from learner.algorithms import ALGORITHMS  # noqa: E402  (as above)
 from learner.arithmetic import choose_products  # noqa: E402  (as above)
+from learner.compiled import usable_cores  # noqa: E402  (as above)
 from learner.inputs import critic_width  # noqa: E402  (as above)
-from learner.trainer import Trainer  # noqa: E402  (as above)
+from learner.trainer import FIGURE_ROUNDS, Trainer  # noqa: E402  (as above)
 
 TIMED = ("eia-sec", "base", "maddpg", "matd3", "masac")
 UAVS = (6, 12, 16, 20, 24, 96)
 SEGMENT = 20
+GROWTH_BY = ("agents", "width", "batch")
+"""What a round's growth is measured with, one at a time."""
+GROWTH_ROWS = 8192
+"""Rows of the replay buffer there: of the default preset's 65,536 those of 96 agents would take 1.6 GB."""
+DEVICES = {"cpu": (512, 400), "cuda": (8192, 50)}
+"""For each device the rows of the square matrices whose product tells its speed, and how often they are multiplied. A
+processor is fastest where they stay in its caches, an accelerator where they fill it."""
 Line = dict[str, Any]
 
 
-def fastest(work: Callable[[], object], repeats: int) -> float:
-    """Return the least of the seconds that `work` takes, which other processes disturb least."""
+def fastest(work: Callable[[], object], repeats: int, device: str = "cpu") -> float:
+    """Return the least of the seconds that `work` takes on a device, which other processes disturb least."""
     seconds = []
+    finish(device)
     for _ in range(repeats):
         started = time.perf_counter()
         work()
+        finish(device)
         seconds.append(time.perf_counter() - started)
     return min(seconds)
 
 
-def matrix_speed() -> float:
-    """Return the floating-point operations per second of a product of two 512 x 512 matrices, the best of many."""
-    a, b, out = (torch.randn(512, 512) for _ in range(3))
-    return 2 * 512**3 / fastest(lambda: torch.mm(a, b, out=out), 400)
+def finish(device: str) -> None:
+    """Wait until a device has done all that it was given; torch returns from a CPU's work only then anyway."""
+    if device == "cuda":
+        torch.cuda.synchronize()
+
+
+def matrix_speed(device: str = "cpu") -> float:
+    """Return the floating-point operations per second of a product of two large matrices, the best of many."""
+    size, repeats = DEVICES[device]
+    a, b, out = (torch.randn(size, size, device=device) for _ in range(3))
+    return 2 * size**3 / fastest(lambda: torch.mm(a, b, out=out), repeats, device)
 
 
 def operations(config: AlgorithmConfig, team: TeamSpec) -> float:
@@ -64,13 +95,13 @@ def operations(config: AlgorithmConfig, team: TeamSpec) -> float:
     A forward pass costs m multiplications a row, m being the weights; the gradient by the weights as many again, the
     gradient through a layer its weights. Per round and agent: each critic and each member runs forward for the target
     and for its loss, backward by the weights, and for the actor's step forward and backward down to the action; the
-    actor runs forward twice and backward once. MATD3's actors step with one critic, and not in every round.
+    actor runs forward twice and backward once. Only those critics count there that the actors climb, and only the
+    rounds in which they step.
     """
-    h, total = config.hidden, 0.0
-    twins = ALGORITHMS[config.name].critics_each
-    climbed, share = (1, 1 / config.actor_delay) if config.name == "matd3" else (twins, 1.0)
+    h, total, algorithm = config.hidden, 0.0, ALGORITHMS[config.name]
+    twins, climbed, share = algorithm.critics_each, algorithm.climbed_each, 1 / algorithm.phases(config)
     members = config.ensemble_members if config.uses_ensemble else 0
-    heads = 2 if ALGORITHMS[config.name].head == "gaussian" else 1
+    heads = 2 if algorithm.head == "gaussian" else 1
     for kind, group in enumerate(team.groups):
         critic = critic_width(team, kind, config.joint_critics) * h + h * h + h
         out = heads * h * group.action_size
@@ -88,10 +119,13 @@ def team_of(uavs: int) -> FarmConfig:
     return replace(FarmConfig(), world=replace(WorldConfig(), **dict(zip(names, counts, strict=True))))
 
 
-def filled_trainer(algorithm: AlgorithmConfig, farm: FarmConfig | None = None, capacity: int = 65_536) -> Trainer:
-    """Return a trainer whose replay buffer is full of noise."""
+def filled_trainer(
+    algorithm: AlgorithmConfig, farm: FarmConfig | None = None, capacity: int = 65_536, device: str = "cpu"
+) -> Trainer:
+    """Return a trainer on a device whose replay buffer of so many rows is full of noise."""
     replay = ReplayConfig(capacity=capacity, warmup_steps=0)
-    config = RunConfig(algorithm=algorithm, replay=replay, farm=farm or FarmConfig())
+    learner = replace(LearnerConfig(), device=device)
+    config = RunConfig(algorithm=algorithm, replay=replay, farm=farm or FarmConfig(), learner=learner)
     team = farm_team(config.farm)
     trainer, draw = Trainer(config, team), np.random.default_rng(0)
     count = 4096 // (SEGMENT + 1) * (SEGMENT + 1)
@@ -108,19 +142,34 @@ def filled_trainer(algorithm: AlgorithmConfig, farm: FarmConfig | None = None, c
     return trainer
 
 
-def measure(config: AlgorithmConfig, rounds: int, farm: FarmConfig | None = None, capacity: int = 65_536) -> Line:
-    """Return one line of the result; an algorithm whose rounds differ is timed over one whole cycle of them."""
-    trainer = filled_trainer(config, farm, capacity)
-    burst = config.actor_delay if config.name == "matd3" else 1
-    trainer.train(16 * burst + 1)
-    seconds = fastest(lambda: trainer.train(burst), max(1, rounds // burst)) / burst
-    speed = matrix_speed()
+def burst_of(config: AlgorithmConfig) -> int:
+    """Return how many rounds are timed together: whole cycles of an algorithm's kinds of round, at least `BURST`."""
+    cycle = ALGORITHMS[config.name].phases(config)
+    return cycle * -(-BURST // cycle)
+
+
+def measure(
+    config: AlgorithmConfig,
+    rounds: int,
+    farm: FarmConfig | None = None,
+    capacity: int = 65_536,
+    device: str = "cpu",
+) -> Line:
+    """Return one line of the result; on a CPU its threads are the cores that the engine computes on."""
+    trainer = filled_trainer(config, farm, capacity, device)
+    burst = burst_of(config)
+    # Every kind of round, with figures and without, so that nothing is compiled or captured while the clock runs.
+    trainer.train(FIGURE_ROUNDS * burst + 1)
+    seconds = fastest(lambda: trainer.train(burst), max(1, rounds // burst), device) / burst
+    speed = matrix_speed(device)
     return {
         "algorithm": config.name,
         "width": config.hidden,
         "batch": config.batch,
         "agents": trainer.team.agents,
-        "threads": torch.get_num_threads(),
+        "threads": trainer.engine.cores or torch.get_num_threads(),
+        "device": device,
+        "burst": burst,
         "ms": round(1e3 * seconds, 3),
         "limit_ms": round(1e3 * operations(config, trainer.team) / speed, 3),
         "gflops": round(speed / 1e9, 1),
@@ -139,26 +188,22 @@ def decisions(uavs: Sequence[int], repeats: int) -> dict[str, float]:
     return found
 
 
-def growth(rounds: int) -> dict[str, list[Line]]:
+def growth(rounds: int, device: str) -> dict[str, list[Line]]:
     """Return lines for more agents, wider networks and larger batches, one thing at a time."""
     base = AlgorithmConfig()
-    small = 8192
+
+    def lines(variants: Sequence[AlgorithmConfig], farms: Sequence[FarmConfig | None] = (None,)) -> list[Line]:
+        return [
+            measure(replace(variant, name=name), rounds, farm, GROWTH_ROWS, device)
+            for name in ("eia-sec", "maddpg")
+            for variant in variants
+            for farm in farms
+        ]
+
     return {
-        "agents": [
-            measure(replace(base, name=name), rounds, team_of(n), small)
-            for name in ("eia-sec", "maddpg")
-            for n in (6, 12, 24, 48, 96)
-        ],
-        "width": [
-            measure(replace(base, name=name, hidden=h), rounds, None, small)
-            for name in ("eia-sec", "maddpg")
-            for h in (32, 64, 128, 256)
-        ],
-        "batch": [
-            measure(replace(base, name=name, batch=b), rounds, None, small)
-            for name in ("eia-sec", "maddpg")
-            for b in (32, 128, 512)
-        ],
+        "agents": lines([base], [team_of(uavs) for uavs in (6, 12, 24, 48, 96)]),
+        "width": lines([replace(base, hidden=width) for width in (32, 64, 128, 256)]),
+        "batch": lines([replace(base, batch=batch) for batch in (32, 128, 512)]),
     }
 
 
@@ -170,24 +215,26 @@ def table(lines: Sequence[Line]) -> str:
     return "\n".join(f"| {row} |" for row in rows) + "\n"
 
 
-def keep_growth(folder: Path, rounds: int) -> None:
-    """Measure the growth; write its figures, table and plot."""
-    import matplotlib  # noqa: PLC0415  (loaded only where a picture is wanted)
+def growth_page(data: dict[str, Any]) -> str:
+    """Return the growth as a Markdown page."""
+    lines = [line for by in GROWTH_BY for line in data[by]]
+    cores = lines[0]["threads"]
+    where = f"{cores} thread{'s' * (cores > 1)}" if lines[0].get("device", "cpu") == "cpu" else lines[0]["device"]
+    # Results made before the number was written down are of single rounds.
+    if "burst" in lines[0]:
+        timed = f"the least of many bursts of {lines[0]['burst']} rounds"
+    else:
+        timed = f"the least of many single rounds (from the next measurement on: of bursts of {BURST} rounds)"
+    return f"Made by `{data['command']}` (commit {data['commit']}); {timed}, {where}.\n\n{table(lines)}"
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt  # noqa: PLC0415  (as above)
 
-    found = growth(rounds)
-    folder.mkdir(parents=True, exist_ok=True)
-    origin, team = provenance("benchmarks.learner"), farm_team(RunConfig().farm).digest
-    (folder / "growth.json").write_text(json.dumps({**origin, "team": team, **found}, indent=1) + "\n")
-    made = f"Made by `{origin['command']}` (commit {origin['commit']})"
-    head = f"{made}; the least of many rounds, one thread.\n\n"
-    (folder / "growth.md").write_text(head + table([line for lines in found.values() for line in lines]))
-    figure, axes = plt.subplots(1, 3, figsize=(10, 3.2), layout="constrained")
-    for axis, (by, lines) in zip(axes, found.items(), strict=True):
+def draw_growth(data: dict[str, Any], path: Path) -> None:
+    """Draw milliseconds against agents, width and batch, and save the picture."""
+    figure = Figure(figsize=(10, 3.2), layout="constrained")
+    axes = figure.subplots(1, len(GROWTH_BY))
+    for axis, by in zip(axes, GROWTH_BY, strict=True):
         for colour, name in zip(("C0", "C1"), ("eia-sec", "maddpg"), strict=True):
-            own = [line for line in lines if line["algorithm"] == name]
+            own = [line for line in data[by] if line["algorithm"] == name]
             x = [line[by] for line in own]
             axis.plot(x, [line["ms"] for line in own], "o-", color=colour, label=name)
             axis.plot(x, [line["limit_ms"] for line in own], ":", color=colour, label=f"{name}, arithmetic alone")
@@ -195,41 +242,104 @@ def keep_growth(folder: Path, rounds: int) -> None:
         axis.minorticks_off()
     axes[0].set_ylabel("ms per round of all agents")
     axes[0].legend(fontsize=7)
-    figure.savefig(folder / "growth.png", dpi=140)
+    figure.savefig(path, dpi=140)
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description="Time of one update round.")
+def show_growth(folder: Path) -> None:
+    """Write the table and the picture of growth.json.
+
+    Raises:
+        UsageError: there is none.
+    """
+    source = folder / "growth.json"
+    if not source.is_file():
+        raise UsageError(f"there is no {source}; leave --redraw out to measure.")
+    data = json.loads(source.read_text(encoding="utf-8"))
+    (folder / "growth.md").write_text(growth_page(data), encoding="utf-8")
+    draw_growth(data, folder / "growth.png")
+
+
+def take_threads(threads: int) -> None:
+    """Let torch and the engine's kernels compute on so many cores.
+
+    Raises:
+        UsageError: they do not get as many.
+    """
+    if threads < 1:
+        raise UsageError(f"--threads {threads} cannot be; it takes 1 or more.")
+    torch.set_num_threads(threads)
+    given = {"torch": torch.get_num_threads(), "numba, by NUMBA_NUM_THREADS,": usable_cores(threads)}
+    for library, count in given.items():
+        if count != threads:
+            raise UsageError(f"--threads {threads} cannot be: {library} gives {count}.")
+
+
+def options() -> argparse.Namespace:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.learner", description="Time of one update round.")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--algorithms", nargs="+", default=list(TIMED), choices=list(ALGORITHMS))
     parser.add_argument("--widths", type=int, nargs="+", default=[64, 128, 256])
     parser.add_argument("--threads", type=int, nargs="+", default=[1])
     parser.add_argument("--rounds", type=int, default=300)
+    parser.add_argument("--device", choices=list(DEVICES), default="cpu", help="where rounds are computed")
     parser.add_argument("--growth", type=Path, metavar="FOLDER", help="measure growth instead and write it there")
-    options = parser.parse_args()
-    choose_products()
-    torch.set_num_threads(options.threads[0])
-    if options.growth:
-        keep_growth(options.growth, options.rounds)
-        return
-    lines = []
-    for threads in options.threads:
-        torch.set_num_threads(threads)
-        base = AlgorithmConfig()
+    parser.add_argument("--redraw", action="store_true", help="with --growth: only table and picture, from growth.json")
+    return parser.parse_args()
+
+
+def measure_rounds(asked: argparse.Namespace) -> list[Line]:
+    """Return a line for each number of threads, width and algorithm."""
+    lines, base = [], AlgorithmConfig()
+    for threads in asked.threads:
+        take_threads(threads)
         lines += [
-            measure(replace(base, name=name, hidden=width), options.rounds)
-            for width in options.widths
-            for name in options.algorithms
+            measure(replace(base, name=name, hidden=width), asked.rounds, device=asked.device)
+            for width in asked.widths
+            for name in asked.algorithms
         ]
+    return lines
+
+
+def keep_growth(asked: argparse.Namespace) -> None:
+    """Measure the growth unless only its table and picture are wanted, and write."""
+    if not asked.redraw:
+        take_threads(asked.threads[0])
+        found = growth(asked.rounds, asked.device)
+        asked.growth.mkdir(parents=True, exist_ok=True)
+        result = {**provenance("benchmarks.learner"), "team": farm_team(RunConfig().farm).digest, **found}
+        (asked.growth / "growth.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    show_growth(asked.growth)
+
+
+def main() -> int:
+    """Measure and print; return 0.
+
+    Raises:
+        UsageError: the device or the threads cannot be had.
+    """
+    asked = options()
+    if asked.redraw and not asked.growth:
+        raise UsageError("--redraw takes the folder from --growth.")
+    if asked.device == "cuda" and not torch.cuda.is_available():
+        raise UsageError("--device cuda needs a CUDA device, and torch finds none.")
+    for threads in asked.threads:  # whatever cannot be had is told before hours of measuring
+        take_threads(threads)
+    if asked.device == "cpu":
+        choose_products()
+    if asked.growth:
+        keep_growth(asked)
+        return 0
+    lines = measure_rounds(asked)
     torch.set_num_threads(1)
     decide = decisions(UAVS, 2000)
-    if options.json:
+    if asked.json:
         sys.stdout.write(json.dumps({"rounds": lines, "decide_us": decide}) + "\n")
-        return
+        return 0
     sys.stdout.write(table(lines) + "\n")
     sys.stdout.write("".join(f"{count:>3} UAVs decide in {us:.1f} us\n" for count, us in decide.items()))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run_command(main))

@@ -13,7 +13,7 @@ from typing import Any
 BLOCKS = 8
 """Parts that a simulator's measuring time is cut into; the fastest is least disturbed by other processes."""
 BURST = 2
-"""Update rounds timed together, as in `benchmarks.learner`."""
+"""Update rounds timed together; `benchmarks.learner` takes as many for ours, or a whole cycle where that is longer."""
 
 
 def step_rate(step: Callable[[], None], seconds: float) -> float:
