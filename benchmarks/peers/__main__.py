@@ -1,6 +1,6 @@
 """Simulator and learner beside those of other projects, in one session on the same cores.
 
-    python -m benchmarks.peers [simulator | learner | both] [--json] [--write docs/results/peers]
+    python -m benchmarks.peers [simulator | learner | both] [--json] [--write docs/results/peers [--redraw]]
 
 Each peer runs in a virtual environment of its own under benchmarks/.venvs, which is made when it is missing. The whole
 sequence of programs is repeated, so that what disturbs the machine for a while disturbs all of them.
@@ -32,6 +32,7 @@ def options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("subject", nargs="?", choices=(*SUBJECTS, "both"), default="both")
     parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     parser.add_argument("--write", type=Path, metavar="FOLDER", help="write data, picture and the page's tables")
+    parser.add_argument("--redraw", action="store_true", help="with --write: only picture and page, from peers.json")
     parser.add_argument("--threads", type=int, nargs="+", default=sorted({1, os.cpu_count() or 1}))
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=4.0, help="measuring time of each case of a simulator")
@@ -98,10 +99,27 @@ def write(result: dict[str, Any], folder: Path) -> None:
     """Write the data, the picture and the page's generated part."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "peers.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    show(result, folder)
+
+
+def show(result: dict[str, Any], folder: Path) -> None:
+    """Write the picture and the page's generated part."""
     report.draw(result, folder / "peers.png")
     page = folder / "README.md"
     text = page.read_text(encoding="utf-8") if page.is_file() else "# Side by side\n\n" + "\n".join(report.MARKS) + "\n"
     page.write_text(report.refreshed(text, result), encoding="utf-8")
+
+
+def kept(folder: Path | None) -> dict[str, Any]:
+    """Return the result that a folder holds.
+
+    Raises:
+        EiaSecError: there is none.
+    """
+    if folder is None or not (folder / "peers.json").is_file():
+        raise EiaSecError("--redraw needs --write FOLDER with a peers.json in it.")
+    found: dict[str, Any] = json.loads((folder / "peers.json").read_text(encoding="utf-8"))
+    return found
 
 
 def main() -> None:
@@ -116,6 +134,9 @@ def main() -> None:
         batches=tuple(asked.batches),
     )
     try:
+        if asked.redraw:
+            show(kept(asked.write), asked.write)
+            return
         programs = chosen(asked.subject, asked.only)
         for program in programs:
             provide(program, asked.venvs, asked.pip_args)

@@ -7,7 +7,8 @@ from typing import Any, Final
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.peers.summary import OURS, cores
+from benchmarks.peers.clock import BURST
+from benchmarks.peers.summary import OURS, PEER_AIMS, cores, learner_aims
 
 Line = dict[str, Any]
 MARKS: Final = ("<!-- peers:begin -->", "<!-- peers:end -->")
@@ -86,7 +87,53 @@ def learner_tables(data: dict[str, Any]) -> list[str]:
             ]
         )
     head = ["learner", "algorithm", "threads", "width", "ms, best", "median", "limit, ms", "against ours"]
-    return ["### Learner", "", *table(head, rows, 2), ""]
+    return ["### Learner", "", *burst_note(data["learner"]), *table(head, rows, 2), "", *aims_table(data["learner"])]
+
+
+def burst_note(lines: Sequence[Line]) -> list[str]:
+    """Return what is to be said of results that were made before the bursts of ours were written down."""
+    if all("burst" in line for line in lines if line["software"] == OURS):
+        return []
+    return [
+        f"Here EIA-SEC's values are of its fastest single round (MATD3's of {BURST}), the others' of their fastest",
+        f"{BURST}, which favours EIA-SEC: this was measured before ours were timed in bursts of {BURST}, too.",
+        "",
+    ]
+
+
+def aims_table(lines: list[Line]) -> list[str]:
+    """Return what was aimed for beside what was measured, a row for each number of threads and width."""
+    cells: dict[tuple[int, int], dict[str, str]] = {}
+    for line in sorted(learner_aims(lines), key=lambda line: (line["threads"], line["width"])):
+        cells.setdefault((line["threads"], line["width"]), {})[line["against"]] = _aimed(line)
+    if not cells:
+        return []
+    peers = [name for name in PEER_AIMS if any(name in row for row in cells.values())]
+    rows = [
+        [str(threads), str(width), *(row.get(name, "") for name in (*peers, "limit"))]
+        for (threads, width), row in cells.items()
+    ]
+    head = ["threads", "width", *(f"{name}, at least {PEER_AIMS[name]:g} x" for name in peers), "EIA-SEC by its limit"]
+    return [
+        "### What we aimed for",
+        "",
+        "A peer's round, in its fastest form, by ours of the same algorithm, and EIA-SEC's round by its limit, from",
+        "the best values above. With several algorithms an aim is met where each of them reaches it.",
+        "",
+        *table(head, rows, len(head)),
+        "",
+    ]
+
+
+def _aimed(line: Line) -> str:
+    """Return the verdict on one aim, with what was measured."""
+    if line["against"] != "limit":
+        told = ", ".join(f"{value:.2f} ({name})" for name, value in line["ratios"].items())
+    elif line["aim"] is None:
+        return f"{line['ratios']['eia-sec']:.2f}, no aim"
+    else:
+        told = f"{line['ratios']['eia-sec']:.2f}, at most {line['aim']:g}"
+    return f"{'met' if line['met'] else 'not met'}: {told}"
 
 
 def block(data: dict[str, Any]) -> str:

@@ -6,6 +6,10 @@ from typing import Any
 
 Line = dict[str, Any]
 OURS = "EIA-SEC"
+PEER_AIMS = {"AgileRL": 12.0, "BenchMARL": 4.0}
+"""How many times as long as ours a peer's round was meant to take, at least, where the algorithm is the same."""
+LIMIT_AIMS = {64: 2.0, 128: 1.6}
+"""How many times its arithmetic limit a round of EIA-SEC was meant to take, at most, by width."""
 REFERENCE = "NumPy reference"
 MEASURES = {"simulator": "env_steps_per_second", "learner": "ms"}
 """The figure of a line of each subject: the first is better when large, the second when small."""
@@ -97,6 +101,34 @@ def learner_ratios(lines: list[Line]) -> list[Line]:
                     "median_ratio": fastest["median"] / ours["median"],
                 }
             )
+    return found
+
+
+def learner_aims(lines: list[Line]) -> list[Line]:
+    """Return what was aimed for and what was measured, for each number of threads and width.
+
+    Each line holds `threads`, `width`, `against` (a peer, or "limit"), `aim` (None where there is none), `ratios` by
+    algorithm, and `met`: whether all of them reach the aim, None without one. Best values count, and of a peer's forms
+    the fastest.
+    """
+    ratios, found = learner_ratios(lines), []
+    for ours in (line for line in lines if line["software"] == OURS and line["algorithm"] == "eia-sec"):
+        case = {"threads": ours["threads"], "width": ours["width"]}
+        for peer, aim in PEER_AIMS.items():
+            same = {
+                ratio["peer_algorithm"]: ratio["ratio"]
+                for ratio in ratios
+                if case.items() <= ratio.items()
+                and ratio["peer"] == peer
+                and ratio["ours"].lower() == ratio["peer_algorithm"].lower()
+            }
+            if same:
+                met = all(value >= aim for value in same.values())
+                found.append({**case, "against": peer, "aim": aim, "ratios": same, "met": met})
+        over = ours["best"] / ours["limit_ms"]
+        most = LIMIT_AIMS.get(ours["width"])
+        met = over <= most if most else None
+        found.append({**case, "against": "limit", "aim": most, "ratios": {"eia-sec": over}, "met": met})
     return found
 
 
