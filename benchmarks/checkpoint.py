@@ -1,30 +1,39 @@
 """How long a checkpoint stops the training, how long it takes to write, and how large it is.
 
-    python -m benchmarks.checkpoint [--json] [--checkpoints 5] [--width 64] [--folder DIR]
+    python -m benchmarks.checkpoint [--json] [--checkpoints 5] [--width 64] [--folder DIR] [--write FILE]
 
-The default team and replay buffer, full. While each checkpoint is being written, training goes on: one chunk of the
-default size comes in and its update rounds are done, again and again. Beside the pause itself stand the longest of
-these turns during writing and the longest without, because the thread that writes also takes the processor's and the
-interpreter's time. `copy_ms` is what copying the whole replay buffer at once would take instead.
+With `--write docs/results/checkpoint.json`, `make docs` then brings the result into docs/understanding.md.
+
+The default team and replay buffer, full; training takes one thread. While each checkpoint is being written, training
+goes on: one chunk of the default size comes in and one update round is done, again and again. Beside the pause itself
+stand the longest of these turns during writing and the longest without, because the thread that writes also takes the
+processor's and the interpreter's time. `copy_ms` is what copying the whole replay buffer at once would take instead.
 """
 
 import argparse
 import json
+import os
 import sys
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-import torch
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
 
-from benchmarks.learner import filled_trainer
-from common.config import AlgorithmConfig, RunConfig
-from common.transitions import TRANSITION, Chunk, Rows
-from learner.intake import Intake
-from learner.storage import RunStorage
-from learner.trainer import Trainer
+import numpy as np  # noqa: E402  (the variables above count only before numpy is loaded)
+import torch  # noqa: E402  (as above)
+
+from benchmarks.learner import filled_trainer  # noqa: E402  (as above)
+from common.config import AlgorithmConfig, ReplayConfig, RunConfig  # noqa: E402  (as above)
+from common.errors import EiaSecError  # noqa: E402  (as above)
+from common.transitions import TRANSITION, Chunk, Rows  # noqa: E402  (as above)
+from deploy.exit_codes import run_command  # noqa: E402  (as above)
+from deploy.provenance import provenance  # noqa: E402  (as above)
+from learner.intake import Intake  # noqa: E402  (as above)
+from learner.storage import RunStorage  # noqa: E402  (as above)
+from learner.trainer import Trainer  # noqa: E402  (as above)
 
 SETTLE_TURNS = 20
 
@@ -53,9 +62,13 @@ def turn(trainer: Trainer, chunk: Chunk) -> float:
     return time.perf_counter() - started
 
 
-def measure(width: int, checkpoints: int, folder: Path) -> dict[str, float | int]:
-    """Write several checkpoints of a full trainer into a folder; return the result."""
-    trainer = filled_trainer(AlgorithmConfig(hidden=width))
+def measure(width: int, checkpoints: int, capacity: int, folder: Path) -> dict[str, float | int]:
+    """Write several checkpoints of a trainer with so many rows in replay into a folder; return the result.
+
+    Raises:
+        EiaSecError: a checkpoint could not be written.
+    """
+    trainer = filled_trainer(AlgorithmConfig(hidden=width), capacity=capacity)
     chunk = one_chunk(trainer)
     storage = RunStorage(folder, replace(RunConfig(), algorithm=trainer.config.algorithm))
     quiet = [turn(trainer, chunk) for _ in range(3 * SETTLE_TURNS)][SETTLE_TURNS:]
@@ -63,13 +76,19 @@ def measure(width: int, checkpoints: int, folder: Path) -> dict[str, float | int
     for number in range(1, checkpoints + 1):
         storage.save(trainer, Intake(), 0.0, 0)
         pauses.append(storage.pause)
+        turns.append(turn(trainer, chunk))
         while storage.statistics()["checkpoints"] < number and not storage.alarm:
             turns.append(turn(trainer, chunk))
+        storage.close()  # its thread still tidies up behind the last byte, and the next one would be skipped
+        if storage.alarm:
+            raise EiaSecError(storage.alarm)
         seconds.append(storage.statistics()["checkpoint_write_seconds"])
     started = time.perf_counter()
     copies = [tensor.clone() for tensor in (trainer.replay.observation, trainer.replay.action, trainer.replay.reward)]
     copied = time.perf_counter() - started
     return {
+        "width": width,
+        "agents": trainer.team.agents,
         "rows": trainer.replay.rows,
         "row_numbers": sum(tensor.shape[1] for tensor in copies),
         "bytes": int(storage.statistics()["checkpoint_bytes"]),
@@ -85,23 +104,29 @@ def measure(width: int, checkpoints: int, folder: Path) -> dict[str, float | int
     }
 
 
-def main() -> None:
-    """Measure and print."""
+def main() -> int:
+    """Measure, write and print; return 0."""
     parser = argparse.ArgumentParser(description="Pause, time and size of a checkpoint.")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--checkpoints", type=int, default=5)
     parser.add_argument("--width", type=int, default=64)
-    parser.add_argument("--folder", type=Path, default=None, help="where to write; default: a temporary folder")
+    parser.add_argument("--capacity", type=int, default=ReplayConfig().capacity, help="rows of the replay buffer")
+    parser.add_argument("--folder", type=Path, default=None, help="where checkpoints go; default: a temporary folder")
+    parser.add_argument("--write", type=Path, metavar="FILE", help="write the result with where it comes from")
     options = parser.parse_args()
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
-        result = measure(options.width, options.checkpoints, Path(folder))
+        result = measure(options.width, options.checkpoints, options.capacity, Path(folder))
+    if options.write:
+        told = {**provenance("benchmarks.checkpoint"), "cores": os.cpu_count(), **result}
+        options.write.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
     if options.json:
         sys.stdout.write(json.dumps(result) + "\n")
-        return
+        return 0
     for name, value in result.items():
         sys.stdout.write(f"{name:24}{value:>14}\n")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run_command(main))

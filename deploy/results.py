@@ -12,6 +12,10 @@ from deploy.studies.verdicts import shown
 
 RUN: Final = "EIA-SEC (this run)"
 TRAINING: Final = "docs/results/reproduce/training/results.json"
+NOT_MEASURED: Final = "Not measured yet.\n"
+"""A block whose data is not there."""
+PAUSE_AIM: Final = 50.0
+"""Milliseconds for which a checkpoint may stop the training at the default sizes."""
 TAIL_EPISODES: Final = 40
 """Episodes at the end of a training curve whose mean is its final value."""
 
@@ -28,7 +32,10 @@ def refreshed(document: str, text: str, root: Path) -> str:
     begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
     head, _, rest = text.partition(begin)
     _, _, tail = rest.partition(end)
-    data = [json.loads((root / source).read_text(encoding="utf-8")) for source in sources]
+    paths = [root / source for source in sources]
+    if not all(path.is_file() for path in paths):
+        return f"{head}{begin}\n{NOT_MEASURED}{end}{tail}"
+    data = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
     return f"{head}{begin}\n{block(*data)}{end}{tail}"
 
 
@@ -298,6 +305,32 @@ def _fly_block(data: dict[str, Any]) -> str:
     )
 
 
+def _checkpoint_block(data: dict[str, Any]) -> str:
+    longest, size = data["pause_ms_most"], data["bytes"] / 2**20
+    verdict = "met" if longest <= PAUSE_AIM else "not met"
+    rows = [
+        ("training stopped", f"{data['pause_ms_median']:.1f}", f"{longest:.1f}"),
+        ("a turn while one is written", f"{data['turn_ms_median_writing']:.1f}", f"{data['turn_ms_most_writing']:.1f}"),
+        ("a turn otherwise", f"{data['turn_ms_median_else']:.1f}", f"{data['turn_ms_most_else']:.1f}"),
+    ]
+    return "\n".join(
+        [
+            f"`{data['command']}`, commit {data['commit']} ([results/checkpoint.json](results/checkpoint.json)):",
+            f"{data['checkpoints']} checkpoints of {size:.0f} MiB, {data['agents']} agents of width {data['width']}",
+            f"and {data['rows']:,} rows of replay; one thread trains, on a machine with {data['cores']} cores.",
+            f"Another writes, for {data['write_seconds_median']:.1f} s (median). A turn takes one chunk in and does",
+            f"one round. To copy the rows at once would take {data['copy_ms']:.0f} ms.",
+            "",
+            "| milliseconds | median | most |",
+            "|---|---:|---:|",
+            *(f"| {' | '.join(row)} |" for row in rows),
+            "",
+            f"Aim: at the default sizes training stops for {PAUSE_AIM:.0f} ms at most; {verdict}: {longest:.1f} ms.",
+            "",
+        ]
+    )
+
+
 BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
     "README.md": ("results", ("docs/results/default/evaluation.json", TRAINING), _run_block),
     "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
@@ -312,6 +345,7 @@ BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
         ("docs/results/tasks/simple_spread/results.json", "docs/results/tasks/half_cheetah/results.json"),
         _tasks_block,
     ),
+    "docs/understanding.md": ("checkpoint", ("docs/results/checkpoint.json",), _checkpoint_block),
     "docs/watch.md": ("cost", ("docs/results/watch.json",), _watch_block),
 }
 """For each document: the block's name, the data that it shows, and the function that writes it."""
