@@ -14,6 +14,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.image import AxesImage
+from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
@@ -27,9 +28,15 @@ PIECE_STEPS: Final = 25
 """Steps of a fading path that share one opacity."""
 OLDEST: Final = 0.1
 """Opacity of a fading path where it begins."""
+CONTEST_DPI: Final = 220
+"""Finer than DPI, because maps side by side are small for all that they show."""
+SMALL: Final = 0.7
+"""Size of the marks and lines on such a map beside those on a map of its own."""
 SMOOTH_SHARE: Final = 0.05
 """Width of the smoothing window as a share of the curve."""
 TEXT: Final[dict[str, Any]] = {"fontsize": 9}
+FADING: Final = "path: faint at first, full at the end"
+SCALE_LABELS: Final = ("AoI of a sensor, end", "VDF of a plot, end")
 _SHADES: Final = LinearSegmentedColormap.from_list("plots", ["#FFFFFF", "#B5B5B5"])
 
 Numbers = NDArray[np.float64]
@@ -108,26 +115,37 @@ def save_contest(trajectories: Mapping[str, Trajectory], path: Path) -> None:
         trajectories: recorded episodes of one farm by the policies' names.
         path: the picture; its ending says the format, PNG or PDF for instance.
     """
-    contest_figure(trajectories).savefig(path, dpi=DPI)
+    contest_figure(trajectories).savefig(path, dpi=CONTEST_DPI)
 
 
 def contest_figure(trajectories: Mapping[str, Trajectory]) -> Figure:
     """Return the picture that `save_contest` saves."""
     flown = list(trajectories.values())
-    figure = Figure(figsize=(6.4 * len(flown) + 2.3, 7.4), layout="constrained")
-    grid = figure.add_gridspec(
-        3, len(flown) + 1, width_ratios=(*(1.0 for _ in flown), 0.28), height_ratios=(1.0, 0.04, 0.04)
-    )
+    figure = Figure(figsize=(4.7 * len(flown), 6.6), layout="constrained")
+    grid = figure.add_gridspec(2, 2 * len(flown), height_ratios=(1.0, 0.03))
     for column, (name, trajectory) in enumerate(trajectories.items()):
-        axes = figure.add_subplot(grid[:, column])
-        scales = _map(axes, trajectory, fading=True)
-        axes.set_title(f"{name}\n{_headline(trajectory)}", loc="left", fontsize=9, pad=12)
-    _key(figure, grid, flown[0], scales)
+        axes = figure.add_subplot(grid[0, 2 * column : 2 * column + 2])
+        scales = _map(axes, trajectory, fading=True, size=SMALL)
+        # In two lines the headline ends before the scale bar, also above a small map.
+        axes.set_title(f"{name}, {_headline(trajectory).replace(': ', chr(10), 1)}", loc="left", fontsize=9, pad=12)
+    halves = (grid[1, : len(flown)], grid[1, len(flown) :])
+    for artist, label, half in zip(scales, SCALE_LABELS, halves, strict=True):
+        figure.colorbar(artist, cax=figure.add_subplot(half), orientation="horizontal", label=label)
+    handles: list[Any] = [*_legend(flown[0]), _fading()]
+    figure.legend(
+        handles,
+        [*(handle.get_label() for handle in handles[:-1]), FADING],
+        handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)},
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        **TEXT,
+    )
     return figure
 
 
-def _map(axes: Axes, trajectory: Trajectory, *, fading: bool) -> tuple[PathCollection, AxesImage]:
-    """Draw plots, sensors and paths; return the artists that carry the scales of AoI and VDF."""
+def _map(axes: Axes, trajectory: Trajectory, *, fading: bool, size: float = 1.0) -> tuple[PathCollection, AxesImage]:
+    """Draw plots, sensors and paths, marks of such a size; return the artists that carry the scales of AoI and VDF."""
     world = trajectory.config.world
     plots = axes.imshow(
         trajectory.final_vdf.T,
@@ -138,8 +156,8 @@ def _map(axes: Axes, trajectory: Trajectory, *, fading: bool) -> tuple[PathColle
         vmax=world.vdf_max,
         zorder=0,
     )
-    sensors = _sensors(axes, trajectory)
-    _paths(axes, trajectory, fading=fading)
+    sensors = _sensors(axes, trajectory, size)
+    _paths(axes, trajectory, fading, size)
     margin = 0.025 * max(world.field_x, world.field_y)
     axes.set(xlim=(-margin, world.field_x + margin), ylim=(-margin, world.field_y + margin))
     axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
@@ -152,7 +170,7 @@ def _key(figure: Figure, grid: GridSpec, trajectory: Trajectory, scales: tuple[P
     key = figure.add_subplot(grid[0, -1])
     key.set_axis_off()
     key.legend(handles=_legend(trajectory), loc="upper left", borderaxespad=0.0, frameon=False, **TEXT)
-    for row, (artist, label) in enumerate(zip(scales, ("AoI of a sensor, end", "VDF of a plot, end"), strict=True)):
+    for row, (artist, label) in enumerate(zip(scales, SCALE_LABELS, strict=True)):
         figure.colorbar(artist, cax=figure.add_subplot(grid[1 + row, -1]), orientation="horizontal", label=label)
 
 
@@ -205,7 +223,7 @@ def _events(axes: Axes, events: Sequence[int]) -> None:
         )
 
 
-def _sensors(axes: Axes, trajectory: Trajectory) -> PathCollection:
+def _sensors(axes: Axes, trajectory: Trajectory, size: float) -> PathCollection:
     """Draw the sensors, a marker for each type, and return the artist that carries the colour scale."""
     artist: PathCollection | None = None
     for kind in range(len(trajectory.config.world.sensor_cycles)):
@@ -218,8 +236,8 @@ def _sensors(axes: Axes, trajectory: Trajectory) -> PathCollection:
             vmin=0.0,
             vmax=trajectory.config.world.aoi_max,
             marker=SENSOR_MARKERS[kind % len(SENSOR_MARKERS)],
-            s=20,
-            linewidths=0.4,
+            s=20 * size**2,
+            linewidths=0.4 * size,
             edgecolors="white",
             zorder=2,
         )
@@ -227,7 +245,7 @@ def _sensors(axes: Axes, trajectory: Trajectory) -> PathCollection:
     return artist
 
 
-def _paths(axes: Axes, trajectory: Trajectory, *, fading: bool) -> None:
+def _paths(axes: Axes, trajectory: Trajectory, fading: bool, size: float) -> None:
     """Draw every UAV's path with its start and end, and the links between relays and those they serve at the end."""
     ends = trajectory.position[-1]
     relays = trajectory.config.world.communication_uavs
@@ -241,9 +259,11 @@ def _paths(axes: Axes, trajectory: Trajectory, *, fading: bool) -> None:
                 share = (first + piece) / len(path) if fading else 1.0
                 alpha = OLDEST + (0.9 - OLDEST) * min(share, 1.0) ** 2 if fading else 0.8
                 shown = path[first : first + piece + 1].T
-                axes.plot(*shown, color=colour, linestyle=STYLES[name], linewidth=1.1, alpha=alpha, zorder=3)
-            axes.plot(*path[0], "o", color=colour, markerfacecolor="white", markersize=6, zorder=5)
-            axes.plot(*path[-1], END_MARKERS[name], color=colour, markeredgecolor="white", markersize=10, zorder=6)
+                axes.plot(*shown, color=colour, linestyle=STYLES[name], linewidth=1.1 * size, alpha=alpha, zorder=3)
+            axes.plot(*path[0], "o", color=colour, markerfacecolor="white", markersize=6 * size, zorder=5)
+            axes.plot(
+                *path[-1], END_MARKERS[name], color=colour, markeredgecolor="white", markersize=10 * size, zorder=6
+            )
 
 
 def _scale_bar(axes: Axes, field_x: float, top: float) -> None:
@@ -261,6 +281,11 @@ def _headline(trajectory: Trajectory) -> str:
         f"farm {trajectory.farm}, {summary.steps} steps: reward {np.mean(summary.reward):.0f} per agent, "
         f"AoI {summary.figures['aoi']:.2f}, VDF {summary.figures['vdf']:.2f}"
     )
+
+
+def _fading() -> tuple[Line2D, ...]:
+    """Return the pieces of a line that grows stronger, as a fading path does."""
+    return tuple(Line2D([], [], color="0.2", alpha=alpha, linewidth=2.0) for alpha in (OLDEST, 0.35, 0.9))
 
 
 def _legend(trajectory: Trajectory) -> list[Line2D]:
