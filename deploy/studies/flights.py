@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from common.config import FarmConfig
 from common.policy_file import load_policy
 from common.team import COLLECTION, MONITORING, farm_team
 from deploy.studies.bench import Bench
@@ -56,7 +57,7 @@ def described(trajectory: Trajectory) -> dict[str, Any]:
     have one of few headings, as a lawnmower's do, and 0 for one whose headings are spread evenly.
     """
     config, summary = trajectory.config, trajectory.summary
-    types, order, visited = agents_by_type(trajectory), {}, {}
+    types, order, visited = agents_by_type(config), {}, {}
     for name, agents in types.items():
         paths = trajectory.position[:, agents]
         order[name] = round(float(np.mean([heading_order(path) for path in paths.swapaxes(0, 1)])), DIGITS)
@@ -83,9 +84,9 @@ def supply(trajectory: Trajectory) -> Mapping[str, int]:
     return {MONITORING: plots * int(seconds // world.vdf_cycle), COLLECTION: int((seconds // cycles).sum())}
 
 
-def agents_by_type(trajectory: Trajectory) -> dict[str, slice]:
-    """Return the rows of each type in the arrays of a trajectory."""
-    team = farm_team(trajectory.config)
+def agents_by_type(config: FarmConfig) -> dict[str, slice]:
+    """Return the rows of each type in the arrays of a trajectory on such a farm."""
+    team = farm_team(config)
     return {group.name: part for group, part in zip(team.groups, team.agent_slices(), strict=True)}
 
 

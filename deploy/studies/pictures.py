@@ -1,6 +1,7 @@
 """Pictures of the studies, made from their results alone. Every colour goes with a line style or a mark of its own."""
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -9,83 +10,146 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from common.team import COLLECTION, COMMUNICATION, MONITORING
-from deploy.figures import DPI, OTHER_COLOURS, TEXT, smooth
+from deploy.figures import DPI, OTHER_COLOURS, TEXT
+from deploy.studies.curve_pictures import LINES, MARKS, TYPE_PANELS, WIDTH, checks_figure, seeds, training_figure
+from deploy.studies.flight_pictures import save_paths
 from deploy.studies.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
-from deploy.studies.statistics import LEVEL
-from rollout.palette import LABELS
+from deploy.studies.statistics import LEVEL, Numbers
 
-LINES: Final = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
-MARKS: Final = ("o", "s", "^", "D", "v", "P")
-GRID: Final = 200
-"""Episodes at which the seeds' curves are averaged."""
+RESULTS: Final = "results.json"
+"""The file in a study's folder that its pictures are made from."""
+MEMBERS: Final = 2
+"""The k_s whose reward the others are compared with."""
+CAPTIONS: Final = {
+    "checks.png": "Evaluations without noise on the way, on farms that are neither trained on nor reported.",
+    "curves.png": "Training curves: with exploration noise, on the farms of training, unlike the table. Those with "
+    "elite imitation end earlier, because the episodes that it flies count too.",
+    "types.png": "The same by type of UAV.",
+    "scores.png": "What the table reports, on the unseen farms.",
+    "members.png": "Reward by k_s: beside the paper's, as ratios to k_s = 2, and ours enlarged.",
+    "uavs.png": "Reward and time of a decision by size of the team, beside the paper's.",
+    "times.png": "Time of a decision by size of the team and by method, beside the paper's.",
+    "-collected.png": "Units that each UAV has collected; one line for each UAV.",
+    "-3d.png": "Paths in space, heights drawn far taller than lengths; marks are the ends of the paths.",
+    ".png": "Paths seen from above, faint at the beginning of the episode and full at its end. Sensors, plots and "
+    "links are as at the end.",
+}
+"""What stands under a picture, by the end of its name; the first that fits."""
 
 Results = Mapping[str, Any]
-Panel = tuple[str, Callable[[Results], Sequence[float]]]
+
+
+def caption(name: str) -> str:
+    """Return what a picture shows, in a sentence or two, from the name of its file."""
+    return next(text for end, text in CAPTIONS.items() if name.endswith(end))
+
+
+def redraw(folder: Path) -> list[str]:
+    """Draw the pictures of a study anew from the results in its folder; return the files' names.
+
+    Maps and collected units of `trajectories` need the flights themselves, and stay as they are.
+
+    Raises:
+        OSError: the results cannot be read, or a picture cannot be written.
+    """
+    return save_pictures(json.loads((folder / RESULTS).read_text(encoding="utf-8")), folder)
+
+
+def save_pictures(data: Results, folder: Path) -> list[str]:
+    """Draw all pictures that the results of a study hold; return the files' names in the order of the page."""
+    match data["study"]:
+        case "training" | "ablation":
+            return save_comparison(data, folder)
+        case "ensemble":
+            return save_ensemble(data, folder)
+        case "scalability":
+            return save_scalability(data, folder)
+        case "inference":
+            return save_inference(data, folder)
+        case _:
+            return save_paths(data, folder)
 
 
 def save_comparison(data: Results, folder: Path) -> list[str]:
-    """Draw curves, curves of each type and final scores of methods side by side; return the files' names."""
-    panels: list[Panel] = [
-        ("reward per agent", lambda curve: curve["reward"]["mean"]),
-        ("mean AoI, units", lambda curve: curve["aoi"]),
-        ("mean VDF, units", lambda curve: curve["vdf"]),
-    ]
-    types: list[Panel] = [
-        (f"reward, {LABELS[name]}", _reward_of(name)) for name in (COMMUNICATION, MONITORING, COLLECTION)
-    ]
-    best = data["references"]["best"]
-    level = data["references"]["policies"][best]
-    levels = [level["reward"], level["figures"]["aoi"], level["figures"]["vdf"]]
-    _curves(data["methods"], panels, levels, best).savefig(folder / "curves.png", dpi=DPI)
-    levels = [level["types"][name] for name in (COMMUNICATION, MONITORING, COLLECTION)]
-    _curves(data["methods"], types, levels, best).savefig(folder / "types.png", dpi=DPI)
-    _scores(data["methods"]).savefig(folder / "scores.png", dpi=DPI)
-    return ["curves.png", "types.png", "scores.png"]
-
-
-def _reward_of(kind: str) -> Callable[[Results], Sequence[float]]:
-    def values(curve: Results) -> Sequence[float]:
-        found: Sequence[float] = curve["reward"][kind]
-        return found
-
-    return values
+    """Draw evaluations on the way, training curves, those of each type, and final scores of methods side by side."""
+    figures = {
+        "checks.png": checks_figure(data),
+        "curves.png": training_figure(data),
+        "types.png": training_figure(data, TYPE_PANELS),
+        "scores.png": scores_figure(data),
+    }
+    return _saved(figures, folder)
 
 
 def save_ensemble(data: Results, folder: Path) -> list[str]:
-    """Draw the reward against k_s beside the paper's; return the files' names."""
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.subplots()
-    found = {int(name.rpartition(" ")[2]): method["reward"] for name, method in data["methods"].items()}
-    _beside(axes, found, REWARD_BY_MEMBERS, "reward per agent")
-    axes.set_xlabel("members of the shared ensemble critic, k_s")
-    axes.set_xticks(sorted({*found, *REWARD_BY_MEMBERS}))
-    axes.legend(frameon=False, **TEXT)
-    figure.savefig(folder / "members.png", dpi=DPI)
-    return ["members.png"]
+    """Draw the reward by k_s beside the paper's, and the evaluations on the way."""
+    return _saved({"members.png": members_figure(data), "checks.png": checks_figure(data)}, folder)
 
 
 def save_scalability(data: Results, folder: Path) -> list[str]:
-    """Draw reward and decision time against the number of UAVs beside the paper's; return the files' names."""
-    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    _beside(left, {int(n): team["reward"] for n, team in data["teams"].items()}, REWARD_BY_UAVS, "reward per agent")
-    _logarithmic(left, sorted({*REWARD_BY_UAVS, *map(int, data["teams"])}))
-    _times(right, {int(n): team["time"] for n, team in data["teams"].items()})
-    for axes in (left, right):
-        axes.set_xlabel("UAVs")
-    left.legend(frameon=False, **TEXT)
-    _below(figure, right)
-    figure.savefig(folder / "uavs.png", dpi=DPI)
-    return ["uavs.png"]
+    """Draw reward and decision time by number of UAVs beside the paper's, and the evaluations on the way."""
+    return _saved({"uavs.png": teams_figure(data), "checks.png": checks_figure(data)}, folder)
 
 
 def save_inference(data: Results, folder: Path) -> list[str]:
-    """Draw decision times by number of UAVs and by method beside the paper's; return the files' names."""
-    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    """Draw decision times by number of UAVs and by method beside the paper's."""
+    return _saved({"times.png": times_figure(data)}, folder)
+
+
+def members_figure(data: Results) -> Figure:
+    """Return the reward by k_s: beside the paper's, both as ratios to that of k_s = 2, and ours enlarged."""
+    found = {int(name.rpartition(" ")[2]): method for name, method in data["methods"].items()}
+    reward = {number: np.array(method["reward"]) for number, method in found.items()}
+    figure = Figure(figsize=(WIDTH, 4.0), layout="constrained")
+    beside, ratio, alone = figure.subplots(1, 3)
+    _beside(beside, reward, REWARD_BY_MEMBERS)
+    own, theirs = float(reward[MEMBERS][0]), REWARD_BY_MEMBERS[MEMBERS]
+    ratios = {number: value / theirs for number, value in REWARD_BY_MEMBERS.items()}
+    _beside(ratio, {number: value / own for number, value in reward.items()}, ratios)
+    _beside(alone, reward, {})
+    for number, method in found.items():
+        rewards = [run["reward"] for run in method["runs"]]
+        told = "ours, each seed (mean over the farms)" if number == MEMBERS else None
+        alone.plot([number] * len(rewards), rewards, "_", color=OTHER_COLOURS[1], markersize=9, label=told)
+    labels = ("reward per agent", f"reward / reward of k_s = {MEMBERS}", "reward per agent")
+    titles = ("beside the paper's", "as ratios", "ours enlarged")
+    for axes, label, title in zip((beside, ratio, alone), labels, titles, strict=True):
+        axes.set_title(title, fontsize=10)
+        axes.set_ylabel(label)
+        axes.set_xlabel("k_s, members of the ensemble")
+        axes.set_xticks(sorted({*found, *REWARD_BY_MEMBERS}))
+    # The last panel has our line once more; of each name the legend shows one.
+    drawn = [axes.get_legend_handles_labels() for axes in (beside, alone)]
+    seen = {name: handle for handles, names in drawn for handle, name in zip(handles, names, strict=True)}
+    figure.legend(list(seen.values()), list(seen), loc="outside lower center", ncols=3, frameon=False, **TEXT)
+    figure.suptitle(
+        f"Ours: {_interval_note(data)}\nRatios: value and interval over the value of k_s = {MEMBERS}.",
+        x=0.01,
+        ha="left",
+        **TEXT,
+    )
+    return figure
+
+
+def teams_figure(data: Results) -> Figure:
+    """Return reward and decision time against the number of UAVs beside the paper's."""
+    figure = Figure(figsize=(WIDTH, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
+    _beside(left, {int(n): np.array(team["reward"]) for n, team in data["teams"].items()}, REWARD_BY_UAVS)
+    _logarithmic(left, sorted({*REWARD_BY_UAVS, *map(int, data["teams"])}))
+    left.set(xlabel="UAVs, logarithmic", ylabel="reward per agent")
+    left.legend(frameon=False, **TEXT)
+    _times(right, {int(n): team["time"] for n, team in data["teams"].items()})
+    _below(figure, right)
+    figure.suptitle(f"Reward, ours: {_interval_note(data)}\n{_TIMES_NOTE}", x=0.01, ha="left", **TEXT)
+    return figure
+
+
+def times_figure(data: Results) -> Figure:
+    """Return decision times by number of UAVs and by method beside the paper's."""
+    figure = Figure(figsize=(WIDTH, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
     _times(left, {int(n): times for n, times in data["teams"].items()})
-    left.set(xlabel="UAVs")
     left.set_title("EIA-SEC", fontsize=10)
     _below(figure, left)
     names = list(data["methods"])
@@ -93,13 +157,36 @@ def save_inference(data: Results, folder: Path) -> list[str]:
     for index, piece in enumerate(_PIECES):
         values = [data["methods"][name][piece] for name in names]
         right.plot(names, values, MARKS[index], color=OTHER_COLOURS[index], markersize=8)
-    right.set(yscale="log", ylabel="ms for each time step")
+    right.set(yscale="log", xlabel="method")
     right.set_title("12 UAVs", fontsize=10)
-    right.grid(True, color="0.9")
-    right.spines[["top", "right"]].set_visible(False)
-    right.margins(y=0.15)
-    figure.savefig(folder / "times.png", dpi=DPI)
-    return ["times.png"]
+    right.margins(x=0.12)
+    _bare(right)
+    figure.suptitle(_TIMES_NOTE, x=0.01, ha="left", **TEXT)
+    return figure
+
+
+def scores_figure(data: Results) -> Figure:
+    """Return the interquartile mean of each method's normalised score with its interval."""
+    methods = data["methods"]
+    figure = Figure(figsize=(WIDTH, 0.55 * len(methods) + 1.5), layout="constrained")
+    axes = figure.subplots()
+    for row, method in enumerate(methods.values()):
+        value, low, high = method["normalised"]
+        colour = OTHER_COLOURS[row % len(OTHER_COLOURS)]
+        axes.plot([low, high], [row, row], color=colour, linewidth=4, alpha=0.5, solid_capstyle="butt")
+        axes.plot(value, row, MARKS[row % len(MARKS)], color=colour, markersize=7)
+        lost = sum(run["diverged"] for run in method["runs"])
+        text = f"{value:.2f} ({low:.2f}..{high:.2f})" + (f"\n{lost} of {len(method['runs'])} diverged" if lost else "")
+        axes.text(1.02, row, text, transform=axes.get_yaxis_transform(), va="center", **TEXT)
+    for end in (0.0, 1.0):
+        axes.axvline(end, color="0.4", linestyle=(0, (2, 2)), linewidth=1.0)
+    axes.set_yticks(range(len(methods)), list(methods))
+    axes.tick_params(axis="y", length=0)
+    axes.set(ylim=(len(methods) - 0.4, -0.6), xlabel="normalised score: 0 is random, 1 the best heuristic")
+    axes.grid(True, axis="x", color="0.9")
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    figure.suptitle(f"Mark and bar: {_interval_note(data)}", x=0.01, ha="left", **TEXT)
+    return figure
 
 
 _PIECES: Final = {
@@ -107,82 +194,36 @@ _PIECES: Final = {
     "decide": "all actors stacked, as flown here",
     "simulate": "the simulator's step",
 }
+_TIMES_NOTE: Final = "Times: all UAVs together, one thread; the least of the seeds' 5 % quantiles."
 
 
-def _curves(methods: Results, panels: Sequence[Panel], levels: Sequence[float], best: str) -> Figure:
-    """Draw each panel against training episodes: mean over the seeds, smoothed, and the range of the seeds."""
-    figure = Figure(figsize=(4.4 * len(panels), 4.2), layout="constrained")
-    for axes, (label, values), level in zip(figure.subplots(1, len(panels)), panels, levels, strict=True):
-        for index, (name, method) in enumerate(methods.items()):
-            _seeds(axes, method["runs"], values, index, name)
-        axes.axhline(level, color="0.4", linestyle=(0, (2, 2)), linewidth=1.0, label=f"{best} (no learning)")
-        axes.set(xlabel="training episodes", title=label)
-        axes.title.set_fontsize(10)
-        axes.grid(True, color="0.9")
-        axes.spines[["top", "right"]].set_visible(False)
-    handles = figure.axes[0].get_legend_handles_labels()
-    figure.legend(*handles, loc="outside lower center", ncols=len(methods) + 1, frameon=False, **TEXT)
-    return figure
+def _saved(figures: Mapping[str, Figure], folder: Path) -> list[str]:
+    for name, figure in figures.items():
+        figure.savefig(folder / name, dpi=DPI)
+    return list(figures)
 
 
-def _seeds(
-    axes: Axes,
-    runs: Sequence[Results],
-    values: Callable[[Results], Sequence[float]],
-    index: int,
-    name: str,
-) -> None:
-    whole = [run for run in runs if not run["diverged"]] or [run for run in runs if run["curve"]["episodes"]]
-    if not whole:
-        return
-    end = min(run["curve"]["episodes"][-1] for run in whole)
-    grid = np.linspace(max(run["curve"]["episodes"][0] for run in whole), end, GRID)
-    curves = [
-        np.interp(grid, run["curve"]["episodes"], smooth(np.array(values(run["curve"]), np.float64))) for run in whole
-    ]
-    colour, line = OTHER_COLOURS[index % len(OTHER_COLOURS)], LINES[index % len(LINES)]
-    lost = len(runs) - sum(not run["diverged"] for run in runs)
-    label = name + (f" ({lost} of {len(runs)} diverged)" if lost else "")
-    axes.fill_between(grid, np.min(curves, axis=0), np.max(curves, axis=0), color=colour, alpha=0.15, linewidth=0)
-    axes.plot(grid, np.mean(curves, axis=0), color=colour, linestyle=line, linewidth=1.8, label=label)
+def _interval_note(data: Results) -> str:
+    """Return what value and interval are."""
+    return f"interquartile mean and {LEVEL:.0%} interval over {seeds(data)} and {data['sizes']['farms']} unseen farms."
 
 
-def _scores(methods: Results) -> Figure:
-    """Draw the interquartile mean of each method's normalised score with its interval."""
-    figure = Figure(figsize=(7.0, 0.5 * len(methods) + 1.4), layout="constrained")
-    axes = figure.subplots()
-    for row, (name, method) in enumerate(reversed(list(methods.items()))):
-        value, low, high = method["normalised"]
-        index = len(methods) - 1 - row
-        colour = OTHER_COLOURS[index % len(OTHER_COLOURS)]
-        axes.plot([low, high], [row, row], color=colour, linewidth=4, alpha=0.5, solid_capstyle="butt")
-        axes.plot(value, row, MARKS[index % len(MARKS)], color=colour, markersize=7)
-        axes.annotate(f"{value:.2f}", (value, row), (0, 8), textcoords="offset points", ha="center", **TEXT)
-        axes.text(-0.01, row, name, transform=axes.get_yaxis_transform(), ha="right", va="center", **TEXT)
-    for end in (0.0, 1.0):
-        axes.axvline(end, color="0.4", linestyle=(0, (2, 2)), linewidth=1.0)
-    axes.set(
-        yticks=[],
-        ylim=(-0.6, len(methods) - 0.3),
-        xlabel=f"normalised score, interquartile mean and {LEVEL:.0%} interval (0 random, 1 best heuristic)",
-    )
-    axes.xaxis.label.set_fontsize(9)
-    axes.grid(True, axis="x", color="0.9")
-    axes.spines[["top", "right", "left"]].set_visible(False)
-    return figure
+def _beside(axes: Axes, found: Mapping[int, Numbers], paper: Mapping[int, float]) -> None:
+    """Draw our intervals and the paper's numbers over the same numbers.
 
-
-def _beside(axes: Axes, found: Mapping[int, Sequence[float]], paper: Mapping[int, float], label: str) -> None:
-    """Draw our intervals and the paper's numbers over the same numbers."""
+    Args:
+        axes: where.
+        found: our value and the ends of its interval, by number of members or UAVs.
+        paper: the paper's value; none is drawn where there is none.
+    """
     x = sorted(found)
     value, low, high = np.array([found[number] for number in x]).T
-    axes.plot(list(paper), list(paper.values()), "x--", color="0.35", label="paper", markersize=6)
+    if paper:
+        axes.plot(list(paper), list(paper.values()), "x--", color="0.35", label="paper", markersize=6)
     axes.errorbar(
-        x, value, (value - low, high - value), fmt="o-", color=OTHER_COLOURS[0], capsize=3, label="ours", markersize=6
+        x, value, (value - low, high - value), fmt="o-", color=OTHER_COLOURS[0], capsize=3, label="ours", markersize=5
     )
-    axes.set_ylabel(label)
-    axes.grid(True, color="0.9")
-    axes.spines[["top", "right"]].set_visible(False)
+    _bare(axes)
 
 
 def _times(axes: Axes, teams: Mapping[int, Results]) -> None:
@@ -192,8 +233,12 @@ def _times(axes: Axes, teams: Mapping[int, Results]) -> None:
         milliseconds = [teams[number][piece] for number in x]
         colour, line = OTHER_COLOURS[index], LINES[index]
         axes.plot(x, milliseconds, marker=MARKS[index], color=colour, linestyle=line, label=label)
-    axes.set(yscale="log", ylabel="ms for each time step")
+    axes.set(yscale="log", xlabel="UAVs, logarithmic", ylabel="ms for each time step, logarithmic")
     _logarithmic(axes, sorted({*INFERENCE_BY_UAVS, *x}))
+    _bare(axes)
+
+
+def _bare(axes: Axes) -> None:
     axes.grid(True, color="0.9")
     axes.spines[["top", "right"]].set_visible(False)
 

@@ -13,12 +13,11 @@ from deploy.studies.bench import Bench
 from deploy.studies.catalogue import STUDIES
 from deploy.studies.estimate import Estimator
 from deploy.studies.flight_pictures import save_flights
-from deploy.studies.pictures import save_comparison, save_ensemble, save_inference, save_scalability
+from deploy.studies.pictures import RESULTS, save_pictures
 from deploy.studies.runner import Runner, duration, packed
 from deploy.studies.scales import FULL
 from deploy.studies.tables import SECTIONS, page
 
-RESULTS: Final = "results.json"
 PAGE: Final = "README.md"
 
 
@@ -114,17 +113,7 @@ def write(plan: Plan) -> None:
 
 def draw(study: str, data: dict[str, Any], bench: Bench, folder: Path) -> list[str]:
     """Draw a study's pictures; return the files' names."""
-    match study:
-        case "training" | "ablation":
-            return save_comparison(data, folder)
-        case "ensemble":
-            return save_ensemble(data, folder)
-        case "scalability":
-            return save_scalability(data, folder)
-        case "inference":
-            return save_inference(data, folder)
-        case _:
-            return save_flights(bench, folder)
+    return save_flights(bench, folder) if study == "trajectories" else save_pictures(data, folder)
 
 
 def sizes(bench: Bench) -> dict[str, Any]:
