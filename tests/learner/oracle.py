@@ -18,7 +18,7 @@ class Network(nn.Module):
 
     def __init__(self, flat: Tensor, inputs: int, hidden: int, outputs: int, squash: bool) -> None:
         super().__init__()
-        self.squash = squash
+        self.squash, self.norm = squash, 0.0
         self.layers = nn.ModuleList([nn.Linear(a, b) for a, b in self._sizes(inputs, hidden, outputs)]).to(flat.dtype)
         start = 0
         with torch.no_grad():
@@ -164,7 +164,18 @@ class Oracle:
             for group in self.members:
                 for member in group:
                     member.zero_grad(set_to_none=True)
+        self.clip(self.critics)
+        if config.ensemble_gradient:
+            self.clip([member for group in self.members for member in group])
         self.critic_optimiser.step()
+
+    def clip(self, networks) -> None:
+        """Note the norm of each network's gradient, and clip the gradient by it."""
+        for network in networks:
+            network.norm = float(torch.cat([p.grad.flatten() for p in network.parameters()]).norm())
+            if self.config.gradient_clip > 0:
+                for p in network.parameters():
+                    p.grad *= min(1.0, self.config.gradient_clip / network.norm)
 
     def _copy(self) -> None:
         tau = self.config.ensemble_copy_rate
@@ -184,6 +195,7 @@ class Oracle:
         parameters = [p for actor in self.actors for p in actor.parameters()]
         for p, g in zip(parameters, torch.autograd.grad(sum(losses), parameters), strict=True):
             p.grad = g
+        self.clip(self.actors)
         self.actor_optimiser.step()
         for target, actor in zip(self.target_actors, self.actors, strict=True):
             follow(target, actor, config.target_rate)

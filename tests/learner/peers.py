@@ -77,14 +77,6 @@ class Peer(Oracle):
         self.improve(observations, actions, noise)
         self.rounds += 1
 
-    def clip(self, networks) -> None:
-        """Clip each network's gradient by its norm."""
-        if self.config.gradient_clip > 0:
-            for network in networks:
-                norm = torch.cat([p.grad.flatten() for p in network.parameters()]).norm()
-                for p in network.parameters():
-                    p.grad *= min(1.0, self.config.gradient_clip / float(norm))
-
     def climb(self, i: int, loss: Tensor) -> None:
         """Take one step of actor i against the gradient of its loss."""
         self.actor_optimisers[i].zero_grad()
