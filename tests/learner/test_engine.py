@@ -163,6 +163,20 @@ def test_figures_are_those_of_the_equations():
         torch.testing.assert_close(figures.value[i], climbed.detach())
 
 
+@pytest.mark.parametrize("cores", [0, 1])
+@pytest.mark.parametrize("switch", SWITCHES)
+def test_figures_change_nothing(switch, cores):
+    """Rounds that tell their figures, some or all, leave the very bits of silent ones, by torch and by kernels."""
+    config = replace(BASE, **SWITCHES[switch])
+    silent, some, every = (Engine(config, TEAM, 3, cores=cores) for _ in range(3))
+    for number, batch in enumerate(batches(TEAM, config, 6, torch.float32)):
+        assert silent.round(batch) is None
+        assert (some.round(batch, figures=number % 2 == 1) is None) == (number % 2 == 0)
+        assert every.round(batch, figures=True) is not None
+    assert same_state(silent, some)
+    assert same_state(silent, every)
+
+
 def test_actors_start_as_everybody_draws_them():
     """The engine's first actors are ActorBank.initial's, of one type alike or each its own."""
     for alike in (True, False):
