@@ -15,6 +15,7 @@ All are in the units of the targets, rewards times `reward_scale`.
 """
 
 import math
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -27,6 +28,7 @@ from common.transitions import TERMINATED, TRANSITION
 from learner.engine import Figures
 from learner.places import Places
 from learner.replay import Replay
+from learner.state import checked_tensors
 
 NAMES: Final = (
     "critic_loss",
@@ -40,6 +42,8 @@ NAMES: Final = (
     "realised_return",
     "overestimation",
 )
+PREFIX: Final = "figures."
+"""What the names of the running means begin with in a checkpoint."""
 SHARE: Final = 0.05
 """Share of the newest figures in the running means."""
 RETURN_SHARE: Final = 0.2
@@ -112,30 +116,29 @@ class RunningFigures:
         device: torch device.
 
     Attributes:
-        means: [names, agents].
+        means: those of every name that was told [agents].
         rounds: rounds that told their figures.
         comparisons: comparisons with realised returns.
     """
 
     def __init__(self, team: TeamSpec, device: str) -> None:
-        self._team = team
-        self.means = torch.zeros(len(NAMES), team.agents, device=device)
+        self._team, self._device = team, device
+        self.means: dict[str, Tensor] = {}
         self.rounds = self.comparisons = 0
 
     def note(self, figures: Figures) -> None:
         """Take in the figures of one round."""
-        nothing = torch.zeros_like(self.means[0])
-        rows = [
-            figures.error.square().mean(dim=1),
-            figures.value.mean(dim=1),
-            figures.target.mean(dim=1),
-            figures.error.abs().mean(dim=1),
-            (figures.error + figures.target).mean(dim=1),
-            nothing if figures.critic_gradient is None else figures.critic_gradient,
-            nothing if figures.actor_gradient is None else figures.actor_gradient,
-            nothing if figures.spread is None else figures.spread.mean(dim=1),
-        ]
-        self.means[: len(rows)].lerp_(torch.stack(rows).float(), SHARE if self.rounds else 1.0)
+        rows = {
+            "critic_loss": figures.error.square().mean(dim=1),
+            "actor_objective": figures.value.mean(dim=1),
+            "target_mean": figures.target.mean(dim=1),
+            "critic_error": figures.error.abs().mean(dim=1),
+            "q_mean": (figures.error + figures.target).mean(dim=1),
+            "critic_gradient": figures.critic_gradient,
+            "actor_gradient": figures.actor_gradient,
+            "member_spread": None if figures.spread is None else figures.spread.mean(dim=1),
+        }
+        self._take(rows, SHARE)
         self.rounds += 1
 
     def compare(self, figures: Figures, returns: Tensor, chosen: Places) -> None:
@@ -145,9 +148,36 @@ class RunningFigures:
         rows = torch.from_numpy(chosen).to(returns.device)
         realised = returns.index_select(0, rows).mean(dim=0)
         value = (figures.error + figures.target).float().index_select(1, rows).mean(dim=1)
-        newest = torch.stack([realised, value - realised])
-        self.means[-2:].lerp_(newest, RETURN_SHARE if self.comparisons else 1.0)
+        self._take({"realised_return": realised, "overestimation": value - realised}, RETURN_SHARE)
         self.comparisons += 1
+
+    def _take(self, rows: Mapping[str, Tensor | None], share: float) -> None:
+        """Move the means [agents] to newer figures; a figure that is told for the first time is its mean."""
+        for name, row in rows.items():
+            if row is None:
+                continue
+            newest = row.float()
+            if name in self.means:
+                self.means[name].lerp_(newest, share)
+            else:
+                self.means[name] = newest.clone()
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return a copy of the means by their names in a checkpoint."""
+        return {f"{PREFIX}{name}": mean.clone().cpu() for name, mean in self.means.items()}
+
+    def kept(self, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return the means [agents] that a checkpoint holds, by name; those that it lacks begin anew.
+
+        So does everything in a checkpoint from when they were one tensor, `figures`.
+
+        Raises:
+            CheckpointError: when one does not fit the team, or is not finite.
+        """
+        like = torch.zeros(self._team.agents)
+        names = [name for name in NAMES if f"{PREFIX}{name}" in tensors]
+        found = checked_tensors({f"{PREFIX}{name}": like for name in names}, tensors)
+        return {name: found[f"{PREFIX}{name}"].to(self._device, copy=True) for name in names}
 
     def by_type(self) -> dict[str, float]:
         """Return NAME/TYPE: means over the type's agents; without figures that the algorithm does not tell."""
@@ -164,6 +194,7 @@ class RunningFigures:
         }
 
     def _told(self) -> list[tuple[str, Tensor]]:
-        # What no round ever told is a row of zeros, which no figure of a living network is.
-        rows = zip(NAMES, self.means.cpu(), strict=True)
-        return [(name, row) for name, row in rows if bool(row.any())]
+        names = [name for name in NAMES if name in self.means]
+        if not names:
+            return []
+        return list(zip(names, torch.stack([self.means[name] for name in names]).cpu(), strict=True))

@@ -133,7 +133,7 @@ class Trainer:
         rows, counts = self.replay.snapshot()
         tensors: dict[str, Tensor | Frozen] = {f"replay.{name}": tensor for name, tensor in rows.items()}
         tensors |= {f"engine.{name}": tensor.clone().cpu() for name, tensor in self.engine.tensors().items()}
-        tensors["figures"] = self.figures.means.clone().cpu()
+        tensors |= self.figures.tensors()
         plain: dict[str, Any] = {name: getattr(self, name) for name in COUNTERS}
         plain |= {
             "figure_rounds": self.figures.rounds,
@@ -159,8 +159,8 @@ class Trainer:
             CheckpointError: when something is missing or does not fit the configuration.
         """
         engine = self.engine
-        own = {f"engine.{name}": tensor for name, tensor in engine.tensors().items()} | {"figures": self.figures.means}
-        found = checked_tensors(own, tensors)
+        own = {f"engine.{name}": tensor for name, tensor in engine.tensors().items()}
+        found, means = checked_tensors(own, tensors), self.figures.kept(tensors)
         names = (*COUNTERS, "figure_rounds", "comparisons")
         counts = {name: counter(state, name) for name in names}
         random, noise = restored_random(state.get("random")), restored_random(state.get("round_noise"))
@@ -175,6 +175,7 @@ class Trainer:
             setattr(self, name, counts[name])
         engine.random = noise
         engine.restored()
+        self.figures.means = means
         self.figures.rounds, self.figures.comparisons = counts["figure_rounds"], counts["comparisons"]
         self._age, self._oldest, self.random = age, oldest, random
         self.recent = deque(recent, maxlen=RECENT_EPISODES)

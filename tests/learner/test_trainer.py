@@ -1,5 +1,6 @@
 """The trainer: counters, pace, imitation, learning, and going on from a saved state."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from common.imitation import ImitationEvent
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from learner import checkpoint
-from learner.trainer import Trainer
+from learner.trainer import FIGURE_ROUNDS, Trainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 CONFIG = RunConfig(
@@ -181,9 +182,15 @@ def test_a_restored_trainer_goes_on_bit_equal(tmp_path, cut):
 
 
 @pytest.mark.parametrize(
-    "name", ["engine.actors", "engine.critic_square", "figures", "replay.reward", "updates", "random", "recent"]
+    ("name", "way"),
+    [
+        ("figures.q_mean", "wrong"),
+        *itertools.product(
+            ["engine.actors", "engine.critic_square", "replay.reward", "updates", "random", "recent"],
+            ["missing", "wrong"],
+        ),
+    ],
 )
-@pytest.mark.parametrize("way", ["missing", "wrong"])
 def test_a_state_that_does_not_fit_changes_nothing(name, way):
     """A state that lacks something, or holds something of another kind, is refused before anything is taken from it."""
     source, target = Trainer(CONFIG, TEAM), Trainer(replace(CONFIG, seed=12), TEAM)
@@ -195,7 +202,7 @@ def test_a_state_that_does_not_fit_changes_nothing(name, way):
     if way == "missing":
         del where[name]
     elif name in tensors:
-        tensors[name] = torch.full_like(tensors[name], float("nan")) if "engine" in name else torch.zeros(5)
+        tensors[name] = torch.full_like(tensors[name], float("nan")) if "engine" in name else torch.zeros(7)
     else:
         plain[name] = {"updates": -1, "random": {"key": [1]}, "recent": [{"farm": 1}]}[name]
     before = target.actors().digest()
@@ -203,6 +210,25 @@ def test_a_state_that_does_not_fit_changes_nothing(name, way):
         target.restore(tensors, plain)
     assert target.actors().digest() == before
     assert (target.updates, target.replay.rows, target.environment_steps) == (0, 0, 0)
+
+
+def test_a_checkpoint_whose_figures_were_one_tensor_is_taken_up():
+    """Training goes on bit-equal, and the running means, of which one meant something else, begin anew."""
+    whole, resumed = Trainer(CONFIG, TEAM), Trainer(CONFIG, TEAM)
+    whole.absorb(chunk(200, episodes=1))
+    whole.train(20)
+    tensors, plain = whole.state()
+    assert "figures.q_mean" in tensors
+    old = {name: tensor for name, tensor in tensors.items() if not name.startswith("figures.")}
+    resumed.restore(old | {"figures": torch.full((10, TEAM.agents), 1e6)}, plain)
+    assert not any("/" in name for name in resumed.statistics())
+    for trainer in (whole, resumed):
+        trainer.train(FIGURE_ROUNDS)
+    ours, theirs = whole.engine.tensors(), resumed.engine.tensors()
+    assert all(torch.equal(tensor, theirs[name]) for name, tensor in ours.items())
+    newest = resumed.figures.by_agent()
+    assert newest.keys() == {name for name in whole.figures.by_agent() if newest.get(name) is not None}
+    assert all(abs(value) < 100 for value in newest.values())
 
 
 def test_learns_to_match_a_given_action():
