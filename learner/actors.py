@@ -81,6 +81,10 @@ class Actors:
         self._pass.parameter_gradient(self._parameters, inputs, upstream, self._into)
         self.adam.step(self.target, self._config.target_rate)
 
+    def norms(self) -> Tensor:
+        """Return the norm of each actor's newest gradient [agents], before any clip."""
+        return self.bank.norms(self.gradient) if self.adam.norms is None else self.adam.norms
+
     def tensors(self) -> dict[str, Tensor]:
         """Return the whole state by name."""
         found = {"actors": self.flat, "actor_mean": self.adam.mean, "actor_square": self.adam.square}

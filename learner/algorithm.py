@@ -53,8 +53,9 @@ class Figures(NamedTuple):
         error: the (first) critics' errors before their step, [agents, B].
         value: what the actors climb, [agents, B].
         target: Y [agents, B].
-        critic_gradient: norm of the newest gradient of each agent's (first) critic [agents], or None.
-        actor_gradient: norm of each actor's newest gradient [agents], or None.
+        critic_gradient: norm of the newest gradient of each agent's critic before any clip [agents], mean over its
+            critics, or None.
+        actor_gradient: norm of each actor's newest gradient before any clip [agents], or None.
         spread: standard deviation of the SEC members' values at the actors' actions [agents, B], or None.
     """
 
@@ -160,8 +161,12 @@ class Algorithm(ABC):
 
     def told(self, error: Tensor, value: Tensor, target: Tensor, spread: Tensor | None = None) -> Figures:
         """Return a round's figures."""
-        critic = self.critics.bank.norms(self.gradient_views.flat)[: self.team.agents]
-        return Figures(error, value, target, critic, self.actors.bank.norms(self.actors.gradient), spread)
+        norms = self.critic_adam.norms
+        if norms is None:
+            norms = self.critics.bank.norms(self.gradient_views.flat)
+        each, agents = self.critics.each, self.team.agents
+        critic = norms[: each * agents].view(each, agents).mean(dim=0)
+        return Figures(error, value, target, critic, self.actors.norms(), spread)
 
     def observe(self, batch: Batch) -> None:
         """Bring a batch into the networks' inputs."""

@@ -33,7 +33,11 @@ class Adam:
         mean: first moments [P].
         square: second moments [P].
         steps: steps taken, int64 [].
+        norms: norm of each network's gradient in the newest step [networks], before the clip; None without a clip,
+            where the gradient stands as it was.
     """
+
+    norms: Tensor | None = None
 
     def __init__(
         self,
@@ -52,15 +56,15 @@ class Adam:
         self._scratch = torch.empty_like(parameters)
         if clip > 0.0 and networks is not None:
             self._networks = networks[: parameters.shape[0]].to(parameters.device)
-            self._norms = parameters.new_zeros(int(networks.max()) + 1)
+            self.norms = parameters.new_zeros(int(networks.max()) + 1)
         if cores:
             self._bounds = even(parameters.shape[0], cores)
             self._arrays = (parameters.numpy(), gradient.numpy(), self.mean.numpy(), self.square.numpy())
 
     def step(self, target: Tensor | None = None, follow: float = 0.0) -> None:
         """Take one step against the gradient; a target then follows by target <- follow p + (1 - follow) target."""
-        if self._clip > 0.0:
-            self._shorten()
+        if self.norms is not None:
+            self._shorten(self.norms)
         self.steps.add_(1)
         if self._cores:
             self._sweep(target, follow)
@@ -89,9 +93,9 @@ class Adam:
         else:
             kernels.adam(values, slopes, mean, square, settings, following)
 
-    def _shorten(self) -> None:
-        """Scale every network's gradient whose norm is above the clip down to it."""
+    def _shorten(self, norms: Tensor) -> None:
+        """Scale every network's gradient whose norm is above the clip down to it; write the norms from before."""
         squares = torch.mul(self._gradient, self._gradient, out=self._scratch)
-        norms = torch.sqrt(self._norms.zero_().index_add_(0, self._networks, squares))
+        norms.zero_().index_add_(0, self._networks, squares).sqrt_()
         factors = self._clip / torch.clamp_min(norms, self._clip)
         self._gradient.mul_(factors.index_select(0, self._networks))
