@@ -47,24 +47,35 @@ class Batch(NamedTuple):
 
 
 class Figures(NamedTuple):
-    """What one round can tell.
+    """What one round can tell; None is what the algorithm does not have. Norms are those before any clip.
 
     Attributes:
         error: the (first) critics' errors before their step, [agents, B].
         value: what the actors climb, [agents, B].
         target: Y [agents, B].
-        critic_gradient: norm of the newest gradient of each agent's critic before any clip [agents], mean over its
-            critics, or None.
-        actor_gradient: norm of each actor's newest gradient before any clip [agents], or None.
-        spread: standard deviation of the SEC members' values at the actors' actions [agents, B], or None.
+        prediction: Q of the batch's own actions before the step [agents, B]: Q_P, or the (first) critics' values.
+        critic_gradient: norm of the newest gradient of each agent's critic [agents], mean over its critics.
+        actor_gradient: norm of each actor's newest gradient [agents].
+        spread: standard deviation of the SEC members' values at the actors' actions [agents, B].
+        member_loss: mean over the members and the agent's rows of (Q_s,k - Y)^2 before the step [agents].
+        member_gradient: norm of a member's newest gradient, mean over the members of the agent's type [agents].
+        temperature: alpha [agents].
+        log_probability: log pi of the actions that the actors drew, mean over the batch [agents].
+        soft: whether values and targets count entropy beside rewards, so that no sum of rewards compares.
     """
 
     error: Tensor
     value: Tensor
     target: Tensor
+    prediction: Tensor
     critic_gradient: Tensor | None = None
     actor_gradient: Tensor | None = None
     spread: Tensor | None = None
+    member_loss: Tensor | None = None
+    member_gradient: Tensor | None = None
+    temperature: Tensor | None = None
+    log_probability: Tensor | None = None
+    soft: bool = False
 
 
 class Algorithm(ABC):
@@ -159,14 +170,14 @@ class Algorithm(ABC):
             "critic_steps": adam.steps,
         }
 
-    def told(self, error: Tensor, value: Tensor, target: Tensor, spread: Tensor | None = None) -> Figures:
-        """Return a round's figures."""
+    def told(self, error: Tensor, value: Tensor, target: Tensor) -> Figures:
+        """Return the figures that all algorithms tell, after the round's steps."""
         norms = self.critic_adam.norms
         if norms is None:
             norms = self.critics.bank.norms(self.gradient_views.flat)
         each, agents = self.critics.each, self.team.agents
         critic = norms[: each * agents].view(each, agents).mean(dim=0)
-        return Figures(error, value, target, critic, self.actors.norms(), spread)
+        return Figures(error, value, target, error + target, critic, self.actors.norms())
 
     def observe(self, batch: Batch) -> None:
         """Bring a batch into the networks' inputs."""

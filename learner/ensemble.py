@@ -37,6 +37,8 @@ class Ensemble:
         self.bank = Bank(stacks, config.hidden)
         self._pass = make_pass(self.bank, like, cores=cores)
         self.values = self._pass.output.view(k_s, team.agents, batch)
+        kinds = [kind for kind, group in enumerate(team.groups) for _ in range(group.count)]
+        self._kinds = torch.tensor(kinds, device=like.device)
 
     def initialise(self, flat: Tensor, seed: int) -> None:
         """Draw all members, each its own."""
@@ -48,6 +50,11 @@ class Ensemble:
     def index(self, k: int, kind: int) -> int:
         """Return which stack of the bank the k-th member of a type is."""
         return k * len(self._team.groups) + kind
+
+    def by_agent(self, numbers: Tensor) -> Tensor:
+        """Return, for each agent, the mean over its type's members of one number for each stack [stacks]: [agents]."""
+        means = numbers.view(self._config.ensemble_members, -1).mean(dim=0)
+        return means.index_select(0, self._kinds)
 
     def _inputs(self, inputs: Inputs) -> list[Tensor]:
         return [x[None] for x in inputs.pooled] * self._config.ensemble_members

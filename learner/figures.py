@@ -1,17 +1,24 @@
 """Running means of what update rounds tell, for each agent, and how the critics compare with what came of it.
 
-    critic_loss         mean of the squared errors that the local critic descends
+    critic_loss         mean of the squared errors that the local critic descends, of two critics the first
     critic_error        mean of their sizes
-    q_mean              mean Q of the batch's own actions, before the round's step
+    q_mean              mean Q of the batch's own actions, before the round's step; see below
     target_mean         mean Y
     actor_objective     mean of what the actor climbs
-    critic_gradient     Euclidean norm of the gradient of the agent's critic
+    critic_gradient     Euclidean norm of the gradient of the agent's critic, of two critics the mean, before any clip
     actor_gradient      the same of its actor
+    member_loss         mean of (Q_s,k - Y)^2 over the members and the agent's rows
+    member_gradient     Euclidean norm of the gradient of a member of the agent's type, mean over them, before any clip
     member_spread       standard deviation over the members of Q_s,k at the actor's own action, mean over the batch
+    temperature         alpha, the weight of entropy
+    log_probability     mean log pi of the actions that the actor drew for the batch's observations
     realised_return     discounted, scaled rewards that followed rows of the batch (see `newest_returns`)
     overestimation      mean Q of these rows' actions less their realised return
 
-All are in the units of the targets, rewards times `reward_scale`.
+Q is the mixture Q_P with an ensemble, whatever its losses, and the agent's (first) critic without one. Where it counts
+entropy as well (MASAC), there is no `overestimation`: which entropy would have followed a row is not in replay.
+All but norms, temperature and log_probability are in the units of the targets, rewards times `reward_scale`, or their
+squares.
 """
 
 import math
@@ -38,7 +45,11 @@ NAMES: Final = (
     "q_mean",
     "critic_gradient",
     "actor_gradient",
+    "member_loss",
+    "member_gradient",
     "member_spread",
+    "temperature",
+    "log_probability",
     "realised_return",
     "overestimation",
 )
@@ -133,10 +144,14 @@ class RunningFigures:
             "actor_objective": figures.value.mean(dim=1),
             "target_mean": figures.target.mean(dim=1),
             "critic_error": figures.error.abs().mean(dim=1),
-            "q_mean": (figures.error + figures.target).mean(dim=1),
+            "q_mean": figures.prediction.mean(dim=1),
             "critic_gradient": figures.critic_gradient,
             "actor_gradient": figures.actor_gradient,
+            "member_loss": figures.member_loss,
+            "member_gradient": figures.member_gradient,
             "member_spread": None if figures.spread is None else figures.spread.mean(dim=1),
+            "temperature": figures.temperature,
+            "log_probability": figures.log_probability,
         }
         self._take(rows, SHARE)
         self.rounds += 1
@@ -147,8 +162,9 @@ class RunningFigures:
             return
         rows = torch.from_numpy(chosen).to(returns.device)
         realised = returns.index_select(0, rows).mean(dim=0)
-        value = (figures.error + figures.target).float().index_select(1, rows).mean(dim=1)
-        self._take({"realised_return": realised, "overestimation": value - realised}, RETURN_SHARE)
+        value = figures.prediction.float().index_select(1, rows).mean(dim=1)
+        over = None if figures.soft else value - realised
+        self._take({"realised_return": realised, "overestimation": over}, RETURN_SHARE)
         self.comparisons += 1
 
     def _take(self, rows: Mapping[str, Tensor | None], share: float) -> None:
@@ -169,7 +185,7 @@ class RunningFigures:
     def kept(self, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the means [agents] that a checkpoint holds, by name; those that it lacks begin anew.
 
-        So does everything in a checkpoint from when they were one tensor, `figures`.
+        So does everything in a checkpoint from when they were one tensor, `figures`: some meant something else.
 
         Raises:
             CheckpointError: when one does not fit the team, or is not finite.

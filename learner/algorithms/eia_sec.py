@@ -84,14 +84,20 @@ class EiaSec(Algorithm):
         if self.ensemble and config.bootstrap == "mixture":
             value = self._mixed(value, self.ensemble.forward(self.target_members, self.next))
         target = self.bootstrapped(batch, value)
-        error = self._critic_gradients(target)
+        error, values = self._critic_gradients(target)
+        judged = self._judged(error, target, values) if figures else None
         follow = self.target_phi if self.critic_adam.mean.shape == self.phi.shape and not self._copies else None
         self.critic_adam.step(follow, config.target_rate)
         if follow is None:
             self._copy_to_members()
             self.target_phi.lerp_(self.phi, config.target_rate)
         climbed, spread = self._actor_step(figures)
-        return self.told(error, climbed, target, spread) if climbed is not None else None
+        if judged is None or climbed is None:
+            return None
+        prediction, loss = judged
+        return self.told(error, climbed, target)._replace(
+            prediction=prediction, spread=spread, member_loss=loss, member_gradient=self._member_norms()
+        )
 
     @property
     def _copies(self) -> bool:
@@ -101,10 +107,15 @@ class EiaSec(Algorithm):
         """Return Q_P [agents, B]."""
         return torch.lerp(members.mean(dim=0), local, self.config.mixture_epsilon)
 
-    def _critic_gradients(self, target: Tensor) -> Tensor:
-        """Write the gradients of step 3; return the errors [agents, B] that the local critics descend."""
+    def _critic_gradients(self, target: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Write the gradients of step 3.
+
+        Returns:
+            the errors [agents, B] that the local critics descend, and the members' predictions [k_s, agents, B], valid
+            until they are asked again, where the gradients took them.
+        """
         config, local = self.config, self.critics.forward(self.critic_views, self.current)[0]
-        error, share = local - target, 1.0
+        error, share, values = local - target, 1.0, None
         if self.ensemble and (config.ensemble_loss == "mixture" or config.ensemble_gradient):
             values = self.ensemble.forward(self.members, self.current)
             if config.ensemble_loss == "mixture":
@@ -113,7 +124,26 @@ class EiaSec(Algorithm):
                 self._train_members(values, target, error)
         upstream = error * (2.0 * share / config.batch)
         self.critics.parameter_gradient(self.critic_views, self.current, upstream, self.gradient_views)
-        return error
+        return error, values
+
+    def _judged(self, error: Tensor, target: Tensor, values: Tensor | None) -> tuple[Tensor, Tensor | None]:
+        """Return Q_P of the batch's actions [agents, B], and the members' losses on each agent's rows [agents]."""
+        prediction = error + target
+        if self.ensemble is None:
+            return prediction, None
+        if values is None:  # the SEC that only copies has not been asked
+            values = self.ensemble.forward(self.members, self.current)
+        if self.config.ensemble_loss == "member":  # else the errors are Q_P's already
+            prediction = self._mixed(prediction, values)
+        return prediction, (values - target).square().mean(dim=(0, 2))
+
+    def _member_norms(self) -> Tensor | None:
+        """Return the norm of a member's newest gradient, mean over the members of each agent's type [agents]."""
+        if self.ensemble is None or not self.config.ensemble_gradient:
+            return None
+        clipped = self.critic_adam.norms
+        norms = self.ensemble.bank.norms(self._member_gradient.flat) if clipped is None else clipped[self.team.agents :]
+        return self.ensemble.by_agent(norms)
 
     def _train_members(self, values: Tensor, target: Tensor, error: Tensor) -> None:
         """Write the members' gradients, given their predictions and the mixture's errors."""

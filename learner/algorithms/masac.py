@@ -93,7 +93,11 @@ class Masac(Algorithm):
             surprise = sample.log_probability.mean(dim=1) + self._entropy_target
             torch.mul(alpha[:, 0], surprise, out=self._alpha_gradient).neg_()
             self._alpha_adam.step()
-        return self.told(error, climbed, target) if figures else None
+        if not figures:
+            return None
+        told = self.told(error, climbed, target)
+        density = sample.log_probability.mean(dim=1)
+        return told._replace(temperature=alpha[:, 0], log_probability=density, soft=True)
 
     def _sample(self, inputs: list[Tensor], noise: Tensor) -> Sample:
         output = self.actors.forward(inputs)

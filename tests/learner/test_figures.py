@@ -132,7 +132,7 @@ def test_overestimation_is_q_less_what_was_realised():
     target = torch.zeros(TEAM.agents, 6)
     error = (returns + 1.0).t().clone()
     error[:, ~torch.from_numpy(counted)] = 1e6
-    figures = Figures(error, target, target)
+    figures = Figures(error, target, target, error + target)
     running.note(figures)
     running.compare(figures, returns, np.zeros(0, np.int64))
     assert running.comparisons == 0
@@ -165,7 +165,7 @@ def test_realised_returns_are_in_the_units_of_the_targets(normalised):
 def test_figures_that_an_algorithm_does_not_tell_are_left_out():
     """Without norms and members there are none of them, and the rest is there for every type and agent."""
     running = RunningFigures(TEAM, "cpu")
-    running.note(Figures(torch.ones(5, 4), torch.ones(5, 4), torch.ones(5, 4)))
+    running.note(Figures(*torch.ones(4, TEAM.agents, 4)))
     names = {name.split("/")[0] for name in running.by_type()}
     assert names == {"critic_loss", "actor_objective", "target_mean", "critic_error", "q_mean"}
     assert len(running.by_agent()) == 5 * TEAM.agents
