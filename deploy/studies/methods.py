@@ -50,6 +50,8 @@ ABLATIONS: Final = (
     Method("EIA-SEC, printed target", {"name": "eia-sec", **PRINTED_TARGET}),
 )
 
+MIXTURE: Final = "mixture"
+"""Whose value new records compare with realised returns; older ones do not say, and compared the local critic's Q_i."""
 CANDIDATES: Final[dict[str, dict[str, float]]] = {
     "as the preset": {},
     "actor rate x 3": {"actor_rate": 3.0},

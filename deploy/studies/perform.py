@@ -24,6 +24,7 @@ from common.transitions import Chunk, EpisodeSummary
 from deploy.inprocess import train_inprocess
 from deploy.provenance import commit
 from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
+from deploy.studies.methods import MIXTURE
 from deploy.studies.timing import time_decisions
 from learner.trainer import Trainer
 from rollout.environments import team_of
@@ -130,6 +131,7 @@ def train(
     final = evaluate(config.farm, ActorPolicy(log.bank), farms, 1, name=config.algorithm.name)
     result = {
         "diverged": diverged,
+        "compared_value": MIXTURE,
         "curve": curve(team_of(config), log.episodes, int(options["points"])),
         "checks": log.checks,
         "evaluation": compact(final),

@@ -106,6 +106,7 @@ def _run(job: Job, record: dict[str, Any]) -> dict[str, Any]:
         "unrest": round(unrest(reward), DIGITS) if reward else None,
         "overestimation": result.get("overestimation", {}),
         "realised_return": result.get("realised_return", {}),
+        "compared_value": result.get("compared_value"),
         "curve": curve,
         "checks": result["checks"],
     }

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.studies.claims import CLAIMS, heuristics, inference, members, scalability, training, trajectories
+from deploy.studies.claims import CLAIMS, ablation, heuristics, inference, members, scalability, training, trajectories
 from deploy.studies.comparison_page import BEGIN, END, PAGE, block, refreshed
 from deploy.studies.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
 from deploy.studies.verdicts import NOT_RUN, above, alike, best_of, full, judged, lower
@@ -140,6 +140,27 @@ def test_a_seed_that_never_converges_is_not_in_time():
     row = training(data)[4]
     assert row.verdict == "holds in part"
     assert "MATD3 never" in row.ours
+
+
+def ablated(compared, **excess):
+    """Return an ablation in which a method overestimates by so much, in the units of its own targets."""
+    names = ("EIA-SEC", "EIA only", "SEC only", "neither")
+    methods = {name: method(900.0) for name in names}
+    for name, found in methods.items():
+        value = excess.get(name.replace(" ", "_"), 0.0)
+        found["runs"] = [run | {"overestimation": {"a": value}, **compared} for run in found["runs"]]
+    chosen = {name: {"chosen": "reward scale x 3" if name == "neither" else "as the preset"} for name in names}
+    return {"methods": methods, "improvement": dict.fromkeys(names[1:], (0.5, 0.4, 0.6)), "choice": chosen}
+
+
+def test_overestimation_is_compared_in_one_unit():
+    """Where rewards are scaled by three, so are values; and a row says whose value it was."""
+    row = ablation(ablated({}, SEC_only=2.0, neither=4.5))[-1]
+    assert (row.ours, row.verdict) == ("SEC only 2.00, neither 1.50", "does not hold")
+    assert "Q_i and not the mixture" in row.why
+    row = ablation(ablated({"compared_value": "mixture"}, SEC_only=2.0, neither=7.5))[-1]
+    assert (row.ours, row.verdict) == ("SEC only 2.00, neither 2.50", "holds")
+    assert row.why.endswith("Q is the mixture Q_P")
 
 
 def test_heuristics_fail_only_when_they_do():

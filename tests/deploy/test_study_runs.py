@@ -215,6 +215,8 @@ def test_a_study_from_start_to_end_and_once_more(study, bench, tmp_path, monkeyp
     assert all((folder / name).stat().st_size > 5000 for name in pictures)
     assert "its numbers mean nothing" in page
     assert data["commit"] in page
+    runs = [run for method in data.get("methods", {}).values() for run in method.get("runs", ())]
+    assert {run["compared_value"] for run in runs} == ({"mixture"} if runs else set())
     before = {path: path.stat().st_mtime_ns for path in bench.records.folder.iterdir()}
     told.clear()
     again = plan(bench, study, tmp_path, told)
