@@ -112,7 +112,8 @@ class RunStorage:
             return 0.0, 0
         self._set_aside(found)
         manifest = found.manifest
-        if manifest.get("configuration") != self._method:
+        # Checkpoints of earlier versions name the whole configuration.
+        if manifest.get("configuration") not in (self._method, self._digest):
             raise RunDirError(f"the checkpoint in {self._directory} belongs to another configuration.")
         try:
             trainer.restore(found.tensors, manifest["trainer"])

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from common.config import AlgorithmConfig, EvaluationConfig, LearnerConfig, ReplayConfig, RunConfig
+from common.config.files import digest
 from common.errors import RunDirError
 from common.imitation import ImitationEvent
 from common.messages import Envelope
@@ -251,6 +252,15 @@ def test_a_run_goes_on_with_other_settings_of_its_process(tmp_path):
     learner = LearnerConfig(threads=2, checkpoint_seconds=7.0, keep_checkpoints=5)
     other = replace(CONFIG, learner=learner, evaluation=EvaluationConfig(farms=3))
     assert RunStorage(tmp_path, other).restore(Trainer(other, TEAM), Intake()) == (3.0, 1)
+
+
+def test_a_checkpoint_that_names_the_whole_configuration_goes_on(tmp_path):
+    """Earlier versions did not leave out the settings of the process."""
+    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(tmp_path, CONFIG)
+    tensors, state = trainer.snapshot()
+    body = {"configuration": digest(CONFIG), "trainer": state, "intake": intake.state(), "elapsed": 4.0, "epoch": 2}
+    checkpoint.save(tmp_path / CHECKPOINTS, tensors, body, keep=1)
+    assert storage.restore(Trainer(CONFIG, TEAM), Intake()) == (4.0, 2)
 
 
 def test_a_checkpoint_of_another_configuration_is_refused(tmp_path):
