@@ -43,6 +43,7 @@ TINY = Scale(
     trial_episodes=8,
     candidates=2,
     farms=3,
+    left_out=1,
     choice_farms=2,
     points=4,
     evaluations=2,
