@@ -1,4 +1,8 @@
-"""What `eia-sec reproduce` does: say how long it takes, do what is missing, write data, pictures and a page."""
+"""What `eia-sec reproduce` does: say how long it takes, do what is missing, write data, pictures and a page.
+
+Data, pictures and page can be written again without a single run: from the records where all are there; otherwise,
+pages and pictures only, from the results that were written before.
+"""
 
 import json
 from collections.abc import Callable, Sequence
@@ -6,16 +10,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from common.errors import RunDirError
+from common.errors import RunDirError, UsageError
 from common.process import StopSignal
 from deploy.provenance import command, made_by
 from deploy.studies.bench import Bench
 from deploy.studies.catalogue import STUDIES
 from deploy.studies.estimate import Estimator
 from deploy.studies.flight_pictures import save_flights
+from deploy.studies.jobs import Job
 from deploy.studies.pictures import save_comparison, save_ensemble, save_inference, save_scalability
 from deploy.studies.runner import Runner, duration, packed
 from deploy.studies.scales import FULL
+from deploy.studies.summary import times_summary
 from deploy.studies.tables import SECTIONS, page
 
 RESULTS: Final = "results.json"
@@ -48,11 +54,32 @@ class Plan:
         scale = self.bench.scale.name
         return self.write / self.study if scale == FULL.name else self.write / scale / self.study
 
+    def jobs(self) -> list[Job]:
+        """Return every job of the study, as far as what is there tells which they are."""
+        return [job for stage in STUDIES[self.study].stages(self.bench) for job in stage]
 
-def announce(plan: Plan) -> float:
-    """Say what is missing and how long that will take; return the seconds."""
-    stages = STUDIES[plan.study].stages(plan.bench)
-    jobs = [job for stage in stages for job in stage]
+
+def announce_all(plans: Sequence[Plan]) -> None:
+    """Say what is missing of each of several studies, and how long all will take with what they share done once."""
+    estimator = Estimator(plans[0].bench.records)
+    for plan in plans:
+        announce(plan, estimator)
+    if len(plans) > 1:
+        jobs = [job for plan in plans for job in plan.jobs()]
+        missing = plans[0].bench.records.missing(jobs)
+        seconds, work = _length(missing, estimator, plans[0].at_once)
+        told = f"{len(missing)} runs, those that studies share counted once: about {duration(seconds)}"
+        plans[0].tell(f"all: {told}, {duration(work)} of one core." if missing else "all: everything is there.")
+
+
+def announce(plan: Plan, estimator: Estimator | None = None) -> float:
+    """Say what is missing and how long that will take; return the seconds.
+
+    Args:
+        plan: what is to be done.
+        estimator: one that may already know some kinds of run; a new one when None.
+    """
+    jobs = plan.jobs()
     missing = plan.bench.records.missing(jobs)
     there = len({job.digest for job in jobs}) - len(missing)
     if missing:
@@ -61,16 +88,18 @@ def announce(plan: Plan) -> float:
         )
     else:
         plan.tell(f"{plan.study}: all {there} runs are there.")
-    estimator = Estimator(plan.bench.records)
+    estimator = estimator or Estimator(plan.bench.records)
     estimator.learn(jobs)
-    loads = packed(missing, {job.digest: estimator.seconds(job) for job in missing})
-    took = [load.seconds for load in loads]
-    seconds = max(sum(took) / plan.at_once, *took, 0.0)
+    seconds, work = _length(missing, estimator, plan.at_once)
     if missing:
-        plan.tell(
-            f"{plan.study}: about {duration(seconds)}, {plan.at_once} at a time, {duration(sum(took))} of one core."
-        )
+        plan.tell(f"{plan.study}: about {duration(seconds)}, {plan.at_once} at a time, {duration(work)} of one core.")
     return seconds
+
+
+def _length(missing: list[Job], estimator: Estimator, at_once: int) -> tuple[float, float]:
+    """Return how long jobs take with so many processes at a time, and on one core, s."""
+    took = [load.seconds for load in packed(missing, {job.digest: estimator.seconds(job) for job in missing})]
+    return max(sum(took) / at_once, *took, 0.0), sum(took)
 
 
 def carry_out(plan: Plan, stop: StopSignal) -> bool:
@@ -97,14 +126,59 @@ def carry_out(plan: Plan, stop: StopSignal) -> bool:
 
 def write(plan: Plan) -> None:
     """Write results.json, pictures and README.md of a study whose jobs are all done; raise RunDirError if it cannot."""
-    study, bench, folder = STUDIES[plan.study], plan.bench, plan.folder
+    study, bench = STUDIES[plan.study], plan.bench
     origin = made_by("eia-sec", plan.arguments)
     data = {"study": plan.study, "scale": bench.scale.name, **origin, "sizes": sizes(bench), **study.summarise(bench)}
+    _save(plan, data, lambda: draw(plan.study, data, bench, plan.folder))
+
+
+def redraw(plan: Plan) -> None:
+    """Write a study's files again without doing any run.
+
+    From its records where all are there. Otherwise its results stay what they are, except that times are summed up anew
+    from those of the seeds, which results hold; paths cannot be drawn without the policy, so their pictures stay too.
+
+    Raises:
+        UsageError: there are neither all records nor results.
+        RunDirError: the results cannot be read or written.
+    """
+    missing, path = plan.bench.records.missing(plan.jobs()), plan.folder / RESULTS
+    if not missing:
+        write(plan)
+        return
+    if not path.is_file():
+        raise UsageError(f"{plan.study}: {len(missing)} runs are missing, and there is no {path} to write from.")
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RunDirError(f"{path} cannot be read: {error}.") from None
+    plan.tell(f"{plan.study}: {len(missing)} runs are missing; written again from {path} alone.")
+    for team in data.get("teams", {}).values():
+        team.update({"time": _summed(team["time"])} if "time" in team else _summed(team))
+    if plan.study == "inference":
+        data["methods"] = {name: _summed(times) for name, times in data["methods"].items()}
+    drawn = plan.study != "trajectories"
+    _save(plan, data, lambda: draw(plan.study, data, plan.bench, plan.folder) if drawn else _kept(plan.folder))
+
+
+def _kept(folder: Path) -> list[str]:
+    """Return the names of the pictures in a folder, in the order of its page where they are on it."""
+    text = (folder / PAGE).read_text(encoding="utf-8") if (folder / PAGE).is_file() else ""
+    return sorted((path.name for path in folder.glob("*.png")), key=lambda name: (text.find(f"({name})"), name))
+
+
+def _summed(times: dict[str, Any]) -> dict[str, Any]:
+    return times_summary(times["seeds"], times["commits"])
+
+
+def _save(plan: Plan, data: dict[str, Any], pictures_of: Callable[[], list[str]]) -> None:
+    """Write a study's results, pictures and page; raise RunDirError if it cannot."""
+    folder = plan.folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / RESULTS).write_text(json.dumps(data) + "\n", encoding="utf-8")
-        pictures = draw(plan.study, data, bench, folder)
-        (folder / PAGE).write_text(page(study.title, data, pictures), encoding="utf-8")
+        pictures = pictures_of()
+        (folder / PAGE).write_text(page(STUDIES[plan.study].title, data, pictures), encoding="utf-8")
     except OSError as error:
         raise RunDirError(f"cannot write into {folder}: {error.strerror}.") from error
     plan.tell(f"\n{SECTIONS[plan.study](data)}\nwritten to {folder}: {RESULTS}, {PAGE}, {', '.join(pictures)}")
@@ -128,5 +202,6 @@ def draw(study: str, data: dict[str, Any], bench: Bench, folder: Path) -> list[s
 def sizes(bench: Bench) -> dict[str, Any]:
     """Return what the scale comes to, as the page needs it."""
     scale = bench.scale
-    names = ("episodes", "seeds", "side_seeds", "trial_episodes", "farms", "choice_farms")
-    return {**{name: getattr(scale, name) for name in names}, "paper_farm": scale.paper_farm}
+    names = ("episodes", "seeds", "side_seeds", "trial_episodes", "choice_farms")
+    reported = {"first_farm": scale.reported.start, "farms": len(scale.reported)}
+    return {**{name: getattr(scale, name) for name in names}, **reported, "paper_farm": scale.paper_farm}

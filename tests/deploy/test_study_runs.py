@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.errors import SimulationError
+from common.errors import SimulationError, UsageError
 from common.policy_file import load_policy
 from common.process import StopSignal
 from deploy.inprocess import train_inprocess
@@ -19,7 +19,7 @@ from deploy.studies.flights import heading_order, visited_share
 from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
 from deploy.studies.methods import EIA_SEC, PEERS
 from deploy.studies.perform import StoppedError, perform
-from deploy.studies.reproduce import PAGE, RESULTS, Plan, announce, carry_out
+from deploy.studies.reproduce import PAGE, RESULTS, Plan, announce, announce_all, carry_out, redraw
 from deploy.studies.runner import Runner, duration, packed, progress
 from deploy.studies.scales import CHOICE_FARM, FIRST_FARM
 from deploy.studies.timing import separate_actors
@@ -196,6 +196,62 @@ def test_a_study_from_start_to_end_and_once_more(study, bench, tmp_path, monkeyp
     assert {path: path.stat().st_mtime_ns for path in bench.records.folder.iterdir()} == before
     assert json.loads((folder / RESULTS).read_text()) == data
     assert all(row.ours for row in CLAIMS[study](data)), "the claims can read the results"
+
+
+@pytest.mark.parametrize("study", ["ensemble", "inference", "trajectories"])
+def test_a_study_is_drawn_again_from_its_records(study, bench, tmp_path, monkeypatch):
+    """The same data, pictures and page come of them without any run; without them the page comes of the results."""
+    monkeypatch.setattr(Runner, "run", run_here)
+    done = plan(bench, study, tmp_path, [])
+    carry_out(done, StopSignal())
+    folder = tmp_path / "smoke" / study
+    files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    monkeypatch.setattr(Runner, "run", lambda *_: pytest.fail("a run was started"))
+    for path in folder.iterdir():
+        path.unlink()
+    redraw(done)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == files
+    told = []
+    alone = plan(Bench(TINY, Records(tmp_path / "empty")), study, tmp_path, told)
+    (folder / PAGE).write_bytes(b"an older page\n" + files[PAGE])
+    redraw(alone)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == files
+    assert "runs are missing; written again from" in told[0]
+    (folder / RESULTS).unlink()
+    with pytest.raises(UsageError, match=r"runs are missing, and there is no .*results.json"):
+        redraw(alone)
+
+
+def test_times_are_summed_up_anew_from_the_seeds(bench, tmp_path, monkeypatch):
+    """Results that hold another summary of the same times get today's."""
+    monkeypatch.setattr(Runner, "run", run_here)
+    carry_out(plan(bench, "inference", tmp_path, []), StopSignal())
+    path = tmp_path / "smoke" / "inference" / RESULTS
+    data = json.loads(path.read_text())
+    older = json.loads(path.read_text())
+    older["teams"]["6"] |= {"decide": 123.0, "q95": {}}
+    older["methods"]["MASAC"] |= {"separate": 123.0}
+    path.write_text(json.dumps(older))
+    redraw(plan(Bench(TINY, Records(tmp_path / "empty")), "inference", tmp_path, []))
+    assert json.loads(path.read_text()) == data
+    (seed,) = data["teams"]["6"]["seeds"]
+    assert data["teams"]["6"]["decide"] == seed["decide"]["median"]
+    assert data["teams"]["6"]["q95"]["separate"] == seed["separate"]["q95"]
+
+
+def test_what_studies_share_is_counted_once(tmp_path):
+    """Of two studies with the same runs, all take as long as one of them, and each alone is told too."""
+    told = []
+    fresh = Bench(TINY, Records(tmp_path / "records"))
+    one = plan(fresh, "trajectories", tmp_path, told)
+    announce_all([one, replace(one, study="trajectories")])
+    seconds = [line.partition("about ")[2].partition(",")[0] for line in told if "about" in line]
+    assert len(seconds) == 3
+    assert len(set(seconds)) == 1
+    assert told[-1].startswith(f"all: {len(one.jobs())} runs, those that studies share counted once")
+    told.clear()
+    announce_all([one])
+    assert "all:" not in "".join(told)
 
 
 def test_only_what_another_configuration_made_is_done_again(bench, tmp_path, monkeypatch):
