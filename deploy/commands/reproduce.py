@@ -18,7 +18,8 @@ from deploy.studies.bench import TWELVE, Bench
 from deploy.studies.catalogue import STUDIES
 from deploy.studies.jobs import Job, Records
 from deploy.studies.perform import perform_all
-from deploy.studies.reproduce import Plan, announce_all, carry_out, redraw
+from deploy.studies.redraw import redraw
+from deploy.studies.reproduce import Plan, announce_all, carry_out
 from deploy.studies.scales import SCALES, Scale
 
 RUN: Final = "run"

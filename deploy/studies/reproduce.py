@@ -1,8 +1,4 @@
-"""What `eia-sec reproduce` does: say how long it takes, do what is missing, write data, pictures and a page.
-
-Data, pictures and page can be written again without a single run: from the records where all are there; otherwise,
-pages and pictures only, from the results that were written before.
-"""
+"""What `eia-sec reproduce` does: say how long it takes, do what is missing, write data, pictures and a page."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -10,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from common.errors import RunDirError, UsageError
+from common.errors import RunDirError
 from common.process import StopSignal
 from deploy.provenance import command, made_by
 from deploy.studies.bench import Bench
@@ -21,7 +17,6 @@ from deploy.studies.jobs import Job
 from deploy.studies.pictures import save_comparison, save_ensemble, save_inference, save_scalability
 from deploy.studies.runner import Runner, duration, packed
 from deploy.studies.scales import FULL
-from deploy.studies.summary import times_summary
 from deploy.studies.tables import SECTIONS, page
 
 RESULTS: Final = "results.json"
@@ -129,49 +124,10 @@ def write(plan: Plan) -> None:
     study, bench = STUDIES[plan.study], plan.bench
     origin = made_by("eia-sec", plan.arguments)
     data = {"study": plan.study, "scale": bench.scale.name, **origin, "sizes": sizes(bench), **study.summarise(bench)}
-    _save(plan, data, lambda: draw(plan.study, data, bench, plan.folder))
+    save(plan, data, lambda: draw(plan.study, data, bench, plan.folder))
 
 
-def redraw(plan: Plan) -> None:
-    """Write a study's files again without doing any run.
-
-    From its records where all are there. Otherwise its results stay what they are, except that times are summed up anew
-    from those of the seeds, which results hold; paths cannot be drawn without the policy, so their pictures stay too.
-
-    Raises:
-        UsageError: there are neither all records nor results.
-        RunDirError: the results cannot be read or written.
-    """
-    missing, path = plan.bench.records.missing(plan.jobs()), plan.folder / RESULTS
-    if not missing:
-        write(plan)
-        return
-    if not path.is_file():
-        raise UsageError(f"{plan.study}: {len(missing)} runs are missing, and there is no {path} to write from.")
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise RunDirError(f"{path} cannot be read: {error}.") from None
-    plan.tell(f"{plan.study}: {len(missing)} runs are missing; written again from {path} alone.")
-    for team in data.get("teams", {}).values():
-        team.update({"time": _summed(team["time"])} if "time" in team else _summed(team))
-    if plan.study == "inference":
-        data["methods"] = {name: _summed(times) for name, times in data["methods"].items()}
-    drawn = plan.study != "trajectories"
-    _save(plan, data, lambda: draw(plan.study, data, plan.bench, plan.folder) if drawn else _kept(plan.folder))
-
-
-def _kept(folder: Path) -> list[str]:
-    """Return the names of the pictures in a folder, in the order of its page where they are on it."""
-    text = (folder / PAGE).read_text(encoding="utf-8") if (folder / PAGE).is_file() else ""
-    return sorted((path.name for path in folder.glob("*.png")), key=lambda name: (text.find(f"({name})"), name))
-
-
-def _summed(times: dict[str, Any]) -> dict[str, Any]:
-    return times_summary(times["seeds"], times["commits"])
-
-
-def _save(plan: Plan, data: dict[str, Any], pictures_of: Callable[[], list[str]]) -> None:
+def save(plan: Plan, data: dict[str, Any], pictures_of: Callable[[], list[str]]) -> None:
     """Write a study's results, pictures and page; raise RunDirError if it cannot."""
     folder = plan.folder
     try:

@@ -1,5 +1,6 @@
 """The page that a study writes beside its data: README.md with its tables, pictures and where each run comes from."""
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
@@ -15,6 +16,8 @@ Results = Mapping[str, Any]
 Cells = Sequence[str]
 
 KINDS: Final = (COMMUNICATION, MONITORING, COLLECTION)
+WIDTH: Final = 118
+"""Characters of a line of prose."""
 SMOKE_NOTE: Final = "This is the smoke scale: it shows that everything works, and its numbers mean nothing.\n"
 EARLY_NOTE: Final = (
     f"These numbers include farms {FIRST_FARM}..{FIRST_REPORTED - 1}, on which the preset was chosen (docs/method.md). "
@@ -170,10 +173,8 @@ def versions(data: Results) -> str:
     if len(set().union(*groups.values())) < 2:
         return ""
     told = "; ".join(f"{name}: {', '.join(sorted(commits))}" for name, commits in groups.items() if commits)
-    return (
-        "\nThe records are of several commits, and what differs between them may have its share in the numbers. "
-        f"{told[0].upper()}{told[1:]}.\n"
-    )
+    note = "The records are of several commits, and what differs between them may have its share in the numbers."
+    return "\n" + _filled(f"{note} {told[0].upper()}{told[1:]}.")
 
 
 def _groups(data: Results) -> dict[str, Results]:
@@ -210,20 +211,24 @@ _UNTRAINED: Final = (
 )
 
 
+def _filled(text: str) -> str:
+    return textwrap.fill(text, WIDTH, break_on_hyphens=False, break_long_words=False) + "\n"
+
+
 def _legend(data: Results) -> str:
     parts = (
-        "Reward per agent, noise-free on unseen farms: interquartile mean over seeds and farms, of a policy that\n"
-        f"learns nothing {_statistic(data)}. In brackets {LEVEL:.0%} of a bootstrap over the seeds; the farms\n"
-        "are fixed. Of few seeds that is right less often than its name says (docs/reproduce.md, Statistics).\n"
+        "Reward per agent, noise-free on unseen farms: interquartile mean over seeds and farms, of a policy that "
+        f"learns nothing {_statistic(data)}. In brackets {LEVEL:.0%} of a bootstrap over the seeds; the farms are "
+        "fixed. Of few seeds that is right less often than its name says (docs/reproduce.md, Statistics). "
         "Normalised: 0 is random, 1 the best heuristic."
     )
     if "improvement" in data:
         parts += (
-            f"\nConverged: episode from which on the smoothed training curve stays within {BAND:.0%} of its final "
-            f"value, median of\nthe seeds. Unrest: spread of the training reward over the last {TAIL:.0%}; over farms: "
-            "spread of the final reward\nover unseen farms."
+            f" Converged: episode from which on the smoothed training curve stays within {BAND:.0%} of its final "
+            f"value, median of the seeds. Unrest: spread of the training reward over the last {TAIL:.0%}; over farms: "
+            "spread of the final reward over unseen farms."
         )
-    return parts + "\n"
+    return _filled(parts)
 
 
 def _statistic(data: Results) -> str:

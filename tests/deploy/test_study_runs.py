@@ -19,9 +19,11 @@ from deploy.studies.flights import heading_order, visited_share
 from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
 from deploy.studies.methods import EIA_SEC, PEERS
 from deploy.studies.perform import StoppedError, perform
-from deploy.studies.reproduce import PAGE, RESULTS, Plan, announce, announce_all, carry_out, redraw
+from deploy.studies.redraw import redraw, summed_anew
+from deploy.studies.reproduce import PAGE, RESULTS, Plan, announce, announce_all, carry_out
 from deploy.studies.runner import Runner, duration, packed, progress
 from deploy.studies.scales import CHOICE_FARM, FIRST_FARM
+from deploy.studies.statistics import interquartile_mean
 from deploy.studies.timing import separate_actors
 from rollout.evaluation import evaluate
 from rollout.farms import FarmBatch
@@ -237,6 +239,32 @@ def test_times_are_summed_up_anew_from_the_seeds(bench, tmp_path, monkeypatch):
     (seed,) = data["teams"]["6"]["seeds"]
     assert data["teams"]["6"]["decide"] == seed["decide"]["median"]
     assert data["teams"]["6"]["q95"]["separate"] == seed["separate"]["q95"]
+
+
+def test_policies_that_learn_nothing_are_summed_up_anew_from_their_records(bench, tmp_path, monkeypatch):
+    """Older results get the methods' statistic over their own farms, and the scale's ends too; other jobs' do not."""
+    monkeypatch.setattr(Runner, "run", run_here)
+    carry_out(plan(bench, "ensemble", tmp_path, []), StopSignal())
+    data = json.loads((tmp_path / "smoke" / "ensemble" / RESULTS).read_text())
+    older = json.loads(json.dumps(data))
+    for policy in older["references"]["policies"].values():
+        policy["reward"] = policy.pop("mean_reward")
+    for method in older["methods"].values():
+        method["normalised"] = [0.0, 0.0, 0.0]
+    foreign = json.loads(json.dumps(older))
+    foreign["references"]["policies"]["greedy"]["job"] = "another"
+    wide = json.loads(json.dumps(older))
+    del wide["sizes"]["first_farm"]
+    for results in (older, foreign, wide):
+        summed_anew(results, bench)
+    assert older["references"] == data["references"]
+    for name, method in data["methods"].items():
+        assert older["methods"][name]["normalised"] == pytest.approx(method["normalised"], abs=1e-3)
+    assert "mean_reward" not in foreign["references"]["policies"]["greedy"]
+    flown = bench.records.result(bench.reference("greedy"))["reward"]
+    assert len(flown) == TINY.farms
+    middle = interquartile_mean(np.array([flown]))
+    assert wide["references"]["policies"]["greedy"]["reward"] == pytest.approx(middle, abs=1e-3)
 
 
 def test_what_studies_share_is_counted_once(tmp_path):
