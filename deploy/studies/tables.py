@@ -21,7 +21,8 @@ WIDTH: Final = 118
 SMOKE_NOTE: Final = "This is the smoke scale: it shows that everything works, and its numbers mean nothing.\n"
 EARLY_NOTE: Final = (
     f"These numbers include farms {FIRST_FARM}..{FIRST_REPORTED - 1}, on which the preset was chosen (docs/method.md). "
-    "The study was kept without\nthe farms' values, so they cannot be taken out; a run of today leaves them out.\n"
+    "The study was kept without\nits runs' values on each farm, so they cannot be taken out; a run of today leaves them"
+    " out.\n"
 )
 
 
@@ -165,7 +166,7 @@ def origins(data: Results) -> str:
 def versions(data: Results) -> str:
     """Return which commits made each group of a study's records, where more than one did: finished runs stay."""
     groups = {name: {run["commit"] for run in group.get("runs", ())} for name, group in _groups(data).items()}
-    groups |= {f"times of {name}": set(group["time"]["commits"]) for name, group in data.get("teams", {}).items()}
+    groups |= {f"times of {name} UAVs": set(group["time"]["commits"]) for name, group in data.get("teams", {}).items()}
     groups |= {f"trials of {name}": set(found.get("commits", ())) for name, found in data.get("choice", {}).items()}
     references = [data, *data.get("teams", {}).values()]
     policies = [policy for held in references for policy in held.get("references", {}).get("policies", {}).values()]
@@ -217,10 +218,10 @@ def _filled(text: str) -> str:
 
 def _legend(data: Results) -> str:
     parts = (
-        "Reward per agent, noise-free on unseen farms: interquartile mean over seeds and farms, of a policy that "
-        f"learns nothing {_statistic(data)}. In brackets {LEVEL:.0%} of a bootstrap over the seeds; the farms are "
-        "fixed. Of few seeds that is right less often than its name says (docs/reproduce.md, Statistics). "
-        "Normalised: 0 is random, 1 the best heuristic."
+        "Reward per agent, noise-free on unseen farms: interquartile mean over seeds and farms "
+        f"({_statistic(data)} for a policy that learns nothing). In brackets {LEVEL:.0%} of a bootstrap over the "
+        "seeds; the farms are fixed. Of few seeds that is right less often than its name says (docs/reproduce.md, "
+        "Statistics). Normalised: 0 is random, 1 the best heuristic."
     )
     if "improvement" in data:
         parts += (
@@ -235,7 +236,7 @@ def _statistic(data: Results) -> str:
     """Return what numbers of policies that learn nothing are over their farms."""
     held = data["references"] if "references" in data else next(iter(data["teams"].values()))["references"]
     same = all("mean_reward" in policy for policy in held["policies"].values())
-    return "over its farms" if same else "the plain mean over its farms, as these results hold no other"
+    return "over farms" if same else "the plain mean over farms, as these results hold no other,"
 
 
 def _method_cells(method: Results) -> list[str]:
