@@ -26,7 +26,7 @@ OURS: Final = "EIA-SEC"
 SHIPPED: Final = "the policy that ships"
 SEEDS: Final = "EIA-SEC, seeds of `training`"
 ABSENT: Final = "not measured"
-HEAD: Final = ("| target | of | needed | reached | |", "|---|---|---|---|---|")
+HEAD: Final = ("| target | of | needed | reached | verdict |", "|---|---|---|---|---|")
 
 
 def block(flown: Results | None, training: Results | None, reach: Results | None) -> str:

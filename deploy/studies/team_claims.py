@@ -121,7 +121,12 @@ def _methods(methods: Results) -> list[Row]:
     paper = INFERENCE_BY_METHOD[FIRST] / INFERENCE_BY_METHOD["MADDPG"]
     short: Answer = True if gap[2] < MUCH else False if gap[1] >= MUCH else None
     return [
-        Row(order, told, judged([most < SAME_ORDER * least]), f"slowest seed of any under {SAME_ORDER:g} fastest"),
+        Row(
+            order,
+            told,
+            judged([most < SAME_ORDER * least]),
+            f"the slowest seed of any within {SAME_ORDER:g} times the fastest",
+        ),
         Row(fastest, told, judged([above(p) for p in slower.values()]), f"P(slower): {chances}; {ALIKE_ACTORS}"),
         Row(little, f"{shown(gap, 2)} times MADDPG", judged([short]), f"{paper:.2f} times in the paper; {_SEEDS}"),
     ]

@@ -9,6 +9,7 @@ import pytest
 from deploy.studies.catalogue import STUDIES
 from deploy.studies.comparison_page import BLOCKS, PAGE, RESULTS, comparison, refreshed
 from deploy.studies.tables import page, versions
+from deploy.studies.targets import block as targets_block
 from deploy.studies.verdicts import NOT_RUN
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,9 +31,54 @@ def test_commits_are_told_by_group_where_there_are_several():
     """Records of one commit need no words; of two, every group has its own."""
     runs = {"A": {"runs": [{"commit": "aaa"}, {"commit": "bbb"}]}, "B": {"runs": [{"commit": "aaa"}]}}
     data = {"methods": runs, "choice": {"A": {"commits": ["ccc"]}}}
-    assert "A: aaa, bbb; B: aaa; trials of A: ccc." in versions(data)
+    assert "A: aaa, bbb; B: aaa; trials of A: ccc." in " ".join(versions(data).split())
     alone = {"methods": {"A": {"runs": [{"commit": "aaa"}]}}, "choice": {"A": {}}}
     assert versions(alone) == ""
+
+
+def flown(policy, reward, aoi):
+    around = (aoi, aoi - 0.01, aoi + 0.01)
+    rewards = (reward, reward - 5.0, reward + 5.0)
+    return {"policy": policy, "reward": rewards, "aoi": around, "vdf": around, "per_farm": [0.0] * 20 + [reward] * 80}
+
+
+def reach(*runs):
+    points = [
+        {"software": software, "points": [{"seconds": at, "reward": reward} for at, reward in course]}
+        for software, course in runs
+    ]
+    return {"bar": 1000.0, "runs": points}
+
+
+def verdicts(text, word):
+    return [
+        line.rsplit("| **", 1)[1].rstrip("* |") for line in text.splitlines() if line.startswith("|") and word in line
+    ]
+
+
+def test_targets_are_met_only_by_the_whole_interval():
+    """Reward against the best heuristic and the supply bound, AoI and VDF against all of them; nothing else is met."""
+    good = {"results": [flown("trained", 1600.0, 0.4), flown("horizon", 1400.0, 0.5)], "last_farm": 1099}
+    text = targets_block(good, None, None)
+    assert verdicts(text, "the policy that ships") == ["met"] * 4
+    assert verdicts(text, "seeds of") == ["not measured"] * 4
+    assert "1540 (horizon 1400)" in text
+    assert "1600 (1595..1605); 1600 on 1020..1099" in text
+    close = {"results": [flown("trained", 1278.0, 0.4), flown("horizon", 1164.0, 0.415)], "last_farm": 1099}
+    assert verdicts(targets_block(close, None, None), "the policy that ships") == ["not met"] * 4
+    assert "0 of 11 met." in targets_block(close, None, None)
+
+
+def test_sooner_means_ten_times():
+    """A peer that never got there counts by the time that it was given; nothing is met where ours did not get there."""
+    ours = ("EIA-SEC", [(10.0, 600.0), (20.0, 800.0)])
+    late, never = ("AgileRL", [(150.0, 600.0), (190.0, 800.0)]), ("BenchMARL", [(60.0, 600.0), (300.0, 700.0)])
+    text = targets_block(None, None, reach(ours, late, never))
+    assert verdicts(text, "than AgileRL") == ["met", "not met", "not met"]
+    assert verdicts(text, "than BenchMARL") == ["not met", "met", "not met"]
+    assert "ours not within 20 s" in text
+    short = ("BenchMARL", [(60.0, 400.0)])
+    assert verdicts(targets_block(None, None, reach(ours, short)), "than BenchMARL")[0] == "cannot be told"
 
 
 def test_early_farms_are_said_beside_the_verdicts():
