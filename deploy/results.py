@@ -7,7 +7,8 @@ from typing import Any, Final
 
 from deploy import capacity
 from deploy.intervals import interval_table
-from deploy.studies.scales import FIRST_FARM
+from deploy.studies.evidence import early_farms
+from deploy.studies.scales import FIRST_FARM, FIRST_REPORTED
 from deploy.studies.verdicts import shown
 
 RUN: Final = "EIA-SEC (this run)"
@@ -59,9 +60,12 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
     methods = sorted(study["methods"].items(), key=lambda item: -item[1]["reward"][0])
     first, seeds, size = next(iter(study["methods"])), len(methods[0][1]["runs"]), study["sizes"]
     commits = dict.fromkeys(run["commit"] for method in study["methods"].values() for run in method["runs"])
+    start = size.get("first_farm", FIRST_FARM)
+    early = f", of which the preset was chosen on {FIRST_FARM}..{FIRST_REPORTED - 1}" if early_farms(study) else ""
     rows = [
         f"Beside the paper's baselines: equal tuning, {size['episodes']} episodes and {seeds} seeds each, flown on",
-        f"farms {FIRST_FARM}..{FIRST_FARM + size['farms'] - 1}; interquartile means with 95 % bootstrap intervals, and",
+        f"farms {start}..{start + size['farms'] - 1}{early}; interquartile means, in brackets 95 % of",
+        "a bootstrap over the seeds ([what that is worth](docs/reproduce.md#statistics)), and",
         "normalised: 0 is the random policy, 1 the best heuristic. Made by",
         f"`{study['command']}`, commits {', '.join(commits)}.",
         "",
@@ -78,9 +82,10 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
 
 def _run_block(run: dict[str, Any], study: dict[str, Any]) -> str:
     farms = run["evaluations"][0]["farms"]
+    chosen = ",\nbut on which the preset's settings were chosen" if farms[0] < FIRST_REPORTED else ""
     return "\n".join(
         [
-            f"Noise-free, farms {farms[0]}..{farms[-1]}, which training never saw (it uses 0..19); one seed.",
+            f"Noise-free, farms {farms[0]}..{farms[-1]}, which training never saw (it uses 0..19){chosen}; one seed.",
             "",
             *_table(run, "EIA-SEC, default preset"),
             "",

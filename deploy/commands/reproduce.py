@@ -18,7 +18,8 @@ from deploy.studies.bench import TWELVE, Bench
 from deploy.studies.catalogue import STUDIES
 from deploy.studies.jobs import Job, Records
 from deploy.studies.perform import perform_all
-from deploy.studies.reproduce import Plan, announce, carry_out
+from deploy.studies.redraw import redraw
+from deploy.studies.reproduce import Plan, announce_all, carry_out
 from deploy.studies.scales import SCALES, Scale
 
 RUN: Final = "run"
@@ -51,6 +52,8 @@ class ReproduceArguments:
     """Team sizes of scalability; by default all of the scale's, and in any case 12, which the others stand beside."""
     plan: bool = False
     """Only say what is missing and how long it takes."""
+    redraw: bool = False
+    """Only write data, pictures and pages again, from the finished runs; where some are missing, from the results."""
 
     def sizes(self) -> Scale:
         """Return the scale with what was asked for.
@@ -83,13 +86,18 @@ def command(arguments: Sequence[str]) -> int:
     console = Console(highlight=False, soft_wrap=True, markup=False)
     bench = Bench(options.sizes(), Records(options.records))
     held = RunDirectory(options.records)
-    held.lock(LOCK)  # as long as this object lives
+    if not options.redraw:  # which reads finished records alone, so another start may be at work on more
+        held.lock(LOCK)  # as long as this object lives
     names = tuple(STUDIES) if options.study == ALL else (options.study,)
     # The scale is part of what was done, whether it was said or not.
     said = ["reproduce", *arguments] if "--scale" in arguments else ["reproduce", *arguments, "--scale", options.scale]
+    said = [word for word in said if word != "--redraw"]  # without it the command makes the same
     plans = [Plan(name, bench, options.write, options.jobs, said, console.print) for name in names]
-    for plan in plans:
-        announce(plan)
+    if options.redraw:
+        for plan in plans:
+            redraw(plan)
+        return DONE
+    announce_all(plans)
     return DONE if options.plan else _carry_out(plans, console)
 
 

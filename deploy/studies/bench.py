@@ -1,5 +1,6 @@
 """Makes the jobs of all studies at one scale, and finds what they came to."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ from common.config import RunConfig
 from deploy.studies.jobs import Job, Records
 from deploy.studies.methods import CANDIDATES, Method, configuration, with_uavs
 from deploy.studies.scales import CHOICE_FARM, FIRST_FARM, TRIAL_SEED, Scale
-from deploy.studies.statistics import Numbers
+from deploy.studies.statistics import Numbers, interquartile_mean
 
 PRESET_CANDIDATE = next(iter(CANDIDATES))
 TWELVE = 12
@@ -48,8 +49,11 @@ class Bench:
         trials = self.trials(method)
         if self.records.missing(trials):
             return PRESET_CANDIDATE
-        rewards = [float(np.mean(self.records.result(trial)["evaluation"]["reward"])) for trial in trials]
-        return list(CANDIDATES)[int(np.argmax(rewards))]
+        return list(CANDIDATES)[int(np.argmax(self.trial_rewards(method)))]
+
+    def trial_rewards(self, method: Method) -> list[float]:
+        """Return the mean reward per agent of each of a method's trials, on the farms of choice."""
+        return [float(np.mean(self.records.result(trial)["evaluation"]["reward"])) for trial in self.trials(method)]
 
     def runs(self, method: Method, seeds: int, *, tuned_as: Method | None = None, uavs: int = TWELVE) -> list[Job]:
         """Return the reported runs of a method.
@@ -95,15 +99,34 @@ class Bench:
             for seed in range(self.scale.timed_seeds)
         ]
 
-    def scores(self, runs: list[Job]) -> Numbers:
-        """Return [runs, farms] reward per agent of runs that are done."""
-        return np.array([self.records.result(run)["evaluation"]["reward"] for run in runs], np.float64)
+    def evaluations(self, runs: Sequence[Job]) -> list[dict[str, Any]]:
+        """Return the evaluations of runs or references that are done, on the reported farms alone."""
+        results = [self.records.result(run) for run in runs]
+        return [self._reported(result.get("evaluation", result)) for result in results]
+
+    def scores(self, runs: Sequence[Job]) -> Numbers:
+        """Return [runs, farms] reward per agent of runs or references that are done, on the reported farms alone."""
+        return np.array([evaluation["reward"] for evaluation in self.evaluations(runs)], np.float64)
 
     def ends(self, uavs: int = TWELVE) -> tuple[Numbers, Numbers, str]:
         """Return the rewards [farms] of the random policy and of the best heuristic, and that one's name."""
-        rewards = {job.options["policy"]: self.records.result(job)["reward"] for job in self.references(uavs)}
-        best = max(self.scale.heuristics, key=lambda name: float(np.mean(rewards[name])))
-        return np.array(rewards["random"]), np.array(rewards[best]), best
+        jobs = self.references(uavs)
+        rewards = {str(job.options["policy"]): scores for job, scores in zip(jobs, self.scores(jobs), strict=True)}
+        best = max(self.scale.heuristics, key=lambda name: float(interquartile_mean(rewards[name][None])))
+        return rewards["random"], rewards[best], best
+
+    def _reported(self, evaluation: Mapping[str, Any]) -> dict[str, Any]:
+        """Return a record's lists over farms without those farms that no result is made from.
+
+        The one place where they are left out: what a job flies, and with it its digest, stays what it was.
+        """
+        first, farms = int(evaluation["first_farm"]), self.scale.reported
+        part = slice(farms.start - first, farms.stop - first)
+        assert len(evaluation["reward"][part]) == len(farms), "asked of other farms than those of the scale"
+        sections = ("types", "figures")
+        return {"reward": evaluation["reward"][part]} | {
+            section: {name: values[part] for name, values in evaluation[section].items()} for section in sections
+        }
 
     def _train(self, label: str, config: RunConfig, farms: tuple[int, int]) -> Job:
         scale = self.scale

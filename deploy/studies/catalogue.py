@@ -8,7 +8,7 @@ from deploy.studies.bench import TWELVE, Bench
 from deploy.studies.flights import flight_summary
 from deploy.studies.jobs import Job
 from deploy.studies.methods import ABLATIONS, EIA_SEC, PEERS, Method
-from deploy.studies.summary import choice_summary, comparisons, method_summary, reference_summary
+from deploy.studies.summary import choice_summary, comparisons, method_summary, reference_summary, times_summary
 
 Stages = list[list[Job]]
 """Jobs in the order in which they can be done: which runs a later stage consists of follows from the earlier ones."""
@@ -41,12 +41,11 @@ def _compared(bench: Bench, methods: tuple[Method, ...], seeds: int) -> Stages:
 
 def _comparison(bench: Bench, methods: tuple[Method, ...], seeds: int) -> dict[str, Any]:
     runs = {method.name: bench.runs(method, seeds) for method in methods}
-    first, *others = runs
     return {
         "references": reference_summary(bench),
         "choice": choice_summary(bench, methods),
         "methods": {name: method_summary(bench, own) for name, own in runs.items()},
-        "improvement": comparisons(bench, runs[first], {name: runs[name] for name in others}),
+        **comparisons(bench, runs),
     }
 
 
@@ -64,11 +63,16 @@ def _ensemble_stages(bench: Bench) -> Stages:
 
 
 def _ensemble(bench: Bench) -> dict[str, Any]:
-    methods = {
-        method.name: method_summary(bench, bench.runs(method, bench.scale.side_seeds, tuned_as=EIA_SEC))
+    runs = {
+        method.name: bench.runs(method, bench.scale.side_seeds, tuned_as=EIA_SEC)
         for method in _member_methods(bench).values()
     }
-    return {"references": reference_summary(bench), "choice": choice_summary(bench, [EIA_SEC]), "methods": methods}
+    return {
+        "references": reference_summary(bench),
+        "choice": choice_summary(bench, [EIA_SEC]),
+        "methods": {name: method_summary(bench, own) for name, own in runs.items()},
+        "pairs": comparisons(bench, runs)["pairs"],
+    }
 
 
 def _scalability_stages(bench: Bench) -> Stages:
@@ -107,19 +111,10 @@ def _inference(bench: Bench) -> dict[str, Any]:
 
 
 def _times(bench: Bench, method: Method, uavs: int) -> dict[str, Any]:
-    """Return for each piece of a time step the least of the seeds' 5 % quantiles, ms, and every seed's times.
-
-    Other work on the machine only ever adds to a time, so the low quantiles are what it disturbs least.
-    """
+    """Return the times of a method's decisions; see `times_summary`."""
     records = [(job, bench.records.get(job)) for job in bench.timing(method, uavs)]
     results = [{"seed": job.config.seed, **record["result"]} for job, record in records if record is not None]
-    pieces = ("decide", "separate", "simulate")
-    origin = {record["commit"]: record["command"] for _, record in records if record is not None}
-    return {
-        **{piece: min(result[piece]["q05"] for result in results) for piece in pieces},
-        "seeds": results,
-        "commits": sorted(origin),
-    }
+    return times_summary(results, list({record["commit"] for _, record in records if record is not None}))
 
 
 def _trajectory_stages(bench: Bench) -> Stages:

@@ -1,25 +1,30 @@
-"""The block of docs/reproduce.md: written by `python -m deploy.studies.comparison_page` from the committed results."""
+"""The blocks of docs/reproduce.md: written by `python -m deploy.studies.comparison_page` from the committed results."""
 
 import json
 from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from deploy.studies import coverage, targets
 from deploy.studies.catalogue import STUDIES
-from deploy.studies.claims import CLAIMS, heuristics
+from deploy.studies.claims import CLAIMS, heuristics, training
+from deploy.studies.evidence import early_farms
+from deploy.studies.scales import FIRST_FARM, FIRST_REPORTED
 from deploy.studies.verdicts import NOT_RUN, Row, full, rows_table
 
 PAGE: Final = Path("docs/reproduce.md")
 RESULTS: Final = Path("docs/results/reproduce")
 HEURISTICS: Final = Path("docs/results/heuristics/results.json")
-BEGIN: Final = "<!-- comparison:begin -->"
-END: Final = "<!-- comparison:end -->"
+REACH: Final = Path("docs/results/reach/results.json")
+COVERAGE: Final = RESULTS / "coverage.json"
 
 
-def block(root: Path) -> str:
+def comparison(root: Path) -> str:
     """Return the comparison with the paper that the results in a repository allow."""
     held = {name: full(_read(root / RESULTS / name / "results.json")) for name in STUDIES}
     groups: dict[str, list[Row]] = {name: CLAIMS[name](held[name]) for name in STUDIES}
+    groups["training"] = training(held["training"], held["ablation"])
     groups["training"] += heuristics(held["training"], _read(root / HEURISTICS))
     count = Counter(row.verdict for rows in groups.values() for row in rows)
     parts = [", ".join(f"{number} {verdict}" for verdict, number in sorted(count.items())) + ".\n"]
@@ -28,17 +33,42 @@ def block(root: Path) -> str:
     return "\n".join(parts)
 
 
+def beaten(root: Path) -> str:
+    """Return the targets of the project beside what the results in a repository came to."""
+    study = full(_read(root / RESULTS / "training" / "results.json"))
+    return targets.block(_read(root / HEURISTICS), study, _read(root / REACH))
+
+
+def counted(root: Path) -> str:
+    """Return how often the statistics are right."""
+    return coverage.block(_read(root / COVERAGE))
+
+
+BLOCKS: Final[Mapping[str, Callable[[Path], str]]] = {
+    "statistics": counted,
+    "targets": beaten,
+    "comparison": comparison,
+}
+"""Every block by the word in its two marks."""
+
+
 def refreshed(text: str, root: Path) -> str:
-    """Return the page with its block written anew."""
-    head, _, rest = text.partition(BEGIN)
-    _, _, tail = rest.partition(END)
-    return f"{head}{BEGIN}\n{block(root)}{END}{tail}"
+    """Return the page with its blocks written anew."""
+    for name, block in BLOCKS.items():
+        begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+        head, found, rest = text.partition(begin)
+        _, _, tail = rest.partition(end)
+        text = f"{head}{begin}\n{block(root)}{end}{tail}" if found else text
+    return text
 
 
 def _origin(name: str, data: Any, root: Path) -> str:
     """Return where a study's numbers come from."""
     if data is not None:
-        return f"[{name}](results/reproduce/{name}/README.md): `{data['command']}`, commit {data['commit']}.\n"
+        made = f"[{name}](results/reproduce/{name}/README.md): `{data['command']}`, commit {data['commit']}."
+        farms = f"{FIRST_FARM}..{FIRST_REPORTED - 1}"
+        early = f" Its numbers include farms {farms}, on which the preset was chosen." if early_farms(data) else ""
+        return f"{made}{early}\n"
     smoke = f"results/reproduce/smoke/{name}/README.md"
     seen = f"; [a smoke run]({smoke}) shows that it works" if (root / "docs" / smoke).is_file() else ""
     return f"`eia-sec reproduce {name}`: {NOT_RUN}{seen}.\n"
@@ -49,7 +79,7 @@ def _read(path: Path) -> Any:
 
 
 def main() -> None:
-    """Write the block anew."""
+    """Write the blocks anew."""
     PAGE.write_text(refreshed(PAGE.read_text(encoding="utf-8"), Path()), encoding="utf-8")
 
 

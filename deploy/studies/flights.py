@@ -11,7 +11,6 @@ from common.team import COLLECTION, MONITORING, farm_team
 from deploy.studies.bench import Bench
 from deploy.studies.jobs import POLICY_SUFFIX
 from deploy.studies.methods import EIA_SEC
-from deploy.studies.scales import FIRST_FARM
 from deploy.studies.statistics import Numbers
 from deploy.studies.summary import choice_summary, reference_summary
 from rollout.evaluation import Trajectory, record
@@ -21,16 +20,18 @@ CELLS: Final = 10
 """Cells along each side of the field, of which a type visits a share."""
 HEADINGS: Final = 16
 """Directions that a path's steps are counted in."""
+LATTICE_HEADINGS: Final = 8
+"""Ways that lead from a place of the lattice to its neighbours, each in the middle of one of HEADINGS."""
 DIGITS: Final = 3
 
 
 def flights(bench: Bench) -> dict[int, dict[str, Trajectory]]:
-    """Fly EIA-SEC, the first seed of `training`, and the best heuristic over the first unseen farms."""
+    """Fly EIA-SEC, the first seed of `training`, and the best heuristic over the first reported farms."""
     (run,) = bench.runs(EIA_SEC, 1)
     config, best = run.config.farm, bench.ends()[2]
     bank, _ = load_policy(bench.records.path(run, POLICY_SUFFIX))
     policies: dict[str, Policy] = {EIA_SEC.name: ActorPolicy(bank), best: policy_of(best, config)}
-    farms = range(FIRST_FARM, FIRST_FARM + bench.scale.flights)
+    farms = bench.scale.reported[: bench.scale.flights]
     return {farm: {name: record(config, policy, farm, 0) for name, policy in policies.items()} for farm in farms}
 
 
@@ -43,6 +44,7 @@ def flight_summary(bench: Bench) -> dict[str, Any]:
         "references": reference_summary(bench),
         "choice": choice_summary(bench, [EIA_SEC]),
         "run": {name: held[name] for name in ("job", "config", "seed", "commit", "command", "seconds")},
+        "monitors_steer_by": run.config.farm.control.monitoring,
         "farms": {
             str(farm): {name: described(trajectory) for name, trajectory in flown.items()}
             for farm, flown in flights(bench).items()
@@ -94,6 +96,11 @@ def visited_share(paths: Numbers, field: tuple[float, float]) -> float:
     """Return the share of the CELLS x CELLS cells of a field that paths [T, n, 2] were over."""
     place = np.clip((paths / np.array(field) * CELLS).astype(int), 0, CELLS - 1).reshape(-1, 2)
     return len(np.unique(place, axis=0)) / CELLS**2
+
+
+def lattice_order() -> float:
+    """Return the order of headings that are spread evenly over those of a lattice: what steering by one gives alone."""
+    return float(1.0 - np.log(LATTICE_HEADINGS) / np.log(HEADINGS))
 
 
 def heading_order(path: Numbers) -> float:

@@ -220,9 +220,10 @@ def _beside(axes: Axes, found: Mapping[int, Numbers], paper: Mapping[int, float]
     value, low, high = np.array([found[number] for number in x]).T
     if paper:
         axes.plot(list(paper), list(paper.values()), "x--", color="0.35", label="paper", markersize=6)
-    axes.errorbar(
-        x, value, (value - low, high - value), fmt="o-", color=OTHER_COLOURS[0], capsize=3, label="ours", markersize=5
-    )
+    axes.plot(x, value, "o-", color=OTHER_COLOURS[0], label="ours", markersize=5)
+    # Bars have a middle of their own: with few seeds a bootstrap's interval need not hold the value itself, and ratios
+    # to a negative reward have their ends the other way round.
+    axes.errorbar(x, (low + high) / 2, np.abs(high - low) / 2, fmt="none", color=OTHER_COLOURS[0], capsize=3)
     _bare(axes)
 
 

@@ -13,6 +13,7 @@ from deploy.studies.bench import Bench
 from deploy.studies.catalogue import STUDIES
 from deploy.studies.estimate import Estimator
 from deploy.studies.flight_pictures import save_flights
+from deploy.studies.jobs import Job
 from deploy.studies.pictures import RESULTS, save_pictures
 from deploy.studies.runner import Runner, duration, packed
 from deploy.studies.scales import FULL
@@ -47,12 +48,36 @@ class Plan:
         scale = self.bench.scale.name
         return self.write / self.study if scale == FULL.name else self.write / scale / self.study
 
+    def jobs(self) -> list[Job]:
+        """Return every job of the study, as far as what is there tells which they are."""
+        return [job for stage in STUDIES[self.study].stages(self.bench) for job in stage]
 
-def announce(plan: Plan) -> float:
-    """Say what is missing and how long that will take; return the seconds."""
-    study = STUDIES[plan.study]
-    jobs = [job for stage in study.stages(plan.bench) for job in stage]
-    missing = plan.bench.records.missing(jobs, flown=study.flies)
+    def missing(self) -> list[Job]:
+        """Return those of them that are to be done."""
+        return self.bench.records.missing(self.jobs(), flown=STUDIES[self.study].flies)
+
+
+def announce_all(plans: Sequence[Plan]) -> None:
+    """Say what is missing of each of several studies, and how long all will take with what they share done once."""
+    estimator = Estimator(plans[0].bench.records)
+    for plan in plans:
+        announce(plan, estimator)
+    if len(plans) > 1:
+        missing = list({job.digest: job for plan in plans for job in plan.missing()}.values())
+        seconds, work = _length(missing, estimator, plans[0].at_once)
+        told = f"{len(missing)} runs, those that studies share counted once: about {duration(seconds)}"
+        plans[0].tell(f"all: {told}, {duration(work)} of one core." if missing else "all: everything is there.")
+
+
+def announce(plan: Plan, estimator: Estimator | None = None) -> float:
+    """Say what is missing and how long that will take; return the seconds.
+
+    Args:
+        plan: what is to be done.
+        estimator: one that may already know some kinds of run; a new one when None.
+    """
+    jobs = plan.jobs()
+    missing = plan.missing()
     there = len({job.digest for job in jobs}) - len(missing)
     if missing:
         plan.tell(
@@ -60,16 +85,18 @@ def announce(plan: Plan) -> float:
         )
     else:
         plan.tell(f"{plan.study}: all {there} runs are there.")
-    estimator = Estimator(plan.bench.records)
+    estimator = estimator or Estimator(plan.bench.records)
     estimator.learn(jobs)
-    loads = packed(missing, {job.digest: estimator.seconds(job) for job in missing})
-    took = [load.seconds for load in loads]
-    seconds = max(sum(took) / plan.at_once, *took, 0.0)
+    seconds, work = _length(missing, estimator, plan.at_once)
     if missing:
-        plan.tell(
-            f"{plan.study}: about {duration(seconds)}, {plan.at_once} at a time, {duration(sum(took))} of one core."
-        )
+        plan.tell(f"{plan.study}: about {duration(seconds)}, {plan.at_once} at a time, {duration(work)} of one core.")
     return seconds
+
+
+def _length(missing: list[Job], estimator: Estimator, at_once: int) -> tuple[float, float]:
+    """Return how long jobs take with so many processes at a time, and on one core, s."""
+    took = [load.seconds for load in packed(missing, {job.digest: estimator.seconds(job) for job in missing})]
+    return max(sum(took) / at_once, *took, 0.0), sum(took)
 
 
 def carry_out(plan: Plan, stop: StopSignal) -> bool:
@@ -98,14 +125,20 @@ def carry_out(plan: Plan, stop: StopSignal) -> bool:
 
 def write(plan: Plan) -> None:
     """Write results.json, pictures and README.md of a study whose jobs are all done; raise RunDirError if it cannot."""
-    study, bench, folder = STUDIES[plan.study], plan.bench, plan.folder
+    study, bench = STUDIES[plan.study], plan.bench
     origin = made_by("eia-sec", plan.arguments)
     data = {"study": plan.study, "scale": bench.scale.name, **origin, "sizes": sizes(bench), **study.summarise(bench)}
+    save(plan, data, lambda: draw(plan.study, data, bench, plan.folder))
+
+
+def save(plan: Plan, data: dict[str, Any], pictures_of: Callable[[], list[str]]) -> None:
+    """Write a study's results, pictures and page; raise RunDirError if it cannot."""
+    folder = plan.folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / RESULTS).write_text(json.dumps(data) + "\n", encoding="utf-8")
-        pictures = draw(plan.study, data, bench, folder)
-        (folder / PAGE).write_text(page(study.title, data, pictures), encoding="utf-8")
+        pictures = pictures_of()
+        (folder / PAGE).write_text(page(STUDIES[plan.study].title, data, pictures), encoding="utf-8")
     except OSError as error:
         raise RunDirError(f"cannot write into {folder}: {error.strerror}.") from error
     plan.tell(f"\n{SECTIONS[plan.study](data)}\nwritten to {folder}: {RESULTS}, {PAGE}, {', '.join(pictures)}")
@@ -120,5 +153,6 @@ def sizes(bench: Bench) -> dict[str, Any]:
     """Return what the scale comes to, as the page needs it."""
     scale = bench.scale
     seeds = ("seeds", "side_seeds", "team_seeds")
-    names = ("episodes", *seeds, "trial_episodes", "long_trial_episodes", "farms", "choice_farms")
-    return {**{name: getattr(scale, name) for name in names}, "paper_farm": scale.paper_farm}
+    names = ("episodes", *seeds, "trial_episodes", "long_trial_episodes", "choice_farms")
+    reported = {"first_farm": scale.reported.start, "farms": len(scale.reported)}
+    return {**{name: getattr(scale, name) for name in names}, **reported, "paper_farm": scale.paper_farm}

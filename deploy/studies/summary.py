@@ -1,11 +1,13 @@
 """What the runs of one method came to, as the results of a study keep it."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from deploy.studies.bench import TWELVE, Bench
+from deploy.studies.evidence import FIGURES
 from deploy.studies.jobs import Job
 from deploy.studies.methods import CANDIDATES, Method
 from deploy.studies.scales import TRIAL_SEED
@@ -15,6 +17,7 @@ from deploy.studies.statistics import (
     convergence,
     final_value,
     improvement_interval,
+    interquartile_mean,
     interval,
     mean,
     normalised,
@@ -28,35 +31,44 @@ DIGITS: Final = 4
 def method_summary(bench: Bench, runs: Sequence[Job], uavs: int = TWELVE) -> dict[str, Any]:
     """Return the statistics of a method's runs over seeds and unseen farms, its curves, and every run's origin."""
     records = [bench.records.get(run) for run in runs]
-    results = [record["result"] for record in records if record is not None]
+    evaluations = bench.evaluations(runs)
     random, best, _ = bench.ends(uavs)
-    reward = bench.scores(list(runs))
-    types = results[0]["evaluation"]["types"]
-    figures = results[0]["evaluation"]["figures"]
+    reward = bench.scores(runs)
+    types, figures = evaluations[0]["types"], evaluations[0]["figures"]
     return {
         "normalised": told(interval(normalised(reward, random, best))),
         "reward": told(interval(reward)),
         "mean_reward": told(interval(reward, mean)),
-        "types": {name: told(interval(_stacked(results, "types", name))) for name in types},
-        "figures": {name: told(interval(_stacked(results, "figures", name))) for name in figures},
+        "types": {name: told(interval(_stacked(evaluations, "types", name))) for name in types},
+        "figures": {name: told(interval(_stacked(evaluations, "figures", name))) for name in figures},
         "farm_spread": round(spread(reward), DIGITS),
-        "runs": [_run(run, record) for run, record in zip(runs, records, strict=True) if record is not None],
+        "runs": [
+            _run(run, record, evaluation)
+            for run, record, evaluation in zip(runs, records, evaluations, strict=True)
+            if record is not None
+        ],
     }
 
 
 def reference_summary(bench: Bench, uavs: int = TWELVE) -> dict[str, Any]:
-    """Return the means of every policy that learns nothing, and which heuristic is the best."""
+    """Return interquartile means over the farms of every policy that learns nothing, and which heuristic is the best.
+
+    The statistic is that of the methods, which have several seeds; such a policy has one row of farms. Its plain mean
+    stands beside.
+    """
     random, best, name = bench.ends(uavs)
-    policies = {}
-    for job in bench.references(uavs):
-        result = bench.records.result(job)
-        reward = np.array(result["reward"])
+    policies, jobs = {}, bench.references(uavs)
+    for job, evaluation in zip(jobs, bench.evaluations(jobs), strict=True):
+        record, reward = bench.records.get(job), np.array(evaluation["reward"])
+        assert record is not None, "asked for before it was done"
         policies[str(job.options["policy"])] = {
-            "reward": round(float(reward.mean()), DIGITS),
-            "normalised": round(float(normalised(reward, random, best).mean()), DIGITS),
-            "types": {kind: round(float(np.mean(values)), DIGITS) for kind, values in result["types"].items()},
-            "figures": {kind: round(float(np.mean(values)), DIGITS) for kind, values in result["figures"].items()},
+            "reward": _middle(reward),
+            "mean_reward": round(float(reward.mean()), DIGITS),
+            "normalised": _middle(normalised(reward, random, best)),
+            "types": {kind: _middle(values) for kind, values in evaluation["types"].items()},
+            "figures": {kind: _middle(values) for kind, values in evaluation["figures"].items()},
             "job": job.digest,
+            "commit": record["commit"],
         }
     return {"best": name, "policies": policies}
 
@@ -66,19 +78,55 @@ def choice_summary(bench: Bench, methods: Sequence[Method]) -> dict[str, Any]:
     names = list(CANDIDATES)[: bench.scale.candidates]
     found: dict[str, Any] = {}
     for method in methods:
-        jobs = bench.trials(method)
-        rewards = bench.scores(jobs).mean(axis=1)
-        trials = {name: round(float(reward), DIGITS) for name, reward in zip(names, rewards, strict=True)}
-        records = [bench.records.get(job) for job in jobs]
+        rewards = bench.trial_rewards(method)
+        trials = {name: round(reward, DIGITS) for name, reward in zip(names, rewards, strict=True)}
+        records = [bench.records.get(job) for job in bench.trials(method)]
         commits = sorted({str(record["commit"]) for record in records if record is not None})
         found[method.name] = {"chosen": bench.choice(method), "trials": trials, "seed": TRIAL_SEED, "commits": commits}
     return found
 
 
-def comparisons(bench: Bench, first: Sequence[Job], others: dict[str, list[Job]]) -> dict[str, list[float]]:
-    """Return the probability that a run of the first method is above one of each other on the same farm."""
-    own = bench.scores(list(first))
-    return {name: told(improvement_interval(own, bench.scores(runs))) for name, runs in others.items()}
+def comparisons(bench: Bench, runs: Mapping[str, Sequence[Job]]) -> dict[str, Any]:
+    """Return the probability that a run of one method is better than one of another on the same farm.
+
+    Args:
+        bench: the records.
+        runs: the runs of each method, by its name.
+
+    Returns:
+        `improvement`: of the first method over each other, by reward. `pairs`: by each of FIGURES, of each method over
+        every one that comes after it; less AoI and less VDF are better.
+    """
+    evaluations = {name: bench.evaluations(own) for name, own in runs.items()}
+    pairs: dict[str, dict[str, dict[str, list[float]]]] = {}
+    for figure, sign in FIGURES.items():
+        scores = {name: sign * _figure(own, figure) for name, own in evaluations.items()}
+        found: dict[str, dict[str, list[float]]] = {}
+        for one, other in itertools.combinations(scores, 2):
+            found.setdefault(one, {})[other] = told(improvement_interval(scores[one], scores[other]))
+        pairs[figure] = found
+    first = next(iter(runs))
+    return {"improvement": pairs["reward"].get(first, {}), "pairs": pairs}
+
+
+def times_summary(seeds: Sequence[Mapping[str, Any]], commits: Sequence[str]) -> dict[str, Any]:
+    """Return what the timings of several seeds come to, ms.
+
+    Args:
+        seeds: for each seed what `timing.time_decisions` found.
+        commits: what made them.
+
+    Returns:
+        For each piece the median of the seeds' medians, under its own name; under `q95` the largest of the seeds' 95 %
+        quantiles; and every seed's times.
+    """
+    pieces = ("decide", "separate", "simulate")
+    return {
+        **{piece: round(float(np.median([seed[piece]["median"] for seed in seeds])), 5) for piece in pieces},
+        "q95": {piece: max(seed[piece]["q95"] for seed in seeds) for piece in pieces},
+        "seeds": list(seeds),
+        "commits": sorted(commits),
+    }
 
 
 def told(found: Interval) -> list[float]:
@@ -86,11 +134,23 @@ def told(found: Interval) -> list[float]:
     return [round(number, DIGITS) for number in found]
 
 
-def _stacked(results: Sequence[dict[str, Any]], section: str, name: str) -> Numbers:
-    return np.array([result["evaluation"][section][name] for result in results], np.float64)
+def _stacked(evaluations: Sequence[Mapping[str, Any]], section: str, name: str) -> Numbers:
+    return np.array([evaluation[section][name] for evaluation in evaluations], np.float64)
 
 
-def _run(job: Job, record: dict[str, Any]) -> dict[str, Any]:
+def _figure(evaluations: Sequence[Mapping[str, Any]], name: str) -> Numbers:
+    """Return [runs, farms] of one of FIGURES."""
+    if name == "reward":
+        return np.array([evaluation["reward"] for evaluation in evaluations], np.float64)
+    return _stacked(evaluations, "figures", name)
+
+
+def _middle(values: Any) -> float:
+    """Return the interquartile mean over the farms of what one policy came to on each."""
+    return round(float(interquartile_mean(np.array(values, np.float64)[None])), DIGITS)
+
+
+def _run(job: Job, record: dict[str, Any], evaluation: Mapping[str, Any]) -> dict[str, Any]:
     """Return a run as it stands in the results: origin, counters, end, curve, convergence and unrest."""
     result = record["result"]
     curve = result["curve"]
@@ -100,11 +160,14 @@ def _run(job: Job, record: dict[str, Any]) -> dict[str, Any]:
         **{name: record[name] for name in ("job", "config", "seed", "commit", "command", "seconds")},
         **{name: result[name] for name in ("episodes", "environment_steps", "evaluation_steps", "updates", "events")},
         "diverged": result["diverged"],
-        "reward": round(float(np.mean(result["evaluation"]["reward"])), DIGITS),
+        "reward": round(float(np.mean(evaluation["reward"])), DIGITS),
+        "figures": {name: round(float(np.mean(values)), DIGITS) for name, values in evaluation["figures"].items()},
+        "farm_spread": round(spread(np.array(evaluation["reward"])), DIGITS),
         "training_reward": round(final_value(reward), DIGITS) if reward else None,
         "converged": convergence(curve["episodes"], reward) if reward else None,
         "unrest": round(unrest(reward), DIGITS) if reward else None,
         "overestimation": result.get("overestimation", {}),
+        "reward_scale": job.config.algorithm.reward_scale,
         "realised_return": result.get("realised_return", {}),
         "compared_value": result.get("compared_value"),
         "curve": curve,

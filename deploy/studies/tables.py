@@ -1,27 +1,38 @@
 """The page that a study writes beside its data: README.md with its tables, pictures and where each run comes from."""
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from common.team import COLLECTION, COMMUNICATION, MONITORING
-from deploy.studies.claims import mean_unrest
+from deploy.studies.evidence import early_farms, mean_unrest
 from deploy.studies.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
+from deploy.studies.pictures import caption
+from deploy.studies.scales import FIRST_FARM, FIRST_REPORTED
 from deploy.studies.statistics import BAND, LEVEL, TAIL
 
 Results = Mapping[str, Any]
 Cells = Sequence[str]
 
 KINDS: Final = (COMMUNICATION, MONITORING, COLLECTION)
+WIDTH: Final = 118
+"""Characters of a line of prose."""
 SMOKE_NOTE: Final = "This is the smoke scale: it shows that everything works, and its numbers mean nothing.\n"
+EARLY_NOTE: Final = (
+    f"These numbers include farms {FIRST_FARM}..{FIRST_REPORTED - 1}, on which the preset was chosen (docs/method.md). "
+    "The study was kept without\nits runs' values on each farm, so they cannot be taken out; a run of today leaves them"
+    " out.\n"
+)
 
 
 def page(title: str, data: Results, pictures: Sequence[str]) -> str:
     """Return the whole page of a study."""
     made = f"`{data['command']}`, commit {data['commit']}.\n"
-    parts = [f"# {title}\n", made, SMOKE_NOTE if data["scale"] == "smoke" else "", SECTIONS[data["study"]](data)]
-    parts += [f"![{name.removesuffix('.png')}]({name})\n" for name in pictures]
+    notes = [SMOKE_NOTE if data["scale"] == "smoke" else "", EARLY_NOTE if early_farms(data) else ""]
+    parts = [f"# {title}\n", made, *notes, SECTIONS[data["study"]](data)]
+    parts += [f"![{name.removesuffix('.png')}]({name})\n\n{caption(name)}\n" for name in pictures]
     if "choice" in data:
         parts += ["## Settings\n", choices(data)]
     parts += ["## Where it comes from\n", origins(data)]
@@ -36,7 +47,7 @@ def headline(data: Results) -> str:
     rows = []
     for name, method in methods.items():
         better = data["improvement"].get(name) if "improvement" in data else None
-        rows.append((method["mean_reward"][0], [f"**{name}**", *_method_cells(method), *_more(method, better)]))
+        rows.append((method["reward"][0], [f"**{name}**", *_method_cells(method), *_more(method, better)]))
     for name, policy in references.items():
         types = [f"{policy['types'][kind]:.0f}" for kind in KINDS]
         figures = [f"{policy['figures'][kind]:.2f}" for kind in ("aoi", "vdf")]
@@ -66,7 +77,8 @@ def teams(data: Results) -> str:
         known = f"{team['references']['best']} {best['reward']:.0f}"
         rows.append([name, paper[0], *ours, known, paper[1], *_time_cells(team["time"]), str(len(team["runs"]))])
     head = ("UAVs", "paper: reward", "reward", "normalised", "best heuristic", "paper: ms")
-    return table([*head, "decide, ms", "separate, ms", "simulate, ms", "seeds"], rows) + "\n" + _TIMES
+    told = table([*head, "decide, ms", "separate, ms", "simulate, ms", "seeds"], rows)
+    return "\n".join([told, _legend(data), _TIMES])
 
 
 def inference(data: Results) -> str:
@@ -148,7 +160,30 @@ def origins(data: Results) -> str:
         return f"Every time of one thread; commit {', '.join(commits)}.\n"
     return table(("run", "command", "seed", "commit", "configuration", "environment steps", "minutes"), rows) + (
         "\nEnvironment steps include those that elite imitation flew to choose elites, which stand in brackets.\n"
+        + versions(data)
     )
+
+
+def versions(data: Results) -> str:
+    """Return which commits made each group of a study's records, where more than one did: finished runs stay."""
+    groups = {name: {run["commit"] for run in group.get("runs", ())} for name, group in _groups(data).items()}
+    groups |= {f"times of {name} UAVs": set(group["time"]["commits"]) for name, group in data.get("teams", {}).items()}
+    groups |= {f"trials of {name}": set(found.get("commits", ())) for name, found in data.get("choice", {}).items()}
+    references = [data, *data.get("teams", {}).values()]
+    policies = [policy for held in references for policy in held.get("references", {}).get("policies", {}).values()]
+    groups["policies that learn nothing"] = {policy["commit"] for policy in policies if "commit" in policy}
+    if len(set().union(*groups.values())) < 2:
+        return ""
+    told = "; ".join(f"{name}: {', '.join(sorted(commits))}" for name, commits in groups.items() if commits)
+    note = "The records are of several commits, and what differs between them may have its share in the numbers."
+    return "\n" + _filled(f"{note} {told[0].upper()}{told[1:]}.")
+
+
+def _groups(data: Results) -> dict[str, Results]:
+    """Return methods and teams by the name that a reader knows them by."""
+    teams = {f"{uavs} UAVs": team for uavs, team in data.get("teams", {}).items()}
+    run = {"the run": {"runs": [data["run"]]}} if "run" in data else {}
+    return {**run, **data.get("methods", {}), **teams}
 
 
 def runs_of(data: Results) -> list[Results]:
@@ -166,26 +201,43 @@ def table(head: Cells, rows: Sequence[Cells]) -> str:
 
 
 _TIMES: Final = (
-    "Times for all UAVs together at each time step, one thread: the least of the seeds' 5 % quantiles, which other "
-    "work\non the machine disturbs least. *Decide*: from observations to actions with all actors stacked, as this "
-    "project flies\nthem. *Separate*: the same by one torch network after another. *Simulate*: the simulator's step "
-    "with assignment,\nrewards and all observations.\n"
+    "Times for all UAVs together at each time step, one thread: the median of the seeds' medians, in brackets the\n"
+    "least and the largest of these, and behind the semicolon the largest of the seeds' 95 % quantiles. *Decide*:\n"
+    "from observations to actions with all actors stacked, as this project flies them. *Separate*: the same by one\n"
+    "torch network after another. *Simulate*: the simulator's step with assignment, rewards and all observations.\n"
+    "Other work on the machine is in them. They compare within a page: `scalability` and `inference` share timings\n"
+    "that one machine made, and otherwise differ by machine, commit and what else ran.\n"
 )
 _UNTRAINED: Final = (
     "The actors are untrained: what an actor computes does not depend on its weights, and flying needs no critic.\n"
 )
 
 
+def _filled(text: str) -> str:
+    return textwrap.fill(text, WIDTH, break_on_hyphens=False, break_long_words=False) + "\n"
+
+
 def _legend(data: Results) -> str:
-    what = f"interquartile mean and its {LEVEL:.0%} bootstrap interval over seeds and farms; normalised"
-    parts = f"Reward per agent, noise-free on unseen farms: {what}: 0 is random, 1 the best heuristic."
+    parts = (
+        "Reward per agent, noise-free on unseen farms: interquartile mean over seeds and farms "
+        f"({_statistic(data)} for a policy that learns nothing). In brackets {LEVEL:.0%} of a bootstrap over the "
+        "seeds; the farms are fixed. Of few seeds that is right less often than its name says (docs/reproduce.md, "
+        "Statistics). Normalised: 0 is random, 1 the best heuristic."
+    )
     if "improvement" in data:
         parts += (
-            f"\nConverged: episode from which on the smoothed training curve stays within {BAND:.0%} of its final "
-            f"value, median of\nthe seeds. Unrest: spread of the training reward over the last {TAIL:.0%}; over farms: "
-            "spread of the final reward\nover unseen farms."
+            f" Converged: episode from which on the smoothed training curve stays within {BAND:.0%} of its final "
+            f"value, median of the seeds. Unrest: spread of the training reward over the last {TAIL:.0%}; over farms: "
+            "spread of the final reward over unseen farms."
         )
-    return parts + "\n"
+    return _filled(parts)
+
+
+def _statistic(data: Results) -> str:
+    """Return what numbers of policies that learn nothing are over their farms."""
+    held = data["references"] if "references" in data else next(iter(data["teams"].values()))["references"]
+    same = all("mean_reward" in policy for policy in held["policies"].values())
+    return "over farms" if same else "the plain mean over farms, as these results hold no other,"
 
 
 def _method_cells(method: Results) -> list[str]:
@@ -204,10 +256,10 @@ def _more(method: Results, better: Sequence[float] | None) -> list[str]:
     converged = f"{np.median(episodes):.0f}" if episodes else "none"
     if len(episodes) < len(runs):
         converged += f" ({len(episodes)} of {len(runs)})"
-    unrest = mean_unrest(method)
+    restless = mean_unrest(method)
     seeds = f"{len(runs)}" + (f", {lost} diverged" if lost else "")
     improved = _interval(better, 2) if better is not None else ""
-    return [improved, converged, f"{unrest:.0f}", f"{method['farm_spread']:.0f}", seeds]
+    return [improved, converged, f"{restless:.0f}", f"{method['farm_spread']:.0f}", seeds]
 
 
 def _interval(numbers: Sequence[float], digits: int) -> str:
@@ -216,7 +268,12 @@ def _interval(numbers: Sequence[float], digits: int) -> str:
 
 
 def _time_cells(times: Results) -> list[str]:
-    return [f"{times[piece]:.3f}" for piece in ("decide", "separate", "simulate")]
+    cells = []
+    for piece in ("decide", "separate", "simulate"):
+        medians = [seed[piece]["median"] for seed in times["seeds"]]
+        late = max(seed[piece]["q95"] for seed in times["seeds"])
+        cells.append(f"{_interval((float(np.median(medians)), min(medians), max(medians)), 3)}; {late:.3f}")
+    return cells
 
 
 def _known(paper: Mapping[Any, float], key: Any) -> str:

@@ -15,6 +15,10 @@ NEAR: Final = 0.05
 """Ratios of rewards that differ by less count as equal."""
 NEAR_TIME: Final = 0.1
 """The same for ratios of times."""
+SIMILAR: Final = 0.1
+"""Methods' normalised scores within this count as alike."""
+FAR: Final = 0.2
+"""A normalised lead has to be larger than this to be far: twice what still counts as alike, so nothing can be both."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +52,20 @@ def above(probability: Triple) -> Answer:
     return True if probability[1] > 0.5 else False if probability[2] < 0.5 else None
 
 
-def lower(one: Triple, other: Triple) -> Answer:
-    """Return whether the first number is the lower one; open where the intervals overlap."""
-    return True if one[2] < other[1] else False if one[1] > other[2] else None
+def far(lead: Triple) -> Answer:
+    """Return whether a normalised lead is a large one; open where its interval lies on both sides of FAR."""
+    return True if lead[1] > FAR else False if lead[2] <= FAR else None
+
+
+def similar(lead: Triple, probability: Triple) -> Answer:
+    """Return whether two methods are alike.
+
+    They are when the whole interval of the difference is within SIMILAR, so that few seeds cannot show it; they are not
+    when one is above the other and the difference is larger.
+    """
+    if max(abs(lead[1]), abs(lead[2])) <= SIMILAR:
+        return True
+    return False if above(probability) is not None and abs(lead[0]) > SIMILAR else None
 
 
 def alike(paper: float, ours: float, near: float = NEAR) -> Verdict:
@@ -65,19 +80,50 @@ def alike(paper: float, ours: float, near: float = NEAR) -> Verdict:
     return "holds in part" if (ours - 1.0) * (paper - 1.0) > 0.0 else "does not hold"
 
 
-def best_of(rewards: Mapping[str, Triple], wanted: str) -> Verdict:
-    """Return whether the wanted one has the largest number, and clearly so."""
-    others = {name: numbers for name, numbers in rewards.items() if name != wanted}
-    first = max(rewards, key=lambda name: rewards[name][0])
-    if first == wanted:
-        return "holds" if all(lower(numbers, rewards[wanted]) for numbers in others.values()) else "holds in part"
-    return "does not hold" if lower(rewards[wanted], rewards[first]) else "cannot be told"
+def alike_throughout(paper: float, ours: Triple, near: float = NEAR) -> Verdict:
+    """Return how two ratios agree when ours has an interval, judged as `alike` does.
+
+    The paper's number holds when the whole interval is within the tolerance, is open when a part of it is, and is
+    refuted otherwise; then it still holds in part when the whole interval is on its side of 1.
+    """
+    low, high = min(ours), max(ours)
+    inside = [abs(number / paper - 1.0) <= near for number in (low, high)]
+    if all(inside):
+        return "holds"
+    if any(inside) or low <= paper <= high:
+        return "cannot be told"
+    same = {alike(paper, number, near) for number in ours}
+    return "holds in part" if same == {"holds in part"} else "does not hold"
+
+
+def best_of(numbers: Mapping[str, Triple], wanted: str, better: Mapping[str, Triple]) -> Verdict:
+    """Return whether the wanted one is the best of several, and clearly so.
+
+    Args:
+        numbers: every one's number.
+        wanted: the one that is said to be the best.
+        better: the probability that the wanted one is better than each other.
+    """
+    answers = [above(probability) for probability in better.values()]
+    if max(numbers, key=lambda name: numbers[name][0]) == wanted:
+        return "holds" if all(answers) else "holds in part"
+    return "does not hold" if False in answers else "cannot be told"
+
+
+def ratio(one: Triple, other: Triple) -> Triple:
+    """Return the ratio of two positive numbers, and its ends when each is anywhere in its interval."""
+    return one[0] / other[0], one[1] / other[2], one[2] / other[1]
 
 
 def shown(numbers: Triple, digits: int = 0) -> str:
     """Return a number with its interval."""
     value, low, high = (f"{number:.{digits}f}" for number in numbers)
     return value if low == high else f"{value} ({low}..{high})"
+
+
+def listed(numbers: Mapping[str, str]) -> str:
+    """Return names with what each has, one after another."""
+    return ", ".join(f"{name} {value}" for name, value in numbers.items())
 
 
 def rows_table(rows: Sequence[Row]) -> str:

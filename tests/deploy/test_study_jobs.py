@@ -18,7 +18,8 @@ from deploy.studies.bench import Bench
 from deploy.studies.catalogue import STUDIES
 from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
 from deploy.studies.methods import ABLATIONS, CANDIDATES, EIA_SEC, PEERS, configuration, training_episodes, with_uavs
-from deploy.studies.scales import CHOICE_FARM, FIRST_FARM, FULL, SMOKE, TRIAL_SEED
+from deploy.studies.scales import CHOICE_FARM, FIRST_FARM, FIRST_REPORTED, FULL, SMOKE, TRIAL_SEED
+from deploy.studies.summary import reference_summary
 from tests.deploy.tiny_study import TINY
 
 MADE = {"command": "eia-sec reproduce training", "commit": "abc1234"}
@@ -189,7 +190,7 @@ def test_teams_are_split_evenly(uavs, split):
 
 @pytest.mark.parametrize("scale", [SMOKE, FULL], ids=lambda scale: scale.name)
 def test_reported_farms_and_seeds_are_seen_by_nothing_else(scale, tmp_path):
-    """Training farms, farms of choice and reported farms are apart, and no reported run has the trials' seed."""
+    """Training farms, farms of choice and flown farms are apart, and no reported run has the trials' seed."""
     bench = Bench(scale, Records(tmp_path))
     assert bench.base().rollout.train_farms <= CHOICE_FARM
     assert CHOICE_FARM + scale.choice_farms <= FIRST_FARM
@@ -199,6 +200,43 @@ def test_reported_farms_and_seeds_are_seen_by_nothing_else(scale, tmp_path):
             assert job.options["farms"][0] == (CHOICE_FARM if job.config.seed == TRIAL_SEED else FIRST_FARM)
             assert job.options["choice_farms"][0] == CHOICE_FARM
             assert (job.config.learner.threads, job.config.rollout.threads) == (1, 1)
+
+
+def evaluation(first, rewards):
+    values = {"reward": list(rewards)}
+    return {"first_farm": first, "farms": len(rewards), **values, "types": {"monitoring": list(rewards)}} | {
+        "figures": {"aoi": [reward / 100.0 for reward in rewards]}
+    }
+
+
+def test_farms_that_had_their_say_are_left_out_of_all_results(bench):
+    """Runs, references and both ends of the scale leave them out; what the best heuristic is follows from the rest."""
+    first = FIRST_FARM
+    flown = {"random": [900.0, -10.0, -30.0], "greedy": [0.0, 100.0, 300.0], "lawnmower": [990.0, 90.0, 110.0]}
+    for job in bench.references():
+        bench.records.put(job, MADE, 1.0, evaluation(first, flown[job.options["policy"]]))
+    random, best, name = bench.ends()
+    assert name == "greedy"
+    assert (random.tolist(), best.tolist()) == ([-10.0, -30.0], [100.0, 300.0])
+    (run,) = bench.runs(EIA_SEC, 1)
+    bench.records.put(run, MADE, 1.0, {"evaluation": evaluation(first, [1e6, 20.0, 40.0])})
+    save_policy(bench.records.path(run, POLICY_SUFFIX), ActorBank.initial(farm_team(run.config.farm), 16, 0), {})
+    assert bench.scores([run]).tolist() == [[20.0, 40.0]]
+    (found,) = bench.evaluations([run])
+    assert (found["types"], found["figures"]) == ({"monitoring": [20.0, 40.0]}, {"aoi": [0.2, 0.4]})
+    policies = reference_summary(bench)["policies"]
+    assert policies["greedy"]["reward"] == 200.0
+    assert policies["greedy"]["commit"] == MADE["commit"]
+    assert [policies[policy]["normalised"] for policy in ("random", "greedy")] == [0.0, 1.0]
+
+
+def test_what_is_left_out_changes_no_job(tmp_path):
+    """Records of runs that were finished before stay valid: every job flies the same farms as it did."""
+    assert (FIRST_REPORTED, FULL.reported) == (1020, range(1020, 1100))
+    before, now = (Bench(replace(FULL, left_out=left_out), Records(tmp_path)) for left_out in (0, FULL.left_out))
+    for study in STUDIES.values():
+        digests = [{job.digest for stage in study.stages(bench) for job in stage} for bench in (before, now)]
+        assert digests[0] == digests[1]
 
 
 def test_studies_share_their_runs(tmp_path):

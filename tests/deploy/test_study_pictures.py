@@ -209,7 +209,7 @@ def test_ratios_stand_beside_the_papers():
     paper = lines_of(ratio, "paper")[0].get_ydata()
     np.testing.assert_allclose(paper, np.array(list(REWARD_BY_MEMBERS.values())) / REWARD_BY_MEMBERS[2])
     ours = ratio.containers[0]
-    np.testing.assert_allclose(ours.lines[0].get_ydata(), [1.0, 1.0, 1.1])
+    np.testing.assert_allclose(lines_of(ratio, "ours")[0].get_ydata(), [1.0, 1.0, 1.1])
     np.testing.assert_allclose(ours.lines[2][0].get_segments()[2][:, 1], [1.05, 1.2])
     assert lines_of(alone, "paper") == []
     assert np.ptp(alone.get_ylim()) < 0.6 * np.ptp(beside.get_ylim())
@@ -218,6 +218,16 @@ def test_ratios_stand_beside_the_papers():
         == 9
     )
     assert legend_of(figure) == ["paper", "ours", "ours, each seed (mean over the farms)"]
+
+
+@pytest.mark.parametrize("reward", [[1000.0, 1001.0, 1005.0], [-300.0, -320.0, -290.0]])
+def test_any_interval_can_be_drawn(data, reward):
+    """One that does not hold its value, as the bootstrap of two seeds may not; and ratios to a negative reward."""
+    data = study(**{f"k_s = {k}": data["methods"]["one"]["runs"] for k in (1, 2)})
+    for method in data["methods"].values():
+        method["reward"] = reward
+    bars = members_figure(data).axes[0].containers[0].lines[2][0].get_segments()
+    np.testing.assert_allclose(bars[0][:, 1], reward[1:])
 
 
 def test_scores_say_interval_and_divergence(data):

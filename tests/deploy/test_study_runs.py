@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from common.actors import ActorBank
-from common.errors import SchemaError, SimulationError
+from common.errors import SchemaError, SimulationError, UsageError
 from common.policy_file import load_policy
 from common.process import StopSignal
 from common.team import farm_team
@@ -22,9 +22,12 @@ from deploy.studies.flights import heading_order, visited_share
 from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
 from deploy.studies.methods import EIA_SEC, PEERS
 from deploy.studies.perform import DIVERGED, StoppedError, perform
-from deploy.studies.reproduce import PAGE, RESULTS, Plan, announce, carry_out
+from deploy.studies.pictures import RESULTS
+from deploy.studies.redraw import redraw, summed_anew
+from deploy.studies.reproduce import PAGE, Plan, announce, announce_all, carry_out
 from deploy.studies.runner import Runner, duration, packed, progress
 from deploy.studies.scales import CHOICE_FARM, FIRST_FARM
+from deploy.studies.statistics import interquartile_mean
 from deploy.studies.timing import separate_actors
 from rollout.evaluation import evaluate
 from rollout.farms import FarmBatch
@@ -226,6 +229,88 @@ def test_a_study_from_start_to_end_and_once_more(study, bench, tmp_path, monkeyp
     assert {path: path.stat().st_mtime_ns for path in bench.records.folder.iterdir()} == before
     assert json.loads((folder / RESULTS).read_text()) == data
     assert all(row.ours for row in CLAIMS[study](data)), "the claims can read the results"
+
+
+@pytest.mark.parametrize("study", ["ensemble", "inference", "trajectories"])
+def test_a_study_is_drawn_again_from_its_records(study, bench, tmp_path, monkeypatch):
+    """The same data, pictures and page come of them without any run; without them the page comes of the results."""
+    monkeypatch.setattr(Runner, "run", run_here)
+    done = plan(bench, study, tmp_path, [])
+    carry_out(done, StopSignal())
+    folder = tmp_path / "smoke" / study
+    files = {path.name: path.read_bytes() for path in folder.iterdir()}
+    monkeypatch.setattr(Runner, "run", lambda *_: pytest.fail("a run was started"))
+    for path in folder.iterdir():
+        path.unlink()
+    redraw(done)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == files
+    told = []
+    alone = plan(Bench(TINY, Records(tmp_path / "empty")), study, tmp_path, told)
+    (folder / PAGE).write_bytes(b"an older page\n" + files[PAGE])
+    redraw(alone)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == files
+    assert "runs are missing; written again from" in told[0]
+    (folder / RESULTS).unlink()
+    with pytest.raises(UsageError, match=r"runs are missing, and there is no .*results.json"):
+        redraw(alone)
+
+
+def test_times_are_summed_up_anew_from_the_seeds(bench, tmp_path, monkeypatch):
+    """Results that hold another summary of the same times get today's."""
+    monkeypatch.setattr(Runner, "run", run_here)
+    carry_out(plan(bench, "inference", tmp_path, []), StopSignal())
+    path = tmp_path / "smoke" / "inference" / RESULTS
+    data = json.loads(path.read_text())
+    older = json.loads(path.read_text())
+    older["teams"]["6"] |= {"decide": 123.0, "q95": {}}
+    older["methods"]["MASAC"] |= {"separate": 123.0}
+    path.write_text(json.dumps(older))
+    redraw(plan(Bench(TINY, Records(tmp_path / "empty")), "inference", tmp_path, []))
+    assert json.loads(path.read_text()) == data
+    (seed,) = data["teams"]["6"]["seeds"]
+    assert data["teams"]["6"]["decide"] == seed["decide"]["median"]
+    assert data["teams"]["6"]["q95"]["separate"] == seed["separate"]["q95"]
+
+
+def test_policies_that_learn_nothing_are_summed_up_anew_from_their_records(bench, tmp_path, monkeypatch):
+    """Older results get the methods' statistic over their own farms, and the scale's ends too; other jobs' do not."""
+    monkeypatch.setattr(Runner, "run", run_here)
+    carry_out(plan(bench, "ensemble", tmp_path, []), StopSignal())
+    data = json.loads((tmp_path / "smoke" / "ensemble" / RESULTS).read_text())
+    older = json.loads(json.dumps(data))
+    for policy in older["references"]["policies"].values():
+        policy["reward"] = policy.pop("mean_reward")
+    for method in older["methods"].values():
+        method["normalised"] = [0.0, 0.0, 0.0]
+    foreign = json.loads(json.dumps(older))
+    foreign["references"]["policies"]["greedy"]["job"] = "another"
+    wide = json.loads(json.dumps(older))
+    del wide["sizes"]["first_farm"]
+    for results in (older, foreign, wide):
+        summed_anew(results, bench)
+    assert older["references"] == data["references"]
+    for name, method in data["methods"].items():
+        assert older["methods"][name]["normalised"] == pytest.approx(method["normalised"], abs=1e-3)
+    assert "mean_reward" not in foreign["references"]["policies"]["greedy"]
+    flown = bench.records.result(bench.reference("greedy"))["reward"]
+    assert len(flown) == TINY.farms
+    middle = interquartile_mean(np.array([flown]))
+    assert wide["references"]["policies"]["greedy"]["reward"] == pytest.approx(middle, abs=1e-3)
+
+
+def test_what_studies_share_is_counted_once(tmp_path):
+    """Of two studies with the same runs, all take as long as one of them, and each alone is told too."""
+    told = []
+    fresh = Bench(TINY, Records(tmp_path / "records"))
+    one = plan(fresh, "trajectories", tmp_path, told)
+    announce_all([one, replace(one, study="trajectories")])
+    seconds = [line.partition("about ")[2].partition(",")[0] for line in told if "about" in line]
+    assert len(seconds) == 3
+    assert len(set(seconds)) == 1
+    assert told[-1].startswith(f"all: {len(one.jobs())} runs, those that studies share counted once")
+    told.clear()
+    announce_all([one])
+    assert "all:" not in "".join(told)
 
 
 def test_only_what_another_configuration_made_is_done_again(bench, tmp_path, monkeypatch):

@@ -45,6 +45,7 @@ TINY = Scale(
     long_trial_episodes=10,
     candidates=2,
     farms=3,
+    left_out=1,
     choice_farms=2,
     points=4,
     evaluations=2,

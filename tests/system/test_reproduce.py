@@ -16,6 +16,7 @@ from deploy.studies.bench import Bench
 from deploy.studies.catalogue import STUDIES
 from deploy.studies.jobs import Records
 from deploy.studies.methods import EIA_SEC
+from deploy.studies.perform import perform
 from deploy.studies.scales import SCALES, SMOKE
 from tests.deploy.tiny_study import TINY
 from tests.system.fleet import until
@@ -49,8 +50,14 @@ def test_a_study_in_processes(
 
 
 def test_a_study_that_is_stopped_goes_on(tmp_path: Path) -> None:
-    """Ctrl-C ends all processes with code 130, keeps what is whole, and the records that are left are those missing."""
+    """Ctrl-C ends all processes with code 130 and keeps what is whole; the next start does what is missing alone.
+
+    One record is there beforehand, so that something is whole however soon the signal comes.
+    """
     arguments = ["reproduce", "inference", "--scale", "smoke", "--write", str(tmp_path), "--records", str(tmp_path)]
+    bench = Bench(SMOKE, Records(tmp_path))
+    jobs = [job for stage in STUDIES["inference"].stages(bench) for job in stage]
+    perform(jobs[0], bench.records, "before")
     started = subprocess.Popen(
         [sys.executable, "-m", "deploy.cli", *arguments], stdout=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -62,10 +69,21 @@ def test_a_study_that_is_stopped_goes_on(tmp_path: Path) -> None:
     assert "the same command goes on" in output
     _, alive = psutil.wait_procs(children, timeout=10)
     assert alive == []
-    bench = Bench(SMOKE, Records(tmp_path))
-    missing = {job.digest for stage in STUDIES["inference"].stages(bench) for job in bench.records.missing(stage)}
+    missing = {job.digest for job in bench.records.missing(jobs)}
     assert missing
-    assert {path.stem for path in tmp_path.glob("*.json") if not path.name.endswith(".job.json")} & missing == set()
+    assert not (tmp_path / "smoke").exists()
+    kept = {job.digest: bench.records.path(job).read_bytes() for job in jobs if job.digest not in missing}
+    assert jobs[0].digest in kept
+    again = subprocess.run(
+        [sys.executable, "-m", "deploy.cli", *arguments], text=True, capture_output=True, check=False
+    )
+    assert again.returncode == 0, again.stderr
+    assert f"first pieces of {len(missing)} runs that are missing ({len(kept)} are there)" in again.stdout
+    assert bench.records.missing(jobs) == []
+    assert {name: (tmp_path / f"{name}.json").read_bytes() for name in kept} == kept
+    made = {job.digest: (bench.records.get(job) or {})["command"] for job in jobs}
+    assert {made[name] for name in missing} == {f"eia-sec {' '.join(arguments[:-2])}"}
+    assert all((tmp_path / "smoke" / "inference" / name).is_file() for name in WHOLE)
 
 
 def test_two_starts_do_not_share_the_records(tmp_path: Path) -> None:
