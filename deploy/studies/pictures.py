@@ -194,7 +194,7 @@ _PIECES: Final = {
     "decide": "all actors stacked, as flown here",
     "simulate": "the simulator's step",
 }
-_TIMES_NOTE: Final = "Times: all UAVs together, one thread; the least of the seeds' 5 % quantiles."
+_TIMES_NOTE: Final = "Times: all UAVs together, one thread; the median of the seeds' medians."
 
 
 def _saved(figures: Mapping[str, Figure], folder: Path) -> list[str]:
