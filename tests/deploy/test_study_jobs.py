@@ -116,11 +116,11 @@ def test_a_training_that_is_flown_needs_its_policy(bench):
 
 
 def test_kept_records_are_found_by_their_study(tmp_path):
-    """Those that lie beside the page of `scalability`, unpacked, are all that its page was made from."""
-    folder = Path(__file__).resolve().parents[2] / "docs" / "results" / "reproduce" / "scalability"
+    """The archive that is kept with the results, unpacked, has all that the page of `scalability` was made from."""
+    folder = Path(__file__).resolve().parents[2] / "docs" / "results" / "reproduce"
     with tarfile.open(folder / "records.tar.xz") as kept:
         kept.extractall(tmp_path, filter="data")
-    data = json.loads((folder / "results.json").read_text())
+    data = json.loads((folder / "scalability" / "results.json").read_text())
     bench = Bench(replace(FULL, uavs=tuple(int(uavs) for uavs in data["teams"])), Records(tmp_path))
     assert bench.choice(EIA_SEC) == data["choice"][EIA_SEC.name]["chosen"]
     stages = STUDIES["scalability"].stages(bench)
