@@ -19,6 +19,7 @@ from deploy.rundir import METRICS
 from tests.system.fleet import TINY, until
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")
+OFTEN, RARE = "checkpoint_seconds = 0.5", "checkpoint_seconds = 3600.0"
 WAITING = 40
 """More episodes than a learner's queue of 16 chunks and its slack of 400 steps can hold."""
 
@@ -112,7 +113,8 @@ def test_interrupt_drains_and_resume_goes_on(training: Training) -> None:
 
 def test_what_a_killed_learner_told_is_told_once(training: Training) -> None:
     """It begins again, as there was no checkpoint yet; who reads the records has each episode once."""
-    training.config.write_text(LONG, encoding="utf-8")
+    assert RARE in LONG.replace(OFTEN, RARE)
+    training.config.write_text(LONG.replace(OFTEN, RARE), encoding="utf-8")
     training.start("--no-report")
     until(lambda: training.episodes() >= 4, "training")
     next(child for child in training.children() if "learner" in child.cmdline()).kill()
