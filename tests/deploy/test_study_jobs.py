@@ -115,16 +115,18 @@ def test_a_training_that_is_flown_needs_its_policy(bench):
     assert bench.records.missing([job]) == [job]
 
 
-def test_kept_records_are_found_by_their_study(tmp_path):
-    """The archive that is kept with the results, unpacked, has all that the page of `scalability` was made from."""
+@pytest.mark.parametrize("name", ["ablation", "scalability"])
+def test_kept_records_are_found_by_their_study(name, tmp_path):
+    """The archive that is kept with the results, unpacked, has all that these pages were made from."""
     folder = Path(__file__).resolve().parents[2] / "docs" / "results" / "reproduce"
     with tarfile.open(folder / "records.tar.xz") as kept:
         kept.extractall(tmp_path, filter="data")
-    data = json.loads((folder / "scalability" / "results.json").read_text())
-    bench = Bench(replace(FULL, uavs=tuple(int(uavs) for uavs in data["teams"])), Records(tmp_path))
+    data = json.loads((folder / name / "results.json").read_text())
+    teams = tuple(int(uavs) for uavs in data.get("teams", {})) or FULL.uavs
+    seeds = {kind: data["sizes"][kind] for kind in ("seeds", "side_seeds", "team_seeds")}
+    bench = Bench(replace(FULL, uavs=teams, **seeds), Records(tmp_path))
     assert bench.choice(EIA_SEC) == data["choice"][EIA_SEC.name]["chosen"]
-    stages = STUDIES["scalability"].stages(bench)
-    assert [job.label for stage in stages for job in bench.records.missing(stage)] == []
+    assert [job.label for stage in STUDIES[name].stages(bench) for job in bench.records.missing(stage)] == []
 
 
 @pytest.mark.parametrize("scale", [SMOKE, FULL], ids=lambda scale: scale.name)
