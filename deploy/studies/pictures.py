@@ -20,6 +20,8 @@ RESULTS: Final = "results.json"
 """The file in a study's folder that its pictures are made from."""
 MEMBERS: Final = 2
 """The k_s whose reward the others are compared with."""
+LEAST_SCORE: Final = -0.25
+"""Where the axis of normalised scores ends at the latest, so that one of a diverged run does not squeeze the others."""
 CAPTIONS: Final = {
     "checks.png": "Evaluations without noise on the way, on farms that are neither trained on nor reported.",
     "curves.png": "Training curves: with exploration noise, on the farms of training, unlike the table. Those with "
@@ -174,18 +176,24 @@ def scores_figure(data: Results) -> Figure:
         value, low, high = method["normalised"]
         colour = OTHER_COLOURS[row % len(OTHER_COLOURS)]
         axes.plot([low, high], [row, row], color=colour, linewidth=4, alpha=0.5, solid_capstyle="butt")
-        axes.plot(value, row, MARKS[row % len(MARKS)], color=colour, markersize=7)
+        beyond = value < LEAST_SCORE
+        mark = "<" if beyond else MARKS[row % len(MARKS)]
+        axes.plot(max(value, LEAST_SCORE), row, mark, color=colour, markersize=9 if beyond else 7, clip_on=False)
         lost = sum(run["diverged"] for run in method["runs"])
         text = f"{value:.2f} ({low:.2f}..{high:.2f})" + (f"\n{lost} of {len(method['runs'])} diverged" if lost else "")
         axes.text(1.02, row, text, transform=axes.get_yaxis_transform(), va="center", **TEXT)
     for end in (0.0, 1.0):
         axes.axvline(end, color="0.4", linestyle=(0, (2, 2)), linewidth=1.0)
     axes.set_yticks(range(len(methods)), list(methods))
-    axes.tick_params(axis="y", length=0)
+    axes.tick_params(axis="y", length=0, pad=10)
     axes.set(ylim=(len(methods) - 0.4, -0.6), xlabel="normalised score: 0 is random, 1 the best heuristic")
+    axes.set_xlim(left=max(axes.get_xlim()[0], LEAST_SCORE))
     axes.grid(True, axis="x", color="0.9")
     axes.spines[["top", "right", "left"]].set_visible(False)
-    figure.suptitle(f"Mark and bar: {_interval_note(data)}", x=0.01, ha="left", **TEXT)
+    note = f"Mark and bar: {_interval_note(data)}"
+    if any(method["normalised"][0] < LEAST_SCORE for method in methods.values()):
+        note += "\nA triangle at the left edge: far below it, by the number on the right."
+    figure.suptitle(note, x=0.01, ha="left", **TEXT)
     return figure
 
 

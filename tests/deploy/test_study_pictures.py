@@ -238,6 +238,17 @@ def test_scores_say_interval_and_divergence(data):
     assert "95% interval over 3 seeds and 100 unseen farms" in figure.get_suptitle()
 
 
+def test_a_score_far_below_all_others_is_marked_at_the_edge(data):
+    """The axis is that of the others, the mark a triangle, and the number stands there."""
+    data["methods"]["lost"]["normalised"] = [-1.7, -1.9, -1.5]
+    figure = scores_figure(data)
+    axes = figure.axes[0]
+    assert axes.get_xlim()[0] == pytest.approx(-0.25)
+    assert [line.get_xdata()[0] for line in axes.lines if line.get_marker() == "<"] == [-0.25]
+    assert "-1.70 (-1.90..-1.50)" in texts_of(axes)[2]
+    assert "triangle at the left edge" in figure.get_suptitle()
+
+
 @pytest.fixture(scope="module")
 def flown():
     """Two flights over a small farm, field and episode."""
