@@ -2,13 +2,14 @@
 
 import contextlib
 import dataclasses
+import json
 import tomllib
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import AlgorithmConfig, FarmConfig, LearnerConfig, RewardConfig, RunConfig, WorldConfig
+from common.config import AlgorithmConfig, EnvConfig, FarmConfig, RewardConfig, RunConfig, WorldConfig
 from common.config.files import differences, digest, flatten, from_toml, to_toml
 from common.config.presets import PRESETS
 from common.config.sites import MAX_SENSORS
@@ -32,12 +33,12 @@ def test_round_trip_gives_back_the_preset(name):
 @given(
     seed=st.integers(0, 2**63 - 1),
     weight=st.floats(allow_nan=False, allow_infinity=False),
-    device=st.text(st.characters(exclude_categories=["Cs"])),
+    text=st.text(st.characters(exclude_categories=["Cs"])),
     cycles=st.lists(st.integers(1, 1000), min_size=1, max_size=5),
     flag=st.booleans(),
     sites=st.sets(st.tuples(st.floats(0.0, 400.0), st.floats(0.0, 400.0)), min_size=30, max_size=40),
 )
-def test_round_trip_of_any_value(seed, weight, device, cycles, flag, sites):
+def test_round_trip_of_any_value(seed, weight, text, cycles, flag, sites):
     """Any integer, number, text, list and truth value survives being written and read."""
     config = RunConfig(
         seed=seed,
@@ -46,7 +47,7 @@ def test_round_trip_of_any_value(seed, weight, device, cycles, flag, sites):
             reward=RewardConfig(boundary=weight),
         ),
         algorithm=AlgorithmConfig(ensemble=flag),
-        learner=LearnerConfig(device=device),
+        env=EnvConfig(arguments=json.dumps({"text": text}, ensure_ascii=False)),
     )
     assert from_toml(to_toml(config), RunConfig()) == config
 

@@ -25,7 +25,7 @@ from deploy.studies.perform import DIVERGED, StoppedError, perform
 from deploy.studies.pictures import RESULTS
 from deploy.studies.redraw import redraw, summed_anew
 from deploy.studies.reproduce import PAGE, Plan, announce, announce_all, carry_out
-from deploy.studies.runner import Runner, duration, packed, progress
+from deploy.studies.runner import Runner
 from deploy.studies.scales import CHOICE_FARM, FIRST_FARM
 from deploy.studies.statistics import interquartile_mean
 from deploy.studies.timing import separate_actors
@@ -353,37 +353,6 @@ def test_a_busy_machine_does_not_count(trained, tmp_path):
     estimator.learn(runs)
     longer = replace(runs[3], config=replace(runs[3].config, episodes=2 * trained.config.episodes))
     assert estimator.seconds(longer) - estimator.seconds(runs[3]) == pytest.approx(30.0)
-
-
-def test_short_jobs_share_a_process(bench):
-    """Jobs keep their order, and a long one has a process of its own."""
-    jobs = [*bench.references(), *bench.runs(EIA_SEC, 1)]
-    seconds = {job.digest: 10.0 for job in jobs[:-1]} | {jobs[-1].digest: 500.0}
-    loads = packed(jobs, seconds)
-    assert [len(load.jobs) for load in loads] == [len(jobs) - 1, 1]
-    assert [job for load in loads for job in load.jobs] == jobs
-    assert str(loads[0]) == "random and 2 more"
-    assert len(packed(jobs, {job.digest: 100.0 for job in jobs})) == len(jobs)
-
-
-@pytest.mark.parametrize(
-    ("lines", "share"),
-    [
-        ("", 0.0),
-        ("progress 0.25\nprogress 0.5", 0.5),
-        ("progress x", 0.0),
-        ("progress 7", 1.0),
-        ("progress 0.1\nwarning", 0.1),
-    ],
-)
-def test_progress_is_the_last_line_that_tells_it(lines, share):
-    """Whatever else a process writes is passed over."""
-    assert progress(lines) == share
-
-
-def test_durations_are_said_as_people_say_them():
-    """Seconds, minutes, hours."""
-    assert [duration(seconds) for seconds in (5.0, 600.0, 7200.0)] == ["5 s", "10 min", "2.0 h"]
 
 
 def test_paths_in_numbers():
