@@ -130,9 +130,8 @@ def set_aside(paths: Sequence[Path]) -> None:
     Raises:
         OSError: when the disk does not let it.
     """
-    for path in paths:
-        for leftover in path.parent.glob(f"{_DAMAGED}*"):
-            shutil.rmtree(leftover)
+    for leftover in {old for path in paths for old in path.parent.glob(f"{_DAMAGED}*")}:
+        shutil.rmtree(leftover)
     for path in paths:
         path.rename(path.with_name(_DAMAGED + path.name))
 

@@ -1,6 +1,5 @@
 """Pictures of the studies, made from their results alone. Every colour goes with a line style or a mark of its own."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -46,19 +45,14 @@ def caption(name: str) -> str:
     return next(text for end, text in CAPTIONS.items() if name.endswith(end))
 
 
-def redraw(folder: Path) -> list[str]:
-    """Draw the pictures of a study anew from the results in its folder; return the files' names.
+def save_pictures(data: Results, folder: Path) -> list[str]:
+    """Draw all pictures that the results of a study hold; return the files' names in the order of the page.
 
     Maps and collected units of `trajectories` need the flights themselves, and stay as they are.
 
     Raises:
-        OSError: the results cannot be read, or a picture cannot be written.
+        OSError: a picture cannot be written.
     """
-    return save_pictures(json.loads((folder / RESULTS).read_text(encoding="utf-8")), folder)
-
-
-def save_pictures(data: Results, folder: Path) -> list[str]:
-    """Draw all pictures that the results of a study hold; return the files' names in the order of the page."""
     match data["study"]:
         case "training" | "ablation":
             return save_comparison(data, folder)

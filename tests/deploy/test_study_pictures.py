@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from deploy.studies.curve_pictures import LATE, checks_figure, limits, seeds, tr
 from deploy.studies.flight_pictures import collected_figure, path_of, space_figure
 from deploy.studies.flights import described
 from deploy.studies.paper import REWARD_BY_MEMBERS
-from deploy.studies.pictures import caption, members_figure, redraw, scores_figure
+from deploy.studies.pictures import caption, members_figure, save_pictures, scores_figure
 from rollout.evaluation import record
 from rollout.palette import COLOURS, END_MARKERS
 from rollout.policies import policy_of
@@ -308,8 +307,7 @@ def test_a_study_is_redrawn_from_its_results_alone(study, tmp_path, monkeypatch)
     """Every picture on its page is drawn again, but those that need the flights; each has a caption."""
     for module in (figures, flight_pictures, pictures):
         monkeypatch.setattr(module, "DPI", 30)  # what is on them does not depend on it
-    shutil.copy(RESULTS / study / "results.json", tmp_path)
-    names = redraw(tmp_path)
+    names = save_pictures(json.loads((RESULTS / study / "results.json").read_text(encoding="utf-8")), tmp_path)
     assert {path.name for path in tmp_path.glob("*.png")} == set(names)
     page = (RESULTS / study / "README.md").read_text(encoding="utf-8")
     shown = [name for name in re.findall(r"!\[.*?\]\((.*?)\)", page) if not NEEDS_FLIGHTS.fullmatch(name)]
