@@ -104,11 +104,22 @@ def run_ours(case: Case, budget: Budget) -> Line:
         if done.returncode:
             raise EiaSecError(f"eia-sec train failed: {done.stderr.strip().rpartition(chr(10))[2]}")
         outcome = json.loads((folder / "evaluation.json").read_text(encoding="utf-8"))
-        records = [line for line in read_metrics(folder / METRICS) if line["kind"] == "episodes"]
+        metrics = read_metrics(folder / METRICS)
     found = outcome["evaluations"][0]
     if len(found["farms"]) != SCENARIOS:
         raise EiaSecError(f"our run was evaluated on {len(found['farms'])} scenarios, not {SCENARIOS}.")
-    return {"reward": found["reward"]["mean"], "seconds": outcome["seconds"], "curve": curve(each_episode(records))}
+    updates = [line["updates"] for line in metrics if line["kind"] == "status"][-1]
+    if updates != rounds(budget):
+        raise EiaSecError(f"our run did {updates} update rounds, not {rounds(budget)}.")
+    # What was under way at the end is taken in and counted, and no update round sees it.
+    flown = each_episode([line for line in metrics if line["kind"] == "episodes"])[: budget.steps // EPISODE_STEPS]
+    told = {"reward": found["reward"]["mean"], "seconds": outcome["seconds"], "updates": updates}
+    return {**told, "curve": curve(flown)}
+
+
+def rounds(budget: Budget) -> int:
+    """Return the update rounds of all agents that a budget gives."""
+    return (budget.steps - budget.warmup) // budget.every
 
 
 def each_episode(records: Sequence[Line]) -> list[float]:
@@ -228,16 +239,15 @@ def page(runs: Sequence[Line]) -> str:
         for line in summary(runs)
     ]
     head = ["algorithm", "program", "rate", "seeds", "reward", "95 % interval", "minutes a seed"]
-    most = max(run["curve"]["environment_steps"][-1] for run in runs)
-    budget, rates = runs[0]["budget"], ", ".join(f"{rate:g}" for rate in RATES)
+    budget, rates = Budget(**runs[0]["budget"]), ", ".join(f"{rate:g}" for rate in RATES)
     told = (
-        f"{budget['steps']:,} environment steps, one update round of all agents for each {budget['every']} of them\n"
-        f"after {budget['warmup']:,} steps of random actions. Reward of an episode without noise, mean over agents\n"
-        f"and {SCENARIOS} unseen scenarios, then over seeds. The rate is the best of {rates} on another\n"
+        f"{budget.steps:,} environment steps and {rounds(budget):,} update rounds of all agents, one for each\n"
+        f"{budget.every} steps after {budget.warmup:,} steps of random actions. Reward of an episode without noise,\n"
+        f"mean over agents and {SCENARIOS} unseen scenarios, then over seeds. The rate is the best of {rates} on another\n"
         f"seed; when that was the smallest or largest, its half or double was tried too, {FURTHER} times at most.\n"
         "`EIA-SEC` has the published form, in which each actor climbs its own critic; `EIA-SEC, team` is\n"
         "`--algorithm.others team`, in which all climb the sum of all critics, as in BenchMARL.\n"
-        f"Ours ends when episodes that are under way have ended, too: after {most:,} steps at most.\n"
+        "Episodes that ours has under way when its last round is done are trained on by none and left out.\n"
         "Minutes are of one seed on cores shared with other work; ours runs learner and worker side by side.\n"
     )
     return "\n".join(
