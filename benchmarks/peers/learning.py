@@ -243,8 +243,9 @@ def page(runs: Sequence[Line]) -> str:
     told = (
         f"{budget.steps:,} environment steps and {rounds(budget):,} update rounds of all agents, one for each\n"
         f"{budget.every} steps after {budget.warmup:,} steps of random actions. Reward of an episode without noise,\n"
-        f"mean over agents and {SCENARIOS} unseen scenarios, then over seeds. The rate is the best of {rates} on another\n"
-        f"seed; when that was the smallest or largest, its half or double was tried too, {FURTHER} times at most.\n"
+        f"mean over agents and {SCENARIOS} unseen scenarios, then over seeds. The rate is the best of {rates}\n"
+        "on another seed; when that was the smallest or largest, its half or double was tried too, "
+        f"{FURTHER} times at most.\n"
         "`EIA-SEC` has the published form, in which each actor climbs its own critic; `EIA-SEC, team` is\n"
         "`--algorithm.others team`, in which all climb the sum of all critics, as in BenchMARL.\n"
         "Episodes that ours has under way when its last round is done are trained on by none and left out.\n"
