@@ -223,7 +223,14 @@ class Bus:
         channel: Any = zenoh.handlers.FifoChannel(capacity)
         return Server(self._open().declare_queryable(key, channel, complete=True), capacity)
 
-    def ask(self, key: str, payload: bytes, timeout: float, attachment: bytes = b"") -> bytes | None:
+    def ask(
+        self,
+        key: str,
+        payload: bytes,
+        timeout: float,
+        attachment: bytes = b"",
+        enough: Callable[[float], bool] = lambda waited: False,
+    ) -> bytes | None:
         """Send a request and wait for its answer.
 
         Args:
@@ -231,9 +238,10 @@ class Bus:
             payload: the request's frame.
             timeout: s.
             attachment: the envelope's frame.
+            enough: told the seconds that it has waited, now and then; True gives up.
 
         Returns:
-            The answer's frame, or None when nobody serves the key or the time ran out.
+            The answer's frame, or None when nobody serves the key, the time ran out, or it was enough.
 
         Raises:
             BusError: when the other side refused with a reason.
@@ -251,11 +259,11 @@ class Bus:
             )
         except zenoh.ZError as error:
             raise BusClosedError(f"the bus is closed: {error}") from error
-        return self._answer(replies, time.monotonic() + timeout + 1.0)
+        return self._answer(replies, timeout + 1.0, enough)
 
-    def _answer(self, replies: Any, deadline: float) -> bytes | None:
-        pause, ended = 0.0002, False
-        while time.monotonic() < deadline:
+    def _answer(self, replies: Any, longest: float, enough: Callable[[float], bool]) -> bytes | None:
+        pause, ended, started = 0.0002, False, time.monotonic()
+        while (waited := time.monotonic() - started) < longest and not enough(waited):
             try:
                 reply = replies.try_recv()
             except zenoh.ZError:

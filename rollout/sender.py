@@ -20,6 +20,8 @@ ANSWER_SECONDS = 30.0
 """Time after which a request without an answer is made again; a learner that is behind answers late on purpose."""
 LOCKSTEP_ANSWER_SECONDS = 3600.0
 """The same in lockstep, where the answer comes after the training that the chunk allows."""
+ENDING_ANSWER_SECONDS = 1.5
+"""The same for a worker that ends: an answer that was lost with a router must not cost what it still holds."""
 COMPLAINT_SECONDS = 10.0
 """Pause before the same error is logged again."""
 NOBODY = 5
@@ -76,7 +78,7 @@ class Sender:
         self._complaint, self._complained = "", 0.0
         self._history = history or History(None)
         self._changed = threading.Condition()
-        self._ended = False
+        self._ending = self._ended = False
         self._thread = threading.Thread(target=self._run, name="sender", daemon=True)
         self._thread.start()
 
@@ -109,7 +111,11 @@ class Sender:
         return max(self.flown, self.produced) - self.accepted - self.rejected
 
     def wait_empty(self, timeout: float) -> bool:
-        """Wait until all is answered, or the learner takes no more or is not there; return whether none is held."""
+        """Wait until all is answered, or the learner takes no more or is not there; return whether none is held.
+
+        From then on a request that is answered late is made again soon; nothing may be offered any more.
+        """
+        self._ending = True
         deadline, before = time.monotonic() + timeout, self.untaken
         while self._held and not self.door_closed and time.monotonic() < deadline:
             before = min(before, self.untaken)
@@ -162,13 +168,16 @@ class Sender:
 
     def _ask(self, payload: bytes, attachment: bytes) -> ChunkAck | None:
         try:
-            answer = self._bus.ask(self.key, payload, self._patience, attachment)
+            answer = self._bus.ask(self.key, payload, self._patience, attachment, self._enough)
             return None if answer is None else ChunkAck.decode(answer)
         except BusClosedError:
             raise
         except (BusError, ProtocolError) as error:
             self._complain(str(error))
             return None
+
+    def _enough(self, waited: float) -> bool:
+        return self._ending and waited >= ENDING_ANSWER_SECONDS
 
     def _complain(self, text: str) -> None:
         """Log an error, the same one not more often than every COMPLAINT_SECONDS."""

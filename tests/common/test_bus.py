@@ -63,6 +63,22 @@ def test_requests_are_answered_refused_or_unserved(pair: tuple[Bus, Bus]) -> Non
     assert not thread.is_alive()
 
 
+def test_an_asker_gives_up_when_it_is_enough(pair: tuple[Bus, Bus]) -> None:
+    """Who asks an owner that never answers goes on when it wants to, an hour before its time is up."""
+    owner, other = pair
+    server, waits = owner.serve("t/mute", 8), []
+    unanswered = []
+
+    def enough(waited: float) -> bool:
+        waits.append(waited)
+        unanswered.extend(server.waiting())
+        return bool(unanswered)
+
+    assert other.ask("t/mute", b"x", 3600.0, enough=enough) is None
+    assert len(unanswered) == 1
+    assert waits == sorted(waits)
+
+
 def test_who_asks_without_end_does_not_keep_the_server() -> None:
     """Of requests that never end, as many as may wait are given out at a time."""
 

@@ -1,8 +1,10 @@
 """The sender packs what waits into one request, and lets go of exactly what the answer settles."""
 
 import queue
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 
 import pytest
 
@@ -21,9 +23,15 @@ class Wire:
         self._asked: queue.Queue[tuple[bytes, bytes]] = queue.Queue()
         self._answers: queue.Queue[bytes | None] = queue.Queue()
 
-    def ask(self, key: str, payload: bytes, timeout: float, attachment: bytes) -> bytes | None:
+    def ask(
+        self, key: str, payload: bytes, timeout: float, attachment: bytes, enough: Callable[[float], bool]
+    ) -> bytes | None:
         self._asked.put((payload, attachment))
-        return self._answers.get()
+        started = time.monotonic()
+        while not enough(time.monotonic() - started):
+            with suppress(queue.Empty):
+                return self._answers.get(timeout=0.01)
+        return None
 
     def close(self) -> None:
         self._answers.put(None)
@@ -144,3 +152,20 @@ def test_who_ends_waits_for_a_learner_that_comes_back(monkeypatch):
             wire.answer()
         wire.answer("accepted")
         assert sender.wait_empty(3600.0)
+
+
+def test_who_ends_asks_again_when_an_answer_was_lost(monkeypatch):
+    """A request whose answer went down with a router is patient while the worker flies, and not when it ends."""
+    with sending(monkeypatch) as (sender, wire, offer), ThreadPoolExecutor(1) as pool:
+        monkeypatch.setattr(module, "ENDING_ANSWER_SECONDS", 0.05)
+        offer(1)
+        assert wire.request()[0] == 1
+        offer(2)
+        time.sleep(0.2)
+        assert wire.silent
+        emptied = pool.submit(sender.wait_empty, 3600.0)
+        first, _, chunks = wire.request()
+        assert (first, len(chunks)) == (1, 2)
+        wire.answer("duplicate", "accepted")
+        assert emptied.result(60.0)
+        assert (sender.produced, sender.accepted, sender.in_flight) == (2, 2, 0)
