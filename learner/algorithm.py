@@ -19,6 +19,7 @@ from torch import Tensor
 
 from common.actors import Head
 from common.config import AlgorithmConfig
+from common.config.learning import AlgorithmName
 from common.team import TeamSpec
 from learner.actors import Actors
 from learner.critics import Critics
@@ -89,12 +90,14 @@ class Algorithm(ABC):
         cores: processor cores to compute on by compiled kernels; 0 to compute by torch.
 
     Attributes:
+        names: what `algorithm.name` may call it.
         head: kind of the actors' last layer.
         critics_each: critics of one agent.
         climbed_each: how many of these the actors climb.
         noise_blocks: standard normal numbers that a round takes, in action layouts.
     """
 
+    names: ClassVar[tuple[AlgorithmName, ...]] = ()
     head: ClassVar[Head] = "deterministic"
     critics_each: ClassVar[int] = 1
     climbed_each: ClassVar[int] = 1

@@ -7,6 +7,7 @@ from common.config.checks import finite, not_negative, positive, within
 from common.errors import ConfigError
 
 AlgorithmName = Literal["eia-sec", "eia", "sec", "base", "maddpg", "matd3", "masac"]
+"""The registry of algorithms; each name is that of a class in `learner/algorithms`."""
 WITH_ENSEMBLE: Final = ("eia-sec", "sec")
 """Algorithms with a shared ensemble critic."""
 WITH_IMITATION: Final = ("eia-sec", "eia")

@@ -1,21 +1,19 @@
-"""Every algorithm by its name; adding one is a file here, a line below and a section in docs/algorithms.md."""
+"""Every algorithm by its name: what the files of this package define, each class with the names it answers to."""
 
+from importlib import import_module
+from pkgutil import iter_modules
 from typing import Final
 
 from common.config.learning import AlgorithmName
 from learner.algorithm import Algorithm
-from learner.algorithms.eia_sec import EiaSec
-from learner.algorithms.maddpg import Maddpg
-from learner.algorithms.masac import Masac
-from learner.algorithms.matd3 import Matd3
+
+for _file in iter_modules(__path__):
+    import_module(f"{__name__}.{_file.name}")
 
 ALGORITHMS: Final[dict[AlgorithmName, type[Algorithm]]] = {
-    "eia-sec": EiaSec,
-    "eia": EiaSec,
-    "sec": EiaSec,
-    "base": EiaSec,
-    "maddpg": Maddpg,
-    "matd3": Matd3,
-    "masac": Masac,
+    name: method
+    for method in Algorithm.__subclasses__()
+    if method.__module__.startswith(f"{__name__}.")
+    for name in method.names
 }
-"""The names of `algorithm.name`; the ablations of EIA-SEC are its own class with parts left out."""
+"""The classes by `algorithm.name`; the ablations of EIA-SEC are its own class with parts left out."""

@@ -17,6 +17,8 @@ from learner.algorithm import Algorithm, Batch, Figures
 class Maddpg(Algorithm):
     """MADDPG; see the module."""
 
+    names = ("maddpg",)
+
     def has_target_actors(self) -> bool:
         """See `Algorithm`."""
         return True

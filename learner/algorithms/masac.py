@@ -50,6 +50,7 @@ class Sample(NamedTuple):
 class Masac(Algorithm):
     """MASAC; see the module."""
 
+    names = ("masac",)
     head = "gaussian"
     critics_each = 2
     climbed_each = 2

@@ -19,6 +19,7 @@ from learner.algorithm import Algorithm, Batch, Figures
 class Matd3(Algorithm):
     """MATD3; see the module."""
 
+    names = ("matd3",)
     critics_each = 2
     noise_blocks = 1
 

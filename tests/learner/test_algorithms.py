@@ -28,6 +28,7 @@ def test_registry_files_names_and_documentation_agree():
     """Every file of learner/algorithms is registered, every name is configurable and documented, and no more."""
     files = {path.stem for path in (ROOT / "learner" / "algorithms").glob("*.py")} - {"__init__"}
     assert {method.__module__.rpartition(".")[2] for method in ALGORITHMS.values()} == files
+    assert sorted(name for method in set(ALGORITHMS.values()) for name in method.names) == sorted(ALGORITHMS)
     assert set(ALGORITHMS) == set(get_args(AlgorithmName))
     page = (ROOT / "docs" / "algorithms.md").read_text()
     rows = re.findall(r"^\| `([a-z0-9-]+)` \| `learner/algorithms/([a-z0-9_]+)\.py` \|", page, re.MULTILINE)
