@@ -13,6 +13,7 @@ from deploy.studies.verdicts import shown
 
 RUN: Final = "EIA-SEC (this run)"
 TRAINING: Final = "docs/results/reproduce/training/results.json"
+HEURISTICS: Final = "docs/results/heuristics/results.json"
 NOT_MEASURED: Final = "Not measured yet.\n"
 """A block whose data is not there."""
 PAUSE_AIM: Final = 50.0
@@ -80,7 +81,22 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
     return [*rows, "", "[All claims of the paper, one by one](docs/reproduce.md).", ""]
 
 
-def _run_block(run: dict[str, Any], study: dict[str, Any]) -> str:
+def _rank(flown: dict[str, Any]) -> list[str]:
+    """Return where the policy that ships stands among the heuristics; two with overlapping intervals are level."""
+    rewards = {result["policy"]: result["reward"] for result in flown["results"]}
+    mean, low, high = rewards.pop("trained")
+    named = sorted(rewards.items(), key=lambda item: -item[1][0])
+    above = ", ".join(f"{name} {reward[0]:.0f}" for name, reward in named if reward[1] > high)
+    level = ", ".join(f"{name} {reward[0]:.0f}" for name, reward in named if reward[1] <= high and reward[2] >= low)
+    return [
+        f"On farms {flown['first_farm']}..{flown['last_farm']} the policy that ships earns {mean:.0f}"
+        f" ({low:.0f}..{high:.0f}). More earn the heuristics",
+        f"{above or 'none'}; as much: {level or 'none'}",
+        "([all of them](docs/heuristics.md)).",
+    ]
+
+
+def _run_block(run: dict[str, Any], study: dict[str, Any], flown: dict[str, Any]) -> str:
     farms = run["evaluations"][0]["farms"]
     chosen = ",\nbut on which the preset's settings were chosen" if farms[0] < FIRST_REPORTED else ""
     return "\n".join(
@@ -88,6 +104,11 @@ def _run_block(run: dict[str, Any], study: dict[str, Any]) -> str:
             f"Noise-free, farms {farms[0]}..{farms[-1]}, which training never saw (it uses 0..19){chosen}; one seed.",
             "",
             *_table(run, "EIA-SEC, default preset"),
+            "",
+            "AoI is the age of information of the sensors, VDF (visual data freshness) that of the plots' images:",
+            "means over the episode of counters that rise until the next visit, so low is good.",
+            "",
+            *_rank(flown),
             "",
             f"Made by `{run['command']}`, which is what `make train`",
             f"does today (seed {run['seed']}, commit {run['commit']}): {run['episodes']:,} episodes,",
@@ -125,10 +146,11 @@ def _second_worker_block(data: dict[str, Any]) -> str:
     produced, accepted, lost, in_flight, unexplained = (f"{ledger[name]:,}" for name in names)
     return "\n".join(
         [
-            f"`{data['command']}` (commit {data['commit']}): one worker delivers {one} environment",
-            f"steps a second into replay, two deliver {two} ({data['gain']:.2f} times as many, on {cores} cores that",
-            f"the learner shares), and after kill -9 of the second one goes on with {after}. Of {produced} steps",
-            f"{accepted} were accepted, {lost} lost, {in_flight} in flight at the end, {unexplained} unexplained.",
+            f"`{data['command']}` (commit {data['commit']}): the learner stores what it",
+            f"gets and does not train. One worker delivers {one} environment steps a second into replay, two",
+            f"{two} ({data['gain']:.2f} times as many, on {cores} cores that the learner shares), and after kill -9",
+            f"of the second one goes on with {after}. Of {produced} steps {accepted} were accepted, {lost} lost,",
+            f"{in_flight} in flight at the end, {unexplained} unexplained.",
             "",
             *_sweep_rows(data.get("sweep", [])),
         ]
@@ -337,12 +359,12 @@ def _checkpoint_block(data: dict[str, Any]) -> str:
 
 
 BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
-    "README.md": ("results", ("docs/results/default/evaluation.json", TRAINING), _run_block),
+    "README.md": ("results", ("docs/results/default/evaluation.json", TRAINING, HEURISTICS), _run_block),
     "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
     "docs/architecture.md": ("second-worker", ("docs/results/second_worker.json",), _second_worker_block),
     "docs/capacity.md": ("capacity", capacity.SOURCES, capacity.block),
     "docs/fly.md": ("latency", ("docs/results/fly.json",), _fly_block),
-    "docs/heuristics.md": ("heuristics", ("docs/results/heuristics/results.json",), _heuristics_block),
+    "docs/heuristics.md": ("heuristics", (HEURISTICS,), _heuristics_block),
     "docs/hosts.md": ("hosts", ("docs/results/hosts/results.json",), _hosts_block),
     "docs/method.md": ("forms", ("docs/results/critic_forms/forms.json",), _forms_block),
     "docs/other_environments.md": (

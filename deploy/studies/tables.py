@@ -8,6 +8,7 @@ import numpy as np
 
 from common.team import COLLECTION, COMMUNICATION, MONITORING
 from deploy.studies.evidence import early_farms, mean_unrest
+from deploy.studies.methods import ABLATIONS, PEERS
 from deploy.studies.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
 from deploy.studies.pictures import caption
 from deploy.studies.scales import FIRST_FARM, FIRST_REPORTED
@@ -139,10 +140,21 @@ def choices(data: Results) -> str:
     commits = sorted({commit for found in data["choice"].values() for commit in found.get("commits", [])})
     seeds = sorted({found["seed"] for found in data["choice"].values() if "seed" in found})
     made = f"Trials: seed {', '.join(map(str, seeds))}, commit {', '.join(commits)}.\n" if commits else ""
-    return table(["method", *names], rows) + (
-        "\nReward per agent of one trial each, on farms that are neither trained on nor reported; the settings of the "
-        "bold\none are in force. Every method has the same candidates, the same budget and the same seed.\n" + made
+    told = (
+        "Reward per agent of one trial each, on farms that are neither trained on nor reported; the settings of the "
+        "bold one are in force. Every method has the same candidates and the same seed, and trials of "
+        f"{_lengths(data)}."
     )
+    return f"{table(['method', *names], rows)}\n{textwrap.fill(told, WIDTH)}\n{made}"
+
+
+def _lengths(data: Results) -> str:
+    """Return the episodes of a tuning trial, which are more of methods that learn for longer."""
+    usual = data["sizes"]["trial_episodes"]
+    more = data["sizes"].get("long_trial_episodes", usual)
+    long = [method.name for method in (*PEERS, *ABLATIONS) if method.late and method.name in data["choice"]]
+    apart = f", of {', '.join(long)} {more}" if long and more != usual else ""
+    return f"{usual} episodes{apart}"
 
 
 def origins(data: Results) -> str:
