@@ -157,6 +157,8 @@ class Session:
 
     def __init__(self, budget: Budget, venvs: Path, path: Path | None) -> None:
         self.budget, self.venvs, self.path = budget, venvs, path
+        # Of the start: what is written on the way changes the tree.
+        self.origin = provenance("benchmarks.peers.learning")
         self.runs: list[Line] = []
         if path is not None and path.is_file():
             self.runs = [
@@ -170,8 +172,7 @@ class Session:
                 return float(line["reward"])
         sys.stderr.write(f"{case.software} {case.algorithm}, rate {case.rate}, seed {case.seed}\n")
         found = run_ours(case, self.budget) if program is None else run_peer(program, case, self.budget, self.venvs)
-        origin = provenance("benchmarks.peers.learning")
-        kept = {"commit": origin["commit"], "budget": vars(self.budget)}
+        kept = {"commit": self.origin["commit"], "budget": vars(self.budget)}
         self.runs.append({**vars(case), **found, **kept})
         self.save()
         return float(found["reward"])
@@ -180,7 +181,7 @@ class Session:
         """Write what was run so far."""
         if self.path is not None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            data = {**provenance("benchmarks.peers.learning"), "runs": self.runs}
+            data = {**self.origin, "runs": self.runs}
             self.path.write_text(json.dumps(data) + "\n", encoding="utf-8")
 
     def compare(self, software: str, algorithm: str, program: Program | None, seeds: int) -> None:
