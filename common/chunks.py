@@ -10,8 +10,6 @@ from common.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessa
 from common.team import TeamSpec
 from common.transitions import Chunk, EpisodeSummary, Rows
 
-MAX_EPISODES = 4096
-"""Most episodes that one chunk may finish."""
 MAX_FIGURES = 64
 """Most figures of an episode."""
 MAX_NAME = 64
@@ -57,7 +55,7 @@ def from_message(message: ChunkMessage, team: TeamSpec) -> Chunk:
     if len(names) > MAX_FIGURES or len(set(names)) != len(names) or any(len(name) > MAX_NAME for name in names):
         raise SchemaError("the finished episodes' figures have impossible names.")
     shapes = (message.episode.shape, message.steps.shape, message.episode_reward.shape, message.episode_figures.shape)
-    if not 0 <= count <= MAX_EPISODES or shapes != ((count,), (count,), (count, team.agents), (count, len(names))):
+    if not 0 <= count <= rows.steps or shapes != ((count,), (count,), (count, team.agents), (count, len(names))):
         raise SchemaError("the finished episodes' arrays do not fit together.")
     if count and not (np.isfinite(message.episode_reward).all() and np.isfinite(message.episode_figures).all()):
         raise SchemaError("a finished episode holds a number that is not finite.")

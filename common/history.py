@@ -22,6 +22,7 @@ import json
 import os
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, TextIO
@@ -170,8 +171,8 @@ class _Joined:
 class History:
     """Writes a process's history; without a path nothing is written.
 
-    A file that is there already is gone on with. A disk that takes no more is no reason to stop: `failure` says so, and
-    the whole file is tried anew with the next record.
+    A file that is there already is gone on with; one that cannot be read is kept under another name. A disk that takes
+    no more is no reason to stop: `failure` says so, and the whole file is tried anew with the next record.
 
     Args:
         path: the file; its folder is made.
@@ -182,7 +183,7 @@ class History:
     """
 
     def __init__(self, path: Path | None) -> None:
-        self.failure = ""
+        self.failure = self._standing = ""
         self.before: list[Record] = []
         self._path = path
         self._joined = _Joined()
@@ -221,10 +222,18 @@ class History:
             if path.exists():
                 self.before = read(path)[0]
         except (OSError, ValueError) as error:
-            self._fail(error)
+            self._keep_aside(path, error)
         for record in self.before:
             self._joined.add(record)
         self._rewrite(path)
+
+    def _keep_aside(self, path: Path, error: Exception) -> None:
+        """Put a history that cannot be read under another name, and say so for good: what it tells is missing here."""
+        aside = path.with_name(path.name + ".unreadable")
+        with suppress(OSError):
+            os.replace(path, aside)
+            why = getattr(error, "strerror", None) or error
+            self._standing = f"the history of earlier starts could not be read ({why}); it lies in {aside.name}."
 
     def _rewrite(self, path: Path) -> None:
         """Write the whole file under another name and put it in place; the old one stays when that fails."""
@@ -236,9 +245,10 @@ class History:
             os.replace(beside, path)
             self._file = path.open("a", encoding="utf-8")
             self._lines = 0
-            self.failure = ""
+            self.failure = self._standing
         except OSError as error:
-            beside.unlink(missing_ok=True)
+            with suppress(OSError):
+                beside.unlink(missing_ok=True)
             self._fail(error)
 
     def _fail(self, error: Exception) -> None:

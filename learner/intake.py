@@ -142,7 +142,7 @@ class Intake:
 
     def unexplained(self) -> int:
         """Return by how many steps accounts fail to close; what is forgotten in one does not make up for another."""
-        closed, workers = self._now()
+        closed, workers = self.now()
         return sum(abs(part.unexplained) for part in (closed, *workers.values()))
 
     def accounts(self, rows: int = ROWS) -> tuple[dict[str, int], dict[str, dict[str, int]]]:
@@ -154,7 +154,7 @@ class Intake:
         Args:
             rows: most workers that are told one by one.
         """
-        closed, workers = self._now()
+        closed, workers = self.now()
         totals = _summed([closed, *workers.values()])
         every = ((name, ledger.figures()) for name, ledger in workers.items())
         chosen = dict(heapq.nsmallest(rows, every, key=_trouble_first)) if rows else {}
@@ -197,7 +197,8 @@ class Intake:
         )
         return missing - rejected
 
-    def _now(self) -> tuple[WorkerLedger, dict[str, WorkerLedger]]:
+    def now(self) -> tuple[WorkerLedger, dict[str, WorkerLedger]]:
+        """Return the accounts of this moment: the sum of all ended starts, and those of the present ones."""
         with self._switch:
             return self.closed, dict(self.workers)
 

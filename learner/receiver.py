@@ -36,6 +36,29 @@ WORTH_LOOKING: Final = frozenset(("accepted", "closed", "refused", "damaged"))
 """A request without any of these brought nothing, and counts against its sender; bad chunks are counted one by one."""
 
 
+class Owed:
+    """An answer that comes after training (lockstep), to the newest copy of its request."""
+
+    def __init__(self, incoming: Incoming) -> None:
+        self._incoming: Incoming | None = incoming
+        self._lock = threading.Lock()
+
+    def renew(self, incoming: Incoming) -> bool:
+        """Owe the answer to a later copy, whose predecessor may have gone with a link; False when it was given."""
+        with self._lock:
+            if self._incoming is None:
+                return False
+            self._incoming = incoming
+            return True
+
+    def answer(self, payload: bytes) -> None:
+        """Answer."""
+        with self._lock:
+            incoming, self._incoming = self._incoming, None
+        if incoming is not None:
+            incoming.reply(payload)
+
+
 @dataclass(frozen=True)
 class Arrival:
     """An accepted chunk on its way into replay.
@@ -43,16 +66,16 @@ class Arrival:
     Attributes:
         chunk: the experience.
         sender: who sent it, with which parameter version.
-        ledger: the worker's account once this chunk is in.
-        closed: the account of all earlier incarnations then.
-        incoming: the request, when its answer is still owed (lockstep), else None.
+        closed: the account of all ended starts once this chunk is in.
+        workers: those of the present starts then. What was accepted before this chunk is ahead of it in the queue.
+        owed: the answer that the learner owes for it (lockstep), else None.
     """
 
     chunk: Chunk
     sender: Envelope
-    ledger: WorkerLedger
     closed: WorkerLedger
-    incoming: Incoming | None
+    workers: dict[str, WorkerLedger]
+    owed: "Owed | None"
 
 
 class Receiver:
@@ -102,6 +125,7 @@ class Receiver:
         self._closing, self._dealt_with = threading.Event(), threading.Event()
         self.gate = threading.Lock()
         self._logged = 0
+        self._owed: Owed | None = None
         self._thread = threading.Thread(target=self._run, name="receiver", daemon=True)
         self._thread.start()
 
@@ -172,12 +196,16 @@ class Receiver:
             raise ProtocolError("a lockstep run takes one chunk at a time.")
         verdicts: list[Verdict] = []
         for index, data in enumerate(parts):
-            owed = incoming if self._lockstep else None
-            verdicts.append(self._judge(replace(sender, sequence=sender.sequence + index), delivery, data, owed))
+            verdicts.append(self._judge(replace(sender, sequence=sender.sequence + index), delivery, data, incoming))
             if verdicts[-1][0] not in SETTLED:
                 break
-        if not (self._lockstep and verdicts == [TAKEN]):
+        if not (self._lockstep and self._owes(incoming, sender, verdicts[0])):
             self._answer(incoming, sender, verdicts)
+
+    def _owes(self, incoming: Incoming, sender: Envelope, verdict: Verdict) -> bool:
+        """Return whether the learner answers a request in lockstep: its chunk is new, or is still being trained on."""
+        again = verdict[0] == "duplicate" and sender.sequence == self.intake.expected(sender) - 1
+        return verdict == TAKEN or (again and self._owed is not None and self._owed.renew(incoming))
 
     def _identified(self, incoming: Incoming, worker: str) -> Envelope:
         """Return who sent a request; raise ProtocolError when it may not send here."""
@@ -195,14 +223,14 @@ class Receiver:
             raise ProtocolError("a lockstep run has exactly one worker.")
         return sender
 
-    def _judge(self, sender: Envelope, delivery: DeliveryMessage, data: Data, owed: Incoming | None) -> Verdict:
+    def _judge(self, sender: Envelope, delivery: DeliveryMessage, data: Data, incoming: Incoming) -> Verdict:
         """Look at one chunk of a delivery, and book and queue it when all is well.
 
         Args:
             sender: who sent it, with the chunk's own number.
             delivery: what it came in.
             data: its frame.
-            owed: the request, when the learner itself answers it.
+            incoming: the request, which the learner itself answers in lockstep.
         """
         try:
             message = ChunkMessage.decode(data)
@@ -228,7 +256,7 @@ class Receiver:
             self._tell("missing", sender, lost)
             self._tell("refused", sender, steps, message.produced, flown)
             return "refused", f"its policy is {lag} versions old, more than {self._most_lag}."
-        return self._queue(sender, chunk, message.produced, flown, owed)
+        return self._queue(sender, chunk, message.produced, flown, Owed(incoming) if self._lockstep else None)
 
     def _send_again(self, sender: Envelope, error: ProtocolError) -> Verdict:
         """Ask for an unreadable frame once more, without spending its number; refuse it when that goes on.
@@ -271,7 +299,7 @@ class Receiver:
         number = sender.sequence
         self._history.add(Entry(verdict, sender.name, sender.incarnation, number, number, steps, produced, flown))
 
-    def _queue(self, sender: Envelope, chunk: Chunk, produced: int, flown: int, owed: Incoming | None) -> Verdict:
+    def _queue(self, sender: Envelope, chunk: Chunk, produced: int, flown: int, owed: Owed | None) -> Verdict:
         """Book a chunk and put it into the queue, as soon as there is room."""
         while True:
             with self.gate:
@@ -284,8 +312,8 @@ class Receiver:
                     self._tell("missing", sender, lost)
                     self._tell("accepted", sender, steps, produced, flown)
                     self.offenders.good(sender.name)
-                    ledger = self.intake.workers[sender.name]
-                    self.arrivals.put_nowait(Arrival(chunk, sender, ledger, self.intake.closed, owed))
+                    self._owed = owed
+                    self.arrivals.put_nowait(Arrival(chunk, sender, *self.intake.now(), owed))
                     return TAKEN
             self._dealt_with.set()
             self._closing.wait(FULL_SECONDS)

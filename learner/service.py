@@ -163,16 +163,15 @@ class Learner:
             time.sleep(HELD_SECONDS)
             self._waited["imitation"] += time.monotonic() - started
         self._receiver.required_version = self.trainer.version
-        if arrival.incoming is not None:
-            ack = ChunkAck(("accepted",), ("",), arrival.ledger.expected, self.trainer.version)
-            arrival.incoming.reply(ack.encode())
+        if arrival.owed is not None:
+            expected = arrival.workers[arrival.sender.name].expected
+            arrival.owed.answer(ChunkAck(("accepted",), ("",), expected, self.trainer.version).encode())
 
     def _absorb(self, arrival: Arrival) -> None:
         trainer = self.trainer
         sender = arrival.sender
         trainer.absorb(arrival.chunk, sender.version, f"{sender.name}/{sender.incarnation}", sender.sequence)
-        self._absorbed.closed = arrival.closed
-        self._absorbed.workers[arrival.sender.name] = arrival.ledger
+        self._absorbed.closed, self._absorbed.workers = arrival.closed, arrival.workers
         self._lag += 0.05 * (trainer.version - arrival.sender.version - self._lag)
         if arrival.chunk.episodes:
             means = self._curves.add(arrival.chunk.episodes)

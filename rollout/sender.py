@@ -20,8 +20,9 @@ ANSWER_SECONDS = 30.0
 """Time after which a request without an answer is made again; a learner that is behind answers late on purpose."""
 LOCKSTEP_ANSWER_SECONDS = 3600.0
 """The same in lockstep, where the answer comes after the training that the chunk allows."""
-ENDING_ANSWER_SECONDS = 1.5
-"""The same for a worker that ends: an answer that was lost with a router must not cost what it still holds."""
+HURRIED_SECONDS = 0.25
+"""Time after which it is made again when the run or the worker ends, twice as long each time: an answer that was lost
+with a router must not cost what the worker still holds. It is less than a draining learner waits for the next chunk."""
 COMPLAINT_SECONDS = 10.0
 """Pause before the same error is logged again."""
 NOBODY = 5
@@ -78,7 +79,8 @@ class Sender:
         self._complaint, self._complained = "", 0.0
         self._history = history or History(None)
         self._changed = threading.Condition()
-        self._ending = self._ended = False
+        self._hurried = self._ended = False
+        self._again_after = HURRIED_SECONDS
         self._thread = threading.Thread(target=self._run, name="sender", daemon=True)
         self._thread.start()
 
@@ -111,11 +113,8 @@ class Sender:
         return max(self.flown, self.produced) - self.accepted - self.rejected
 
     def wait_empty(self, timeout: float) -> bool:
-        """Wait until all is answered, or the learner takes no more or is not there; return whether none is held.
-
-        From then on a request that is answered late is made again soon; nothing may be offered any more.
-        """
-        self._ending = True
+        """Wait until all is answered, or the learner takes no more or is not there; return whether none is held."""
+        self.hurry()
         deadline, before = time.monotonic() + timeout, self.untaken
         while self._held and not self.door_closed and time.monotonic() < deadline:
             before = min(before, self.untaken)
@@ -123,6 +122,10 @@ class Sender:
                 break
             time.sleep(0.01)
         return not self._held
+
+    def hurry(self, wanted: bool = True) -> None:
+        """Make a request again soon that is not answered, and not only after the usual patience."""
+        self._hurried = wanted
 
     def close(self) -> None:
         """End the thread; what is still held is not delivered."""
@@ -154,10 +157,10 @@ class Sender:
         flown = max(self.flown, batch[-1].produced)
         payload = to_request([held.sealed for held in batch], head.sequence, flown)
         started = time.monotonic()
-        ack = self._ask(payload, envelope.encode())
+        ack, heard = self._ask(payload, envelope.encode())
         waited = time.monotonic() - started
         self.waiting += waited
-        self.untaken = self.untaken + 1 if ack is None and waited < QUICK_SECONDS else 0
+        self.untaken = 0 if heard or waited >= QUICK_SECONDS else self.untaken + 1
         self.door_closed = ack is not None and "closed" in ack.verdicts
         if ack is None:
             return False
@@ -166,18 +169,24 @@ class Sender:
             self._settle(held, verdict, reason, ack.required_version)
         return len(told) >= len(batch)
 
-    def _ask(self, payload: bytes, attachment: bytes) -> ChunkAck | None:
+    def _ask(self, payload: bytes, attachment: bytes) -> tuple[ChunkAck | None, bool]:
+        """Return the answer, and whether there was any, be it a refusal."""
+        self._again_after = HURRIED_SECONDS
         try:
-            answer = self._bus.ask(self.key, payload, self._patience, attachment, self._enough)
-            return None if answer is None else ChunkAck.decode(answer)
+            answer = self._bus.ask(self.key, payload, self._patience, attachment, self._again)
+            return (None if answer is None else ChunkAck.decode(answer)), answer is not None
         except BusClosedError:
             raise
         except (BusError, ProtocolError) as error:
             self._complain(str(error))
-            return None
+            return None, True
 
-    def _enough(self, waited: float) -> bool:
-        return self._ending and waited >= ENDING_ANSWER_SECONDS
+    def _again(self, waited: float) -> bool:
+        if not self._hurried or waited < self._again_after:
+            return False
+        self._again_after *= 2.0
+        self.retries += 1
+        return True
 
     def _complain(self, text: str) -> None:
         """Log an error, the same one not more often than every COMPLAINT_SECONDS."""

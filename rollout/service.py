@@ -93,7 +93,7 @@ class Worker:
         self._showing = Showing(control, options.run, options.name, start, self._collector, told.toml)
         self._presence = Presence(control, options.run, "rollout", options.name, start)
         self._postponed: list[Incoming] = []
-        self._state = "starting"
+        self._state, self._stop = "starting", StopSignal()
         self._epoch = self._newest = self._malformed = 0
         self._heard = time.monotonic()
         self._paused = ""
@@ -102,6 +102,7 @@ class Worker:
 
     def run(self, stop: StopSignal) -> None:
         """Collect and deliver until told to stop or the run is finished."""
+        self._stop = stop
         while not stop and self._state != "finished":
             self._listen()
             self._evaluate()
@@ -116,8 +117,10 @@ class Worker:
         if not self._sender.wait_empty(DRAIN_SECONDS):
             log(f"worker {self._options.name}: {self._sender.in_flight} steps were not delivered.")
         self._report()
-        self._sender.close()
-        self._history.close()
+        try:
+            self._sender.close()
+        finally:
+            self._history.close()
 
     def _may_fly(self) -> bool:
         if not self._lockstep:
@@ -170,10 +173,13 @@ class Worker:
         if message.epoch < self._epoch:
             return
         if 0 < self._epoch < message.epoch:
-            answer = fetch_configuration(self._control, self._options.run, self._options.name, lambda: True, 5.0)
+            answer = fetch_configuration(
+                self._control, self._options.run, self._options.name, lambda: not self._stop, 5.0
+            )
             if answer is not None and answer.toml != self._toml:
                 raise UsageError(f"run {self._options.run} has a new learner with another configuration.")
         self._epoch, self._state = message.epoch, message.state
+        self._sender.hurry(self._state == "draining")
         self._newest, self._heard = message.version, time.monotonic()
 
     def _evaluate(self) -> None:

@@ -1,5 +1,8 @@
 """Histories say what happened, stay small, and survive torn lines and full disks."""
 
+from pathlib import Path
+from typing import Any
+
 from common import history
 from common.history import End, Entry, History, Resume, Start, Unreadable, parse, read, text
 
@@ -84,3 +87,43 @@ def test_a_disk_that_refuses_is_said_and_made_good(tmp_path, monkeypatch):
     one.add(chunk(3))
     assert one.failure == ""
     assert [r.last for r in read(path)[0]] == [3]
+
+
+def test_a_disk_that_becomes_read_only_stops_nobody(tmp_path, monkeypatch):
+    """Where neither writing nor tidying up is possible the process goes on and says so."""
+    path = tmp_path / "h.jsonl"
+    one = History(path)
+
+    def refuse(*arguments: object, **options: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    def reading(path: Path, mode: str = "r", **options: Any) -> Any:
+        return opened(path, mode, **options) if "r" in mode else refuse()
+
+    opened = Path.open
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "open", reading)
+        patched.setattr(Path, "unlink", refuse)
+        monkeypatch.setattr(one, "_file", None)
+        one.add(chunk(1))
+        assert "Read-only file system" in one.failure
+        assert "Read-only file system" in History(path).failure
+    one.add(chunk(2))
+    assert one.failure == ""
+    assert [r.last for r in read(path)[0]] == [2]
+
+
+def test_a_history_that_cannot_be_read_is_kept_and_said(tmp_path, monkeypatch):
+    """What earlier starts told is put aside, not overwritten, and the alarm stays while the new history grows."""
+    path = tmp_path / "h.jsonl"
+    History(path).add(chunk(1))
+    told = path.read_text()
+    with monkeypatch.context() as patched:
+        patched.setattr("common.history.MAX_BYTES", 1)
+        one = History(path)
+    one.add(chunk(2))
+    assert one.before == []
+    assert "h.jsonl.unreadable" in one.failure
+    assert (tmp_path / "h.jsonl.unreadable").read_text() == told
+    assert [r.last for r in read(path)[0]] == [2]
+    assert History(path).failure == ""

@@ -93,6 +93,16 @@ def test_a_late_beginning_that_is_explained(tmp_path, before):
     assert found.chunks["accepted"] == 2
 
 
+@pytest.mark.parametrize("late", [True, False])
+def test_the_ledger_is_held_against_a_whole_history_only(tmp_path, late):
+    """A ledger of the whole run says more than a history that begins with a checkpoint, and that is no defect."""
+    status = {"kind": "status", "environment_steps": 60, "ledger": {"accepted": 60, "lost": 0}}
+    (tmp_path / "metrics.jsonl").write_text(json.dumps(status) + "\n" + json.dumps({"kind": "end"}) + "\n")
+    found = write(tmp_path, [Resume({"a": (1, 5)}), ("accepted", 5, 6, 10)] if late else [("accepted", 1, 2, 10)])
+    assert found.steps["accepted"] == 20
+    assert found.clean == late, found.unexplained
+
+
 def damage(path, number):
     """Spoil one line of a file; return how many it has."""
     lines = path.read_text().splitlines(keepends=True)

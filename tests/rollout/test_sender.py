@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 import pytest
 
 from common.chunks import from_message, from_request
+from common.errors import BusError
 from common.messages import MOST_BYTES, MOST_CHUNKS, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from rollout import sender as module
 from rollout.sender import Sender
@@ -22,16 +23,22 @@ class Wire:
     def __init__(self) -> None:
         self._asked: queue.Queue[tuple[bytes, bytes]] = queue.Queue()
         self._answers: queue.Queue[bytes | None] = queue.Queue()
+        self.refusals = 0
 
     def ask(
-        self, key: str, payload: bytes, timeout: float, attachment: bytes, enough: Callable[[float], bool]
+        self, key: str, payload: bytes, timeout: float, attachment: bytes, again: Callable[[float], bool]
     ) -> bytes | None:
         self._asked.put((payload, attachment))
-        started = time.monotonic()
-        while not enough(time.monotonic() - started):
+        if self.refusals:
+            self.refusals -= 1
+            raise BusError("refused: replaced.")
+        asked = time.monotonic()
+        while True:
             with suppress(queue.Empty):
                 return self._answers.get(timeout=0.01)
-        return None
+            if again(time.monotonic() - asked):
+                self._asked.put((payload, attachment))
+                asked = time.monotonic()
 
     def close(self) -> None:
         self._answers.put(None)
@@ -154,18 +161,43 @@ def test_who_ends_waits_for_a_learner_that_comes_back(monkeypatch):
         assert sender.wait_empty(3600.0)
 
 
-def test_who_ends_asks_again_when_an_answer_was_lost(monkeypatch):
-    """A request whose answer went down with a router is patient while the worker flies, and not when it ends."""
+@pytest.mark.parametrize("ending", [True, False])
+def test_who_hurries_asks_again_when_an_answer_was_lost(monkeypatch, ending):
+    """A request whose answer went down with a router is patient while the worker flies, and not when run or worker end.
+
+    The same request goes again and again, at longer and longer intervals, and an answer to any of them settles it.
+    """
     with sending(monkeypatch) as (sender, wire, offer), ThreadPoolExecutor(1) as pool:
-        monkeypatch.setattr(module, "ENDING_ANSWER_SECONDS", 0.05)
+        monkeypatch.setattr(module, "HURRIED_SECONDS", 0.02)
         offer(1)
         assert wire.request()[0] == 1
         offer(2)
         time.sleep(0.2)
         assert wire.silent
-        emptied = pool.submit(sender.wait_empty, 3600.0)
-        first, _, chunks = wire.request()
-        assert (first, len(chunks)) == (1, 2)
-        wire.answer("duplicate", "accepted")
-        assert emptied.result(60.0)
+        emptied = pool.submit(sender.wait_empty, 3600.0) if ending else None
+        sender.hurry()
+        for _ in range(3):
+            first, _, chunks = wire.request()
+            assert (first, len(chunks)) == (1, 1)
+        sender.hurry(ending)
+        wire.answer("duplicate")
+        until(lambda: sender.spooled == 1, "the first settled")
+        assert sender.retries >= 3
+        while (request := wire.request())[0] == 1:
+            pass
+        assert (request[0], len(request[2])) == (2, 1)
+        wire.answer("accepted")
+        until(lambda: sender.spooled == 0, "all settled")
+        assert emptied is None or emptied.result(60.0)
         assert (sender.produced, sender.accepted, sender.in_flight) == (2, 2, 0)
+
+
+def test_a_refusal_is_not_silence(monkeypatch):
+    """A learner that refuses every request at once is there: it is not taken for one that may not be reached."""
+    with sending(monkeypatch) as (sender, wire, offer):
+        wire.refusals = module.NOBODY + 1
+        offer(1)
+        until(lambda: sender.retries > module.NOBODY, "refusals")
+        assert sender.untaken == 0
+        wire.answer("accepted")
+        until(lambda: sender.spooled == 0, "all settled")
