@@ -6,6 +6,7 @@ is found is named, and so is every line that was damaged after it was written.
 """
 
 import json
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -146,9 +147,17 @@ def audit(run_dir: Path) -> Audit:
     for worker, incarnation in [*made, *taken]:
         newest[worker] = max(newest.get(worker, 0), incarnation)
     for source in sorted({*made, *taken}):
-        _compare(source, made.get(source), taken.get(source, _Taken()), source[1] < newest[source[0]], found)
+        part = taken[source] if source in taken else _unheard(source, taken)
+        _compare(source, made.get(source), part, source[1] < newest[source[0]], found)
     _hold_against_ledger(run_dir / METRICS, found, whole=all(part.first == 1 for part in taken.values()))
     return found
+
+
+def _unheard(source: Source, taken: dict[Source, _Taken]) -> _Taken:
+    """Return what the learner tells of a start that it does not name: nothing, or that it was before a late beginning."""
+    worker, start = source
+    before = any(w == worker and s > start and part.first > 1 for (w, s), part in taken.items())
+    return _Taken(first=sys.maxsize if before else 1)
 
 
 def _records(path: Path, found: Audit) -> list[Record]:
@@ -247,6 +256,8 @@ def _compare(source: Source, made: _Made | None, taken: _Taken, replaced: bool, 
         elif taken.declared_missing(number):
             found.book(source[0], "lost", steps)
             found.lost_with["learner"] += steps
+        elif number in made.told and number < taken.first:
+            found.book(source[0], "rejected" if made.told[number] == "refused" else "accepted", steps)
         elif number in made.told:
             said = _TOLD[made.told[number]][0]
             found.unexplained.append(f"{_name(source, number)} was told to be {said}, and the learner knows nothing.")

@@ -163,6 +163,10 @@ class Learner:
             time.sleep(HELD_SECONDS)
             self._waited["imitation"] += time.monotonic() - started
         self._receiver.required_version = self.trainer.version
+        self._settle(arrival)
+
+    def _settle(self, arrival: Arrival) -> None:
+        """Give the answer that is owed for a chunk, if one is."""
         if arrival.owed is not None:
             expected = arrival.workers[arrival.sender.name].expected
             arrival.owed.answer(ChunkAck(("accepted",), ("",), expected, self.trainer.version).encode())
@@ -331,7 +335,8 @@ class Learner:
             self._take_in_what_is_held()
         self._receiver.close()
         while not self._receiver.arrivals.empty():
-            self._absorb(self._receiver.arrivals.get_nowait())
+            self._absorb(arrival := self._receiver.arrivals.get_nowait())
+            self._settle(arrival)
         self._publish()
         self._tell_progress()
         self._checkpoint(wait=True)

@@ -56,7 +56,7 @@ class Budget:
     """What every program gets.
 
     Attributes:
-        steps: environment steps, a multiple of an episode's.
+        steps: environment steps; of ours a multiple of a chunk's, which are 8 episodes.
         every: environment steps for each update round.
         warmup: environment steps of random actions at first.
     """

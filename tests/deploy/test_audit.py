@@ -94,6 +94,25 @@ def test_a_late_beginning_that_is_explained(tmp_path, before):
 
 
 @pytest.mark.parametrize("late", [True, False])
+def test_a_late_beginning_beside_workers_that_remember_all(tmp_path, late):
+    """What a worker was told before the checkpoint with which the history begins is believed; without one it is not."""
+    worker = [made(6), ("told", 1, 3, 10), ("refused", 4, 4, 10), ("told", 5, 6, 10)]
+    found = write(tmp_path, [*([Resume({"a": (1, 5)})] if late else []), ("accepted", 5, 6, 10)], worker)
+    assert found.clean == late, found.unexplained
+    assert not late or dict(found.chunks) == {"accepted": 5, "rejected": 1}
+
+
+def test_a_start_before_a_late_beginning(tmp_path):
+    """A worker's start that had ended before the checkpoint is not in it, and what it was told is believed, too."""
+    learner = [Resume({"a": (2, 3)}), Entry("accepted", "a", 2, 3, 3, 10, 30, 30)]
+    worker = [made(2), ("told", 1, 2, 10), Start("rollout", "a", 2)]
+    worker += [Entry(verdict, "a", 2, 1, 3, 10, 30, 30) for verdict in ("made", "told")]
+    found = write(tmp_path, learner, worker)
+    assert found.clean, found.unexplained
+    assert found.chunks["accepted"] == 5
+
+
+@pytest.mark.parametrize("late", [True, False])
 def test_the_ledger_is_held_against_a_whole_history_only(tmp_path, late):
     """A ledger of the whole run says more than a history that begins with a checkpoint, and that is no defect."""
     status = {"kind": "status", "environment_steps": 60, "ledger": {"accepted": 60, "lost": 0}}

@@ -67,7 +67,8 @@ def test_methods_stand_in_the_order_of_their_rewards() -> None:
     folder = ROOT / "docs" / "results"
     run = json.loads((folder / "default" / "evaluation.json").read_text(encoding="utf-8"))
     study = json.loads((folder / "reproduce" / "smoke" / "training" / "results.json").read_text(encoding="utf-8"))
-    _, _, table = BLOCKS["README.md"][2](run, study).partition("Beside the paper's baselines")
+    flown = json.loads((folder / "heuristics" / "results.json").read_text(encoding="utf-8"))
+    _, _, table = BLOCKS["README.md"][2](run, study, flown).partition("Beside the paper's baselines")
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in table.splitlines() if row.startswith("|")][2:]
     wanted = sorted(study["methods"], key=lambda name: -study["methods"][name]["reward"][0])
     assert [row[0].strip("*") for row in rows] == wanted
@@ -75,3 +76,21 @@ def test_methods_stand_in_the_order_of_their_rewards() -> None:
     assert [row[0] for row in rows if not row[5]] == ["**EIA-SEC**"]
     assert f"commits {study['commit']}." in table
     assert f"{study['sizes']['episodes']} episodes and {study['sizes']['seeds']} seeds" in table
+
+
+def test_the_readme_tells_where_the_policy_that_ships_stands() -> None:
+    """Heuristics with a clearly higher reward are named as ahead, those within its interval as level, others not."""
+    folder = ROOT / "docs" / "results"
+    run = json.loads((folder / "default" / "evaluation.json").read_text(encoding="utf-8"))
+    study = json.loads((folder / "reproduce" / "smoke" / "training" / "results.json").read_text(encoding="utf-8"))
+    rewards = {
+        "trained": (50, 45, 55),
+        "high": (70, 65, 75),
+        "higher": (80, 75, 85),
+        "alike": (56, 52, 60),
+        "low": (9, 8, 10),
+    }
+    results = [{"policy": name, "reward": reward} for name, reward in rewards.items()]
+    text = BLOCKS["README.md"][2](run, study, {"first_farm": 1, "last_farm": 2, "results": results}).replace("\n", " ")
+    assert "On farms 1..2 the policy that ships earns 50 (45..55). More earn the heuristics higher 80, high 70;" in text
+    assert "as much: alike 56 (" in text
