@@ -154,7 +154,7 @@ def audit(run_dir: Path) -> Audit:
 
 
 def _unheard(source: Source, taken: dict[Source, _Taken]) -> _Taken:
-    """Return what the learner tells of a start that it does not name: nothing, or that it was before a late beginning."""
+    """Return what the learner tells of a start that it does not name: nothing, or that it ended before all it tells."""
     worker, start = source
     before = any(w == worker and s > start and part.first > 1 for (w, s), part in taken.items())
     return _Taken(first=sys.maxsize if before else 1)

@@ -1,6 +1,7 @@
 """The blocks of docs/reproduce.md: written by `python -m deploy.studies.comparison_page` from the committed results."""
 
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -11,6 +12,7 @@ from deploy.studies.catalogue import STUDIES
 from deploy.studies.claims import CLAIMS, heuristics, training
 from deploy.studies.evidence import early_farms
 from deploy.studies.scales import FIRST_FARM, FIRST_REPORTED
+from deploy.studies.tables import page
 from deploy.studies.verdicts import NOT_RUN, Row, full, rows_table
 
 PAGE: Final = Path("docs/reproduce.md")
@@ -44,6 +46,8 @@ def counted(root: Path) -> str:
     return coverage.block(_read(root / COVERAGE))
 
 
+SHOWN: Final = re.compile(r"!\[.*?\]\((.*?)\)")
+"""Pictures on a page."""
 BLOCKS: Final[Mapping[str, Callable[[Path], str]]] = {
     "statistics": counted,
     "targets": beaten,
@@ -78,8 +82,17 @@ def _read(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
 
+def written(folder: Path) -> str:
+    """Return a study's page from the results in its folder, with the pictures that it shows today."""
+    data = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    pictures = SHOWN.findall((folder / "README.md").read_text(encoding="utf-8"))
+    return page(STUDIES[data["study"]].title, data, pictures)
+
+
 def main() -> None:
-    """Write the blocks anew."""
+    """Write the blocks anew, and the words of each study's page; its data and pictures are `--redraw`'s."""
+    for results in RESULTS.rglob("results.json"):
+        (results.parent / "README.md").write_text(written(results.parent), encoding="utf-8")
     PAGE.write_text(refreshed(PAGE.read_text(encoding="utf-8"), Path()), encoding="utf-8")
 
 
