@@ -31,6 +31,11 @@ PEERS: Final = ("MADDPG", "MATD3", "MASAC")
 PARTS: Final = ("EIA only", "SEC only", "neither")
 CONTROL: Final = "neither"
 """The ablation without EIA and SEC, which has critics of the agent's own observation as EIA-SEC has."""
+UNLIKE: Final[Mapping[str, Callable[[Results], Any]]] = {
+    "their farms": lambda sizes: (sizes.get("first_farm"), sizes["farms"]),
+    "the length of late methods' trials": lambda sizes: sizes.get("long_trial_episodes", sizes["trial_episodes"]),
+}
+"""What may stand between two studies that are compared, by their sizes; older ones had one length of trials."""
 
 
 def training(data: Results | None, control: Results | None = None) -> list[Row]:
@@ -103,9 +108,10 @@ def _share_without(data: Results, control: Results | None) -> str:
     if whole <= 0.0:
         return told
     share = (float(np.mean(alone)) - means[best]) / whole
-    return f"{told}; so {share:.0%} of the lead over {best} is there without EIA and SEC" + (
-        ": most of it comes with the scope of the critics" if share > 0.5 else ""
-    )
+    found = f"{told}; so {share:.0%} of the lead over {best} is there without EIA and SEC"
+    found += ": most of it comes with the scope of the critics" if share > 0.5 else ""
+    unlike = [name for name, of in UNLIKE.items() if of(data["sizes"]) != of(control["sizes"])]
+    return found + (f" (the two studies differ in {' and '.join(unlike)})" if unlike else "")
 
 
 def _convergence(methods: Results, within: str, first: str) -> list[Row]:

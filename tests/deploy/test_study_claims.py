@@ -58,13 +58,16 @@ def method(level, aoi=1.0, converged=500.0, unrest=10.0, farms=20.0, over=1.0):
 REFERENCES = {"best": "horizon", "policies": {"horizon": {"reward": 1400.0}, "random": {"reward": 400.0}}}
 
 
+SIZES = {"farms": 100, "trial_episodes": 200}
+
+
 def study(**first):
     names = ("MADDPG", "MATD3", "MASAC")
     methods = {
         "EIA-SEC": method(**{"level": 900.0, "aoi": 0.5, "converged": 300.0, "unrest": 5.0, "farms": 9.0, **first})
     }
     methods |= {name: method(600.0 + place) for place, name in enumerate(names)}
-    return {"methods": methods, "references": REFERENCES}
+    return {"methods": methods, "references": REFERENCES, "sizes": SIZES}
 
 
 def test_verdicts_on_training_turn_with_the_numbers():
@@ -115,11 +118,13 @@ def test_counted_farm_by_farm_where_the_results_hold_it():
 
 def test_the_control_is_told_beside_the_lead():
     """How much of the lead over the best peer is there without either part, and only when the ablation is there."""
-    control = {"methods": {"neither": method(840.0)}}
+    control = {"methods": {"neither": method(840.0)}, "sizes": SIZES}
     row = training(study(), control)[0]
     assert "so 80% of the lead over MASAC is there without EIA and SEC: most of it" in row.why
     assert "each of its runs more than every run of the peers" in row.why
-    low = training(study(), {"methods": {"neither": method(602.0)}})[0]
+    assert "differ" not in row.why
+    low = training(study(), {"methods": {"neither": method(602.0)}, "sizes": {**SIZES, "first_farm": 1020}})[0]
+    assert "(the two studies differ in their farms)" in low.why
     assert "so 0% of the lead over MASAC is there without EIA and SEC" in low.why
     assert "most of it" not in low.why
     assert "each of its runs" not in low.why
