@@ -220,11 +220,7 @@ def growth_page(data: dict[str, Any]) -> str:
     lines = [line for by in GROWTH_BY for line in data[by]]
     cores = lines[0]["threads"]
     where = f"{cores} thread{'s' * (cores > 1)}" if lines[0].get("device", "cpu") == "cpu" else lines[0]["device"]
-    # Results made before the number was written down are of single rounds.
-    if "burst" in lines[0]:
-        timed = f"the least of many bursts of {lines[0]['burst']} rounds"
-    else:
-        timed = f"the least of many single rounds (from the next measurement on: of bursts of {BURST} rounds)"
+    timed = f"the least of many bursts of {lines[0]['burst']} rounds"
     return f"Made by `{data['command']}` (commit {data['commit']}); {timed}, {where}.\n\n{table(lines)}"
 
 
