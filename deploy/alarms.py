@@ -18,12 +18,13 @@ NAMED: Final = 3
 Sentence = Callable[[Sequence[ProcessRow], str], str]
 
 
-def examine(rows: Sequence[ProcessRow], training: bool) -> tuple[tuple[ProcessRow, ...], list[str]]:
+def examine(rows: Sequence[ProcessRow], training: bool, over: bool = False) -> tuple[tuple[ProcessRow, ...], list[str]]:
     """Return the rows with those in trouble marked, and one sentence for each kind of trouble.
 
     Args:
         rows: the fleet.
         training: whether the workers are supposed to fly.
+        over: whether the run's episodes are done or it drains, so that processes leave as they should.
     """
     marked: set[tuple[str, str]] = set()
     sentences: list[str] = []
@@ -33,7 +34,7 @@ def examine(rows: Sequence[ProcessRow], training: bool) -> tuple[tuple[ProcessRo
             marked.update((row.role, row.name) for row in found)
             sentences.append(f"{_names(found)} {one if len(found) == 1 else many}")
 
-    complain([row for row in rows if not (row.alive or row.left)], "is gone.", "are gone.")
+    complain([row for row in rows if not (over or row.alive or row.left)], "is gone.", "are gone.")
     silent = [row for row in rows if row.alive and row.quiet]
     longest = max((row.age for row in silent), default=0.0)
     complain(silent, f"has said nothing for {longest:.0f} s.", f"have said nothing for up to {longest:.0f} s.")

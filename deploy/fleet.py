@@ -133,7 +133,8 @@ class Fleet:
             ProcessRow("rollout", str(name), "-", 0, 0.0, alive=False, ledger=_ledger(ledgers[name]), left=True)
             for name in before
         )
-        rows, complaints = examine(rows, training=values.get("state") == "training")
+        over = values.get("state") in ("draining", "finished") or 0 < total <= episodes
+        rows, complaints = examine(rows, training=values.get("state") == "training" and not over, over=over)
         return Snapshot(
             run=self._run,
             state=str(values.get("state", "starting")),

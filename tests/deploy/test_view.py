@@ -170,6 +170,9 @@ def test_every_kind_of_trouble_is_named():
     assert examine(gone, training=True)[1] == [
         "rollout worker-0, rollout worker-1, rollout worker-2 and 9 others are gone."
     ]
+    rows, sentences = examine(gone, training=False, over=True)
+    assert sentences == []
+    assert not any(row.trouble for row in rows)
     still = [worker(index, rate=0.0) for index in range(2)]
     assert examine(still, training=True)[1] == ["rollout worker-0 and rollout worker-1 have stopped flying."]
     assert examine(still, training=False)[1] == []

@@ -1,0 +1,38 @@
+"""What the monitor says of processes that leave when a run is over."""
+
+import pytest
+
+from common.bus import Bus
+from common.endpoint import free_endpoint
+from common.process import Presence
+from deploy.fleet import Fleet
+from tests.system.fleet import until
+
+
+@pytest.mark.parametrize(
+    ("state", "episodes", "gone"),
+    [("training", 71, True), ("training", 72, False), ("finished", 72, False), ("draining", 40, False)],
+)
+def test_who_leaves_a_run_that_is_over_is_no_alarm(state, episodes, gone):
+    """A coordinator that leaves is one while there are episodes to fly, and none when the run is done or drains."""
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control") as bus, Bus.connect(endpoint, "control", 10.0) as away:
+        fleet = Fleet(bus, "r")
+        learner = Presence(bus, "r", "learner", "learner", 1)
+        coordinator = Presence(away, "r", "elite", "coordinator", 1)
+        values = {"state": state, "episodes": episodes, "episodes_total": 72, "elapsed": 1.0}
+
+        def seen(alive: bool) -> bool:
+            learner.report(values)
+            if alive:
+                coordinator.report({})
+            fleet.update()
+            found = fleet.snapshot()
+            known = {row.role: row.alive for row in found.processes}
+            return known == {"learner": True, "elite": alive} and found.episodes == episodes
+
+        until(lambda: seen(alive=True), "both processes")
+        assert fleet.snapshot().alarms == ()
+        away.close()
+        until(lambda: seen(alive=False), "a coordinator that has left")
+        assert fleet.snapshot().alarms == (("elite coordinator is gone.",) if gone else ())
