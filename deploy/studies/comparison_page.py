@@ -84,7 +84,7 @@ def _read(path: Path) -> Any:
 
 def written(folder: Path) -> str:
     """Return a study's page from the results in its folder, with the pictures that it shows today."""
-    data = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    data = _read(folder / "results.json")
     pictures = SHOWN.findall((folder / "README.md").read_text(encoding="utf-8"))
     return page(STUDIES[data["study"]].title, data, pictures)
 

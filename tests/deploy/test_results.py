@@ -2,12 +2,13 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from common.config.files import from_toml
 from common.config.presets import PRESETS
-from deploy.results import BLOCKS, NOT_MEASURED, refreshed
+from deploy.results import BLOCKS, HEURISTICS, NOT_MEASURED, refreshed
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -62,13 +63,18 @@ def test_watching_costs_the_worker_less_than_two_percent() -> None:
     assert "+7.5 %" in block
 
 
-def test_methods_stand_in_the_order_of_their_rewards() -> None:
-    """Every method of the study has a row, the best first, with the runs' commits; what it is compared with is bold."""
+def readme_block(flown: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Return the README's block from the default run and the smoke study, and that study."""
     folder = ROOT / "docs" / "results"
     run = json.loads((folder / "default" / "evaluation.json").read_text(encoding="utf-8"))
     study = json.loads((folder / "reproduce" / "smoke" / "training" / "results.json").read_text(encoding="utf-8"))
-    flown = json.loads((folder / "heuristics" / "results.json").read_text(encoding="utf-8"))
-    _, _, table = BLOCKS["README.md"][2](run, study, flown).partition("Beside the paper's baselines")
+    return BLOCKS["README.md"][2](run, study, flown), study
+
+
+def test_methods_stand_in_the_order_of_their_rewards() -> None:
+    """Every method of the study has a row, the best first, with the runs' commits; what it is compared with is bold."""
+    text, study = readme_block(json.loads((ROOT / HEURISTICS).read_text(encoding="utf-8")))
+    _, _, table = text.partition("Beside the paper's baselines")
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in table.splitlines() if row.startswith("|")][2:]
     wanted = sorted(study["methods"], key=lambda name: -study["methods"][name]["reward"][0])
     assert [row[0].strip("*") for row in rows] == wanted
@@ -80,9 +86,6 @@ def test_methods_stand_in_the_order_of_their_rewards() -> None:
 
 def test_the_readme_tells_where_the_policy_that_ships_stands() -> None:
     """Heuristics with a clearly higher reward are named as ahead, those within its interval as level, others not."""
-    folder = ROOT / "docs" / "results"
-    run = json.loads((folder / "default" / "evaluation.json").read_text(encoding="utf-8"))
-    study = json.loads((folder / "reproduce" / "smoke" / "training" / "results.json").read_text(encoding="utf-8"))
     rewards = {
         "trained": (50, 45, 55),
         "high": (70, 65, 75),
@@ -91,6 +94,6 @@ def test_the_readme_tells_where_the_policy_that_ships_stands() -> None:
         "low": (9, 8, 10),
     }
     results = [{"policy": name, "reward": reward} for name, reward in rewards.items()]
-    text = BLOCKS["README.md"][2](run, study, {"first_farm": 1, "last_farm": 2, "results": results}).replace("\n", " ")
+    text = readme_block({"first_farm": 1, "last_farm": 2, "results": results})[0].replace("\n", " ")
     assert "On farms 1..2 the policy that ships earns 50 (45..55). More earn the heuristics higher 80, high 70;" in text
     assert "as much: alike 56 (" in text
