@@ -54,6 +54,9 @@ def render(snapshot: Snapshot, height: int = HEIGHT) -> RenderableType:
 
 def summary(snapshot: Snapshot) -> str:
     """Return the essence in one line of plain text."""
+    if not snapshot.episodes_total:
+        waiting = f"{snapshot.state}: nothing heard of the learner yet"
+        return "; ".join(filter(None, (waiting, _alarm_count(len(snapshot.alarms)))))
     rewards = ", ".join(f"{series.name} {number(series.latest, series.digits)}" for series in snapshot.reward)
     parts = [
         f"{snapshot.state}: episode {snapshot.episodes:,} of {snapshot.episodes_total:,}",

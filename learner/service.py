@@ -31,6 +31,7 @@ from learner.options import LearnerOptions
 from learner.overdue import Overdue
 from learner.past import take_up
 from learner.receiver import Arrival, Receiver
+from learner.rehearsal import rehearse
 from learner.reports import Curves, Journal, imitation_record
 from learner.storage import RunStorage
 from learner.trainer import Trainer
@@ -56,6 +57,7 @@ class Learner:
 
     def __init__(self, options: LearnerOptions, config: RunConfig, team: TeamSpec, control: Bus, bulk: Bus) -> None:
         self._options, self._config, self._team = options, config, team
+        rehearse(config, team)
         self.trainer = Trainer(config, self._team)
         self._absorbed = Intake()
         self._storage = RunStorage(options.run_dir, config)

@@ -253,7 +253,7 @@ def test_summary_is_the_essence_in_one_line():
         "training: episode 812 of 2,000; reward mean 420.5, communication -12.5, monitoring 1,250.0, "
         "collection 960.0; 1,201 steps/s; 1,003 updates/s; 35:33 left; 1 alarm"
     )
-    assert summary(Snapshot("new")) == "starting: episode 0 of 0; - steps/s; - updates/s"
+    assert summary(Snapshot("new")) == "starting: nothing heard of the learner yet"
 
 
 def test_latest_is_the_mean_of_the_newest_values():

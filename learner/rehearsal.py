@@ -1,0 +1,34 @@
+"""Update rounds of a run that is thrown away, so that what they call is compiled before anybody waits for the learner.
+
+With an empty cache the compiler takes some ten seconds, during which a process answers nobody.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from common.config import RunConfig
+from common.team import TeamSpec
+from common.transitions import TRANSITION, Chunk, Rows
+from learner.algorithms import ALGORITHMS
+from learner.trainer import Trainer
+
+
+def rehearse(config: RunConfig, team: TeamSpec) -> None:
+    """Take in one chunk and do every kind of update round once; on an accelerator nothing is compiled ahead.
+
+    Args:
+        config: the run.
+        team: the layout of the team.
+    """
+    if config.learner.device != "cpu":
+        return
+    steps = max(256, 2 * config.algorithm.batch)
+    trainer = Trainer(replace(config, replay=replace(config.replay, capacity=steps, warmup_steps=0)), team)
+    flag = np.full(steps, TRANSITION, np.uint8)
+    flag[-1] = 0
+    observation, action, reward = (
+        np.zeros((steps, size), np.float32) for size in (team.observation_size, team.action_size, team.agents)
+    )
+    trainer.absorb(Chunk(Rows(observation, action, reward, flag), ()))
+    trainer.train(ALGORITHMS[config.algorithm.name].phases(config.algorithm))
