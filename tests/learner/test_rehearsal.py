@@ -1,10 +1,13 @@
 """A learner whose update rounds are compiled before anybody waits for it."""
 
 import json
+import os
 import subprocess
 import sys
 
 import pytest
+
+from deploy.threads import thread_environment
 
 # What a run calls after its rehearsal that was not compiled in it; in a process of its own, where nothing was before.
 COUNT = """
@@ -41,9 +44,8 @@ print(json.dumps([sum(before.values()), sum(rehearsed.values()), sum(compiled().
 
 
 def counted(algorithm: str, how: str) -> list[object]:
-    ended = subprocess.run(
-        [sys.executable, "-c", COUNT, algorithm, how], capture_output=True, text=True, check=True, timeout=300
-    )
+    command, environment = [sys.executable, "-c", COUNT, algorithm, how], {**os.environ, **thread_environment(1)}
+    ended = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300, env=environment)
     found: list[object] = json.loads(ended.stdout.splitlines()[-1])
     return found
 
