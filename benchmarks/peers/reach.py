@@ -239,28 +239,35 @@ def options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
+def write(data: Line, folder: Path) -> None:
+    """Write data, page and picture."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    (folder / "README.md").write_text(page(data), encoding="utf-8")
+    picture(data).savefig(folder / "curves.png", dpi=DPI)
+
+
 def measure() -> int:
-    """Train everything in turn, then print or write; return 0."""
+    """Train everything in turn, seed by seed, and write after each seed what is there; print it and return 0."""
     asked = options()
     peers = [program for program in PEERS if not asked.only or program.name in asked.only]
     for program in peers:
         provide(program, asked.venvs, asked.pip_args)
     bar = reward_of(policy_of(BAR, PRESETS["default"].farm), FARMS)
-    runs = [{"software": OURS, "seed": seed, **run_ours(seed, asked.seconds)} for seed in range(asked.seeds)]
-    for program in peers:
-        for seed in range(asked.seeds):
-            runs.append({"software": program.name, "seed": seed, **run_peer(program, seed, bar, asked)})
-            sys.stderr.write(f"{program.name}, seed {seed}: {runs[-1]['points'][-1]}\n")
+    runs: list[Line] = []
     data = {
         **provenance("benchmarks.peers.reach"),
         **{"cores": os.cpu_count(), "bar": bar, "seconds": asked.seconds, "limit": asked.limit, "every": asked.every},
         "runs": runs,
     }
-    if asked.write:
-        asked.write.mkdir(parents=True, exist_ok=True)
-        (asked.write / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-        (asked.write / "README.md").write_text(page(data), encoding="utf-8")
-        picture(data).savefig(asked.write / "curves.png", dpi=DPI)
+    for seed in range(asked.seeds):
+        found: list[Line] = [{"software": OURS, "seed": seed, **run_ours(seed, asked.seconds)}]
+        for program in peers:
+            found.append({"software": program.name, "seed": seed, **run_peer(program, seed, bar, asked)})
+            sys.stderr.write(f"{program.name}, seed {seed}: {found[-1]['points'][-1]}\n")
+        runs.extend(found)
+        if asked.write:
+            write(data, asked.write)
     sys.stdout.write(json.dumps(summary(data), indent=1) + "\n" if asked.json else page(data))
     return 0
 

@@ -1,6 +1,7 @@
 """When a training has reached what is wanted: the clock, the farm that all programs fly, and the page."""
 
 import argparse
+import json
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from benchmarks.peers import flights, reach
 from benchmarks.peers.flights import Course, SteeredFarm
 from common.config import FarmConfig
 from common.config.presets import PRESETS
+from common.errors import EiaSecError
 from rollout.farms import FarmBatch
 
 
@@ -105,6 +107,30 @@ def test_who_never_got_there_took_longer_than_it_was_given():
     assert "| 75% (750) | EIA-SEC | 1 of 2 | > 65 (60 to 70) | - |" in text
     assert "EIA-SEC 800, AgileRL 510, BenchMARL -5." in text
     assert len(reach.picture(a_result()).axes[0].lines) == 6
+
+
+def test_a_seed_that_fails_leaves_those_before_it(monkeypatch, tmp_path):
+    """Whole seeds are written as they end, all programs of a seed before the next one."""
+    flown = []
+
+    def train(software, seed):
+        flown.append((software, seed))
+        if flown[-1] == ("AgileRL", 1):
+            raise EiaSecError("no more memory.")
+        return {"points": [{"seconds": 1.0, "steps": 1, "reward": 2.0}]}
+
+    monkeypatch.setattr(reach, "provide", lambda *_: None)
+    monkeypatch.setattr(reach, "reward_of", lambda *_: 1.0)
+    monkeypatch.setattr(reach, "run_ours", lambda seed, _: train(reach.OURS, seed))
+    monkeypatch.setattr(reach, "run_peer", lambda program, seed, *_: train(program.name, seed))
+    monkeypatch.setattr("sys.argv", ["reach", "--seeds", "3", "--write", str(tmp_path)])
+    with pytest.raises(EiaSecError, match="no more memory"):
+        reach.measure()
+    first = [(reach.OURS, 0), ("AgileRL", 0), ("BenchMARL", 0)]
+    assert flown == [*first, (reach.OURS, 1), ("AgileRL", 1)]
+    kept = json.loads((tmp_path / "results.json").read_text())["runs"]
+    assert [(run["software"], run["seed"]) for run in kept] == first
+    assert "1 of 1" in (tmp_path / "README.md").read_text()
 
 
 def test_peers_are_told_our_settings():
