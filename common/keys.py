@@ -136,9 +136,23 @@ VIEW: Final = KeyFamily(
     "while somebody watches; 25 steps per second on average",
 )
 METRIC: Final = KeyFamily(
-    "metric", "metric/{role}/{name}", "lossy", "every process", "everybody", ("MetricMessage",), "1 per second"
+    "metric",
+    "metric/{role}/{name}",
+    "lossy",
+    "learner, coordinator, workers, flight nodes",
+    "everybody",
+    ("MetricMessage",),
+    "1 per second",
 )
-LIVE: Final = KeyFamily("live", "live/{role}/{name}", "token", "every process", "everybody", (), "while it lives")
+LIVE: Final = KeyFamily(
+    "live",
+    "live/{role}/{name}",
+    "token",
+    "learner, coordinator, workers, flight nodes",
+    "everybody",
+    (),
+    "while it lives",
+)
 OBSERVATION: Final = KeyFamily(
     "flight",
     "flight/{vehicle}/observation",

@@ -29,7 +29,7 @@ class Envelope(Message):
         role: rollout, learner, elite, flight or vehicle.
         name: the process's name inside its role.
         incarnation: a number that grows with every start of a process of this name.
-        sequence: running number of what this sender sends on this key, from 1.
+        sequence: running number of what this sender sends on this key, from 1; the coordinator's is always 1.
         version: parameter version that the sender held.
     """
 

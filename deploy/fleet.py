@@ -152,7 +152,7 @@ class Fleet:
             updates=int(values.get("updates", 0)),
             updates_rate=learner.rate("updates") if learner else None,
             staleness=float(values["lag_versions"]) if "lag_versions" in values else None,
-            learner_wait=_share(values.get("waits", {}).get("data"), elapsed),
+            learner_wait=self._learner_wait(),
             worker_wait=self._worker_wait(),
             ledger=_ledger(values.get("ledger", {})),
             others=(int(ledgers[OTHERS].get("workers", 0)), _ledger(ledgers[OTHERS])) if OTHERS in ledgers else None,
@@ -177,6 +177,12 @@ class Fleet:
             for kind, name in shown.items()
             if kind in self._figures
         )
+
+    def _learner_wait(self) -> float | None:
+        learner = self._of("learner")
+        if learner is None or learner.message is None:
+            return None
+        return _share(learner.values.get("waits", {}).get("data"), learner.message.uptime)
 
     def _worker_wait(self) -> float | None:
         shares = [

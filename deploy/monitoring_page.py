@@ -27,7 +27,8 @@ eia-sec monitor --run farm --connect tcp/127.0.0.1:7447           # a live view,
 eia-sec monitor --run farm --connect tcp/127.0.0.1:7447 --json    # one line of JSON per update
 ```
 
-`eia-sec train` prints the line to use. A monitor only subscribes: it may come, go and crash as it likes, and any
+`eia-sec train` prints the line to use (with `--tls` it names the place of a certificate of the monitor's own, `eia-sec
+keys issue monitor NAME`). A monitor only subscribes: it may come, go and crash as it likes, and any
 number may watch. It needs no file of the run and no configuration. What it shows is what the processes tell of
 themselves once a second, on keys that any Zenoh client can read; this page lists them.
 
@@ -58,7 +59,8 @@ sees tokens, and nothing else ([security.md](security.md)).
 
 ## Frames
 
-Every payload, and every attachment, is one frame, little-endian:
+Every payload that a subscriber sees, and every attachment, is one frame, little-endian (a request on `transition/` is
+several, one after another):
 
 | bytes | what |
 |---|---|
@@ -82,7 +84,7 @@ _FIGURES: Final = """## Figures of each role
 
 `MetricMessage.values`, one message a second. Names of nested maps are joined by a slash here, and `*` is any name.
 `metrics.jsonl` in the run directory holds the learner's figures too, without `alarms` and `imitations`, in its records
-of kind `status`, and TensorBoard shows its numbers ([understanding.md](understanding.md)).
+of kind `status`, and TensorBoard shows a part of them ([understanding.md](understanding.md)).
 
 """
 
@@ -139,7 +141,11 @@ def attribute_docs(kind: type[Any]) -> dict[str, str]:
 
 def _message(kind: type[Message]) -> str:
     where = [f"`{family.template}`" for family in keys.FAMILIES if kind.__name__ in family.messages]
-    place = "attachment of metrics, and of requests whose sender matters" if kind is Envelope else ", ".join(where)
+    place = (
+        "attachment of metrics, views, observations and set-points, and of requests whose sender matters"
+        if kind is Envelope
+        else ", ".join(where)
+    )
     return _kind(kind, f"### {kind.__name__}, kind {kind.KIND}: {place}")
 
 

@@ -80,9 +80,10 @@ alarms, and afterwards has one try. Each refusal is held back for {hold} s, so t
 way waits for the answers instead of asking again at once. At most {held} requests or {held_bytes} MiB of them are
 held; beyond that the oldest is refused at once. All are counted (`turned_away`).
 
-A process that is denied says so: Zenoh drops a denied message in silence, but everybody with a certificate may see
-whether a learner lives, so that no answer from a living learner is recognised. When certificates do not fit, the
-connecting side says which and why, and exits with code 2.
+A worker, coordinator, monitor or watcher that is denied says so: Zenoh drops a denied message in silence, but everybody
+with a certificate may see whether a learner lives, so that no answer from a living learner is recognised. Vehicles and
+flight nodes do not ask for one, and a denied one hears nothing. When certificates do not fit, the connecting side says
+which and why, and exits with code 2.
 
 ## Protected, from whom
 

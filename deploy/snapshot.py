@@ -112,7 +112,7 @@ class ProcessRow:
         age: seconds since its last message.
         alive: whether its liveliness token stands.
         ledger: where the steps of a worker are, over all its starts.
-        trouble: whether an alarm is about it.
+        trouble: whether it is gone, silent, far behind or slow; alarms that it tells of itself do not count.
         left: whether it is known from the learner's ledger alone: a worker that was there before this view looked.
     """
 
@@ -155,14 +155,14 @@ class Snapshot:
         steps_rate: the same per second.
         updates: update rounds done.
         updates_rate: the same per second.
-        staleness: mean over workers of the parameter versions by which they lag behind the learner.
-        learner_wait: share of time in which the learner waits for data, 0..1.
+        staleness: parameter versions by which the newest chunks' policies were older than the learner's, running mean.
+        learner_wait: share of the time since its start in which the learner waits for data, 0..1.
         worker_wait: mean share of time in which the workers wait for the learner, 0..1.
         ledger: where the produced steps of the run are.
         others: how many workers the learner sums in its account, and where their steps are.
         imitation: the elite imitation so far.
         processes: one row for each process.
-        alarms: sentences that somebody should read, newest last.
+        alarms: sentences that somebody should read.
     """
 
     run: str

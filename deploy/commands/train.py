@@ -87,7 +87,8 @@ def command(arguments: Sequence[str]) -> int:
     directory.adopt(options.settings)
     console = Console(stderr=False)
     console.print(f"run directory {directory.path}; watch from elsewhere with:", highlight=False)
-    console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}", highlight=False)
+    own = "" if options.tls is None else f" --tls {options.tls / 'monitor.NAME'}"
+    console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}{own}", highlight=False)
     _Training(options, directory, endpoint, console).run()
     finished = directory.finished()
     if finished and options.report:

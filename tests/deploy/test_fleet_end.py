@@ -36,3 +36,20 @@ def test_who_leaves_a_run_that_is_over_is_no_alarm(state, episodes, gone):
         away.close()
         until(lambda: seen(alive=False), "a coordinator that has left")
         assert fleet.snapshot().alarms == (("elite coordinator is gone.",) if gone else ())
+
+
+def test_a_resumed_learner_waits_for_a_share_of_its_own_time():
+    """Waits are counted since a start of the learner, so they are divided by that start's time, not by the run's."""
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control") as bus:
+        fleet = Fleet(bus, "r")
+        learner = Presence(bus, "r", "learner", "learner", 1)
+        values = {"state": "training", "elapsed": 1e6, "waits": {"data": 1e3}}
+
+        def seen() -> bool:
+            learner.report(values)
+            fleet.update()
+            return fleet.snapshot().elapsed == values["elapsed"]
+
+        until(seen, "the learner")
+        assert fleet.snapshot().learner_wait == 1.0
