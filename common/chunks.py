@@ -6,7 +6,7 @@ import numpy as np
 
 from common.errors import FrameError, SchemaError, VersionError
 from common.frame import Data, length
-from common.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessage
+from common.messages import MOST_BYTES, MOST_CHUNKS, MOST_COUNT, ChunkMessage, DeliveryMessage
 from common.team import TeamSpec
 from common.transitions import Chunk, EpisodeSummary, Rows
 
@@ -44,12 +44,15 @@ def from_message(message: ChunkMessage, team: TeamSpec) -> Chunk:
 
     Raises:
         VersionError: when it is for another team.
-        SchemaError: when a shape does not fit, a number is not finite, or an action leaves [-1, 1].
+        SchemaError: when a shape does not fit, a number is not finite, an action leaves [-1, 1], or the steps that the
+            worker says it produced cannot be.
     """
     if message.team != team.digest:
         raise VersionError(f"rows for team {message.team[:16]} sent to a learner of team {team.digest}.")
     rows = Rows(message.observation, message.action, message.reward, message.flag)
     rows.check(team)
+    if not rows.steps <= message.produced <= MOST_COUNT:
+        raise SchemaError(f"{rows.steps} steps of {message.produced} produced so far are impossible.")
     count = message.farm.shape[0] if message.farm.ndim == 1 else -1
     names = message.figure_names
     if len(names) > MAX_FIGURES or len(set(names)) != len(names) or any(len(name) > MAX_NAME for name in names):
@@ -92,7 +95,7 @@ def from_request(payload: bytes) -> tuple[DeliveryMessage, list[Data]]:
     Raises:
         FrameError, VersionError: when the payload does not begin with a whole DeliveryMessage, or is not as long as it
             says.
-        SchemaError: when it holds no chunks, or more than a delivery may.
+        SchemaError: when it holds no chunks, or more than a delivery may, or an impossible count of steps.
     """
     view = memoryview(payload)
     place = length(view)
@@ -102,6 +105,8 @@ def from_request(payload: bytes) -> tuple[DeliveryMessage, list[Data]]:
         raise FrameError("the chunks are not as long as their delivery says.")
     if not sizes or fitting(sizes) < len(sizes):
         raise SchemaError(f"{len(sizes)} chunks of {sum(sizes)} bytes are no delivery.")
+    if delivery.flown > MOST_COUNT:
+        raise SchemaError(f"{delivery.flown} steps flown are impossible.")
     parts: list[Data] = []
     for size in sizes:
         parts.append(view[place : place + size])

@@ -31,8 +31,11 @@ REWRITE_LINES: Final = 20_000
 """Lines after which the file is written anew with consecutive chunks joined."""
 MAX_BYTES: Final = 256 * 2**20
 """Largest history that is read, bytes."""
+MOST_JOINED: Final = 2**24
+"""Most chunks of one line; a longer range is two."""
 VERDICTS: Final = ("made", "told", "again", "refused", "accepted", "duplicate", "missing")
-_SUMMED: Final = ("duplicate", "missing")
+SUMMED: Final = ("duplicate", "missing")
+"""Verdicts of which a line tells a sum, and not one chunk after another."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,11 @@ class Entry:
     produced: int = 0
     flown: int = 0
 
+    @property
+    def numbers(self) -> range:
+        """Return the chunks of which it tells one by one; none where it tells a sum."""
+        return range(0) if self.verdict in SUMMED else range(self.first, self.last + 1)
+
 
 @dataclass(frozen=True)
 class Unreadable:
@@ -87,15 +95,23 @@ def parse(line: str) -> Record:
             case ["start", str(role), str(name), int(incarnation)]:
                 return Start(role, name, incarnation)
             case ["resume", dict(workers)]:
-                return Resume({str(name): (int(inc), int(expected)) for name, (inc, expected) in workers.items()})
+                return Resume({str(name): _whole(inc, expected) for name, (inc, expected) in workers.items()})
             case ["end"]:
                 return End()
             case [str(verdict), str(worker), *numbers] if verdict in VERDICTS and len(numbers) == 6:
-                if all(type(number) is int and 0 <= number < 2**63 for number in numbers):
-                    return Entry(verdict, worker, *numbers)
+                entry = Entry(verdict, worker, *_whole(*numbers))
+                if verdict in SUMMED or 0 <= entry.last - entry.first < MOST_JOINED:
+                    return entry
     except (TypeError, RecursionError) as error:
         raise ValueError(str(error)) from error
     raise ValueError("the line is no record of a history")
+
+
+def _whole(*numbers: Any) -> Any:
+    """Return numbers that are whole and no larger than any of ours; raise ValueError for others."""
+    if not all(type(number) is int and 0 <= number < 2**63 for number in numbers):
+        raise ValueError("a number is none that a history holds")
+    return numbers
 
 
 def text(record: Record) -> str:
@@ -161,7 +177,8 @@ class _Joined:
                 first, last = min(before.first, record.first), max(before.last, record.last)
                 self._records[place] = replace(before, first=first, last=last, steps=before.steps + record.steps)
                 return
-            if record.verdict != "missing" and record.first == before.last + 1 and record.steps == before.steps:
+            follows = record.first == before.last + 1 and record.last - before.first < MOST_JOINED
+            if record.verdict != "missing" and follows and record.steps == before.steps:
                 self._records[place] = replace(before, last=record.last, produced=record.produced, flown=record.flown)
                 return
         self._open[key] = len(self._records)

@@ -16,6 +16,8 @@ from common.endpoint import Endpoint
 from common.errors import BusError
 from common.messages import CommandMessage, ConfigurationMessage, Envelope, MetricMessage
 
+LARGEST: Final = 2**63 - 1
+"""Largest whole number that a report tells; a sum that is larger is told as this."""
 SUPERVISOR: Final = "EIA_SEC_SUPERVISOR"
 """Environment variable with the process number of the supervisor, whose death is a reason to stop."""
 ORPHAN_SECONDS: Final = 0.5
@@ -56,10 +58,24 @@ class StopSignal:
         return self.event.is_set()
 
 
+_unwritten: Final = [0]
+"""How many lines could not be written since the last one that could."""
+
+
 def log(text: str) -> None:
-    """Write one line with the time of day to standard error."""
-    sys.stderr.write(f"{time.strftime('%H:%M:%S')} {text}\n")
-    sys.stderr.flush()
+    """Write one line with the time of day to standard error.
+
+    A disk that takes no more is no reason to stop: lines that cannot be written are counted, and the next one that can
+    says how many.
+    """
+    before = f"({_unwritten[0]} lines before this one could not be written) " if _unwritten[0] else ""
+    try:
+        sys.stderr.write(f"{time.strftime('%H:%M:%S')} {before}{text}\n")
+        sys.stderr.flush()
+    except (OSError, ValueError):
+        _unwritten[0] += 1
+    else:
+        _unwritten[0] = 0
 
 
 class Presence:
@@ -81,12 +97,21 @@ class Presence:
         self._started = time.monotonic()
 
     def report(self, values: dict[str, Any], version: int = 0) -> None:
-        """Publish one metric message."""
+        """Publish one metric message; whole numbers beyond LARGEST are told as that."""
         self._counter += 1
         uptime = time.monotonic() - self._started
-        message = MetricMessage(self._counter, socket.gethostname(), os.getpid(), uptime, values)
+        message = MetricMessage(self._counter, socket.gethostname(), os.getpid(), uptime, _told(values))
         envelope = Envelope(*self._sender, sequence=self._counter, version=version)
         self._publisher.put(message.encode(), envelope.encode())
+
+
+def _told(value: Any) -> Any:
+    """Return a figure, or a list or map of them, without whole numbers that no frame holds."""
+    if isinstance(value, dict):
+        return {name: _told(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_told(part) for part in value]
+    return max(-LARGEST, min(LARGEST, value)) if type(value) is int else value
 
 
 def incarnation() -> int:

@@ -17,6 +17,8 @@ from common.errors import RunDirError
 from common.history import End, Entry, Record, Resume, Start, Unreadable, read
 from deploy.rundir import HISTORY, METRICS
 
+MOST_CHUNKS: Final = 2**26
+"""Most chunks that histories may tell of; an audit holds each of them in memory."""
 NAMED: Final = 20
 """Sentences that the command prints one by one; it counts the rest, and as JSON it prints all."""
 FATES: Final = ("accepted", "lost", "rejected", "in_flight")
@@ -48,6 +50,7 @@ class Audit:
         doubled: one sentence for each id that was accepted twice.
         damaged: lines of histories that cannot be read, each of them named.
         torn: last lines that were torn off when their process was killed or its disk was full, which is no defect.
+        held: chunks that are held in memory, those of all histories together.
     """
 
     chunks: Counter[str] = field(default_factory=Counter)
@@ -60,6 +63,7 @@ class Audit:
     doubled: list[str] = field(default_factory=list)
     damaged: int = 0
     torn: int = 0
+    held: int = 0
 
     @property
     def produced(self) -> int:
@@ -132,7 +136,7 @@ def audit(run_dir: Path) -> Audit:
     """Audit a run directory.
 
     Raises:
-        RunDirError: when it holds no history of a learner, or one that cannot be read.
+        RunDirError: when it holds no history of a learner, one that cannot be read, or more chunks than MOST_CHUNKS.
     """
     folder = run_dir / HISTORY
     if not (folder / "learner.jsonl").is_file():
@@ -166,6 +170,9 @@ def _records(path: Path, found: Audit) -> list[Record]:
     except (OSError, ValueError) as error:
         raise RunDirError(f"{path} cannot be read: {error}.") from error
     found.torn += torn
+    found.held += sum(len(part.numbers) for part in records if isinstance(part, Entry))
+    if found.held > MOST_CHUNKS:
+        raise RunDirError(f"with {path} the histories tell of {found.held:,} chunks, more than {MOST_CHUNKS:,}.")
     for number, record in enumerate(records, start=1):
         if isinstance(record, Unreadable):
             found.damaged += 1
@@ -174,7 +181,7 @@ def _records(path: Path, found: Audit) -> list[Record]:
 
 
 def _numbers(entry: Entry) -> Iterator[tuple[Source, int]]:
-    for number in range(entry.first, entry.last + 1):
+    for number in entry.numbers:
         yield (entry.worker, entry.incarnation), number
 
 

@@ -32,11 +32,12 @@ def take_up(history: History, intake: Intake, epoch: int, *, resumed: bool) -> i
 
 
 def _book(intake: Intake, entry: Entry) -> None:
-    for number in range(entry.first, entry.last + 1):
+    known = intake.workers.get(entry.worker)
+    if known is not None and entry.incarnation < known.incarnation:
+        return
+    first = max(entry.first, known.expected if known is not None and entry.incarnation == known.incarnation else 0)
+    for number in range(first, entry.last + 1):
         sender = Envelope("rollout", entry.worker, entry.incarnation, number)
-        known = intake.workers.get(entry.worker)
-        if known is not None and (entry.incarnation, number) < (known.incarnation, known.expected):
-            continue
         behind = (entry.last - number) * entry.steps
         produced, flown = entry.produced - behind, max(0, entry.flown - behind)
         if entry.verdict == "accepted":

@@ -13,7 +13,7 @@ from common.config import ReplayConfig
 from common.errors import ProtocolError, SchemaError
 from common.frame import Data
 from common.history import Entry, History
-from common.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
+from common.messages import MOST_COUNT, SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from common.process import log
 from common.team import TeamSpec
 from common.transitions import Chunk
@@ -211,7 +211,7 @@ class Receiver:
         """Return who sent a request; raise ProtocolError when it may not send here."""
         try:
             sender = Envelope.decode(incoming.attachment)
-            if (sender.role, sender.name) != ("rollout", worker) or sender.sequence < 1:
+            if (sender.role, sender.name) != ("rollout", worker) or not 1 <= sender.sequence <= MOST_COUNT:
                 raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}, {sender.sequence}.")
         except ProtocolError as error:
             self._bad(worker, str(error))

@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from common import history
 from common.history import End, Entry, History, Resume, Start, Unreadable, parse, read, text
 
@@ -15,6 +17,37 @@ def test_every_record_comes_back():
     """A record and the record of its line are equal."""
     for record in (Start("rollout", "w", 3), Resume({"w": (3, 7)}), End(), chunk(4)):
         assert parse(text(record)) == record
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        '["made","w",1,1,9000000000000000000,1,1,1]',
+        '["made","w",1,5,4,1,1,1]',
+        '["made","w",1,1,1,1,1,1e3]',
+        '["made","w",1,1,1,1,1,18446744073709551616]',
+        '["resume",{"w":[1e999,1]}]',
+        '["resume",{"w":[1,1,1]}]',
+        '["resume",{"w":["1",1]}]',
+        '["resume",["w"]]',
+    ],
+)
+def test_what_no_process_writes_is_no_record(line):
+    """Ranges without end, numbers that are none of ours, and other shapes are refused before anything is counted."""
+    with pytest.raises(ValueError, match=r"."):
+        parse(line)
+
+
+def test_a_range_that_grows_too_long_is_two_lines(tmp_path, monkeypatch):
+    """No line tells of more chunks than one that is read may."""
+    monkeypatch.setattr(history, "MOST_JOINED", 100)
+    path = tmp_path / "h.jsonl"
+    one = History(path)
+    for number in range(1, 251):
+        one.add(chunk(number))
+    one.close()
+    assert [(r.first, r.last) for r in History(path).before if isinstance(r, Entry)] == [(n, n) for n in range(1, 251)]
+    assert [(r.first, r.last) for r in read(path)[0] if isinstance(r, Entry)] == [(1, 100), (101, 200), (201, 250)]
 
 
 def test_consecutive_chunks_are_joined_when_the_file_is_written_anew(tmp_path, monkeypatch):

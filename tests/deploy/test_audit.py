@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from common.errors import RunDirError
 from common.history import End, Entry, History, Resume, Start
 from deploy.audit import NAMED, audit
 from deploy.cli import dispatch
@@ -151,6 +152,16 @@ def test_a_torn_last_line_is_no_defect(tmp_path):
     found = audit(tmp_path)
     assert found.clean, found.unexplained
     assert (found.torn, found.damaged, found.chunks["in_flight"]) == (1, 0, 1)
+
+
+def test_more_chunks_than_memory_holds_are_refused_before_they_are_counted(tmp_path, monkeypatch):
+    """Histories of all processes together may tell of so many chunks, and sums of duplicates do not count."""
+    monkeypatch.setattr("deploy.audit.MOST_CHUNKS", 19)
+    learner = [("accepted", 1, 10, 10), ("duplicate", 1, 1000, 5)]
+    with pytest.raises(RunDirError, match=r"rollout-a.jsonl the histories tell of 20 chunks, more than 19"):
+        write(tmp_path, learner, [made(10)])
+    monkeypatch.setattr("deploy.audit.MOST_CHUNKS", 20)
+    assert audit(tmp_path).held == 20
 
 
 def test_all_ids_are_named(tmp_path, capsys):

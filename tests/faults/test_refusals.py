@@ -66,6 +66,8 @@ WRONG = {
     ),
     "another team": ChunkMessage(**{**vars(of(a_chunk(1))), "team": "0" * 16}),
     "a field too many": frame.encode(ChunkMessage.KIND, {"more": 1}, {}),
+    "fewer steps than it holds": to_message(a_chunk(1), TEAM, 1, 0),
+    "more steps than anybody flies": to_message(a_chunk(1), TEAM, 1, 2**63 - 1),
     "arrays of another type": of(spoilt(observation=ROWS.observation.astype(np.float64))),
 }
 

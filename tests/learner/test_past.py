@@ -71,3 +71,18 @@ def test_killed_twice_before_the_next_checkpoint(tmp_path):
     third.restore(saved)
     assert take_up(History(path), third, 3, resumed=True) == 20
     assert third.totals()["produced"] == 30
+
+
+def test_a_long_range_is_gone_through_from_where_the_checkpoint_ends(tmp_path):
+    """What the checkpoint knows already is skipped at once, and only the rest is lost."""
+    path, intake = tmp_path / "learner.jsonl", Intake()
+    many = 2**24
+    intake.accept(Envelope("rollout", "a", 1, many - 1), 10, (many - 1) * 10, (many - 1) * 10)
+    path.write_text(
+        f'["start","learner","learner",1]\n["accepted","a",1,1,{many},10,{many * 10},{many * 10}]\n', encoding="utf-8"
+    )
+    history = History(path)
+    assert len(history.before) == 2
+    before = intake.totals()["lost"]
+    assert take_up(history, intake, 2, resumed=True) == 10
+    assert intake.totals()["lost"] == before + 10
