@@ -8,10 +8,11 @@ from typing import Any, Final
 
 from common import keys
 from common.bus import Bus
-from common.errors import ProtocolError
+from common.errors import ProtocolError, SchemaError
 from common.messages import Envelope, MetricMessage
 from common.team import LETTERS
 from deploy.alarms import examine
+from deploy.heard import figures, plain
 from deploy.snapshot import Imitation, ImitationRow, Ledger, ProcessRow, Series, Snapshot
 from learner.intake import OTHERS
 
@@ -21,8 +22,16 @@ RATE_SECONDS: Final = 10.0
 """Time over which rates are taken: a worker reports chunks, and one second may hold none."""
 COUNTED: Final = {"learner": "updates", "rollout": "environment_steps", "flight": "decisions"}
 """What each role makes, by the name of its counter."""
+TRACK: Final = 64
+"""Most messages over which a rate is taken."""
 GONE_SECONDS: Final = 30.0
 """A process without a token stays in the table for this long."""
+MOST_ROWS: Final = 4096
+"""Most processes that are followed; messages of further ones are counted among those that could not be read."""
+MOST_CURVES: Final = 64
+"""Most types of agent whose reward is followed."""
+UNREADABLE: Final = (ProtocolError, TypeError, ValueError, LookupError, AttributeError, OverflowError)
+"""What becomes of figures that are none, whoever tells them."""
 FRESHNESS: Final = {"aoi": "AoI", "vdf": "VDF"}
 LENGTH: Final = {"steps": "episode steps"}
 """What is shown in place of AoI and VDF where there are none."""
@@ -38,20 +47,25 @@ class _Seen:
     at: float = 0.0
     missed: int = 0
     alive: bool = True
+    announced: bool = False
     change: float = field(default_factory=time.monotonic)
-    track: deque[tuple[float, dict[str, Any]]] = field(default_factory=deque)
+    track: deque[tuple[float, dict[str, Any]]] = field(default_factory=lambda: deque(maxlen=TRACK))
 
     def follow(self, message: MetricMessage, version: int, now: float) -> None:
-        """Take in a newer message of the same process, or the first one of its next start."""
-        before = self.message
+        """Take in a newer message of the same process, or the first one of its next start.
+
+        Raises:
+            SchemaError: its figures are none.
+        """
+        before, values = self.message, figures(message.values)
         if before is not None and before.pid == message.pid:
             self.missed += max(0, message.counter - before.counter - 1)
         if before is None or before.pid != message.pid or message.uptime <= before.uptime:
             self.track.clear()
-        self.track.append((message.uptime, message.values))
+        self.track.append((message.uptime, values))
         while len(self.track) > 2 and message.uptime - self.track[0][0] > RATE_SECONDS:
             self.track.popleft()
-        self.message, self.values, self.version, self.at = message, message.values, version, now
+        self.message, self.values, self.version, self.at = message, values, version, now
 
     def rate(self, counter: str) -> float | None:
         """Return how fast a counter grows, per second, over the last RATE_SECONDS; None before the second message."""
@@ -84,8 +98,8 @@ class Fleet:
         for sample in self._tokens.drain():
             try:
                 variables = keys.parse(sample.key).variables
-                seen = self._seen.setdefault((variables["role"], variables["name"]), _Seen())
-                seen.alive, seen.change = sample.present, now
+                seen = self._of_name((variables["role"], variables["name"]))
+                seen.alive, seen.announced, seen.change = sample.present, True, now
             except (ProtocolError, KeyError):
                 self._malformed += 1
         for sample in self._metrics.drain():
@@ -95,26 +109,36 @@ class Fleet:
                 if (sender.role, sender.name) != (parsed.variables["role"], parsed.variables["name"]):
                     raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}.")
                 self._take((parsed.variables["role"], parsed.variables["name"]), sender, message, now)
-            except (ProtocolError, KeyError, TypeError, ValueError):
+            except UNREADABLE:
                 self._malformed += 1
         for name, seen in list(self._seen.items()):
-            if not seen.alive and now - seen.change > GONE_SECONDS:
+            # Whoever never had a token has no end but its silence.
+            gone = now - seen.change if not seen.alive else 0.0 if seen.announced else now - seen.at
+            if gone > GONE_SECONDS:
                 del self._seen[name]
 
+    def _of_name(self, name: tuple[str, str]) -> _Seen:
+        if name not in self._seen and len(self._seen) >= MOST_ROWS:
+            raise ProtocolError(f"there are {MOST_ROWS} processes already.")
+        return self._seen.setdefault(name, _Seen())
+
     def _take(self, name: tuple[str, str], sender: Envelope, message: MetricMessage, now: float) -> None:
-        self._seen.setdefault(name, _Seen()).follow(message, sender.version, now)
-        if name[0] == "learner" and message.values.get("curves"):
-            curves = message.values["curves"]
-            figures = {kind: curves[kind] for kind in (*FRESHNESS, *LENGTH) if kind in curves}
-            for part, values in ((self._rewards, curves["reward"]), (self._figures, figures)):
+        seen = self._of_name(name)
+        seen.follow(message, sender.version, now)
+        if name[0] == "learner" and seen.values.get("curves"):
+            curves = seen.values["curves"]
+            others = {kind: curves[kind] for kind in (*FRESHNESS, *LENGTH) if kind in curves}
+            for part, values in ((self._rewards, curves.get("reward", {})), (self._figures, others)):
                 for kind, value in values.items():
-                    part.setdefault(str(kind), deque(maxlen=HISTORY)).append(float(value))
+                    if kind not in part and len(part) >= MOST_CURVES:
+                        raise SchemaError(f"there are more than {MOST_CURVES} curves.")
+                    part.setdefault(kind, deque(maxlen=HISTORY)).append(float(value))
 
     def snapshot(self, alarms: tuple[str, ...] = ()) -> Snapshot:
         """Return the present state for `deploy.view.render`, with the caller's alarms before its own."""
         try:
             return self._snapshot(alarms)
-        except (TypeError, ValueError, LookupError, AttributeError, OverflowError):
+        except UNREADABLE:
             # Somebody's figures are not figures: without them the view goes on.
             self._malformed += 1
             for seen in self._seen.values():
@@ -220,13 +244,13 @@ class Fleet:
         return ProcessRow(
             role=role,
             name=name[1],
-            host=message.host if message else "-",
+            host=plain(message.host) if message else "-",
             pid=message.pid if message else 0,
             uptime=message.uptime if message else 0.0,
             rate=seen.rate(COUNTED[role]) if role in COUNTED else None,
             version=seen.version,
             behind=max(0, int(learner["version"]) - seen.version) if follows else None,
-            episodes=values.get("episodes"),
+            episodes=int(values["episodes"]) if "episodes" in values else None,
             queue=int(queue) if queue is not None else None,
             age=time.monotonic() - seen.at if message else 0.0,
             alive=seen.alive,
@@ -271,10 +295,15 @@ def _imitated(event: dict[str, Any]) -> ImitationRow:
         episode=int(event["episode"]),
         rate=float(event["rate"]),
         elites=tuple(
-            (LETTERS.get(kind, str(kind)[:NAME]), int(elite), float(scores[kind][elite]) if kind in scores else None)
+            (LETTERS.get(kind, str(kind)[:NAME]), int(elite), _score(scores.get(kind), int(elite)))
             for kind, elite in event["elites"].items()
         ),
     )
+
+
+def _score(scores: Any, elite: int) -> float | None:
+    """Return an elite's score, None where it is not told or not finite."""
+    return None if scores is None or scores[elite] is None else float(scores[elite])
 
 
 def _digits(points: Sequence[float]) -> int:

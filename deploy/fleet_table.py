@@ -176,7 +176,7 @@ class EventTable:
         table = Table(box=None, expand=True, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
         types = [name for name, _, _ in self.events[-1].elites]
         for name in ("event", "episode", "theta", *(f"elite {name} (omega)" for name in types)):
-            table.add_column(name, justify="right", no_wrap=True)
+            table.add_column(Text(name), justify="right", no_wrap=True)
         for event in self.events:
             elites = [f"{index} ({'-' if score is None else f'{score:.2f}'})" for _, index, score in event.elites]
             table.add_row(str(event.event), number(event.episode), f"{event.rate:.3g}", *elites)

@@ -101,7 +101,7 @@ def _learning(snapshot: Snapshot) -> Panel:
     grid.add_column(ratio=1, no_wrap=True)
     for index, series in enumerate(snapshot.reward):
         value = Text(number(series.latest, series.digits), style="bold" if index == 0 else "")
-        grid.add_row(series.name, value, Sparkline(series.values, "green", 120))
+        grid.add_row(Text(series.name), value, Sparkline(series.values, "green", 120))
     for series in snapshot.freshness:
         grid.add_row(series.name, number(series.latest, series.digits), Sparkline(series.values, "blue", 120))
     waiting = Text("No episode has ended yet.", style="dim")
@@ -149,7 +149,7 @@ def _imitation(imitation: Imitation) -> Panel:
     grid.add_row("events", f"{imitation.events}, rate {_rate(imitation.rate)}")
     due = "-" if imitation.next_episode is None else f"episode {imitation.next_episode:,}"
     grid.add_row("next at", due)
-    grid.add_row("elites", " ".join(f"{name} {index}" for name, index in imitation.elites) or "-")
+    grid.add_row("elites", Text(" ".join(f"{name} {index}" for name, index in imitation.elites) or "-"))
     return _panel("elite imitation", grid)
 
 

@@ -73,7 +73,7 @@ def _show(options: MonitorArguments, fleet: Fleet, stop: StopSignal, bus: Bus) -
                 sys.stdout.write(json.dumps(record(snapshot), allow_nan=False) + "\n")
                 sys.stdout.flush()
             else:
-                console.print(summary(snapshot), highlight=False, soft_wrap=True)
+                console.print(summary(snapshot), highlight=False, markup=False, soft_wrap=True)
     finally:
         if live is not None:
             live.stop()

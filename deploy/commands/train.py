@@ -201,7 +201,7 @@ class _Training:
                 self._tick(fleet)
                 if time.monotonic() - self._told >= PLAIN_SECONDS:
                     self._told = time.monotonic()
-                    self._console.print(summary(fleet.snapshot()), highlight=False, soft_wrap=True)
+                    self._console.print(summary(fleet.snapshot()), highlight=False, markup=False, soft_wrap=True)
             return
         with Live(console=self._console, auto_refresh=False, transient=False) as live:
             while not (self._stop or learner.done or learner.given_up):

@@ -1,0 +1,55 @@
+"""What others tell of themselves, made safe to add up and to draw: a view must not end over one odd figure."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+from common.errors import SchemaError
+
+LARGEST: Final = 1e15
+"""Numbers beyond it are none that a view shows."""
+MOST_TEXT: Final = 400
+"""Most characters of a text."""
+DEEPEST: Final = 6
+"""Maps and lists inside one another."""
+NUMBERS: Final = frozenset(
+    (
+        *("decisions", "elapsed", "environment_steps", "episodes", "episodes_total", "event", "lag_versions", "queue"),
+        *("spooled", "updates", "version", "waiting_seconds", "produced", "accepted", "rejected", "in_flight"),
+    )
+)
+"""Figures of a process itself that are added up, subtracted or drawn."""
+
+
+def figures(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a process's figures: whole and finite numbers, texts that print, and lists and maps of them.
+
+    Numbers that are not finite, which a training that diverges tells, and whatever is none of these are left out of
+    maps, and None in lists.
+
+    Raises:
+        SchemaError: a figure that has to be a number is none.
+    """
+    found = {str(name): part for name, value in values.items() if (part := _figure(value, 0)) is not None}
+    for name in NUMBERS & values.keys():
+        if type(values[name]) not in (int, float):
+            raise SchemaError(f"{name} is {type(values[name]).__name__}, not a number.")
+    return found
+
+
+def plain(text: str) -> str:
+    """Return a text without what a terminal would obey."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text[:MOST_TEXT])
+
+
+def _figure(value: Any, depth: int) -> Any:
+    if isinstance(value, str):
+        return plain(value)
+    if isinstance(value, int | float):
+        return value if math.isfinite(value) and abs(value) <= LARGEST else None
+    if depth < DEEPEST and isinstance(value, list):
+        return [_figure(part, depth + 1) for part in value]
+    if depth < DEEPEST and isinstance(value, dict):
+        parts = {plain(str(name)): _figure(part, depth + 1) for name, part in value.items()}
+        return {name: part for name, part in parts.items() if part is not None}
+    return None

@@ -1,0 +1,123 @@
+"""What odd or hostile figures of others do to the view of a fleet: nothing but a count."""
+
+import io
+import json
+import time
+
+import pytest
+from rich.console import Console
+
+import deploy.fleet
+from common.bus import Bus
+from common.endpoint import free_endpoint
+from common.messages import Envelope, MetricMessage
+from deploy.commands.monitor import record
+from deploy.fleet import Fleet
+from deploy.heard import figures, plain
+from deploy.view import render, summary
+
+SOUND = {
+    "state": "training",
+    "episodes": 10,
+    "episodes_total": 72,
+    "elapsed": 5.0,
+    "environment_steps": 100,
+    "curves": {"reward": {"mean": 1.0}, "steps": 5.0},
+}
+
+
+@pytest.fixture
+def fleet():
+    """A view of a run in which nobody lives yet."""
+    with Bus.listen(free_endpoint(), "control") as bus:
+        yield Fleet(bus, "r")
+
+
+def tell(fleet, role, values, name="x", counter=1):
+    """Have a process tell its figures, as if its message had just come; return whether the view took it."""
+    try:
+        message = MetricMessage(counter, "host", 1, float(counter), values)
+        fleet._take((role, name), Envelope(role, name, 1, counter, 1), message, time.monotonic())
+    except deploy.fleet.UNREADABLE:
+        return False
+    return True
+
+
+def drawn(fleet):
+    """Return the view at the width that shows every column, its one line, and its JSON, none of which may fail."""
+    snapshot = fleet.snapshot()
+    console = Console(width=160, height=60, file=io.StringIO())
+    console.print(render(snapshot, 60))
+    console.print(summary(snapshot), markup=False)
+    json.dumps(record(snapshot), allow_nan=False)
+    return console.file.getvalue()
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [{"episodes": "x"}, {"episodes": b"x"}, {"episodes": [1]}, {"queue": {}}, {"environment_steps": None}],
+)
+def test_a_worker_whose_figures_are_none_is_not_taken(fleet, odd):
+    """Its message counts as unreadable, and whatever else is known is shown."""
+    assert tell(fleet, "learner", SOUND, "learner")
+    assert not tell(fleet, "rollout", odd)
+    assert "10 of 72 episodes" in drawn(fleet)
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"elapsed": float("inf")},
+        {"elapsed": float("nan")},
+        {"elapsed": 1e300, "episodes_total": 2**62},
+        {"curves": {"reward": {"mean": float("nan"), "[/x]": 2.0}, "steps": float("inf")}},
+        {"curves": {"reward": 3}},
+        {"curves": {"reward": {"mean": "high"}}},
+        {"alarms": ["\x1b[2J[bold]", 7]},
+        {"ledgers": {"[/]": {"produced": "many"}}},
+        {"ledger": [1]},
+        {"imitations": [{"event": 1, "episode": 1, "rate": 0.1, "elites": {"[/m]": 0}, "scores": {"[/m]": [1e999]}}]},
+        {"imitations": [{"event": 1}]},
+        {"waits": {"data": "long"}},
+    ],
+)
+def test_odd_figures_of_the_learner_end_no_view(fleet, odd):
+    """They are left out or make the view do without this message; nothing is obeyed as markup or by the terminal."""
+    tell(fleet, "learner", SOUND | odd, "learner")
+    assert "\x1b" not in drawn(fleet)
+    tell(fleet, "learner", SOUND, "learner", counter=2)
+    assert "10 of 72 episodes" in drawn(fleet)
+
+
+def test_rows_and_curves_are_bounded(fleet, monkeypatch):
+    """Names without end take no memory without end, and who is turned away is counted by the caller."""
+    monkeypatch.setattr(deploy.fleet, "MOST_ROWS", 3)
+    monkeypatch.setattr(deploy.fleet, "MOST_CURVES", 2)
+    assert [tell(fleet, "rollout", {}, str(index)) for index in range(5)] == [True] * 3 + [False] * 2
+    assert len(fleet.snapshot().processes) == 3
+    many = {"curves": {"reward": {str(index): 1.0 for index in range(9)}}}
+    fleet._seen.clear()
+    assert not tell(fleet, "learner", many, "learner")
+    assert len(fleet.snapshot().reward) == 2
+
+
+def test_a_process_without_a_token_goes_when_it_has_long_been_silent(fleet, monkeypatch):
+    """Metrics alone make a row, for as long as they come."""
+    tell(fleet, "rollout", {})
+    fleet.update()
+    assert len(fleet.snapshot().processes) == 1
+    monkeypatch.setattr(deploy.fleet, "GONE_SECONDS", 0.0)
+    fleet.update()
+    assert fleet.snapshot().processes == ()
+
+
+def test_what_is_left_of_figures():
+    """Numbers that are finite and no larger than any of ours, texts that print, maps and lists; of bytes nothing."""
+    deep = {"a": {"b": {"c": {"d": {"e": {"f": {"g": {"h": 1}}}}}}}}
+    values = {"x": 1, "y": 2.5, "on": True, "nan": float("nan"), "big": 10**16, "bytes": b"x", "none": None}
+    assert figures({**values, "list": [1, float("inf"), "a\nb"]}) == {
+        **{"x": 1, "y": 2.5, "on": True},
+        "list": [1, None, "a?b"],
+    }
+    assert figures(deep) == {"a": {"b": {"c": {"d": {"e": {"f": {}}}}}}}
+    assert plain("\x1b[31m" + "x" * 1000) == "?[31m" + "x" * 395
