@@ -115,6 +115,7 @@ class Supervisor:
 
     def _spawn(self, child: Child) -> None:
         again = child.restart_arguments if child.deaths else []
+        child.started = time.monotonic()
         environment = {
             **os.environ,
             **self._environment,
@@ -122,16 +123,19 @@ class Supervisor:
             "PYTHONUNBUFFERED": "1",
             **thread_environment(child.threads),
         }
-        with (self._logs / f"{child.name}.log").open("ab") as output:
-            child.process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "deploy.cli", *child.arguments, *again],
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
-                env=environment,
-                start_new_session=True,
-            )
-        child.started = time.monotonic()
+        try:
+            with (self._logs / f"{child.name}.log").open("ab") as output:
+                child.process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", "deploy.cli", *child.arguments, *again],
+                    stdin=subprocess.DEVNULL,
+                    stdout=output,
+                    stderr=output,
+                    env=environment,
+                    start_new_session=True,
+                )
+        except OSError as error:
+            # No room for its log, or for one more process: there may be some when it is tried again.
+            self._died(child, f"could not be started ({error.strerror})", [])
 
     def _ended(self, child: Child, code: int) -> None:
         child.process, child.code = None, code
@@ -142,17 +146,21 @@ class Supervisor:
             child.deaths = 0
         reason = f"signal {-code}" if code < 0 else f"exit code {code}"
         lines = self.tail(child.name).splitlines()
+        self._died(child, f"ended with {reason}", lines, for_good=code == USAGE)
+
+    def _died(self, child: Child, how: str, lines: Sequence[str], *, for_good: bool = False) -> None:
+        """Say how a child came to its end, and give it up or plan its next start."""
         said = f": {lines[-1]}" if lines else ""
-        if child.deaths >= len(BACKOFF_SECONDS) or code == USAGE:
+        if for_good or child.deaths >= len(BACKOFF_SECONDS):
             child.given_up = True
-            self._alarm(f"{child.name} ended with {reason} and is not started again{said}", lines)
+            self.alarm(f"{child.name} {how} and is not started again{said}", lines)
             return
         child.again_at = time.monotonic() + BACKOFF_SECONDS[child.deaths]
         child.deaths += 1
-        self._alarm(f"{child.name} ended with {reason}; it is started again{said}", lines)
+        self.alarm(f"{child.name} {how}; it is started again{said}", lines)
 
-    def _alarm(self, text: str, lines: Sequence[str]) -> None:
-        """Keep an alarm of one line, and log it with all that the child wrote last."""
+    def alarm(self, text: str, lines: Sequence[str] = ()) -> None:
+        """Keep an alarm of one line, and log it with all that a child wrote last."""
         self.alarms.append(text[:300])
         del self.alarms[:-50]
         log("\n  | ".join((text, *lines[:-1])))

@@ -68,7 +68,8 @@ def _request() -> dict[str, Any]:
 
 def _answer(verb: str, folder: Path, request: dict[str, Any]) -> dict[str, Any]:
     if verb == "up":
-        return agent.up(folder, request["processes"], request["files"], request["start"])
+        words = request["processes"], request["files"], request["start"]
+        return agent.up(folder, *words, again=bool(request["again"]))
     if verb == "down":
         return agent.down(folder, request["roles"], float(request["seconds"]), bool(request["kill"]))
     if verb == "logs":

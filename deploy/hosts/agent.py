@@ -10,6 +10,7 @@ import sys
 import tarfile
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -18,11 +19,13 @@ from common.keys import check_name
 from deploy.authority import replace
 from deploy.hosts import keeper
 from deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
-from deploy.rundir import CONFIG, HISTORY, METRICS, POLICY
+from deploy.rundir import CONFIG, HISTORY, METRICS, POLICY, RunDirectory
 
 START_SECONDS: Final = 30.0
 """Time that a keeper has to take a plan up."""
 KILL_SECONDS: Final = 5.0
+LEARNER: Final = "learner.learner"
+"""The learner's name among the processes."""
 COLLECTED: Final = (CONFIG, METRICS, POLICY)
 """What is collected of a run besides its histories."""
 MAX_LINES: Final = 10_000
@@ -30,7 +33,14 @@ LINE_BYTES: Final = 400
 """Bytes that a line of a log is taken for; of longer ones fewer are shown."""
 
 
-def up(folder: Path, processes: Mapping[str, dict[str, Any]], files: Mapping[str, str], start: str) -> dict[str, Any]:
+def up(
+    folder: Path,
+    processes: Mapping[str, dict[str, Any]],
+    files: Mapping[str, str],
+    start: str,
+    *,
+    again: bool = True,
+) -> dict[str, Any]:
     """Write a plan and what its processes need, start a keeper when there is none, and wait until it has the plan.
 
     Args:
@@ -38,9 +48,11 @@ def up(folder: Path, processes: Mapping[str, dict[str, Any]], files: Mapping[str
         processes: for each name, arguments and threads.
         files: texts by their paths in the folder; readable by the owner alone.
         start: how to start the keeper, "detached" or "systemd".
+        again: whether to start what has ended as it should, too; False where the run is over.
 
     Returns:
-        What `status` returns.
+        What `status` returns, and whether the run is "over": its learner is of this host, came to the run's end, and is
+        left as it is.
 
     Raises:
         HostError: a file cannot be written, or the keeper did not come up.
@@ -52,7 +64,8 @@ def up(folder: Path, processes: Mapping[str, dict[str, Any]], files: Mapping[str
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             replace(path, text.encode())
         (folder / "run" / HISTORY).mkdir(parents=True, exist_ok=True)
-        plan = keeper.new_plan(processes)
+        over = _is_over(folder, processes)
+        plan = keeper.new_plan(processes, again=again and not over)
         write_json(folder / PLAN, plan)
     except OSError as error:
         raise HostError(f"{folder} cannot be written: {error.strerror}.") from error
@@ -67,7 +80,7 @@ def up(folder: Path, processes: Mapping[str, dict[str, Any]], files: Mapping[str
         # It may have ended between two looks, because the plan before was empty.
         _ensure_keeper(folder, start)
         time.sleep(0.1)
-    return status(folder)
+    return {**status(folder), "over": over}
 
 
 def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict[str, Any]:
@@ -86,7 +99,7 @@ def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict
     named = [name for name in plan.get("processes", {}) if name.split(".")[0] in roles]
     if named:
         rest = {name: process for name, process in plan["processes"].items() if name not in named}
-        write_json(folder / PLAN, keeper.new_plan(rest))
+        write_json(folder / PLAN, keeper.new_plan(rest, again=False))
     before = _pids(folder, roles)
     left, deadline = before, time.monotonic() + seconds
     while left and time.monotonic() < deadline:
@@ -94,7 +107,8 @@ def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict
         left = {name: pid for name, pid in _pids(folder, roles).items() if before.get(name) == pid}
     if left and kill:
         for pid in left.values():
-            os.kill(pid, signal.SIGKILL)
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
         deadline = time.monotonic() + KILL_SECONDS
         while left and time.monotonic() < deadline:
             time.sleep(0.1)
@@ -136,6 +150,12 @@ def collect(folder: Path) -> bytes:
                 entry.size, entry.mtime = len(data), int(path.stat().st_mtime)
                 archive.addfile(entry, io.BytesIO(data))
     return packed.getvalue()
+
+
+def _is_over(folder: Path, processes: Mapping[str, dict[str, Any]]) -> bool:
+    """Return whether the learner of this host is to run as it ran before, and came to the end of its run."""
+    before, wanted = read_json(folder / PLAN).get("processes", {}).get(LEARNER), processes.get(LEARNER)
+    return wanted is not None and wanted == before and RunDirectory(folder / "run").finished()
 
 
 def _inside(name: str) -> PurePosixPath:

@@ -18,6 +18,7 @@ import json
 import os
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -47,8 +48,13 @@ def lock(folder: Path) -> IO[str] | None:
 def write_json(path: Path, value: Any) -> None:
     """Replace a file by one that holds a JSON value, whole or not at all."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    try:
+        temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+        os.replace(temporary, path)
+    except OSError:
+        with suppress(OSError):
+            temporary.unlink()
+        raise
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -80,6 +86,7 @@ class Keeper:
         self._issue = 0
         self._read_at = 0
         self._told: dict[str, Any] = {}
+        self._complaints: dict[str, str] = {}
 
     def run(self, stop: StopSignal) -> None:
         """Keep the processes of the plan running until it is empty or a signal comes."""
@@ -91,6 +98,8 @@ class Keeper:
             if not (self._wanted or self._running()):
                 return
             stop.event.wait(TICK_SECONDS)
+        for name in set(self._supervisor.children) - set(self._running()):
+            self._supervisor.dismiss(name)
         for role in ORDER:
             named = [name for name in self._running() if name.startswith(f"{role}.")]
             self._supervisor.stop(named, FAREWELL_SECONDS)
@@ -99,18 +108,31 @@ class Keeper:
         self._tell()
 
     def _read(self) -> None:
-        """Take up the plan when it is a new one."""
-        changed = (self._folder / PLAN).stat().st_mtime_ns
-        if changed == self._read_at:
+        """Take up the plan when it is a new one; while none can be read, the one before stands."""
+        try:
+            changed = (self._folder / PLAN).stat().st_mtime_ns
+            if changed == self._read_at:
+                return
+            plan = read_json(self._folder / PLAN)
+            self._issue, self._wanted, again = int(plan["issue"]), dict(plan["processes"]), bool(plan.get("again"))
+        except (OSError, HostError, KeyError, TypeError, ValueError) as error:
+            if not self._issue:
+                raise HostError(f"{PLAN} cannot be read: {error!r}.") from error
+            self._complain(PLAN, f"{PLAN} cannot be read: {error!r}")
             return
         self._read_at = changed
-        plan = read_json(self._folder / PLAN)
-        self._issue, self._wanted = int(plan["issue"]), dict(plan["processes"])
+        self._complaints.pop(PLAN, None)
         for name in self._wanted:
             child = self._supervisor.children.get(name)
-            if child is not None and child.given_up and child.process is None:
-                # Whoever writes a plan has mended what was wrong, perhaps.
+            # Whoever writes a plan has mended what was wrong, perhaps, and wants what has ended to run again.
+            if child is not None and child.process is None and (child.given_up or (again and child.done)):
                 self._started.pop(name, None)
+
+    def _complain(self, file: str, text: str) -> None:
+        """Raise an alarm about a file, once while it is the same."""
+        if text != self._complaints.get(file):
+            self._complaints[file] = text
+            self._supervisor.alarm(text)
 
     def _turn(self) -> None:
         """End what the plan does not name as it runs, and start what is missing."""
@@ -130,7 +152,7 @@ class Keeper:
         return [name for name, child in self._supervisor.children.items() if _alive(child)]
 
     def _tell(self) -> None:
-        """Write the state when it has changed."""
+        """Write the state when it has changed; on a full disk that waits until there is room, and nothing ends."""
         children = {name: self._state(name, child) for name, child in self._supervisor.children.items()}
         kept = {name: state for name, state in children.items() if name in self._wanted or state["pid"]}
         state = {
@@ -139,9 +161,15 @@ class Keeper:
             "processes": kept,
             "alarms": self._supervisor.alarms[-10:],
         }
-        if state != self._told:
-            self._told = state
+        if state == self._told:
+            return
+        try:
             write_json(self._folder / STATE, state)
+        except OSError as error:
+            self._complain(STATE, f"{STATE} cannot be written: {error.strerror}")
+        else:
+            self._told = state
+            self._complaints.pop(STATE, None)
 
     def _state(self, name: str, child: Child) -> dict[str, Any]:
         pid = child.process.pid if child.process is not None and _alive(child) else 0
@@ -175,6 +203,11 @@ def keep(folder: Path) -> None:
         Keeper(Path()).run(stop)
 
 
-def new_plan(processes: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """Return a plan's JSON, with a number by which its keeper tells that it has taken it up."""
-    return {"issue": time.time_ns(), "processes": dict(processes)}
+def new_plan(processes: Mapping[str, dict[str, Any]], *, again: bool) -> dict[str, Any]:
+    """Return a plan's JSON, with a number by which its keeper tells that it has taken it up.
+
+    Args:
+        processes: what should run.
+        again: whether that includes what ran before and has ended as it should.
+    """
+    return {"issue": time.time_ns(), "processes": dict(processes), "again": again}

@@ -36,8 +36,15 @@ def up(fleet: Fleet) -> tuple[dict[str, dict[str, Any]], Failures]:
         CredentialsError: a certificate is missing or cannot be used; nothing was started then.
     """
     requests = {name: request_of(fleet, name) for name in fleet.hosts}
+    first = fleet.learner.host
     with links(fleet) as ways:
-        return everywhere(ways, lambda link: link.call("up", requests[link.name]))
+        # The learner's host knows whether the run is over: workers that are started then would wait for nothing.
+        states, failed = everywhere({first: ways[first]}, lambda link: link.call("up", requests[link.name]))
+        again = not any(state.get("over") for state in states.values())
+        rest = {name: way for name, way in ways.items() if name != first}
+        more, failures = everywhere(rest, lambda link: link.call("up", {**requests[link.name], "again": again}))
+    states |= more
+    return {name: states[name] for name in fleet.hosts if name in states}, failed | failures
 
 
 def request_of(fleet: Fleet, host: str) -> dict[str, Any]:
@@ -59,7 +66,7 @@ def request_of(fleet: Fleet, host: str) -> dict[str, Any]:
             "threads": process.threads,
             "files": digest,
         }
-    return {"processes": found, "files": files, "start": fleet.hosts[host].start}
+    return {"processes": found, "files": files, "start": fleet.hosts[host].start, "again": True}
 
 
 def _key_files(keys: Path, process: Process) -> dict[str, str]:
