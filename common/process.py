@@ -1,5 +1,6 @@
 """What every process of a run does alike: find the learner, say that it lives, report, and stop when told."""
 
+import atexit
 import os
 import signal
 import socket
@@ -65,8 +66,8 @@ _unwritten: Final = [0]
 def log(text: str) -> None:
     """Write one line with the time of day to standard error.
 
-    A disk that takes no more is no reason to stop: lines that cannot be written are counted, and the next one that can
-    says how many.
+    A disk that takes no more is no reason to stop: lines that cannot be written are counted, and the next one that can,
+    at the latest one at the process's end, says how many.
     """
     before = f"({_unwritten[0]} lines before this one could not be written) " if _unwritten[0] else ""
     try:
@@ -76,6 +77,12 @@ def log(text: str) -> None:
         _unwritten[0] += 1
     else:
         _unwritten[0] = 0
+
+
+@atexit.register
+def _close_log() -> None:
+    if _unwritten[0]:
+        log("this process ends.")
 
 
 class Presence:

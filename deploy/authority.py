@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import (
@@ -138,7 +139,10 @@ class _Authority:
         credentials.require_secret(folder / CA_KEY)
         self._certificate = credentials.read_certificate(folder / CA)
         credentials.require_valid(self._certificate, folder / CA)
-        key = load_pem_private_key(credentials.read_bounded(folder / CA_KEY), None)
+        try:
+            key = load_pem_private_key(credentials.read_bounded(folder / CA_KEY), None)
+        except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+            raise CredentialsError(f"{folder / CA_KEY} is not a private key without a password.") from error
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise CredentialsError(f"{folder / CA_KEY} is not a key that `eia-sec keys init` made.")
         self._key = key

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from safetensors import SafetensorError
 from safetensors.numpy import save_file
 
 from common.actors import ActorBank, parameter_views
@@ -95,8 +96,8 @@ def export_safetensors(folder: Path, config: RunConfig, bank: ActorBank, metadat
     try:
         folder.mkdir(parents=True, exist_ok=True)
         save_file(tensors, path, metadata={"description": text})
-    except OSError as error:
-        raise PolicyError(f"{path} cannot be written: {error.strerror or error}.") from error
+    except (OSError, SafetensorError) as error:
+        raise PolicyError(f"{path} cannot be written: {getattr(error, 'strerror', None) or error}.") from error
     return [path, _describe(folder, text)]
 
 

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -29,9 +30,15 @@ class RunDirectory:
         A run that is resumed may have other settings of its processes, see `common.config.files.method_of`.
 
         Raises:
-            RunDirError: when the folder holds another configuration, holds a run that was not to be resumed, or
-                holds none that could be.
+            RunDirError: when the folder holds another configuration, holds a run that was not to be resumed, holds none
+                that could be, or is not for this user to read and write.
         """
+        try:
+            self._prepare(config, resume=resume)
+        except OSError as error:
+            raise RunDirError(f"cannot read and write {self.path}: {error.strerror}.") from error
+
+    def _prepare(self, config: RunConfig, *, resume: bool) -> None:
         held = self.path / CONFIG
         if held.exists():
             self._compare(from_toml(held, RunConfig()), config, resume=resume)
@@ -42,21 +49,26 @@ class RunDirectory:
             raise RunDirError(f"{self.path} holds no run to resume.")
         if self.path.exists() and (not self.path.is_dir() or any(self._strangers())):
             raise RunDirError(f"{self.path} exists and is not a run directory; choose another --run-dir.")
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            held.write_text(to_toml(config), encoding="utf-8")
-        except OSError as error:
-            raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
+        self.path.mkdir(parents=True, exist_ok=True)
+        held.write_text(to_toml(config), encoding="utf-8")
 
     def lock(self, name: str) -> None:
-        """Keep the folder for this process under a lock's name; raise RunDirError while another process has it."""
-        self._lock = (self.path / name).open("w", encoding="utf-8")
+        """Keep the folder for this process under a lock's name.
+
+        Raises:
+            RunDirError: while another process has it, or when it is not for this user to write.
+        """
+        try:
+            self._lock = (self.path / name).open("w", encoding="utf-8")
+        except OSError as error:
+            raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             raise RunDirError(f"{self.path} is in use by another process.") from error
-        self._lock.write(str(os.getpid()))
-        self._lock.flush()
+        with suppress(OSError):  # whom the lock belongs to is a help on a disk with room, and no more
+            self._lock.write(str(os.getpid()))
+            self._lock.flush()
 
     def adopt(self, config: RunConfig) -> None:
         """Take over a configuration that `prepare` has let pass, once the folder is locked."""
@@ -83,7 +95,7 @@ class RunDirectory:
     def finished(self) -> bool:
         """Return whether the newest start of the learner here came to the end of its run."""
         try:
-            lines = (self.path / METRICS).read_text(encoding="utf-8").splitlines()
+            lines = (self.path / METRICS).read_text(encoding="utf-8", errors="replace").splitlines()
         except OSError:
             return False
         return bool(lines) and '"kind": "end"' in lines[-1] and '"state": "finished"' in lines[-1]

@@ -62,7 +62,7 @@ def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
     text = _read(source) if isinstance(source, Path) else source
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         where = f"{source} is" if isinstance(source, Path) else "this is"
         raise ConfigError(f"{where} not valid TOML: {str(error).lower().rstrip('.')}.") from error
     merged: RunConfig = _merge(base, table, "")

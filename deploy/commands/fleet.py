@@ -10,6 +10,7 @@ from rich.console import Console
 
 from deploy.exit_codes import DONE, FAILED
 from deploy.hosts import operations
+from deploy.hosts.collecting import collect
 from deploy.hosts.description import read
 from deploy.hosts.plan import here, processes
 from deploy.hosts.render import render
@@ -89,8 +90,10 @@ def command(arguments: Sequence[str]) -> int:
         for path in render(fleet, task.form, task.out):
             console.print(f"written: {path}")
         return DONE
-    files, failed = operations.collect(fleet, task.out)
-    console.print(f"{files} files in {task.out}; eia-sec audit {task.out}")
-    for sentence in failed.values():
+    found = collect(fleet, task.out)
+    console.print(f"{found.files} files in {task.out}; eia-sec audit {task.out}")
+    for name in found.left_out:
+        console.print(f"left out, because it is not that host's to tell: {name}")
+    for sentence in found.failed.values():
         console.print(sentence)
-    return FAILED if failed else DONE
+    return FAILED if found.failed else DONE

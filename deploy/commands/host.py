@@ -12,6 +12,7 @@ import tyro
 from common.errors import HostError
 from deploy.exit_codes import DONE
 from deploy.hosts import agent
+from deploy.hosts.collecting import pack
 from deploy.hosts.following import follow
 from deploy.hosts.keeper import keep
 from deploy.options import parse
@@ -41,7 +42,7 @@ def command(arguments: Sequence[str]) -> int:
         keep(folder)
         return DONE
     if options.verb == "collect":
-        sys.stdout.buffer.write(agent.collect(folder))
+        pack(folder, sys.stdout.buffer)
         return DONE
     if options.verb == "follow":
         follow(folder, sys.stdin.buffer, sys.stdout.buffer)

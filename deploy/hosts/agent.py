@@ -1,13 +1,11 @@
 """The far end of `eia-sec up`, `down`, `status` and `logs`: what they do in one host's folder, on that host."""
 
 import hashlib
-import io
 import os
 import shutil
 import signal
 import subprocess
 import sys
-import tarfile
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -19,15 +17,13 @@ from common.keys import check_name
 from deploy.authority import replace
 from deploy.hosts import keeper
 from deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
-from deploy.rundir import CONFIG, HISTORY, METRICS, POLICY, RunDirectory
+from deploy.rundir import HISTORY, RunDirectory
 
 START_SECONDS: Final = 30.0
 """Time that a keeper has to take a plan up."""
 KILL_SECONDS: Final = 5.0
 LEARNER: Final = "learner.learner"
 """The learner's name among the processes."""
-COLLECTED: Final = (CONFIG, METRICS, POLICY)
-"""What is collected of a run besides its histories."""
 MAX_LINES: Final = 10_000
 LINE_BYTES: Final = 400
 """Bytes that a line of a log is taken for; of longer ones fewer are shown."""
@@ -135,21 +131,6 @@ def log_files(folder: Path, names: Sequence[str]) -> dict[str, Path]:
     """Return the logs of processes (all of them when none is named) and the keeper, by name."""
     found = {path.stem: path for path in sorted((folder / LOGS).glob("*.log"))} | {"keeper": folder / LOG}
     return {name: path for name, path in found.items() if not names or name in names}
-
-
-def collect(folder: Path) -> bytes:
-    """Return a tar archive of the run's histories, metrics, configuration and policy, as far as they are there."""
-    packed = io.BytesIO()
-    run = folder / "run"
-    with tarfile.open(fileobj=packed, mode="w:gz") as archive:
-        for path in [*sorted((run / HISTORY).glob("*.jsonl")), *(run / name for name in COLLECTED)]:
-            if path.is_file():
-                # Read at once: a file that grows while it is packed would break the archive.
-                data = path.read_bytes()
-                entry = tarfile.TarInfo(path.relative_to(run).as_posix())
-                entry.size, entry.mtime = len(data), int(path.stat().st_mtime)
-                archive.addfile(entry, io.BytesIO(data))
-    return packed.getvalue()
 
 
 def _is_over(folder: Path, processes: Mapping[str, dict[str, Any]]) -> bool:

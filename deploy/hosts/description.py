@@ -8,6 +8,7 @@ Everything is checked while it is read, so that nothing is started by half.
 
 import dataclasses
 import re
+import shlex
 import tomllib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -111,6 +112,11 @@ class Host:
     workers: int = 0
     """Rollout workers."""
 
+    @property
+    def words(self) -> list[str]:
+        """Return the words of the command, by the shell's rules; raise ValueError for a quote that is left open."""
+        return shlex.split(self.command)
+
 
 @dataclass(frozen=True)
 class Containers:
@@ -171,7 +177,7 @@ def read(path: Path) -> Fleet:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise ConfigError(f"the fleet file {path} cannot be read: {reason}.") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is not valid TOML: {str(error).lower().rstrip('.')}.") from error
     try:
         fleet = _complete(replace(_table(Fleet, table, ""), path=path))
@@ -242,7 +248,11 @@ def _host(run: str, name: str, host: Host) -> Host:
         raise ConfigError(f"hosts.{name}.host {host.host!r} is neither {LOCAL!r} nor HOST or USER@HOST.")
     if not 0 <= host.workers <= MAX_WORKERS:
         raise ConfigError(f"hosts.{name}.workers must be 0 to {MAX_WORKERS}, not {host.workers}.")
-    if not host.command.strip():
+    try:
+        empty = not host.words
+    except ValueError as error:
+        raise ConfigError(f"hosts.{name}.command {host.command!r} leaves a quote open.") from error
+    if empty:
         raise ConfigError(f"hosts.{name}.command is empty.")
     return host
 
@@ -253,7 +263,8 @@ def _network(network: Network) -> Network:
     if network.endpoint.startswith("tls/") and not network.keys:
         raise ConfigError("network.endpoint asks for TLS; name the folder of `eia-sec keys` as network.keys.")
     met = Endpoint.parse(re.sub(r"^tls/", "tcp/", network.endpoint))
-    default = str(met) if met.is_loopback else f"tcp/0.0.0.0:{met.port}"
+    everywhere = "[::]" if met.host.startswith("[") else "0.0.0.0"
+    default = str(met) if met.is_loopback else f"tcp/{everywhere}:{met.port}"
     listens = Endpoint.parse(re.sub(r"^tls/", "tcp/", network.listen or default))
     if not network.keys and not (listens.is_loopback or network.insecure):
         raise ConfigError(

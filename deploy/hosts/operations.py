@@ -1,13 +1,11 @@
 """What `eia-sec up`, `down`, `status`, `logs` and `fleet` do with all hosts of a fleet."""
 
 import hashlib
-import io
 import json
-import tarfile
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from common import credentials
 from common.config.files import to_toml
@@ -22,8 +20,6 @@ from deploy.hosts.remote import Link, everywhere, links
 
 Failures = dict[str, str]
 """For each host that failed, why."""
-MAX_COLLECTED: Final = 8 * 1024**3
-"""Most that is unpacked of one host, bytes."""
 
 
 def up(fleet: Fleet) -> tuple[dict[str, dict[str, Any]], Failures]:
@@ -137,7 +133,7 @@ def follow(
     def take(link: Link, line: bytes) -> None:
         try:
             name, text = json.loads(line)
-        except ValueError as error:
+        except (ValueError, TypeError) as error:
             raise HostError(f"{link.name}: what it tells is no line of a log: {line[:80]!r}.") from error
         tell(link.name, str(name), str(text))
 
@@ -152,35 +148,12 @@ def follow(
         return everywhere(ways, stream, len(ways))[1]
 
 
-def collect(fleet: Fleet, target: Path) -> tuple[int, Failures]:
-    """Bring the histories of all hosts, and the learner's metrics and policy, into one folder, for `eia-sec audit`.
-
-    Returns:
-        The number of files, and why hosts failed.
-    """
-    with links(fleet) as ways:
-        archives, failed = everywhere(ways, lambda link: link.fetch("collect"))
-    files = 0
-    target.mkdir(parents=True, exist_ok=True)
-    for host, data in archives.items():
-        try:
-            with tarfile.open(fileobj=io.BytesIO(data), mode="r:gz") as archive:
-                entries = archive.getmembers()
-                if sum(entry.size for entry in entries) > MAX_COLLECTED:
-                    raise HostError(f"{host}: what it sent unpacks to more than {MAX_COLLECTED} bytes.")
-                archive.extractall(target, filter="data")
-                files += len(entries)
-        except tarfile.TarError as error:
-            raise HostError(f"{host}: what it sent is no archive: {error}") from error
-    return files, failed
-
-
 def listener_names(fleet: Fleet) -> tuple[str, ...]:
     """Return the names and addresses for which the listener's certificate is issued, containers' included."""
     host = Endpoint.parse(fleet.network.endpoint.replace("tls/", "tcp/", 1)).host.strip("[]")
     role = fleet.listener[0]
     wanted = (host, *fleet.network.names, "localhost", "127.0.0.1", role, service_name(fleet, role))
-    return tuple(dict.fromkeys(name for name in wanted if name != "0.0.0.0"))
+    return tuple(dict.fromkeys(name for name in wanted if name not in ("0.0.0.0", "::")))
 
 
 def service_name(fleet: Fleet, role: str) -> str:

@@ -7,12 +7,13 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import IO, Any, Final, TypeVar
 
 from common.errors import HostError
 from common.process import StopSignal
@@ -21,7 +22,10 @@ from deploy.hosts.description import LOCAL, Fleet, Host
 CONNECT_SECONDS: Final = 10
 CALL_SECONDS: Final = 90.0
 """Longest that a call may take besides what it waits for on purpose."""
-MAX_ANSWER: Final = 2 * 1024**3
+MAX_ANSWER: Final = 256 * 1024**2
+"""Longest answer to a call, bytes: the last lines of many logs."""
+MAX_SAID: Final = 1024**2
+"""Longest that a host writes about what went wrong, bytes."""
 MAX_LINE: Final = 4 * 1024**2
 """Longest line of a host that tells line by line, bytes; a longer one ends it."""
 LOOK_SECONDS: Final = 0.2
@@ -64,7 +68,8 @@ class Link:
         Raises:
             HostError: the host cannot be reached, has no eia-sec, or could not do it.
         """
-        output = self.fetch(verb, json.dumps(request).encode(), seconds)
+        with self.fetch(verb, json.dumps(request).encode(), seconds) as answered:
+            output = answered.read()
         try:
             answer = json.loads(output)
         except ValueError as error:
@@ -73,22 +78,56 @@ class Link:
             raise HostError(f"{self.name}: its answer is no JSON object.")
         return answer
 
-    def fetch(self, verb: str, request: bytes = b"", seconds: float = 0.0) -> bytes:
-        """Have the host do something whose answer is bytes."""
+    def fetch(self, verb: str, request: bytes = b"", seconds: float = 0.0, most: int = MAX_ANSWER) -> IO[bytes]:
+        """Have the host do something, and return a file with its answer, which is not held in memory.
+
+        Args:
+            verb: what, see `deploy.commands.host`.
+            request: the particulars.
+            seconds: how long it may wait on purpose.
+            most: longest answer, bytes.
+
+        Raises:
+            HostError: the host cannot be reached, has no eia-sec, could not do it, or answers too much.
+        """
         command = self._command(verb)
+        with ExitStack() as files:
+            asked, said = files.enter_context(tempfile.TemporaryFile()), files.enter_context(tempfile.TemporaryFile())
+            answer = files.enter_context(tempfile.TemporaryFile())
+            asked.write(request)
+            asked.seek(0)
+            try:
+                process = subprocess.Popen(command, stdin=asked, stdout=answer, stderr=said)
+            except OSError as error:
+                raise HostError(f"{self.name}: {command[0]} cannot be started: {error.strerror}.") from error
+            code = self._wait(process, CALL_SECONDS + seconds, ((answer, most), (said, MAX_SAID)))
+            if code:
+                said.seek(0)
+                raise HostError(f"{self.name}: {self._reason(code, said.read())}")
+            answer.seek(0)
+            files.pop_all()
+            asked.close()
+            said.close()
+            return answer
+
+    def _wait(self, process: "subprocess.Popen[bytes]", seconds: float, files: Sequence[tuple[IO[bytes], int]]) -> int:
+        """Wait for a process and return its exit code; kill one that takes too long or writes too much."""
+        deadline = time.monotonic() + seconds
         try:
-            done = subprocess.run(
-                command, input=request, capture_output=True, timeout=CALL_SECONDS + seconds, check=False
-            )
-        except subprocess.TimeoutExpired as error:
-            raise HostError(f"{self.name} did not answer within {CALL_SECONDS + seconds:.0f} s.") from error
-        except OSError as error:
-            raise HostError(f"{self.name}: {command[0]} cannot be started: {error.strerror}.") from error
-        if done.returncode:
-            raise HostError(f"{self.name}: {self._reason(done)}")
-        if len(done.stdout) > MAX_ANSWER:
-            raise HostError(f"{self.name}: its answer is longer than {MAX_ANSWER} bytes.")
-        return done.stdout
+            while True:
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(LOOK_SECONDS)
+                for file, most in files:
+                    if os.fstat(file.fileno()).st_size > most:
+                        raise HostError(f"{self.name}: its answer is longer than {most} bytes.")
+                if process.returncode is not None:
+                    return process.returncode
+                if time.monotonic() > deadline:
+                    raise HostError(f"{self.name} did not answer within {seconds:.0f} s.")
+        finally:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
 
     def stream(self, verb: str, request: dict[str, Any], take: Callable[[bytes], None], stop: StopSignal) -> None:
         """Have the host tell line by line until somebody stops it.
@@ -117,8 +156,7 @@ class Link:
                 code = _end(process)
             if not stop:
                 said.seek(0)
-                done = subprocess.CompletedProcess(command, code, b"", said.read())
-                raise HostError(f"{self.name}: {self._reason(done)}")
+                raise HostError(f"{self.name}: {self._reason(code, said.read(MAX_SAID))}")
 
     def _command(self, verb: str) -> list[str]:
         folder = str(self.base / self.host.folder) if self.host.host == LOCAL else self.host.folder
@@ -126,12 +164,16 @@ class Link:
         if self.host.host == LOCAL:
             return [sys.executable, "-P", "-m", "deploy.cli", *far]
         # SSH hands one text to the far shell, so that every word is quoted for it; the request goes through a pipe.
-        return [*self._ssh(), self.host.host, shlex.join([*shlex.split(self.host.command), *far])]
+        return [*self._ssh(), self.host.host, shlex.join([*self.host.words, *far])]
 
     def close(self) -> None:
-        """End the shared connection."""
+        """End the shared connection, if there is one."""
         if self.host.host != LOCAL:
-            subprocess.run([*self._ssh(), "-O", "exit", self.host.host], capture_output=True, check=False)
+            command = [*self._ssh(), "-O", "exit", self.host.host]
+            with suppress(OSError, subprocess.TimeoutExpired):
+                subprocess.run(
+                    command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=END_SECONDS, check=False
+                )
 
     def _ssh(self) -> list[str]:
         options = {
@@ -145,14 +187,14 @@ class Link:
         chosen = [word for name, value in options.items() for word in ("-o", f"{name}={value}")]
         return ["ssh", "-T", *self.host.ssh, *chosen]
 
-    def _reason(self, done: subprocess.CompletedProcess[bytes]) -> str:
-        lines = [line for line in done.stderr.decode(errors="replace").splitlines() if line.strip()]
-        said = lines[-1].removeprefix("eia-sec: ") if lines else f"exit code {done.returncode}"
+    def _reason(self, code: int, errors: bytes) -> str:
+        lines = [line for line in errors.decode(errors="replace").splitlines() if line.strip()]
+        said = lines[-1].removeprefix("eia-sec: ") if lines else f"exit code {code}"
         if self.host.host == LOCAL:
             return said
-        if done.returncode == SSH_FAILED:
+        if code == SSH_FAILED:
             return f"no connection: {said}"
-        if done.returncode == NOT_FOUND:
+        if code == NOT_FOUND:
             return f"{self.host.command} is not there ({said}); say with command = ... how eia-sec is called."
         return said
 

@@ -84,8 +84,7 @@ def _target(fleet: Fleet) -> str:
 
 
 def _unit(fleet: Fleet, process: Process, beside: list[Process]) -> str:
-    command = fleet.hosts[process.host].command
-    words = command.split()
+    command, words = fleet.hosts[process.host].command, fleet.hosts[process.host].words
     if "/" in words[0] and not PurePosixPath(words[0]).is_absolute():
         raise ConfigError(
             f"hosts.{process.host}.command must begin with an absolute path for systemd, not {command!r}."

@@ -54,6 +54,7 @@ class WebServer:
 
     def __init__(self, hub: Hub, host: str, port: int, *, strangers: bool = False) -> None:
         self._hub, self._strangers = hub, strangers
+        self._names = (*LOOPBACK, host)
         self.refused = 0
         try:
             self._server: Server = serve(
@@ -86,7 +87,7 @@ class WebServer:
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return a file or a refusal, or None for the stream."""
         host, path = request.headers.get("Host", ""), request.path.partition("?")[0]
-        if not (self._strangers or host in {f"{name}:{self.port}" for name in LOOPBACK}):
+        if not (self._strangers or host in {f"{name}:{self.port}" for name in self._names}):
             return self._refuse(http.HTTPStatus.MISDIRECTED_REQUEST, "This is a server for its own machine.")
         if path == STREAM:
             if request.headers.get("Origin") != f"http://{host}":

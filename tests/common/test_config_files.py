@@ -132,6 +132,13 @@ def test_file_that_is_no_toml_is_refused(tmp_path):
         from_toml(path, RunConfig())
 
 
+@pytest.mark.parametrize("text", ["seed = " + "[" * 5000, "seed = 1" + "0" * 5000], ids=["nested", "long"])
+def test_text_that_no_parser_takes_is_refused(text):
+    """A text that others send may be nested or long beyond what Python reads."""
+    with pytest.raises(ConfigError, match="this is not valid TOML"):
+        from_toml(text, RunConfig())
+
+
 @pytest.mark.parametrize("content", [None, b"seed = 1 # \xff"], ids=["missing", "not text"])
 def test_file_that_cannot_be_read_is_refused(tmp_path, content):
     """A file that is missing or holds no text is refused with its name."""

@@ -132,6 +132,26 @@ def test_what_a_resumed_run_may_change(tmp_path: Path) -> None:
         directory.prepare(RunConfig(seed=8), resume=True)
 
 
+def test_a_folder_of_somebody_else_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What may not be read or written is one sentence, at each of the steps; damaged metrics are no end of a run."""
+    directory = RunDirectory(tmp_path)
+    directory.prepare(RunConfig(), resume=False)
+
+    def refuse(*arguments: object, **options: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    for name, step in (
+        ("exists", lambda: directory.prepare(RunConfig(), resume=True)),
+        ("open", lambda: directory.lock("x")),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, name, refuse)
+            with pytest.raises(RunDirError, match="Permission denied"):
+                step()
+    (tmp_path / "metrics.jsonl").write_bytes(b"\xff\xfe\n")
+    assert not directory.finished()
+
+
 def test_resuming_what_never_ran_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """A folder without a run cannot be resumed, and a folder with other things in it is not taken over."""
     assert "no run to resume" in complaint(capsys, "train", "--run-dir", str(tmp_path / "new"), "--resume")

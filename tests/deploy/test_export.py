@@ -176,6 +176,8 @@ def test_what_cannot_be_exported_is_said(tmp_path, monkeypatch, capsys, run):
         "cannot be written": ["--run-dir", str(directory), "--format", "safetensors", "--out", "config.toml/x"],
     }
     monkeypatch.chdir(directory)
+    (tmp_path / "taken" / "actors.safetensors").mkdir(parents=True)
+    cases["actors.safetensors cannot be written"] = [*cases["cannot be written"][:-1], str(tmp_path / "taken")]
     for words, arguments in cases.items():
         assert run_command(lambda arguments=arguments: dispatch(["export", *arguments])) == 2
         assert words in capsys.readouterr().err

@@ -12,6 +12,7 @@ from common.errors import ConfigError, CredentialsError
 from deploy.hosts import operations
 from deploy.hosts.description import Containers, Coordinator, Host, Learner, Network, Router, Training, read
 from deploy.hosts.plan import here, processes
+from deploy.hosts.render import render
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "deploy" / "fleet.toml"
@@ -92,6 +93,10 @@ def test_training_is_resolved(tmp_path):
     ("text", "said"),
     [
         ("run =", "not valid TOML"),
+        ("run = " + "[" * 5000, "not valid TOML"),
+        ("run = 1" + "0" * 5000, "not valid TOML"),
+        (SMALL + 'command = "/opt/it\'s/eia-sec"\n', "hosts.a.command .* leaves a quote open"),
+        (SMALL + 'command = " "\n', "hosts.a.command is empty"),
         ("", "there is no host"),
         (SMALL + "[trainer]\n", "at the top there is no key 'trainer'"),
         (SMALL + "worker = 2\n", r"in \[hosts.a\] there is no key 'worker'; the keys are host, ssh"),
@@ -122,6 +127,22 @@ def test_mistakes_name_the_place(tmp_path, text, said):
         read(path)
     assert str(refusal.value).startswith(str(path))
     assert "\n" not in str(refusal.value)
+
+
+def test_a_command_is_split_by_the_shells_rules(tmp_path):
+    """Wherever it is called, a path with blanks is one word."""
+    fleet = read(written(tmp_path, SMALL + "command = \"'/opt/eia sec/bin/eia-sec' -v\"\n"))
+    assert fleet.hosts["a"].words == ["/opt/eia sec/bin/eia-sec", "-v"]
+    units = render(fleet, "systemd", tmp_path / "units")
+    service = next(path for path in units if "rollout" in path.name)
+    assert 'ExecStart="/opt/eia sec/bin/eia-sec" -v rollout' in service.read_text()
+
+
+def test_an_endpoint_of_ipv6_is_listened_at_by_ipv6(tmp_path):
+    """Without another word the listener is where the others look for it."""
+    text = '[network]\nendpoint = "tcp/[2001:db8::1]:7447"\ninsecure = true\n'
+    assert read(written(tmp_path, SMALL + text)).network.listen == "tcp/[::]:7447"
+    assert read(written(tmp_path, SMALL + text.replace("[2001:db8::1]", "farm"))).network.listen == "tcp/0.0.0.0:7447"
 
 
 def test_keys_are_made_for_everybody_once(tmp_path):

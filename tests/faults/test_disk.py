@@ -27,13 +27,13 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=False)
 
 
-def fill(path: Path) -> int:
-    """Write into a file until the disk is full; return the bytes."""
+def fill(path: Path, piece: int = 65_536) -> int:
+    """Write to the end of a file until the disk is full; return the bytes."""
     size = 0
-    with path.open("wb", buffering=0) as file:
+    with path.open("ab", buffering=0) as file:
         while True:
             try:
-                size += file.write(bytes(65_536))
+                size += file.write(bytes(piece))
             except OSError:
                 return size
 
@@ -55,19 +55,26 @@ def alarms(fleet: FaultRun) -> str:
 
 
 def test_a_full_disk(tmp_path, small_disk):
-    """The learner trains on while the disk is full, says so, and the checkpoint before loads; later ones follow."""
-    fleet = FaultRun(tmp_path)
+    """The learner trains on while the disk is full, says so, and the checkpoint before loads; later ones follow.
+
+    Its log lies on the same disk, as under `eia-sec train`: no line of it can be written either.
+    """
+    fleet, log = FaultRun(tmp_path), small_disk / "logs" / "learner.log"
+    log.parent.mkdir()
+    (tmp_path / "learner.log").symlink_to(log)
     try:
         fleet.learner()
         fleet.start("rollout-0", "rollout", "--run", "test", "--connect", str(fleet.endpoint), "--name", "0")
         folder = small_disk / "checkpoints"
         until(lambda: list(folder.glob("checkpoint-*")), "a checkpoint", 120.0)
         until(fleet.taken, "chunks", 120.0)
-        size = fill(small_disk / "ballast")
-        until(lambda: alarms(fleet), "an alarm", 60.0)
         with fleet.metrics("learner", "learner") as heard:
+            size = fill(small_disk / "ballast") + fill(log, 1)
+            told = lambda: {text for report in heard() for text in report["alarms"]}  # noqa: E731  # asked twice
+            until(lambda: [text for text in told() if "no checkpoint could be written" in text], "an alarm", 60.0)
             trained = lambda: [report["updates"] for report in heard()]  # noqa: E731  # asked twice
             until(lambda: trained() and trained()[-1] > trained()[0], "training on a full disk", 60.0)
+            complaints = len(told())
         found = checkpoint.load_latest(folder)
         assert found is not None
         steps = found.manifest["trainer"]["environment_steps"]
@@ -78,7 +85,8 @@ def test_a_full_disk(tmp_path, small_disk):
         recovery = round(time.monotonic() - started, 2)
         fleet.end()
         assert fleet.audit().clean
-        tell("full_disk", ballast_bytes=size, alarms=len(alarms(fleet).splitlines()), seconds_to_recover=recovery)
+        assert "could not be written) " in fleet.log("learner")
+        tell("full_disk", ballast_bytes=size, alarms=complaints, seconds_to_recover=recovery)
     finally:
         fleet.close()
 

@@ -6,6 +6,12 @@ import stat
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.serialization import (
+    BestAvailableEncryption,
+    Encoding,
+    PrivateFormat,
+    load_pem_private_key,
+)
 
 from common.credentials import Identity, load
 from common.endpoint import Endpoint
@@ -118,6 +124,20 @@ def test_missing_and_damaged_files_are_one_sentence(own, name, content):
         authority.write_new(folder / name, content)
     with pytest.raises(CredentialsError, match=name):
         load(folder)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"-----BEGIN PRIVATE KEY-----\nAAAA\n-----END PRIVATE KEY-----\n", "password"]
+)
+def test_an_authority_whose_key_cannot_be_used_is_one_sentence(own, content):
+    """A damaged key and one with a password are refused by the name of their file, whatever is to be issued."""
+    if isinstance(content, str):
+        key = load_pem_private_key((own / "ca.key").read_bytes(), None)
+        protected = BestAvailableEncryption(content.encode())
+        content = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, protected)
+    authority.replace(own / "ca.key", content)
+    with pytest.raises(CredentialsError, match=r"ca\.key is not a private key without a password"):
+        issued(own)
 
 
 def test_hosts_are_for_listeners(own):

@@ -102,6 +102,15 @@ def test_other_hosts_names_are_refused(host):
         assert web.refused == 1
 
 
+def test_the_address_that_was_asked_for_is_answered():
+    """Whoever listens at another of this machine's own addresses reaches the page there."""
+    with WebServer(Hub(), "127.0.0.2", 0) as web:
+        connection = http.client.HTTPConnection("127.0.0.2", web.port, timeout=10.0)
+        connection.request("GET", "/")
+        assert connection.getresponse().status == 200
+        connection.close()
+
+
 @pytest.mark.parametrize(
     "origin", [None, "http://evil.example", "null", "https://127.0.0.1:{port}", "http://localhost:1"]
 )
