@@ -6,10 +6,12 @@ import numpy as np
 
 from common.errors import FrameError, SchemaError, VersionError
 from common.frame import Data, length
-from common.messages import MOST_BYTES, MOST_CHUNKS, MOST_COUNT, ChunkMessage, DeliveryMessage
+from common.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessage
 from common.team import TeamSpec
 from common.transitions import Chunk, EpisodeSummary, Rows
 
+MOST_COUNT = 2**48
+"""Largest count of steps or chunks that is believed; a million steps a second make it in nine years."""
 MAX_FIGURES = 64
 """Most figures of an episode."""
 MAX_NAME = 64

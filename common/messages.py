@@ -17,8 +17,6 @@ MOST_CHUNKS: Final = 64
 """Most chunks that one delivery holds."""
 MOST_BYTES: Final = 2 * 2**20
 """Most bytes of a delivery's chunks, when there are several; a single one may be larger."""
-MOST_COUNT: Final = 2**48
-"""Largest count of steps or chunks that is believed; a million steps a second make it in nine years."""
 SETTLED: Final = ("accepted", "duplicate", "refused")
 """Verdicts after which a worker lets go of a chunk; the others ask for it again."""
 

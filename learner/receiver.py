@@ -8,12 +8,12 @@ from typing import Any, Final
 
 from common import keys
 from common.bus import Incoming, Server
-from common.chunks import from_message, from_request
+from common.chunks import MOST_COUNT, from_message, from_request
 from common.config import ReplayConfig
 from common.errors import ProtocolError, SchemaError
 from common.frame import Data
 from common.history import Entry, History
-from common.messages import MOST_COUNT, SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
+from common.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from common.process import log
 from common.team import TeamSpec
 from common.transitions import Chunk

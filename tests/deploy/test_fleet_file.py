@@ -131,11 +131,11 @@ def test_mistakes_name_the_place(tmp_path, text, said):
 
 def test_a_command_is_split_by_the_shells_rules(tmp_path):
     """Wherever it is called, a path with blanks is one word."""
-    fleet = read(written(tmp_path, SMALL + "command = \"'/opt/eia sec/bin/eia-sec' -v\"\n"))
-    assert fleet.hosts["a"].words == ["/opt/eia sec/bin/eia-sec", "-v"]
+    fleet = read(written(tmp_path, SMALL + "command = \"'/usr/local/eia sec/bin/eia-sec' -v\"\n"))
+    assert fleet.hosts["a"].words == ["/usr/local/eia sec/bin/eia-sec", "-v"]
     units = render(fleet, "systemd", tmp_path / "units")
     service = next(path for path in units if "rollout" in path.name)
-    assert 'ExecStart="/opt/eia sec/bin/eia-sec" -v rollout' in service.read_text()
+    assert 'ExecStart="/usr/local/eia sec/bin/eia-sec" -v rollout' in service.read_text()
 
 
 def test_an_endpoint_of_ipv6_is_listened_at_by_ipv6(tmp_path):
