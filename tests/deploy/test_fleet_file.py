@@ -95,7 +95,7 @@ def test_training_is_resolved(tmp_path):
         ("run =", "not valid TOML"),
         ("run = " + "[" * 5000, "not valid TOML"),
         ("run = 1" + "0" * 5000, "not valid TOML"),
-        (SMALL + 'command = "/opt/it\'s/eia-sec"\n', "hosts.a.command .* leaves a quote open"),
+        (SMALL + 'command = "/srv/it\'s/eia-sec"\n', "hosts.a.command .* leaves a quote open"),
         (SMALL + 'command = " "\n', "hosts.a.command is empty"),
         ("", "there is no host"),
         (SMALL + "[trainer]\n", "at the top there is no key 'trainer'"),
