@@ -1,6 +1,6 @@
 """Between chunks of experience and a request on the wire."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -12,10 +12,8 @@ from common.transitions import Chunk, EpisodeSummary, Rows
 
 MOST_COUNT = 2**48
 """Largest count of steps or chunks that is believed; a million steps a second make it in nine years."""
-MAX_FIGURES = 64
-"""Most figures of an episode."""
-MAX_NAME = 64
-"""Most characters of a figure's name."""
+LARGEST = 1e30
+"""Largest size of what an episode comes to; sums of many are finite numbers, too."""
 
 
 def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> ChunkMessage:
@@ -41,13 +39,18 @@ def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> Chu
     )
 
 
-def from_message(message: ChunkMessage, team: TeamSpec) -> Chunk:
+def from_message(message: ChunkMessage, team: TeamSpec, figures: Collection[str]) -> Chunk:
     """Return the chunk of a message, checked against the team.
+
+    Args:
+        message: the message.
+        team: what its rows must fit.
+        figures: names of what an episode of the run's environment comes to; a finished episode has exactly these.
 
     Raises:
         VersionError: when it is for another team.
         SchemaError: when a shape does not fit, a number is not finite, an action leaves [-1, 1], or the steps that the
-            worker says it produced cannot be.
+            worker says it produced cannot be, or a finished episode's figures are others or beyond LARGEST.
     """
     if message.team != team.digest:
         raise VersionError(f"rows for team {message.team[:16]} sent to a learner of team {team.digest}.")
@@ -57,13 +60,13 @@ def from_message(message: ChunkMessage, team: TeamSpec) -> Chunk:
         raise SchemaError(f"{rows.steps} steps of {message.produced} produced so far are impossible.")
     count = message.farm.shape[0] if message.farm.ndim == 1 else -1
     names = message.figure_names
-    if len(names) > MAX_FIGURES or len(set(names)) != len(names) or any(len(name) > MAX_NAME for name in names):
-        raise SchemaError("the finished episodes' figures have impossible names.")
+    if len(set(names)) != len(names) or (count > 0 and set(names) != set(figures)):
+        raise SchemaError("the finished episodes' figures are not those of the run's environment.")
     shapes = (message.episode.shape, message.steps.shape, message.episode_reward.shape, message.episode_figures.shape)
     if not 0 <= count <= rows.steps or shapes != ((count,), (count,), (count, team.agents), (count, len(names))):
         raise SchemaError("the finished episodes' arrays do not fit together.")
-    if count and not (np.isfinite(message.episode_reward).all() and np.isfinite(message.episode_figures).all()):
-        raise SchemaError("a finished episode holds a number that is not finite.")
+    if count and not all((np.abs(part) <= LARGEST).all() for part in (message.episode_reward, message.episode_figures)):
+        raise SchemaError("a finished episode holds a number that is not finite, or far too large.")
     episodes = tuple(
         EpisodeSummary(
             int(message.farm[k]),

@@ -20,6 +20,8 @@ class Message:
     """Base of all messages: a frozen dataclass with a KIND that encodes and decodes itself."""
 
     KIND: ClassVar[int] = 0
+    MOST_HEADER: ClassVar[int] = 64 * 1024
+    """Longest header, bytes; it holds everything but the arrays."""
 
     def encode(self) -> bytes:
         """Return the message's frame."""
@@ -43,7 +45,7 @@ class Message:
             FrameError, VersionError: when the bytes are not such a frame.
             SchemaError: when a field is missing, unknown or of another type.
         """
-        scalars, arrays = frame.decode(data, cls.KIND)
+        scalars, arrays = frame.decode(data, cls.KIND, cls.MOST_HEADER)
         values = {name: read(scalars, arrays) for name, read in _readers(cls)}
         if scalars or arrays:
             raise SchemaError(f"{cls.__name__} has no field {sorted([*scalars, *arrays])[0][:40]!r}.")

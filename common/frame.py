@@ -84,8 +84,13 @@ def length(data: Data) -> int:
     return int(_PREFIX.size + header_size + body_size)
 
 
-def decode(data: Data, kind: int) -> tuple[dict[str, Any], dict[str, Array]]:
+def decode(data: Data, kind: int, most_header: int = MAX_HEADER) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return fields and arrays of a frame; the arrays are read-only views of the data.
+
+    Args:
+        data: the frame.
+        kind: the kind that it has to be of.
+        most_header: longest header of that kind, bytes: what it becomes in memory is many times as large.
 
     Raises:
         FrameError: when the bytes are not a whole frame of this kind.
@@ -101,7 +106,7 @@ def decode(data: Data, kind: int) -> tuple[dict[str, Any], dict[str, Array]]:
         raise VersionError(f"the frame speaks protocol {protocol}, this process {PROTOCOL}.")
     if found != kind or reserved != 0:
         raise FrameError(f"the frame is of kind {found}, not {kind}.")
-    if header_size > MAX_HEADER or _PREFIX.size + header_size + body_size != len(data):
+    if header_size > most_header or _PREFIX.size + header_size + body_size != len(data):
         raise FrameError("the frame's length is not what its prefix says.")
     view = memoryview(data)
     if checksum(view[_PREFIX.size :]) != told:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.codec import Message
+from common.frame import MAX_HEADER
 from common.imitation import ImitationEvent
 from common.team import Float32
 
@@ -162,7 +163,7 @@ class ConfigurationMessage(Message):
         lockstep: whether worker and learner take turns.
     """
 
-    KIND = 7
+    KIND, MOST_HEADER = 7, MAX_HEADER
     epoch: int
     toml: str
     team: dict[str, Any]
@@ -263,7 +264,7 @@ class MetricMessage(Message):
         values: figures by name; numbers, strings, lists and maps of them.
     """
 
-    KIND = 12
+    KIND, MOST_HEADER = 12, 256 * 1024
     counter: int
     host: str
     pid: int
@@ -338,7 +339,7 @@ class WatchTerms(Message):
         steps_per_second: most frames that it publishes in a second, on average over whole episodes.
     """
 
-    KIND = 16
+    KIND, MOST_HEADER = 16, MAX_HEADER
     toml: str
     part_names: tuple[str, ...]
     lease_seconds: float

@@ -3,7 +3,7 @@
 import time
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from common import keys
@@ -24,6 +24,10 @@ COUNTED: Final = {"learner": "updates", "rollout": "environment_steps", "flight"
 """What each role makes, by the name of its counter."""
 TRACK: Final = 64
 """Most messages over which a rate is taken."""
+COUNTERS: Final = ("environment_steps", *COUNTED.values())
+"""Figures of which rates are told."""
+MOST_ALARMS: Final = 16
+"""Most alarms of one process that are shown; how many more there are is said."""
 GONE_SECONDS: Final = 30.0
 """A process without a token stays in the table for this long."""
 MOST_ROWS: Final = 4096
@@ -58,21 +62,23 @@ class _Seen:
             SchemaError: its figures are none.
         """
         before, values = self.message, figures(message.values)
+        _check(values)
         if before is not None and before.pid == message.pid:
             self.missed += max(0, message.counter - before.counter - 1)
         if before is None or before.pid != message.pid or message.uptime <= before.uptime:
             self.track.clear()
-        self.track.append((message.uptime, values))
+        self.track.append((message.uptime, {name: values.get(name, 0) for name in COUNTERS}))
         while len(self.track) > 2 and message.uptime - self.track[0][0] > RATE_SECONDS:
             self.track.popleft()
-        self.message, self.values, self.version, self.at = message, values, version, now
+        self.message, self.values = replace(message, values={}), values
+        self.version, self.at = version, now
 
     def rate(self, counter: str) -> float | None:
         """Return how fast a counter grows, per second, over the last RATE_SECONDS; None before the second message."""
         if len(self.track) < 2:
             return None
         (began, first), (ended, last) = self.track[0], self.track[-1]
-        return float(last.get(counter, 0) - first.get(counter, 0)) / (ended - began)
+        return float(last[counter] - first[counter]) / (ended - began)
 
 
 class Fleet:
@@ -258,13 +264,13 @@ class Fleet:
         )
 
     def _alarms(self, learner: dict[str, Any]) -> tuple[str, ...]:
-        found = [str(text)[:200] for text in learner.get("alarms", [])]
+        found = _few(learner.get("alarms", []), "")
         elite = self._of("elite")
         if elite is not None and elite.values.get("failures"):
             found.append(f"{elite.values['failures']} evaluations for imitation were not answered in time.")
         for (role, name), seen in self._seen.items():
             if role != "learner":
-                found += [f"{role} {name}: {text}"[:200] for text in seen.values.get("alarms", [])]
+                found += _few(seen.values.get("alarms", []), f"{role} {name}: ")
         ledger = learner.get("ledger", {})
         if ledger.get("lost"):
             found.append(f"{ledger['lost']} environment steps are lost with processes that died.")
@@ -280,6 +286,29 @@ class Fleet:
         if self._malformed:
             found.append(f"{self._malformed} metric messages could not be read.")
         return tuple(found)
+
+
+def _check(values: dict[str, Any]) -> None:
+    """Raise one of UNREADABLE where figures are not of the form in which a view reads them."""
+    for ledger in (values.get("ledger", {}), *values.get("ledgers", {}).values()):
+        _ledger(ledger)
+        int(ledger.get("workers", 0))
+    for event in values.get("imitations", []):
+        _imitated(event)
+    for name in ("elites", "waits", "curves"):
+        if not isinstance(values.get(name, {}), dict):
+            raise SchemaError(f"{name} is no map.")
+    for number in (*values.get("elites", {}).values(), *values.get("waits", {}).values()):
+        float(number)
+    float(values.get("rate", 0)), float(values.get("next_episode", 0)), int(values.get("failures", 0))
+    if not all(isinstance(text, str) for text in values.get("alarms", [])):
+        raise SchemaError("an alarm is no text.")
+
+
+def _few(texts: Sequence[str], who: str) -> list[str]:
+    """Return the first of a process's alarms, each a line, and how many more there are."""
+    more = len(texts) - MOST_ALARMS
+    return [f"{who}{text}"[:200] for text in texts[:MOST_ALARMS]] + ([f"{who}{more} more alarms."] if more > 0 else [])
 
 
 def _ledger(figures: dict[str, Any]) -> Ledger:

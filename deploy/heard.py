@@ -10,6 +10,8 @@ LARGEST: Final = 1e15
 """Numbers beyond it are none that a view shows."""
 MOST_TEXT: Final = 400
 """Most characters of a text."""
+MOST_PARTS: Final = 16_384
+"""Most numbers, texts, maps and lists of one report."""
 DEEPEST: Final = 6
 """Maps and lists inside one another."""
 NUMBERS: Final = frozenset(
@@ -28,8 +30,10 @@ def figures(values: Mapping[str, Any]) -> dict[str, Any]:
     maps, and None in lists.
 
     Raises:
-        SchemaError: a figure that has to be a number is none.
+        SchemaError: a figure that has to be a number is none, or there are too many.
     """
+    if _parts(values, MOST_PARTS) < 0:
+        raise SchemaError(f"there are more than {MOST_PARTS} figures.")
     found = {str(name): part for name, value in values.items() if (part := _figure(value, 0)) is not None}
     for name in NUMBERS & values.keys():
         if type(values[name]) not in (int, float):
@@ -40,6 +44,17 @@ def figures(values: Mapping[str, Any]) -> dict[str, Any]:
 def plain(text: str) -> str:
     """Return a text without what a terminal would obey."""
     return "".join(letter if letter.isprintable() else "?" for letter in text[:MOST_TEXT])
+
+
+def _parts(value: Any, room: int) -> int:
+    """Return how much of the room is left when all parts are counted; below 0 as soon as there is none."""
+    room -= 1
+    inner = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+    for part in inner:
+        if room < 0:
+            return room
+        room = _parts(part, room)
+    return room
 
 
 def _figure(value: Any, depth: int) -> Any:

@@ -2,6 +2,7 @@
 
 import queue
 import threading
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -16,7 +17,7 @@ from common.history import Entry, History
 from common.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from common.process import log
 from common.team import TeamSpec
-from common.transitions import Chunk
+from common.transitions import FARM_FIGURES, Chunk
 from learner.intake import Intake, WorkerLedger
 from learner.offenders import CUT_SECONDS, Offenders
 from learner.tarpit import Tarpit
@@ -101,6 +102,7 @@ class Receiver:
         replay: bounds.
         lockstep: whether the learner answers itself, when it has trained; a request then holds one chunk.
         history: where each verdict is written before it is told.
+        figures: names of what a finished episode comes to.
     """
 
     def __init__(
@@ -111,6 +113,7 @@ class Receiver:
         replay: ReplayConfig,
         lockstep: bool,
         history: History | None = None,
+        figures: Collection[str] = FARM_FIGURES,
     ) -> None:
         self.arrivals: queue.Queue[Arrival] = queue.Queue(replay.intake_chunks)
         self.intake = intake
@@ -120,7 +123,7 @@ class Receiver:
         self._history = history or History(None)
         self._damaged: dict[str, tuple[int, int, int]] = {}
         self._most_lag = replay.max_lag_versions
-        self.server, self._team, self._lockstep = server, team, lockstep
+        self.server, self._team, self._lockstep, self._figures = server, team, lockstep, figures
         self._most_rows = replay.capacity
         self._closing, self._dealt_with = threading.Event(), threading.Event()
         self.gate = threading.Lock()
@@ -242,7 +245,7 @@ class Receiver:
                 self._tell("duplicate", sender, 1)
             return status, ""
         try:
-            chunk = from_message(message, self._team)
+            chunk = from_message(message, self._team, self._figures)
             if chunk.rows.flag.shape[0] > self._most_rows:
                 raise SchemaError(f"{chunk.rows.flag.shape[0]} rows at once, more than a replay of {self._most_rows}.")
         except ProtocolError as error:

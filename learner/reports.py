@@ -87,7 +87,7 @@ class Curves:
         reward = {"mean": sum(episode.reward) / len(episode.reward)}
         for group, part in zip(self._team.groups, self._team.agent_slices(), strict=True):
             reward[group.name] = sum(episode.reward[part]) / group.count
-        return {"reward": reward, "steps": episode.steps, **episode.figures}
+        return {**episode.figures, "reward": reward, "steps": episode.steps}
 
 
 def _continued(path: Path) -> TextIO:
@@ -115,7 +115,8 @@ def imitation_record(team: TeamSpec, event: ImitationEvent) -> dict[str, Any]:
 
 
 def _mean(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    first = rows[0]
+    """Return the means of what all rows have; a checkpoint of another version may hold others beside them."""
+    first = {name: value for name, value in rows[0].items() if all(name in row for row in rows)}
     return {
         name: _mean([row[name] for row in rows])
         if isinstance(value, dict)

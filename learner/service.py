@@ -24,6 +24,7 @@ from common.messages import (
 )
 from common.process import Presence, StopSignal, connect, incarnation
 from common.team import TeamSpec
+from common.transitions import FARM_FIGURES
 from learner.board import Board, flattened
 from learner.desk import Desk
 from learner.intake import Intake
@@ -97,7 +98,8 @@ class Learner:
         intake.restore(self._absorbed.state())
         server = bulk.serve(keys.TRANSITION.pattern(run), 256)
         lockstep, replay = self._options.lockstep, self._config.replay
-        self._receiver = Receiver(server, self._team, intake, replay, lockstep, self._history)
+        figures = FARM_FIGURES if self._config.env.is_farm else ()
+        self._receiver = Receiver(server, self._team, intake, replay, lockstep, self._history, figures)
 
     def run(self, stop: StopSignal) -> bool:
         """Train until the run's episodes are done, a signal comes or somebody asks to drain.

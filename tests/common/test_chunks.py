@@ -20,6 +20,21 @@ def of_short_episodes(steps: int, episodes: int) -> Chunk:
 def test_a_chunk_may_finish_as_many_episodes_as_it_has_steps():
     """Thousands of episodes of one step are lawful; one more than there are steps is not."""
     whole = of_short_episodes(5000, 5000)
-    assert from_message(to_message(whole, TEAM, 1, 5000), TEAM).episodes == whole.episodes
+    assert from_message(to_message(whole, TEAM, 1, 5000), TEAM, ()).episodes == whole.episodes
     with pytest.raises(SchemaError, match="do not fit together"):
-        from_message(to_message(of_short_episodes(3, 4), TEAM, 1, 3), TEAM)
+        from_message(to_message(of_short_episodes(3, 4), TEAM, 1, 3), TEAM, ())
+
+
+@pytest.mark.parametrize(
+    "figures",
+    [{}, {"aoi": 1.0}, {"aoi": 1.0, "updates": 2.0}, {"aoi": 1.0, "vdf": 2.0, "kind": 3.0}, {"aoi": 1.0, "vdf": 1e31}],
+)
+def test_an_episode_comes_to_what_the_environment_tells(figures):
+    """Names of others would meet those of the learner's own records; and no figure makes a mean infinite."""
+    whole = of_short_episodes(1, 1)
+    told = EpisodeSummary(0, 0, 1, (1.0,) * TEAM.agents, {"vdf": 2.0, "aoi": 1.0})
+    assert from_message(to_message(Chunk(whole.rows, (told,)), TEAM, 1, 1), TEAM, ("aoi", "vdf")).episodes == (told,)
+    odd = Chunk(whole.rows, (EpisodeSummary(0, 0, 1, (1.0,) * TEAM.agents, figures),))
+    with pytest.raises(SchemaError, match="finished"):
+        from_message(to_message(odd, TEAM, 1, 1), TEAM, ("aoi", "vdf"))
+    assert from_message(to_message(Chunk(whole.rows), TEAM, 1, 1), TEAM, ("aoi", "vdf")).episodes == ()

@@ -7,7 +7,7 @@ import pytest
 
 from common import frame, messages
 from common.codec import Message
-from common.errors import SchemaError
+from common.errors import FrameError, SchemaError
 from common.messages import (
     ChunkAck,
     DeliveryMessage,
@@ -106,3 +106,17 @@ def test_numbers_that_are_not_finite_are_refused(rate: float) -> None:
     message = dataclasses.replace(EXAMPLES[4], rate=rate)  # type: ignore[type-var]  # an ImitationMessage
     with pytest.raises(SchemaError, match="finite"):
         ImitationMessage.decode(message.encode())
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_a_long_header_is_refused_before_it_is_unpacked(kind, monkeypatch):
+    """Each kind has its limit, far below a frame's, but for those that hold a configuration."""
+
+    def unpack(*arguments, **options):
+        raise AssertionError("unpacked")
+
+    data = frame.encode(kind.KIND, {"x": [{}] * kind.MOST_HEADER}, {}) if kind.MOST_HEADER < frame.MAX_HEADER else b""
+    monkeypatch.setattr(frame.msgpack, "unpackb", unpack)
+    assert (kind in (messages.ConfigurationMessage, messages.WatchTerms)) == (not data)
+    with pytest.raises(FrameError):
+        kind.decode(data)

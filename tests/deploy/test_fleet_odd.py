@@ -13,7 +13,7 @@ from common.endpoint import free_endpoint
 from common.messages import Envelope, MetricMessage
 from deploy.commands.monitor import record
 from deploy.fleet import Fleet
-from deploy.heard import figures, plain
+from deploy.heard import MOST_PARTS, figures, plain
 from deploy.view import render, summary
 
 SOUND = {
@@ -55,13 +55,49 @@ def drawn(fleet):
 
 @pytest.mark.parametrize(
     "odd",
-    [{"episodes": "x"}, {"episodes": b"x"}, {"episodes": [1]}, {"queue": {}}, {"environment_steps": None}],
+    [
+        {"episodes": "x"},
+        {"episodes": b"x"},
+        {"episodes": [1]},
+        {"queue": {}},
+        {"environment_steps": None},
+        {"alarms": 5},
+        {"alarms": [5]},
+        {"ledgers": 5},
+        {"ledgers": {"a": 5}},
+        {"ledger": {"produced": "x"}},
+        {"waits": [1]},
+        {"elites": {"m": "x"}},
+        {"imitations": [{}]},
+        {"rate": "x"},
+        {"failures": "x"},
+        {"x": [[]] * MOST_PARTS},
+    ],
 )
-def test_a_worker_whose_figures_are_none_is_not_taken(fleet, odd):
-    """Its message counts as unreadable, and whatever else is known is shown."""
-    assert tell(fleet, "learner", SOUND, "learner")
-    assert not tell(fleet, "rollout", odd)
-    assert "10 of 72 episodes" in drawn(fleet)
+@pytest.mark.parametrize("role", ["rollout", "elite", "learner"])
+def test_figures_that_are_none_cost_their_own_sender_alone(fleet, odd, role):
+    """Such a message counts as unreadable, and whatever else is known is shown."""
+    assert tell(fleet, "learner", {**SOUND, "alarms": ["no checkpoint"]}, "learner")
+    assert not tell(fleet, role, odd)
+    shown = drawn(fleet)
+    assert "10 of 72 episodes" in shown
+    assert "no checkpoint" in shown
+
+
+def test_what_is_kept_of_a_process_is_small(fleet):
+    """Of earlier reports only counters are kept, and of many alarms the first are shown and the others counted."""
+    for counter in range(1, 100):
+        assert tell(
+            fleet, "rollout", {"environment_steps": counter, "alarms": ["a"] * 30, "x": [0] * 1000}, counter=counter
+        )
+    seen = fleet._seen["rollout", "x"]
+    assert seen.message.values == {}
+    assert {name for _, kept in seen.track for name in kept} == set(deploy.fleet.COUNTERS)
+    assert fleet.snapshot().processes[0].rate == 1.0
+    assert [text for text in fleet.snapshot().alarms if text.startswith("rollout x")] == [
+        *["rollout x: a"] * deploy.fleet.MOST_ALARMS,
+        f"rollout x: {30 - deploy.fleet.MOST_ALARMS} more alarms.",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from common.actors import ActorBank
 from common.chunks import from_message, from_request, to_message, to_request
 from common.errors import ProtocolError
 from common.policy_store import PolicyStore
+from common.transitions import FARM_FIGURES
 from common.viewing import check_view
 from tests.common.test_viewing import CONFIG, a_view
 from tests.faults.channel import TEAM, a_chunk
@@ -54,7 +55,7 @@ def _read(kind: type[codec.Message], data: frame.Data) -> None:
     """Decode a message and put it through the checks behind the decoder; raise ProtocolError when it is none."""
     message = kind.decode(data)
     if isinstance(message, messages.ChunkMessage):
-        from_message(message, TEAM)
+        from_message(message, TEAM, FARM_FIGURES)
     elif isinstance(message, messages.ParametersMessage):
         PolicyStore(TEAM).offer_parameters(message)
     elif isinstance(message, messages.ImitationMessage):

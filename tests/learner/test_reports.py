@@ -85,3 +85,11 @@ def test_tensorboard_is_told_from_where_a_run_goes_on(tmp_path):
     board.close()
     starts = [event for event in events(tmp_path / FOLDER) if event.session_log.status == SessionLog.START]
     assert [event.step for event in starts] == [701]
+
+
+def test_episodes_of_another_version_do_not_spoil_the_curves():
+    """A checkpoint may hold episodes of other figures; what all of them have is told, and rewards stay ours."""
+    rewards = (1.0,) * TEAM.agents
+    before = [EpisodeSummary(0, 0, 50, rewards, {"aoi": 1.0, "reward": 9.0}), EpisodeSummary(0, 1, 50, rewards, {})]
+    curves = Curves(TEAM, before)
+    assert curves.smoothed() == {"reward": {"mean": 1.0, **{group.name: 1.0 for group in TEAM.groups}}, "steps": 50}

@@ -90,7 +90,7 @@ def test_one_chunk_goes_at_once_and_what_waits_meanwhile_goes_together(monkeypat
         first, delivery, chunks = wire.request()
         assert (first, delivery.oldest, delivery.flown) == (2, 2, 9)
         assert [(chunk.version, chunk.produced) for chunk in chunks] == [(12, 2), (13, 3), (14, 4)]
-        assert [from_message(chunk, TEAM).rows.observation[0, 0] for chunk in chunks] == [2, 3, 4]
+        assert [from_message(chunk, TEAM, ()).rows.observation[0, 0] for chunk in chunks] == [2, 3, 4]
         wire.answer("accepted", "duplicate", "accepted")
         until(lambda: sender.spooled == 0, "all settled")
         assert (sender.accepted, sender.retries) == (4, 0)
