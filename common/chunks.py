@@ -8,7 +8,7 @@ from common.errors import FrameError, SchemaError, VersionError
 from common.frame import Data, length
 from common.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessage
 from common.team import TeamSpec
-from common.transitions import Chunk, EpisodeSummary, Rows
+from common.transitions import TERMINATED, TRUNCATED, Chunk, EpisodeSummary, Rows
 
 MOST_COUNT = 2**48
 """Largest count of steps or chunks that is believed; a million steps a second make it in nine years."""
@@ -63,8 +63,11 @@ def from_message(message: ChunkMessage, team: TeamSpec, figures: Collection[str]
     if len(set(names)) != len(names) or (count > 0 and set(names) != set(figures)):
         raise SchemaError("the finished episodes' figures are not those of the run's environment.")
     shapes = (message.episode.shape, message.steps.shape, message.episode_reward.shape, message.episode_figures.shape)
-    if not 0 <= count <= rows.steps or shapes != ((count,), (count,), (count, team.agents), (count, len(names))):
-        raise SchemaError("the finished episodes' arrays do not fit together.")
+    ends = np.count_nonzero(rows.flag & (TERMINATED | TRUNCATED))
+    if count != ends or shapes != ((count,), (count,), (count, team.agents), (count, len(names))):
+        raise SchemaError("the finished episodes' arrays do not fit together, or the rows.")
+    if count and message.steps.min() < 1:
+        raise SchemaError("a finished episode has no steps.")
     if count and not all((np.abs(part) <= LARGEST).all() for part in (message.episode_reward, message.episode_figures)):
         raise SchemaError("a finished episode holds a number that is not finite, or far too large.")
     episodes = tuple(

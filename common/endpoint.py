@@ -57,7 +57,7 @@ class Endpoint:
             CredentialsError: when the certificate cannot be used.
         """
         match = _FORM.fullmatch(text)
-        if match is None or not 1 <= int(match[3]) <= 65_534:
+        if match is None or not 1 <= int(match[3]) <= 65_534 or not _is_host(match[2]):
             raise EndpointError(f"{text!r} is not an endpoint; write tcp/HOST:PORT with a port of 1 to 65534.")
         endpoint = cls(match[1], match[2], int(match[3]), shared_memory=shared_memory)
         if tls is not None:
@@ -90,6 +90,11 @@ class Endpoint:
 
     def __str__(self) -> str:
         return self.locator("control")
+
+
+def _is_host(host: str) -> bool:
+    """Return whether a resolver takes a host's name: labels of 1 to 63 letters; addresses in brackets are others'."""
+    return host.startswith("[") or all(0 < len(label) < 64 for label in host.removesuffix(".").split("."))
 
 
 def free_endpoint() -> Endpoint:

@@ -135,6 +135,7 @@ FIGURES: Final[dict[str, tuple[Figure, ...]]] = {
         Figure("events", "", "imitation events that the learner has applied"),
         Figure("next_episode", "episodes", "at which the next event falls due; 0 for none"),
         Figure("failures", "requests", "for evaluations that were not answered in time"),
+        Figure("malformed", "messages", "and tokens that were dropped"),
         Figure("leads", "", "whether it holds the learner's lease"),
         Figure("rate", "", "theta of the newest event that it held"),
         Figure("elites/*", "", "index of that event's elite inside each type"),

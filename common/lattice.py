@@ -10,6 +10,7 @@ learning in large discrete action spaces.
 """
 
 import math
+import sys
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -87,5 +88,11 @@ class Lattice:
 
 
 def fewest(reach: float) -> int:
-    """Return how many cells of at most `reach`, a share of the field, fill the field."""
+    """Return how many cells of at most `reach`, a share of the field, fill the field.
+
+    Raises:
+        ConfigError: they cannot be counted.
+    """
+    if reach * sys.float_info.max <= 1.0:
+        raise ConfigError("a step at full speed is too small a share of the field to be computed with.")
     return max(1, math.ceil(1.0 / reach - 1e-9))

@@ -26,6 +26,11 @@ QUICK_SECONDS: Final = 1.0
 """A request that is empty sooner than this was taken by nobody."""
 
 
+def printable(text: str) -> str:
+    """Return a text without what a terminal would obey."""
+    return text if text.isprintable() else "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
 class StopSignal:
     """SIGINT and SIGTERM, and the death of the supervisor, as an event; loops end at a place of their choosing."""
 
@@ -59,6 +64,8 @@ class StopSignal:
         return self.event.is_set()
 
 
+SEPARATOR: Final = "\n  | "
+"""What divides the lines of one entry in a log."""
 _unwritten: Final = [0]
 """How many lines could not be written since the last one that could."""
 
@@ -67,11 +74,13 @@ def log(text: str) -> None:
     """Write one line with the time of day to standard error.
 
     A disk that takes no more is no reason to stop: lines that cannot be written are counted, and the next one that can,
-    at the latest one at the process's end, says how many.
+    at the latest one at the process's end, says how many. What others may have written into it is made printable.
     """
     before = f"({_unwritten[0]} lines before this one could not be written) " if _unwritten[0] else ""
     try:
-        sys.stderr.write(f"{time.strftime('%H:%M:%S')} {before}{text}\n")
+        sys.stderr.write(
+            f"{time.strftime('%H:%M:%S')} {before}{SEPARATOR.join(map(printable, text.split(SEPARATOR)))}\n"
+        )
         sys.stderr.flush()
     except (OSError, ValueError):
         _unwritten[0] += 1

@@ -28,6 +28,8 @@ _WHOLE: Final = re.compile(
 )
 """Flags of whole segments: steps, of which the last may end its episode, and one row behind them."""
 
+LARGEST: Final = 1e7
+"""Largest size of a number in a row: observations are of about 1, rewards of some hundreds."""
 FARM_FIGURES: Final = ("aoi", "vdf", "collisions", "boundary", "energy_j")
 """Of a farm's episode: mean AoI over sensors and steps and mean VDF over plots and steps, units; UAV steps spent closer
 than the collision distance to a UAV of the same plane; UAV steps that ran against the field's edge; energy of all
@@ -66,8 +68,9 @@ class Rows:
         for name, (array, shape) in wanted.items():
             if array.shape != shape or array.dtype != np.float32:
                 raise SchemaError(f"{name} is {array.dtype}{list(array.shape)}, not float32{list(shape)}.")
-            if not np.isfinite(array).all():
-                raise SchemaError(f"{name} holds a number that is not finite.")
+            # One far number spoils Adam's moments for good; NaN fails the comparison too.
+            if not (np.abs(array) <= LARGEST).all():
+                raise SchemaError(f"{name} holds a number that is not finite or larger than {LARGEST:g}.")
         if self.flag.dtype != np.uint8 or not _WHOLE.fullmatch(self.flag.tobytes()):
             raise SchemaError("the flags are not those of whole segments.")
         if self.action.size and not -1.0 <= self.action.min() <= self.action.max() <= 1.0:

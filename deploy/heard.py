@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from common.errors import SchemaError
+from common.process import printable
 
 LARGEST: Final = 1e15
 """Numbers beyond it are none that a view shows."""
@@ -43,7 +44,7 @@ def figures(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def plain(text: str) -> str:
     """Return a text without what a terminal would obey."""
-    return "".join(letter if letter.isprintable() else "?" for letter in text[:MOST_TEXT])
+    return printable(text[:MOST_TEXT])
 
 
 def _parts(value: Any, room: int) -> int:

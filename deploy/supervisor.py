@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from common.process import SUPERVISOR, log
+from common.process import SEPARATOR, SUPERVISOR, log
 from deploy.exit_codes import USAGE
 from deploy.threads import thread_environment
 
@@ -163,4 +163,4 @@ class Supervisor:
         """Keep an alarm of one line, and log it with all that a child wrote last."""
         self.alarms.append(text[:300])
         del self.alarms[:-50]
-        log("\n  | ".join((text, *lines[:-1])))
+        log(SEPARATOR.join((text, *lines[:-1])))

@@ -4,7 +4,6 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -79,7 +78,7 @@ class Coordinator:
         self._workers: set[str] = set()
         self._now: ProgressMessage | None = None
         self._last: ImitationEvent | None = None
-        self._failures = 0
+        self._failures = self._malformed = 0
         self._patience = ANSWER_SECONDS
         self._reported = 0.0
 
@@ -123,12 +122,17 @@ class Coordinator:
 
     def _listen(self) -> None:
         for sample in self._tokens.drain():
-            name = PurePosixPath(sample.key).name
+            try:
+                name = keys.parse(sample.key).variables["name"]
+            except ProtocolError:
+                self._malformed += 1
+                continue
             (self._workers.add if sample.present else self._workers.discard)(name)
         if (sample_now := self._progress.poll()) is not None:
             try:
                 message = ProgressMessage.decode(sample_now.payload)
             except ProtocolError as error:
+                self._malformed += 1
                 log(f"coordinator: dropped a message: {error}")
                 return
             if self._now is None or message.epoch >= self._now.epoch:
@@ -264,6 +268,7 @@ class Coordinator:
             "events": 0 if self._now is None else self._now.events,
             "next_episode": self._schedule.due_episode((0 if self._now is None else self._now.events) + 1) or 0,
             "failures": self._failures,
+            "malformed": self._malformed,
             "leads": self._leads,
             "rate": last.rate if last else 0.0,
             "elites": dict(zip([g.name for g in self._team.groups], last.elites, strict=True)) if last else {},

@@ -6,6 +6,7 @@ thread through a queue that blocks the training for ever once a full disk has en
 
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from tensorboardX.proto.event_pb2 import Event, SessionLog
 from tensorboardX.proto.summary_pb2 import Summary
 
 FOLDER = "tensorboard"
+RETRY_SECONDS = 60.0
+"""Pause after a failure until the next file is begun: a full disk may take the file and not what goes into it."""
 
 
 class Board:
@@ -28,15 +31,9 @@ class Board:
 
     def __init__(self, directory: Path | None) -> None:
         self.failure = ""
+        self._folder = None if directory is None else directory / FOLDER
         self._writer: Any = None
-        if directory is not None:
-            try:
-                (directory / FOLDER).mkdir(exist_ok=True)
-                # The library's names differ by the second only; two starts within one would share a file.
-                start = len(list((directory / FOLDER).iterdir()))
-                self._writer = EventsWriter(str(directory / FOLDER / "events"), f".{start}")
-            except OSError as error:
-                self._fail(error)
+        self._lost, self._again = 0, 0.0
 
     def write(self, step: int, scalars: Mapping[str, float]) -> None:
         """Append scalars by their names.
@@ -54,25 +51,33 @@ class Board:
         self._put(Event(wall_time=time.time(), step=step + 1, session_log=SessionLog(status=SessionLog.START)))
 
     def _put(self, event: Any) -> None:
-        if self._writer is None:
+        """Write an event; one that the disk does not take is counted, and after a while another file is begun."""
+        if self._folder is None:
             return
         try:
+            if self._writer is None:
+                if time.monotonic() < self._again:
+                    self._lost += 1
+                    return
+                self._folder.mkdir(exist_ok=True)
+                # The library's names differ by the second only; two starts within one would share a file.
+                start = len(list(self._folder.iterdir()))
+                self._writer = EventsWriter(str(self._folder / "events"), f".{start}")
             self._writer.write_event(event)
             self._writer.flush()
         except OSError as error:
-            self._fail(error)
+            self._lost += 1
+            self.failure = f"TensorBoard's scalars cannot be written: {error.strerror or error}; {self._lost} are lost."
+            self._writer, self._again = None, time.monotonic() + RETRY_SECONDS
+        else:
+            self.failure = f"{self._lost} events of TensorBoard's could not be written." if self._lost else ""
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; nothing is written any more."""
         if self._writer is not None:
-            try:
+            with suppress(OSError):  # each event was flushed, or counted
                 self._writer.close()
-            except OSError as error:
-                self._fail(error)
-
-    def _fail(self, error: OSError) -> None:
-        self.failure = f"TensorBoard's scalars could not be written: {error.strerror or error}."
-        self._writer = None
+        self._writer = self._folder = None
 
 
 def flattened(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:

@@ -77,6 +77,7 @@ def save(
         the checkpoint's folder.
 
     Raises:
+        CheckpointError: when it is larger than `load` reads; the checkpoints before it are untouched.
         OSError: when the disk does not take it; the checkpoints before it are untouched.
         CheckpointError: when a number is not finite; likewise.
     """
@@ -90,7 +91,10 @@ def save(
     try:
         partial.mkdir()
         size, digest = _write_tensors(partial / "tensors.safetensors", tensors, rest)
-        _write(partial / "manifest.json", _manifest(manifest, size, digest))
+        described = _manifest(manifest, size, digest)
+        if size > MAX_TENSORS or len(described) > MAX_MANIFEST:
+            raise CheckpointError(f"{size} and {len(described)} bytes are more than a checkpoint holds.")
+        _write(partial / "manifest.json", described)
         _flush_folder(partial)
         partial.rename(final)
     except BaseException:

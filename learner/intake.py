@@ -37,6 +37,7 @@ class WorkerLedger:
         aged: those of them that were refused because their policy was too old.
         damaged: frames that could not be read; they are sent again.
         pending_rejected: whether the next gap in `produced` is a refused chunk's.
+        pending_gap: whether numbers were left out since the last chunk that was taken.
         earlier: the sums of all earlier starts of the worker, or None before there was one.
     """
 
@@ -52,6 +53,7 @@ class WorkerLedger:
     aged: int = 0
     damaged: int = 0
     pending_rejected: bool = False
+    pending_gap: bool = False
     earlier: "WorkerLedger | None" = None
 
     @property
@@ -116,7 +118,9 @@ class Intake:
             ledger,
             expected=max(ledger.expected, sender.sequence + 1),
             refused=ledger.refused + 1,
-            pending_rejected=True,
+            # Behind a gap nobody knows which of the missing steps were in refused chunks: all of them are lost.
+            pending_gap=(gap := ledger.pending_gap or sender.sequence > ledger.expected),
+            pending_rejected=not gap,
         )
 
     def refuse_aged(self, sender: Envelope, steps: int, produced: int, flown: int) -> int:
@@ -193,6 +197,7 @@ class Intake:
             flown=max(ledger.flown, flown, produced),
             produced=max(ledger.produced, produced),
             pending_rejected=False,
+            pending_gap=False,
             **{name: getattr(ledger, name) + count for name, count in booked.items()},
         )
         return missing - rejected

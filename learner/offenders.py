@@ -61,7 +61,8 @@ class Offenders:
     def refusal(self, peer: str) -> str | None:
         """Return what to answer to a peer that is cut off, or None when its requests are looked at."""
         account = self._accounts.get(peer)
-        if account is None or account.until is None or self._clock() >= account.until:
+        until = None if account is None else account.until  # another thread may be taking it away
+        if account is None or until is None or self._clock() >= until:
             return None
         return f"worker {peer} is cut off after {account.row} bad requests in a row; the last: {account.reason}"
 

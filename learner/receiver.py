@@ -26,6 +26,8 @@ FULL_SECONDS: Final = 0.001
 """Pause between two looks at a full queue."""
 DAMAGED_TRIES: Final = 8
 """Times that one chunk may arrive damaged before it is refused for good: its worker makes it so."""
+MOST_WORKERS: Final = 65_536
+"""Most workers that have accounts, whoever they were; all accounts stand in each checkpoint."""
 LOGGED_REFUSALS: Final = 20
 """Refusals that are logged one by one; all are counted."""
 REASON: Final = 400
@@ -222,8 +224,10 @@ class Receiver:
         known = self.intake.workers.get(sender.name)
         if known is not None and sender.incarnation < known.incarnation:
             raise ProtocolError(f"worker {sender.name} has been replaced by a newer start.")
-        if self._lockstep and self.intake.workers and known is None:
+        if self._lockstep and known is None and any(worker.accepted for worker in self.intake.workers.values()):
             raise ProtocolError("a lockstep run has exactly one worker.")
+        if known is None and len(self.intake.workers) >= MOST_WORKERS:
+            raise ProtocolError(f"{MOST_WORKERS} workers have accounts already.")
         return sender
 
     def _judge(self, sender: Envelope, delivery: DeliveryMessage, data: Data, incoming: Incoming) -> Verdict:

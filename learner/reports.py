@@ -1,16 +1,19 @@
 """What the learner tells: metrics.jsonl in the run directory, and lossy metric messages on the bus."""
 
 import json
+import math
 import os
 import time
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
 from common.imitation import ImitationEvent
 from common.team import TeamSpec
 from common.transitions import EpisodeSummary
+from learner.board import flattened
 
 IMITATIONS = 4
 """Newest imitation events that metric messages tell of."""
@@ -33,10 +36,11 @@ class Journal:
     def __init__(self, directory: Path | None, elapsed: float = 0.0) -> None:
         self.failure = ""
         self.imitations: deque[dict[str, Any]] = deque(maxlen=IMITATIONS)
+        self._path = None if directory is None else directory / "metrics.jsonl"
         self._file: TextIO | None = None
-        if directory is not None:
-            self._file = _continued(directory / "metrics.jsonl")
+        self._lost = 0
         self._started = time.monotonic() - elapsed
+        self._append("")
 
     @property
     def elapsed(self) -> float:
@@ -44,21 +48,37 @@ class Journal:
         return time.monotonic() - self._started
 
     def write(self, kind: str, **values: Any) -> None:
-        """Append one record."""
+        """Append one record; one that the disk does not take is lost and counted, and the next is tried again."""
         if kind == "imitation":
             self.imitations.append(values)
-        if self._file is None:
-            return
-        try:
-            self._file.write(json.dumps({"kind": kind, "time": round(self.elapsed, 3), **values}) + "\n")
-            self._file.flush()
-        except OSError as error:
-            self.failure = f"metrics.jsonl could not be written: {error.strerror}."
+        self._append(json.dumps({"kind": kind, "time": round(self.elapsed, 3), **values}) + "\n")
 
     def close(self) -> None:
-        """Close the file."""
-        if self._file is not None:
-            self._file.close()
+        """Close the file; nothing is written any more."""
+        self._shut()
+        self._path = None
+
+    def _append(self, line: str) -> None:
+        if self._path is None:
+            return
+        try:
+            if self._file is None:
+                self._file = _continued(self._path)
+            self._file.write(line)
+            self._file.flush()
+        except OSError as error:
+            self._lost += bool(line)
+            self.failure = f"metrics.jsonl cannot be written: {error.strerror}; {self._lost} records are lost."
+            self._shut()
+        else:
+            self.failure = f"{self._lost} records of metrics.jsonl could not be written." if self._lost else ""
+
+    def _shut(self) -> None:
+        file, self._file = self._file, None
+        if file is not None:
+            # What it still holds is a piece of a record that is counted as lost.
+            with suppress(OSError):
+                file.close()
 
 
 class Curves:
@@ -88,6 +108,13 @@ class Curves:
         for group, part in zip(self._team.groups, self._team.agent_slices(), strict=True):
             reward[group.name] = sum(episode.reward[part]) / group.count
         return {**episode.figures, "reward": reward, "steps": episode.steps}
+
+
+def diverging(statistics: Mapping[str, Any]) -> str:
+    """Return that a figure of the training is not finite any more, or nothing."""
+    odd = sorted(name for name, value in flattened(statistics).items() if not math.isfinite(value))
+    more = f" and {len(odd) - 1} more" if len(odd) > 1 else ""
+    return f"the training diverges: {odd[0]}{more} is not finite." if odd else ""
 
 
 def _continued(path: Path) -> TextIO:

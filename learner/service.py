@@ -10,7 +10,7 @@ from common import keys
 from common.bus import Bus
 from common.config import RunConfig
 from common.config.files import to_toml
-from common.errors import BusError, ProtocolError, UsageError
+from common.errors import BusError, EiaSecError, ProtocolError, UsageError
 from common.history import History
 from common.imitation import ImitationSchedule
 from common.messages import (
@@ -33,7 +33,7 @@ from learner.overdue import Overdue
 from learner.past import take_up
 from learner.receiver import Arrival, Receiver
 from learner.rehearsal import rehearse
-from learner.reports import Curves, Journal, imitation_record
+from learner.reports import Curves, Journal, diverging, imitation_record
 from learner.storage import RunStorage
 from learner.trainer import Trainer
 
@@ -301,7 +301,8 @@ class Learner:
 
     def _alarms(self) -> list[str]:
         late = self._overdue.alarm(self.trainer.events, self.trainer.episodes, time.monotonic())
-        found = (self._storage.alarm, self._journal.failure, self._board.failure, self._history.failure, late)
+        written = (self._storage.alarm, self._journal.failure, self._board.failure, self._history.failure)
+        found = (diverging(self.trainer.statistics()), *written, late)
         return [text for text in found if text] + self._receiver.offenders.alarms()
 
     def _unexplained(self) -> int:
@@ -344,7 +345,7 @@ class Learner:
         self._publish()
         self._tell_progress()
         self._checkpoint(wait=True)
-        self._storage.write_policy(self.trainer)
+        missing = self._storage.write_policy(self.trainer)
         self._report()
         self._journal.write("end", state=state, episodes=self.trainer.episodes, digest=self.trainer.actors().digest())
         time.sleep(FAREWELL_SECONDS)
@@ -352,6 +353,8 @@ class Learner:
         self._journal.close()
         self._board.close()
         self._history.close()
+        if missing:
+            raise EiaSecError(missing)
 
 
 def serve(options: LearnerOptions, config: RunConfig, team: TeamSpec) -> bool:

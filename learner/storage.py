@@ -6,7 +6,7 @@ from typing import Any
 
 from common.config import RunConfig
 from common.config.files import digest, method_of
-from common.errors import CheckpointError, RunDirError
+from common.errors import CheckpointError, PolicyError, RunDirError
 from common.policy_file import save_policy
 from common.process import log
 from learner import checkpoint
@@ -130,10 +130,10 @@ class RunStorage:
         except OSError as error:
             log(f"ALARM: a damaged checkpoint could not be set aside: {error.strerror or error}.")
 
-    def write_policy(self, trainer: Trainer) -> None:
-        """Write the present actors as policy.safetensors."""
+    def write_policy(self, trainer: Trainer) -> str:
+        """Write the present actors as policy.safetensors; return why that was not possible, or nothing."""
         if self._directory is None:
-            return
+            return ""
         metadata = {
             "seed": str(self._config.seed),
             "configuration": self._digest,
@@ -141,4 +141,9 @@ class RunStorage:
             "environment_steps": str(trainer.environment_steps),
             "updates": str(trainer.updates),
         }
-        save_policy(self._directory / POLICY, trainer.actors(), metadata)
+        try:
+            save_policy(self._directory / POLICY, trainer.actors(), metadata)
+        except PolicyError as error:
+            log(f"ALARM: {error}")
+            return str(error)
+        return ""

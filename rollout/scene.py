@@ -102,6 +102,10 @@ class Observer:
         )
 
 
+BISECTIONS: Final = 64
+"""Most halvings of a distance; of fields so large that no two numbers lie as near as is asked for, fewer would do."""
+
+
 def camera_radius(config: FarmConfig) -> float:
     """Return the horizontal distance below which a grid cell is photographed well, sqrt(d_th^2 - H_m^2), m."""
     return math.sqrt(max(0.0, config.camera.image_distance**2 - config.world.height_monitoring**2))
@@ -115,7 +119,9 @@ def radio_radius(config: FarmConfig) -> float:
     near, far = 0.0, math.hypot(config.world.field_x, config.world.field_y)
     if _chance(config, near) < HALF or _chance(config, far) >= HALF:
         return near if _chance(config, near) < HALF else far
-    while far - near > 0.01:
+    for _ in range(BISECTIONS):
+        if far - near <= 0.01:
+            break
         middle = 0.5 * (near + far)
         near, far = (middle, far) if _chance(config, middle) >= HALF else (near, middle)
     return near

@@ -130,6 +130,9 @@ def _merge(base: Any, table: dict[str, Any], prefix: str) -> Any:
         return dataclasses.replace(base, **changes)
     except ConfigError as error:
         raise ConfigError(f"in [{prefix[:-1]}], {error}" if prefix else str(error)) from error
+    except ArithmeticError as error:
+        where = f"in [{prefix[:-1]}]" if prefix else "in the configuration"
+        raise ConfigError(f"{where}, a number is too small or too large to be computed with: {error}.") from error
 
 
 def _unknown(key: str, prefix: str) -> str:
@@ -157,6 +160,8 @@ def _convert(key: str, value: Any, wanted: Any) -> Value:
             raise ConfigError(f"{key} must be a list of whole numbers, not {_show(value)}.")
         return tuple(value)
     if wanted is float and type(value) is int:
+        if abs(value) > sys.float_info.max:
+            raise ConfigError(f"{key} is a number that is too large.")
         return float(value)
     if type(value) is not wanted:
         raise ConfigError(f"{key} must be {_TYPE_NAMES[wanted]}, not {_show(value)}.")

@@ -178,9 +178,9 @@ class ReplayConfig:
         within(256, 100_000_000, capacity=self.capacity)
         not_negative(
             warmup_steps=self.warmup_steps,
-            updates_per_step=self.updates_per_step,
             max_age_versions=self.max_age_versions,
         )
+        within(0.0, 1000.0, updates_per_step=self.updates_per_step)
         within(0, 2**31, max_lag_versions=self.max_lag_versions)
         within(1, 100_000_000, slack_steps=self.slack_steps)
         within(1, 65_536, intake_chunks=self.intake_chunks)

@@ -10,7 +10,7 @@ from common.config.farm import FarmConfig
 from common.config.learning import AlgorithmConfig, EliteConfig, ExplorationConfig, ReplayConfig
 from common.errors import ConfigError
 
-_DEVICE: Final = re.compile(r"cpu|cuda(:\d{1,3})?")
+_DEVICE: Final = re.compile(r"cpu|cuda(:(0|[1-9]\d{0,2}))?")
 
 
 @dataclass(frozen=True)
@@ -108,3 +108,10 @@ class RunConfig:
         within(1, 100_000_000, episodes=self.episodes)
         if self.evaluation.first_farm < self.rollout.train_farms:
             raise ConfigError("evaluation.first_farm must lie beyond the training farms, so that they stay unseen.")
+        # Every segment has one row more than steps, so that at worst one row in two is a step's.
+        chunk = 2 * self.rollout.environments * self.rollout.chunk_steps
+        if self.replay.capacity < max(2 * self.algorithm.batch, chunk):
+            raise ConfigError(
+                f"replay.capacity {self.replay.capacity} holds no batch of {self.algorithm.batch} or no chunk of "
+                f"{self.rollout.environments} times {self.rollout.chunk_steps} steps; it takes up to two rows for each."
+            )

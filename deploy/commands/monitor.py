@@ -12,6 +12,7 @@ from rich.live import Live
 
 from common import keys
 from common.bus import Bus
+from common.config.checks import within
 from common.endpoint import DEFAULT, Endpoint
 from common.keys import check_name
 from common.process import StopSignal, denial
@@ -45,6 +46,8 @@ def command(arguments: Sequence[str]) -> int:
     """Watch until interrupted or the time is over; return 0."""
     options = parse(MonitorArguments, arguments, "monitor")
     check_name(options.run, "run")
+    within(0.05, 3600.0, refresh=options.refresh)
+    within(0.0, 1e9, patience=options.patience, seconds=0.0 if options.seconds is None else options.seconds)
     stop = StopSignal()
     stop.install()
     endpoint = Endpoint.parse(options.connect, options.tls)

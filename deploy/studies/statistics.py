@@ -15,6 +15,7 @@ Scores are [runs, farms]: one row for each seed of a method, one column for each
 - stability: the spread of the training curve over the last 10 % of the episodes, and the spread over unseen farms.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
@@ -73,15 +74,25 @@ def improvement(scores: Numbers, other: Numbers) -> float:
 
 
 def improvement_interval(scores: Numbers, other: Numbers) -> Interval:
-    """Return the probability of improvement and its bootstrap interval, the seeds of both methods drawn apart."""
+    """Return the probability of improvement and its bootstrap interval, the seeds of both methods drawn apart.
+
+    With a single run of either there is nothing to draw from, and it may be anything.
+    """
     draw, wins = stream("studies", "improvement"), _wins(scores, other)
+    if min(wins.shape[:2]) < 2:
+        return Interval(float(wins.mean()), 0.0, 1.0)
     rows, columns = (draw.integers(count, size=(RESAMPLES, count)) for count in wins.shape)
     drawn = wins[rows[:, :, None], columns[:, None, :]].mean(axis=(1, 2))
     return _between(float(wins.mean()), drawn)
 
 
 def difference_interval(values: Numbers, other: Numbers) -> Interval:
-    """Return how far the mean of the first seeds' values [n] is above that of the second's [m], seeds drawn apart."""
+    """Return how far the mean of the first seeds' values [n] is above that of the second's [m], seeds drawn apart.
+
+    With a single seed of either there is nothing to draw from, and it may be anything.
+    """
+    if min(len(values), len(other)) < 2:
+        return Interval(float(values.mean() - other.mean()), -math.inf, math.inf)
     draw = stream("studies", "difference")
     one, two = (own[draw.integers(len(own), size=(RESAMPLES, len(own)))].mean(axis=1) for own in (values, other))
     return _between(float(values.mean() - other.mean()), one - two)

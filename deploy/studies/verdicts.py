@@ -40,6 +40,8 @@ class Row:
 
 def judged(answers: Sequence[Answer]) -> Verdict:
     """Return the verdict on a claim that consists of several: yes to all, to some, to none, or open throughout."""
+    if not answers:
+        return "cannot be told"
     if all(answer is True for answer in answers):
         return "holds"
     if any(answer is True for answer in answers):

@@ -121,7 +121,7 @@ class Source:
             self._sentence = ""
         except BusClosedError:
             raise
-        except (BusError, ProtocolError, UsageError) as error:
+        except (BusError, ProtocolError, UsageError, ArithmeticError, ValueError) as error:
             self._sentence = f"Worker {worker}: {error}"
 
     def _agree(self, worker: str, terms: WatchTerms) -> None:
