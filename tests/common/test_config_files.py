@@ -106,6 +106,17 @@ REFUSED = [
     ("[farm.world]\nsites = [[1, 2]]", "in [farm.world], sites names 1 places, but sensors is 400."),
     ("algorithm = 3", "algorithm must be a section [algorithm], not 3."),
     ("[[farm]]\nx = 1", "farm must be a section [farm], not [a section]."),
+    (f"[elite]\nrate = 1{'0' * 400}", "elite.rate is a number that is too large."),
+    (
+        "[farm.world]\nstep_seconds = 5e-324",
+        "in [farm.world], a number is too small or too large to be computed with: cannot convert float infinity to "
+        "integer.",
+    ),
+    (
+        "[replay]\ncapacity = 256",
+        "replay.capacity 256 holds no batch of 128 or no chunk of 8 times 20 steps; it takes up to two rows for each.",
+    ),
+    ("[replay]\nupdates_per_step = 1e308", "in [replay], updates_per_step must be between 0.0 and 1000.0, not 1e+308."),
     ("[algorithm]\nbatch = 0", "in [algorithm], batch must be between 1 and 65536, not 0."),
     ("[algorithm]\ncritic_rate = nan", "in [algorithm], critic_rate must be above 0, not nan."),
     ("[farm.relay]\ncapacity = 1", "in [farm], relay.capacity 1 times 4 relays cannot serve 8 UAVs."),

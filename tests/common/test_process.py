@@ -7,7 +7,7 @@ from common import keys
 from common.bus import Bus
 from common.endpoint import free_endpoint
 from common.messages import MetricMessage
-from common.process import LARGEST, Presence, log
+from common.process import LARGEST, SEPARATOR, Presence, log
 from tests.system.fleet import until
 
 
@@ -29,6 +29,13 @@ def test_a_full_disk_costs_lines_and_nothing_else(monkeypatch, capsys):
     log("four")
     told = capsys.readouterr().err.splitlines()
     assert [line.partition(" ")[2] for line in told] == ["(2 lines before this one could not be written) three", "four"]
+
+
+def test_what_others_wrote_is_printable(capsys):
+    """A line stays one line, and the lines of one entry stay divided as they were."""
+    log("worker \x1b[2J says\nALARM" + SEPARATOR + "second")
+    told = capsys.readouterr().err.splitlines()
+    assert [line.partition(" ")[2] for line in told] == ["worker ?[2J says?ALARM", " | second"]
 
 
 def test_a_sum_that_no_frame_holds_is_told_as_the_largest_one_does():

@@ -25,6 +25,7 @@ from deploy.studies.statistics import (
     tail_of,
     unrest,
 )
+from deploy.studies.verdicts import above, far, judged
 
 COVERAGE = Path(__file__).resolve().parents[2] / COVERAGE_FILE
 EXPERIMENTS = 300
@@ -124,7 +125,6 @@ def test_improvement_of_known_scores():
     assert improvement(low, high) == 0.0
     assert improvement(low, low) == 0.5
     assert improvement_interval(high, low) == (1.0, 1.0, 1.0)
-    assert improvement_interval(high[:1], low[:1]) == (1.0, 1.0, 1.0)
 
 
 def test_improvement_interval_is_open_where_seeds_disagree():
@@ -180,3 +180,14 @@ def test_spread_is_over_farms_inside_each_run():
     """Runs that differ from one another but not over farms have no spread."""
     assert spread(np.array([[1.0, 1.0], [9.0, 9.0]])) == 0.0
     assert spread(np.array([[0.0, 2.0], [0.0, 4.0]])) == pytest.approx(1.5)
+
+
+def test_one_seed_decides_nothing():
+    """Of a single run of either method there is nothing to draw from, however clear the farms are."""
+    one, two = np.full((1, 80), 2.0), np.stack([np.full(80, 1.0), np.full(80, 1.5)])
+    for pair in ((one, two), (two, one), (one, one)):
+        assert improvement_interval(*pair)[1:] == (0.0, 1.0)
+        assert above(improvement_interval(*pair)) is None
+        assert difference_interval(pair[0][:, 0], pair[1][:, 0])[1:] == (-np.inf, np.inf)
+        assert far(difference_interval(pair[0][:, 0], pair[1][:, 0])) is None
+    assert judged([]) == "cannot be told"

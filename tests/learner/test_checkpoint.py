@@ -135,3 +135,15 @@ def test_the_manifest_is_plain_json(tmp_path):
     """Anybody can read the manifest without this project."""
     path = checkpoint.save(tmp_path, TENSORS, BODY, keep=1)
     assert json.loads((path / "manifest.json").read_text())["body"] == BODY
+
+
+@pytest.mark.parametrize("limit", ["MAX_MANIFEST", "MAX_TENSORS"])
+def test_what_could_not_be_read_is_not_written(tmp_path, monkeypatch, limit):
+    """A checkpoint beyond what `load` takes would cost the readable ones before it their place."""
+    checkpoint.save(tmp_path, {"a": torch.zeros(8)}, {"n": 1}, keep=1)
+    monkeypatch.setattr(checkpoint, limit, 10)
+    with pytest.raises(CheckpointError, match="more than a checkpoint holds"):
+        checkpoint.save(tmp_path, {"a": torch.zeros(8)}, {"n": 2}, keep=1)
+    monkeypatch.undo()
+    assert checkpoint.load_latest(tmp_path).manifest == {"n": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint-00000001"]

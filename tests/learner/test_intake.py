@@ -69,6 +69,20 @@ def test_a_refused_chunk_is_booked_as_rejected() -> None:
     assert (totals["rejected"], totals["lost"], totals["refused"], totals["in_flight"]) == (10, 0, 1, 0)
 
 
+def test_a_refused_chunk_behind_a_gap_does_not_explain_the_gap() -> None:
+    """Nobody knows which of the missing steps were in refused chunks, so all up to the next good one are lost."""
+    intake = Intake()
+    deliver(intake, 1)
+    intake.refuse(sender(5))
+    intake.refuse(sender(6))
+    assert deliver(intake, 7) == "accepted"
+    totals = intake.totals()
+    assert (totals["lost"], totals["rejected"], totals["refused"], totals["unexplained"]) == (50, 0, 2, 0)
+    intake.refuse(sender(8))
+    assert deliver(intake, 9) == "accepted"
+    assert (intake.totals()["lost"], intake.totals()["rejected"]) == (50, 10)
+
+
 def test_a_new_start_counts_from_one_again() -> None:
     """A worker that was restarted keeps what it delivered before, and its sequence begins anew."""
     intake = Intake()

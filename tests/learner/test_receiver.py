@@ -49,6 +49,35 @@ def test_a_chunk_brings_the_accounts_of_its_moment():
         shut(receiver, door)
 
 
+def test_a_stray_message_keeps_no_worker_out_of_a_lockstep_run():
+    """Whoever sends junk before the one worker has no place in the run; the worker that delivers first has it."""
+    door = Door()
+    bounds = ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=16)
+    receiver = Receiver(door, TEAM, Intake(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
+    try:
+        stray = parcel("stranger", 1, 1)
+        stray.payload = b"junk"
+        door.pass_on(stray)
+        door.push(Sending("0", 1).parcel([1]))
+        assert until(lambda: receiver.next_arrival(0.05), "a chunk").sender.name == "0"
+        assert "exactly one worker" in door.pass_on(parcel("late", 1, 1)).refused
+    finally:
+        shut(receiver, door)
+
+
+def test_there_are_accounts_for_so_many_workers(monkeypatch):
+    """Names without end are refused before they take memory, and stand in no checkpoint."""
+    monkeypatch.setattr("learner.receiver.MOST_WORKERS", 2)
+    receiver, door = front_door()
+    try:
+        assert [door.pass_on(parcel(name, 1, 1)).verdict for name in ("a", "b")] == ["accepted"] * 2
+        assert "2 workers have accounts already" in door.pass_on(parcel("c", 1, 1)).refused
+        assert door.pass_on(parcel("a", 1, 2)).verdict == "accepted"
+        assert set(receiver.intake.workers) == {"a", "b"}
+    finally:
+        shut(receiver, door)
+
+
 def test_in_lockstep_a_second_copy_waits_for_the_training_too():
     """A worker whose link broke while its chunk was trained on hears of it when that is done, and not before."""
     door, sending = Door(), Sending("0", 2)

@@ -8,8 +8,9 @@ from tensorboardX.proto.event_pb2 import SessionLog
 from common.team import GroupSpec, TeamSpec
 from common.transitions import EpisodeSummary
 from deploy.report import read_metrics
+from learner import board, reports
 from learner.board import FOLDER, Board
-from learner.reports import SMOOTHED_EPISODES, Curves, Journal
+from learner.reports import SMOOTHED_EPISODES, Curves, Journal, _continued, diverging
 from tests.learner.test_figures import events
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
@@ -93,3 +94,67 @@ def test_episodes_of_another_version_do_not_spoil_the_curves():
     before = [EpisodeSummary(0, 0, 50, rewards, {"aoi": 1.0, "reward": 9.0}), EpisodeSummary(0, 1, 50, rewards, {})]
     curves = Curves(TEAM, before)
     assert curves.smoothed() == {"reward": {"mean": 1.0, **{group.name: 1.0 for group in TEAM.groups}}, "steps": 50}
+
+
+def test_records_go_on_after_a_full_disk_and_losses_are_counted(tmp_path, monkeypatch):
+    """While nothing can be written each record is lost and counted; later ones are whole, and the count stands."""
+    path = tmp_path / "metrics.jsonl"
+    path.write_text('{"kind": "cu')
+    refused = [True, True, True, False]
+
+    def opened(file):
+        if refused.pop(0):
+            raise OSError(28, "No space left on device")
+        return _continued(file)
+
+    monkeypatch.setattr(reports, "_continued", opened)
+    journal = Journal(tmp_path)
+    assert journal.failure == "metrics.jsonl cannot be written: No space left on device; 0 records are lost."
+    journal.write("status", episodes=1)
+    journal.write("status", episodes=2)
+    assert journal.failure.endswith("; 2 records are lost.")
+    journal.write("status", episodes=3)
+    assert journal.failure == "2 records of metrics.jsonl could not be written."
+    journal.close()
+    journal.write("status", episodes=4)
+    lines = path.read_text().splitlines()
+    assert [lines[0], json.loads(lines[1])["episodes"], len(lines)] == ['{"kind": "cu', 3, 2]
+
+
+def test_a_journal_on_a_full_disk_closes(tmp_path):
+    """What its file still holds cannot be written at the end either, and ends nobody."""
+    (tmp_path / "metrics.jsonl").symlink_to("/dev/full")
+    journal = Journal(tmp_path)
+    journal.write("status", episodes=1)
+    assert "No space left on device; 1 records are lost." in journal.failure
+    journal.close()
+
+
+def test_scalars_go_on_in_another_file_after_a_full_disk(tmp_path, monkeypatch):
+    """After a pause a new event file is begun, and what was lost meanwhile is counted."""
+    made = Board(tmp_path)
+    made.write(1, {"a": 1.0})
+    monkeypatch.setattr(made._writer, "flush", refuse_to_write)
+    made.write(2, {"a": 2.0})
+    made.write(3, {"a": 3.0})
+    assert made.failure == "TensorBoard's scalars cannot be written: No space left on device; 1 are lost."
+    monkeypatch.setattr(board, "RETRY_SECONDS", 0.0)
+    made._again = 0.0
+    made.write(4, {"a": 4.0})
+    made.close()
+    assert made.failure == "2 events of TensorBoard's could not be written."
+    files = sorted((tmp_path / FOLDER).iterdir())
+    assert len(files) == 2
+    steps = [event.step for event in events(tmp_path / FOLDER) if event.summary.value]
+    assert (steps[0], steps[-1], 3 in steps) == (1, 4, False)
+
+
+def refuse_to_write():
+    raise OSError(28, "No space left on device")
+
+
+def test_a_training_that_diverges_is_an_alarm():
+    """Any figure that is not finite any more is named, and how many others there are."""
+    assert diverging({"critic_loss": {"c": 1.0, "m": 2.0}}) == ""
+    found = diverging({"critic_loss": {"c": float("nan"), "m": float("inf")}, "q_mean": {"c": 1.0}})
+    assert found == "the training diverges: critic_loss/c and 1 more is not finite."
