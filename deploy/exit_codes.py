@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from common.errors import EiaSecError, UsageError
+from deploy.output import FULL
 
 DONE: Final = 0
 FAILED: Final = 1
@@ -19,7 +20,7 @@ PIPE_CLOSED: Final = 141
 def run_command(command: Callable[[], int | None]) -> int:
     """Run a command and return its exit code; an expected error becomes one line on standard error.
 
-    An exception that is none of EiaSecError is a defect and passes through with its traceback.
+    So does a disk that takes no more. Any other exception is a defect and passes through with its traceback.
 
     Args:
         command: does the work; returns an exit code, or None for success.
@@ -34,10 +35,20 @@ def run_command(command: Callable[[], int | None]) -> int:
     except KeyboardInterrupt:
         return _complain("interrupted.", INTERRUPTED)
     except BrokenPipeError:
-        # The interpreter flushes standard output once more at exit, which must not fail a second time.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _leave_output()
         return PIPE_CLOSED
+    except OSError as error:
+        if error.errno not in FULL:
+            raise
+        if error.filename is None:
+            _leave_output()
+        return _complain(f"{error.filename or 'the output'} cannot be written: {error.strerror}.", FAILED)
     return DONE if code is None else code
+
+
+def _leave_output() -> None:
+    """Let the interpreter flush standard output into nothing at exit: it must not fail a second time."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _complain(sentence: str, code: int) -> int:

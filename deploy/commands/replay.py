@@ -91,8 +91,15 @@ def _contest(options: ReplayArguments) -> Contest:
     if not config.env.is_farm:
         raise UsageError(f"this run is about {config.env.name}; only the farm can be replayed.")
     shown = options.run_dir.resolve().name if options.run_dir is not None and options.policy is None else _called(name)
-    names = (shown, _called(options.against))
+    names = _apart(shown, _called(options.against), name, options.against)
     return Contest(config.farm, (name, options.against), names, options.farm, options.episode)
+
+
+def _apart(one: str, other: str, path: str, other_path: str) -> tuple[str, str]:
+    """Return names of two policies that differ: by their folders where they are called alike, else by a number."""
+    if one == other:
+        one, other = (f"{Path(place).resolve().parent.name}/{one}" for place in (path, other_path))
+    return (one, other) if one != other else (f"{one} (1)", f"{other} (2)")
 
 
 def _called(name: str) -> str:

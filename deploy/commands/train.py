@@ -22,6 +22,7 @@ from common.process import StopSignal
 from deploy.exit_codes import USAGE
 from deploy.fleet import Fleet
 from deploy.options import base_configuration, parse
+from deploy.output import patient_output
 from deploy.report import write_report
 from deploy.rundir import CONFIG, HISTORY, RunDirectory
 from deploy.supervisor import Supervisor
@@ -85,7 +86,7 @@ def command(arguments: Sequence[str]) -> int:
     directory.prepare(options.settings, resume=options.resume)
     directory.lock("train.lock")
     directory.adopt(options.settings)
-    console = Console(stderr=False)
+    console = Console(file=patient_output())
     console.print(f"run directory {directory.path}; watch from elsewhere with:", highlight=False)
     own = "" if options.tls is None else f" --tls {options.tls / 'monitor.NAME'}"
     console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}{own}", highlight=False)

@@ -8,6 +8,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -91,8 +92,9 @@ def perform_all(jobs: Sequence[Job], records: Records, command: str) -> None:
             def told(share: float, number: int = number) -> None:
                 if stop:
                     raise StoppedError("stopped before it was done.")
-                sys.stdout.write(f"{PROGRESS} {(number + share) / len(jobs):.4f}\n")
-                sys.stdout.flush()
+                with suppress(OSError):  # a full disk costs the line, and not the training
+                    sys.stdout.write(f"{PROGRESS} {(number + share) / len(jobs):.4f}\n")
+                    sys.stdout.flush()
 
             told(0.0)
             if records.get(job) is None:
