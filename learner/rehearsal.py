@@ -24,7 +24,10 @@ def rehearse(config: RunConfig, team: TeamSpec) -> None:
     if config.learner.device != "cpu":
         return
     steps = max(256, 2 * config.algorithm.batch)
-    trainer = Trainer(replace(config, replay=replace(config.replay, capacity=steps, warmup_steps=0)), team)
+    small = replace(config.replay, capacity=steps, warmup_steps=0)
+    trainer = Trainer(
+        replace(config, replay=small, rollout=replace(config.rollout, environments=1, chunk_steps=1)), team
+    )
     flag = np.full(steps, TRANSITION, np.uint8)
     flag[-1] = 0
     observation, action, reward = (

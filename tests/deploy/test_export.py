@@ -75,7 +75,7 @@ def test_what_was_trained_with_every_aid_is_exported(tmp_path):
     config = RunConfig(
         env=EnvConfig("some.module:env"),
         algorithm=AlgorithmConfig(name="masac", hidden=8, batch=16, observation_normalisation=True, actor_rate=0.05),
-        replay=ReplayConfig(capacity=256, warmup_steps=0),
+        replay=ReplayConfig(capacity=320, warmup_steps=0),
     )
     flag = np.full(200, TRANSITION, np.uint8)
     flag[-1] = 0

@@ -202,6 +202,6 @@ def test_a_board_that_cannot_be_written_says_so(tmp_path):
     (tmp_path / FOLDER).write_text("in the way")
     board = Board(tmp_path)
     board.write(1, {"a": 1.0})
-    assert "could not be written" in board.failure
+    assert "cannot be written: File exists; 1 are lost" in board.failure
     Board(None).write(1, {"a": 1.0})
     assert Board(None).failure == ""
