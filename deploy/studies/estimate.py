@@ -74,7 +74,11 @@ def _amount(job: Job) -> float:
 
 def _measure_training(job: Job) -> float:
     config = job.config
-    short = replace(config, replay=replace(config.replay, warmup_steps=0, capacity=4096))
+    room = min(
+        config.replay.capacity,
+        max(4096, 2 * config.algorithm.batch, 2 * config.rollout.environments * config.rollout.chunk_steps),
+    )
+    short = replace(config, replay=replace(config.replay, warmup_steps=0, capacity=room))
     collector = Collector(short, "0", 0)
     trainer = Trainer(short, collector.team)
     bank, world = trainer.actors(), config.farm.world
