@@ -19,6 +19,7 @@ class _Patient:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
+        """Write a text, after how many were lost before it; return how many characters were written."""
         try:
             if self.lost:
                 self._stream.write(f"({self.lost} writes before this one could not be written)\n")
@@ -28,6 +29,7 @@ class _Patient:
             return self._lose(error)
 
     def flush(self) -> None:
+        """Hand on what was written."""
         try:
             self._stream.flush()
         except OSError as error:
