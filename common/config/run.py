@@ -42,6 +42,11 @@ class RolloutConfig:
         within(0, 2**31, max_lag_versions=self.max_lag_versions)
         not_negative(max_silence_seconds=self.max_silence_seconds)
 
+    @property
+    def chunk_rows(self) -> int:
+        """Most rows of a chunk: every segment has one row more than steps, at worst one for each step."""
+        return 2 * self.environments * self.chunk_steps
+
 
 @dataclass(frozen=True)
 class LearnerConfig:
@@ -108,9 +113,7 @@ class RunConfig:
         within(1, 100_000_000, episodes=self.episodes)
         if self.evaluation.first_farm < self.rollout.train_farms:
             raise ConfigError("evaluation.first_farm must lie beyond the training farms, so that they stay unseen.")
-        # Every segment has one row more than steps, so that at worst one row in two is a step's.
-        chunk = 2 * self.rollout.environments * self.rollout.chunk_steps
-        if self.replay.capacity < max(2 * self.algorithm.batch, chunk):
+        if self.replay.capacity < max(2 * self.algorithm.batch, self.rollout.chunk_rows):
             raise ConfigError(
                 f"replay.capacity {self.replay.capacity} holds no batch of {self.algorithm.batch} or no chunk of "
                 f"{self.rollout.environments} times {self.rollout.chunk_steps} steps; it takes up to two rows for each."

@@ -49,7 +49,7 @@ class Collected:
 def pack(folder: Path, out: IO[bytes]) -> None:
     """Write an archive of the run in a host's folder: histories, metrics, configuration and policy, as far as there.
 
-    Each file is read from the size on that it has when its turn comes: one that grows meanwhile does no harm.
+    Each file is read up to the size that it has when its turn comes: one that grows meanwhile does no harm.
     """
     run = folder / "run"
     with tarfile.open(fileobj=out, mode="w|gz", format=tarfile.USTAR_FORMAT) as archive:

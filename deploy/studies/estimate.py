@@ -74,10 +74,7 @@ def _amount(job: Job) -> float:
 
 def _measure_training(job: Job) -> float:
     config = job.config
-    room = min(
-        config.replay.capacity,
-        max(4096, 2 * config.algorithm.batch, 2 * config.rollout.environments * config.rollout.chunk_steps),
-    )
+    room = min(config.replay.capacity, max(4096, 2 * config.algorithm.batch, config.rollout.chunk_rows))
     short = replace(config, replay=replace(config.replay, warmup_steps=0, capacity=room))
     collector = Collector(short, "0", 0)
     trainer = Trainer(short, collector.team)
