@@ -22,3 +22,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if any(folder in item.path.parents for folder in WITH_PROCESSES):
             item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=OUT_OF_TIME))
+
+
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """Call a parameter of bytes by its name, pytest numbers them.
+
+    Compressed bytes hold the second at which they were made: a test that is called by them has another name in
+    each of the processes that run the tests, which then refuse to begin.
+    """
+    return argname if isinstance(val, bytes) else None
