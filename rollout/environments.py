@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import RunConfig
+from common.sizes import require_frames
 from common.team import Float32, TeamSpec
 from common.transitions import EpisodeSummary
 from rollout.farms import FarmBatch
@@ -79,7 +80,8 @@ def team_of(config: RunConfig) -> TeamSpec:
     """Return the team of a run's environment.
 
     Raises:
-        ConfigError: as `make_environments`.
+        ConfigError: as `make_environments`, or its workers' chunks or its actors would fit into no message.
     """
     with closing(make_environments(config, 1)) as environments:
+        require_frames(config, environments.team)
         return environments.team

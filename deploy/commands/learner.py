@@ -75,7 +75,8 @@ def command(arguments: Sequence[str]) -> int:
         endpoint.credentials.require("learner")
     if not options.connect:
         endpoint.require_private(options.insecure)
-    usable_device(options.settings.learner.device)  # a mistake to tell before anything is made
+    usable_device(options.settings.learner.device)  # a mistake to tell before anything is made, as the next one
+    team = team_of(options.settings)
     if options.run_dir is not None:
         directory = RunDirectory(options.run_dir)
         directory.prepare(options.settings, resume=resume)
@@ -93,6 +94,6 @@ def command(arguments: Sequence[str]) -> int:
             await_elite=options.await_elite,
         ),
         options.settings,
-        team_of(options.settings),
+        team,
     )
     return 0

@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -18,6 +19,7 @@ from common.config import RunConfig
 from common.config.files import digest, from_toml, to_toml
 from common.errors import RunDirError, UsageError
 from common.process import log
+from deploy.studies.checked import check_result
 
 Kind = Literal["train", "fly", "time"]
 FORMAT: Final = 1
@@ -25,7 +27,18 @@ FORMAT: Final = 1
 MAX_BYTES: Final = 16 * 2**20
 """No record is larger."""
 POLICY_SUFFIX: Final = ".safetensors"
-_NEEDED: Final = {"format": int, "kind": str, "job": str, "command": str, "seed": int, "commit": str, "result": dict}
+JOB_SUFFIX: Final = ".job.json"
+_NEEDED: Final = {
+    "format": int,
+    "kind": str,
+    "job": str,
+    "command": str,
+    "seed": int,
+    "commit": str,
+    "config": str,
+    "seconds": float,
+    "result": dict,
+}
 
 
 @dataclass(frozen=True)
@@ -92,7 +105,7 @@ class Records:
         """Return a job's record, or None when there is none that is whole."""
         path = self.path(job)
         try:
-            record = json.loads(_bounded(path))
+            record = json.loads(_bounded(path), parse_constant=_not_finite)
         except FileNotFoundError:
             return None
         except (OSError, ValueError, RecursionError) as error:
@@ -102,6 +115,11 @@ class Records:
             log(f"{path} is no record and is made anew.")
             return None
         if record["format"] != FORMAT or record["job"] != job.digest:
+            return None
+        try:
+            check_result(job.kind, job.config, job.options, record["result"])
+        except ValueError as error:
+            log(f"{path} is no such record and is made anew: {error}.")
             return None
         return record
 
@@ -125,7 +143,11 @@ class Records:
         return self.get(job) is not None and not lost
 
     def put(self, job: Job, made: Mapping[str, Any], seconds: float, result: Mapping[str, Any]) -> None:
-        """Write a record; the file appears whole or not at all."""
+        """Write a record; the file appears whole or not at all.
+
+        Raises:
+            RunDirError: it cannot be written; its cause is the OSError.
+        """
         record = {
             "format": FORMAT,
             "kind": job.kind,
@@ -138,10 +160,29 @@ class Records:
             **made,
             "result": dict(result),
         }
-        path = self.path(job)
+        self._write(self.path(job), json.dumps(record) + "\n")
+
+    def hand_over(self, job: Job) -> None:
+        """Write a job into a file with JOB_SUFFIX, for the process that will do it.
+
+        Raises:
+            RunDirError: it cannot be written; its cause is the OSError.
+        """
+        self._write(self.path(job, JOB_SUFFIX), job.to_json())
+
+    def _write(self, path: Path, text: str) -> None:
         unfinished = path.with_suffix(f".{os.getpid()}.tmp")
-        unfinished.write_text(json.dumps(record) + "\n", encoding="utf-8")
-        os.replace(unfinished, path)
+        try:
+            unfinished.write_text(text, encoding="utf-8")
+            os.replace(unfinished, path)
+        except OSError as error:
+            with suppress(OSError):
+                unfinished.unlink(missing_ok=True)
+            raise RunDirError(f"cannot write {path}: {error.strerror}.") from error
+
+
+def _not_finite(name: str) -> float:
+    raise ValueError(f"it holds {name}")
 
 
 def _bounded(path: Path) -> str:

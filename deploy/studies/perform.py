@@ -17,13 +17,15 @@ import torch
 
 from common.actors import ActorBank
 from common.config import RunConfig
-from common.errors import EiaSecError, SchemaError
+from common.errors import EiaSecError, PolicyError, RunDirError, SchemaError
 from common.policy_file import save_policy
-from common.process import StopSignal
+from common.process import StopSignal, log
 from common.team import TeamSpec
 from common.transitions import Chunk, EpisodeSummary
 from deploy.inprocess import train_inprocess
+from deploy.output import FULL as DISK_FULL
 from deploy.provenance import commit
+from deploy.studies.checked import COUNTERS
 from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
 from deploy.studies.methods import MIXTURE
 from deploy.studies.timing import time_decisions
@@ -32,11 +34,12 @@ from rollout.environments import team_of
 from rollout.evaluation import Evaluation, evaluate
 from rollout.policies import ActorPolicy, policy_of
 
+ROOM_SECONDS: Final = 1.0
+"""Pause before it is tried again to write onto a disk that was full."""
 DIVERGED: Final = 1e6
 """A critic loss beyond this, in units of scaled reward squared, counts as diverged; such a run is cut short."""
 PROGRESS: Final = "progress"
 """First word of the lines that tell how far a run is."""
-COUNTERS: Final = ("episodes", "environment_steps", "evaluation_steps", "updates", "events")
 DIGITS: Final = 4
 """Decimals that records keep."""
 
@@ -68,12 +71,31 @@ def perform(job: Job, records: Records, command: str, told: Callable[[float], No
     if job.kind == "train":
         result, bank = train(job.config, job.options, told)
         metadata = {**made, "seed": str(job.config.seed), "job": job.digest}
-        save_policy(records.path(job, POLICY_SUFFIX), bank, metadata)
+        kept(lambda: save_policy(records.path(job, POLICY_SUFFIX), bank, metadata), told)
     elif job.kind == "fly":
         result = fly(job.config, job.options)
     else:
         result = time_decisions(job.config, int(job.options["steps"]))
-    records.put(job, made, time.monotonic() - start, result)
+    seconds = time.monotonic() - start
+    kept(lambda: records.put(job, made, seconds, result), told)
+
+
+def kept(write: Callable[[], object], told: Callable[[float], None]) -> None:
+    """Write what may not be lost; on a full disk wait until there is room, or until `told` raises."""
+    waiting = False
+    while True:
+        try:
+            write()
+        except (PolicyError, RunDirError) as error:
+            if not isinstance(error.__cause__, OSError) or error.__cause__.errno not in DISK_FULL:
+                raise
+            if not waiting:
+                log(f"{error} It waits for room.")
+            waiting = True
+            told(1.0)
+            time.sleep(ROOM_SECONDS)
+        else:
+            return
 
 
 def perform_all(jobs: Sequence[Job], records: Records, command: str) -> None:

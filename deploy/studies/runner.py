@@ -3,19 +3,19 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 from common.errors import EiaSecError
 from common.process import StopSignal
 from deploy.studies.estimate import STARTUP_SECONDS
-from deploy.studies.jobs import Job, Records
-from deploy.studies.perform import PROGRESS
+from deploy.studies.jobs import JOB_SUFFIX, Job, Records
+from deploy.studies.perform import PROGRESS, StoppedError, kept
 from deploy.supervisor import Child, Supervisor
 
 LOOK_SECONDS: Final = 0.2
 LOAD_SECONDS: Final = 60.0
 """Short jobs share a process, whose start takes longer than they do, until they take about so long."""
-JOB_SUFFIX: Final = ".job.json"
 TELL_SECONDS: Final = 30.0
 """Pause between two lines on how far everything is."""
 
@@ -52,6 +52,8 @@ class Runner:
         loads = packed(jobs, seconds)
         try:
             failed = self._work(supervisor, loads, stop)
+        except StoppedError:
+            return False
         finally:
             supervisor.stop()
         if failed:
@@ -65,7 +67,7 @@ class Runner:
         while (waiting or running) and not stop:
             while waiting and len(running) < self._at_once:
                 running.append(waiting.pop(0))
-                self._start(supervisor, running[-1])
+                self._start(supervisor, running[-1], stop)
             stop.event.wait(LOOK_SECONDS)
             supervisor.watch()
             for load in [load for load in running if _over(supervisor.children[load.name])]:
@@ -85,10 +87,15 @@ class Runner:
                 self._tell(f"{done}/{total} done; {parts}; {duration(clock.left(waiting, shares))} to go")
         return failed
 
-    def _start(self, supervisor: Supervisor, load: "Load") -> None:
+    def _start(self, supervisor: Supervisor, load: "Load", stop: StopSignal) -> None:
+
+        def told(share: float) -> None:
+            if stop:
+                raise StoppedError("stopped before it was begun.")
+
+        for job in load.jobs:
+            kept(partial(self._records.hand_over, job), told)
         paths = [self._records.path(job, JOB_SUFFIX) for job in load.jobs]
-        for path, job in zip(paths, load.jobs, strict=True):
-            path.write_text(job.to_json(), encoding="utf-8")
         (self._logs / f"{load.name}.log").unlink(missing_ok=True)  # what a stopped run told is not this one's
         supervisor.start(load.name, ["reproduce", "run", self._command, *map(str, paths)])
 

@@ -8,14 +8,13 @@ import functools
 from typing import Final
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from common.config import FarmConfig
 from common.lattice import fewest
 from rollout.heuristics import lawnmower
 from rollout.heuristics.beam import Array, Indices, Lattice, Worth, best_path
 from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
-from rollout.heuristics.sites import image_succeeds, packet_chances, plot_centres
+from rollout.heuristics.sites import image_succeeds, packet_chances, pairs_within, plot_centres, radio_range
 from rollout.heuristics.steering import reach
 from rollout.kernel.constants import constants
 from rollout.kernel.motion import flight_power
@@ -148,19 +147,18 @@ def worth_of(config: FarmConfig, kind: int) -> Worth:
 def plot_lattice(config: FarmConfig) -> Lattice:
     """Return the lattice with the plots that are imaged from each place."""
     place, rows = _places(config)
-    near = cdist(place, plot_centres(config.world)) < config.camera.image_distance + 2.0 * reach(config.world).max()
-    served = np.zeros(near.shape)
-    for node, plot in zip(*np.nonzero(near), strict=True):
-        served[node, plot] = image_succeeds(config, place[node], int(plot))
-    return _lattice(place, rows, served)
+    far = config.camera.image_distance + 2.0 * reach(config.world).max()
+    node, plot, _ = pairs_within(place, plot_centres(config.world), far)
+    served = [image_succeeds(config, place[at], int(site)) for at, site in zip(node, plot, strict=True)]
+    return _lattice(place, rows, node, plot, np.array(served, np.float64))
 
 
 @functools.lru_cache(maxsize=64)
 def _sensor_lattice(config: FarmConfig, sensors: bytes) -> Lattice:
     place, rows = _places(config)
-    distance = cdist(place, np.frombuffer(sensors).reshape(-1, 2))
+    node, sensor, distance = pairs_within(place, np.frombuffer(sensors).reshape(-1, 2), radio_range(config, FAINT))
     chance = packet_chances(config, distance)
-    return _lattice(place, rows, np.where(chance > FAINT, chance, 0.0))
+    return _lattice(place, rows, node, sensor, np.where(chance > FAINT, chance, 0.0))
 
 
 def sensor_lattice(config: FarmConfig, xy: Array) -> Lattice:
@@ -175,7 +173,8 @@ def _places(config: FarmConfig) -> tuple[Array, int]:
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2), int(counts[1])
 
 
-def _lattice(place: Array, rows: int, chance: Array) -> Lattice:
-    node, site = np.nonzero(chance)
+def _lattice(place: Array, rows: int, node: Indices, site: Indices, chance: Array) -> Lattice:
+    """Return a lattice from which each node serves a site with a chance, all [P], where that is above 0."""
+    node, site, chance = node[chance > 0.0], site[chance > 0.0], chance[chance > 0.0]
     first = np.searchsorted(node, np.arange(len(place) + 1)).astype(np.int64)
-    return Lattice(place, rows, first, site.astype(np.int64), chance[node, site])
+    return Lattice(place, rows, first, site, chance)

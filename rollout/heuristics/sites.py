@@ -4,6 +4,9 @@ import functools
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
 
 from common.config import FarmConfig, WorldConfig
 from rollout.heuristics.steering import Array, reach
@@ -11,6 +14,8 @@ from rollout.kernel.camera import plot_quality
 from rollout.kernel.constants import constants
 from rollout.kernel.radio import delivery, received_power
 from rollout.layout import cell_counts
+
+Indices = NDArray[np.int64]
 
 SHARES: Final = np.linspace(0.0, 0.98, 50)
 """Sizes of an imaging box that are tried, as shares of half a plot."""
@@ -76,6 +81,11 @@ def radio_reach(config: FarmConfig, chance: float) -> float:
     return CHANCE_STEP * max(0, int(np.argmin(_chance_table(config) >= chance)) - 1)
 
 
+def radio_range(config: FarmConfig, chance: float) -> float:
+    """Return a horizontal distance beyond which no packet arrives with more than this chance, m."""
+    return CHANCE_STEP * (1 + int(np.flatnonzero(_chance_table(config) > chance).max(initial=-1)))
+
+
 @functools.lru_cache(maxsize=8)
 def _chance_table(config: FarmConfig) -> Array:
     """Return the chance at each multiple of CHANCE_STEP, with a 0 behind the field's diagonal."""
@@ -91,6 +101,19 @@ def steps_between(places: Array, others: Array, world: WorldConfig) -> Array:
     return steps
 
 
+def pairs_within(places: Array, others: Array, far: float) -> tuple[Indices, Indices, Array]:
+    """Return which places [a, 2] m lie within `far` m of which others [b, 2] m, in the order of their numbers.
+
+    Only pairs that are found take memory, so a field may be as wide as it likes.
+
+    Returns:
+        Numbers of the places [P], of the others [P], and the distances [P], m.
+    """
+    found = cKDTree(places).sparse_distance_matrix(cKDTree(others), far, output_type="ndarray")
+    found = found[np.lexsort((found["j"], found["i"]))]
+    return found["i"].astype(np.int64), found["j"].astype(np.int64), found["v"]
+
+
 def sensor_stops(config: FarmConfig, xy: Array) -> Array:
     """Return boxes around places from which all sensors [S, 2] are heard well: [2, L, 2] m.
 
@@ -99,13 +122,14 @@ def sensor_stops(config: FarmConfig, xy: Array) -> Array:
     size = np.array([config.world.field_x, config.world.field_y])
     x, y = (np.arange(step / 2.0, width, step) for step, width in zip(reach(config.world), size, strict=True))
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    covers = np.linalg.norm(places[:, None] - xy, axis=2) <= max(
-        radio_reach(config, STOP_CHANCE), reach(config.world).max()
-    )
-    left = covers.any(axis=0)
+    place, sensor, _ = pairs_within(places, xy, max(radio_reach(config, STOP_CHANCE), reach(config.world).max()))
+    covers = csr_array((np.ones(len(place), np.int64), (place, sensor)), shape=(len(places), len(xy)))
+    left = np.zeros(len(xy), np.int64)
+    left[sensor] = 1
     chosen: list[int] = []
     while left.any():
-        chosen.append(int((covers & left).sum(axis=1).argmax()))
-        left &= ~covers[chosen[-1]]
+        best = int((covers @ left).argmax())
+        left[covers.indices[covers.indptr[best] : covers.indptr[best + 1]]] = 0
+        chosen.append(best)
     stops = places[chosen] if chosen else size[None] / 2.0
     return np.clip(np.stack([stops - STOP_MARGIN, stops + STOP_MARGIN]), 0.0, size)

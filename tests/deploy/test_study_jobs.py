@@ -20,7 +20,7 @@ from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
 from deploy.studies.methods import ABLATIONS, CANDIDATES, EIA_SEC, PEERS, configuration, training_episodes, with_uavs
 from deploy.studies.scales import CHOICE_FARM, FIRST_FARM, FIRST_REPORTED, FULL, SMOKE, TRIAL_SEED
 from deploy.studies.summary import reference_summary
-from tests.deploy.tiny_study import TINY
+from tests.deploy.tiny_study import TIMES, TINY, flown, trained
 
 MADE = {"command": "eia-sec reproduce training", "commit": "abc1234"}
 
@@ -71,8 +71,8 @@ def test_a_record_is_found_again(bench):
     """A result comes back with its origin, and only the jobs without one are missing."""
     job = timing(bench)
     other = replace(job, config=replace(job.config, seed=9))
-    bench.records.put(job, MADE, 1.5, {"decide": 2.0})
-    assert bench.records.result(job) == {"decide": 2.0}
+    bench.records.put(job, MADE, 1.5, TIMES)
+    assert bench.records.result(job) == TIMES
     record = bench.records.get(job)
     assert {**MADE, "seed": 0}.items() <= record.items()
     assert bench.records.missing([job, other, other]) == [other]
@@ -94,16 +94,75 @@ def test_a_record_is_found_again(bench):
 def test_a_damaged_record_counts_as_missing(damage, bench):
     """Nothing is read out of a record that is not whole, and nothing fails."""
     job = timing(bench)
-    bench.records.put(job, MADE, 1.0, {"decide": 2.0})
+    bench.records.put(job, MADE, 1.0, TIMES)
     path = bench.records.path(job)
     path.write_text(damage(path.read_text()))
     assert bench.records.missing([job]) == [job]
 
 
+def changed(part, value):
+    """Return a change of one part, a path of keys, of a result."""
+
+    def change(result):
+        *way, last = part
+        for key in way:
+            result = result[key]
+        if value is None:
+            del result[last]
+        else:
+            result[last] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        changed(["diverged"], 0),
+        changed(["updates"], -1),
+        changed(["updates"], 1.5),
+        changed(["updates"], None),
+        changed(["checks"], [7]),
+        changed(["checks", 0, "aoi"], "high"),
+        changed(["curve"], []),
+        changed(["curve", "episodes"], [6, 12]),
+        changed(["curve", "episodes"], [-6]),
+        changed(["curve", "reward", "monitoring"], None),
+        changed(["evaluation"], None),
+        changed(["evaluation", "first_farm"], 0),
+        changed(["evaluation", "farms"], 4),
+        changed(["evaluation", "reward"], [1.0, 2.0]),
+        changed(["evaluation", "reward"], [1.0, 2.0, float("nan")]),
+        changed(["evaluation", "reward"], [1.0, 2.0, 1e999]),
+        changed(["evaluation", "types", "monitoring"], [1.0, True, 2.0]),
+        changed(["evaluation", "figures", "energy_j"], None),
+        changed(["overestimation"], [1.0]),
+        changed(["compared_value"], 3),
+    ],
+)
+def test_a_record_whose_result_is_not_whole_counts_as_missing(change, bench, capfd):
+    """Each part of a training's result is looked at, and what is told says which file it is."""
+    job = bench.runs(EIA_SEC, 1)[0]
+    result = trained(FIRST_FARM, [1.0, 2.0, 3.0])
+    bench.records.put(job, MADE, 1.0, result)
+    assert bench.records.missing([job]) == []
+    change(result)
+    bench.records.put(job, MADE, 1.0, result)
+    assert bench.records.missing([job]) == [job]
+    assert f"{job.digest}.json" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("result", [{}, {**TIMES, "decide": 2.0}, {**TIMES, "separate": {**TIMES["separate"], "q95": "a"}}])
+def test_a_timing_that_is_not_whole_counts_as_missing(result, bench):
+    """All times of all pieces are there."""
+    bench.records.put(timing(bench), MADE, 1.0, result)
+    assert bench.records.missing([timing(bench)]) == [timing(bench)]
+
+
 def test_a_training_that_is_flown_needs_its_policy(bench):
     """Without the policy file, from which paths are drawn, its record is enough for every other study."""
     job = bench.runs(EIA_SEC, 1)[0]
-    bench.records.put(job, MADE, 1.0, {})
+    bench.records.put(job, MADE, 1.0, trained(FIRST_FARM, [1.0, 2.0, 3.0]))
     assert bench.records.missing([job]) == []
     assert bench.records.missing([job], flown=True) == [job]
     bank = ActorBank.initial(farm_team(job.config.farm), 16, 0)
@@ -204,28 +263,21 @@ def test_reported_farms_and_seeds_are_seen_by_nothing_else(scale, tmp_path):
             assert (job.config.learner.threads, job.config.rollout.threads) == (1, 1)
 
 
-def evaluation(first, rewards):
-    values = {"reward": list(rewards)}
-    return {"first_farm": first, "farms": len(rewards), **values, "types": {"monitoring": list(rewards)}} | {
-        "figures": {"aoi": [reward / 100.0 for reward in rewards]}
-    }
-
-
 def test_farms_that_had_their_say_are_left_out_of_all_results(bench):
     """Runs, references and both ends of the scale leave them out; what the best heuristic is follows from the rest."""
     first = FIRST_FARM
-    flown = {"random": [900.0, -10.0, -30.0], "greedy": [0.0, 100.0, 300.0], "lawnmower": [990.0, 90.0, 110.0]}
+    rewards = {"random": [900.0, -10.0, -30.0], "greedy": [0.0, 100.0, 300.0], "lawnmower": [990.0, 90.0, 110.0]}
     for job in bench.references():
-        bench.records.put(job, MADE, 1.0, evaluation(first, flown[job.options["policy"]]))
+        bench.records.put(job, MADE, 1.0, flown(first, rewards[job.options["policy"]]))
     random, best, name = bench.ends()
     assert name == "greedy"
     assert (random.tolist(), best.tolist()) == ([-10.0, -30.0], [100.0, 300.0])
     (run,) = bench.runs(EIA_SEC, 1)
-    bench.records.put(run, MADE, 1.0, {"evaluation": evaluation(first, [1e6, 20.0, 40.0])})
+    bench.records.put(run, MADE, 1.0, trained(first, [1e6, 20.0, 40.0]))
     save_policy(bench.records.path(run, POLICY_SUFFIX), ActorBank.initial(farm_team(run.config.farm), 16, 0), {})
     assert bench.scores([run]).tolist() == [[20.0, 40.0]]
     (found,) = bench.evaluations([run])
-    assert (found["types"], found["figures"]) == ({"monitoring": [20.0, 40.0]}, {"aoi": [0.2, 0.4]})
+    assert (found["types"]["monitoring"], found["figures"]["aoi"]) == ([20.0, 40.0], [0.2, 0.4])
     policies = reference_summary(bench)["policies"]
     assert policies["greedy"]["reward"] == 200.0
     assert policies["greedy"]["commit"] == MADE["commit"]

@@ -1,12 +1,26 @@
 """How a study's jobs are shared out among processes, and how far they are."""
 
+import errno
+import os
+import threading
+
 import pytest
 
+from common.actors import ActorBank
+from common.errors import RunDirError
+from common.policy_file import save_policy
+from common.process import StopSignal
+from common.team import farm_team
+from deploy.studies import perform
 from deploy.studies.bench import Bench
 from deploy.studies.jobs import Records
 from deploy.studies.methods import EIA_SEC
-from deploy.studies.runner import duration, packed, progress
-from tests.deploy.tiny_study import TINY
+from deploy.studies.perform import kept
+from deploy.studies.runner import Runner, duration, packed, progress
+from deploy.studies.scales import FIRST_FARM
+from tests.deploy.tiny_study import TINY, trained
+
+MADE = {"command": "eia-sec reproduce training", "commit": "abc1234"}
 
 
 @pytest.fixture
@@ -43,3 +57,50 @@ def test_progress_is_the_last_line_that_tells_it(lines, share):
 def test_durations_are_said_as_people_say_them():
     """Seconds, minutes, hours."""
     assert [duration(seconds) for seconds in (5.0, 600.0, 7200.0)] == ["5 s", "10 min", "2.0 h"]
+
+
+def full_disk(monkeypatch, times):
+    """Let so many writes find the disk full."""
+    left, replaced = [times], os.replace
+
+    def replace(source, target):
+        if left[0] > 0:
+            left[0] -= 1
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        replaced(source, target)
+
+    monkeypatch.setattr(os, "replace", replace)
+    monkeypatch.setattr(perform, "ROOM_SECONDS", 0.0)
+
+
+def test_a_full_disk_costs_no_training(bench, monkeypatch, capfd):
+    """The policy and the record of a run, and the jobs of a study, wait for room; one line says so for each."""
+    full_disk(monkeypatch, 3)
+    job, shares = bench.runs(EIA_SEC, 1)[0], []
+    bank = ActorBank.initial(farm_team(job.config.farm), 16, 0)
+    kept(lambda: save_policy(bench.records.path(job, ".safetensors"), bank, {}), shares.append)
+    kept(lambda: bench.records.put(job, MADE, 1.0, trained(FIRST_FARM, [1.0, 2.0, 3.0])), shares.append)
+    full_disk(monkeypatch, 2)
+    kept(lambda: bench.records.hand_over(job), shares.append)
+    assert shares == [1.0] * 5
+    assert bench.records.missing([job], flown=True) == []
+    names = {path.name for path in bench.records.folder.iterdir()}
+    assert names == {job.digest + suffix for suffix in (".safetensors", ".json", ".job.json")}
+    assert capfd.readouterr().err.count("It waits for room.") == 2
+
+
+def test_who_waits_for_room_can_be_stopped(bench, monkeypatch):
+    """A study that cannot even write its jobs ends when it is told to, as one that was stopped."""
+    full_disk(monkeypatch, 10**9)
+    stop = StopSignal()
+    threading.Timer(0.2, stop.event.set).start()
+    job = bench.runs(EIA_SEC, 1)[0]
+    assert not Runner(bench.records, 1, "eia-sec reproduce", print).run([job], {job.digest: 1.0}, stop)
+    assert [path.name for path in bench.records.folder.iterdir()] == ["logs"]
+
+
+def test_what_is_not_for_want_of_room_is_told_at_once(bench):
+    """A folder that has gone does not come back by waiting."""
+    bench.records.folder.rmdir()
+    with pytest.raises(RunDirError, match="cannot write .*No such file"):
+        kept(lambda: bench.records.hand_over(bench.runs(EIA_SEC, 1)[0]), print)

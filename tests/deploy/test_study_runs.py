@@ -342,12 +342,12 @@ def test_estimates_follow_from_what_was_measured(bench, trained):
     assert estimator.seconds(twice) - estimator.seconds(once) == pytest.approx(took, rel=0.01)
 
 
-def test_a_busy_machine_does_not_count(trained, tmp_path):
+def test_a_busy_machine_does_not_count(bench, trained, tmp_path):
     """Of several runs alike the one that took least tells how long the next takes, in whatever order they come."""
-    records = Records(tmp_path / "records")
+    records, result = Records(tmp_path / "records"), bench.records.result(trained)
     runs = [replace(trained, config=replace(trained.config, seed=seed)) for seed in range(4)]
     for run, seconds in zip(runs, (90.0, 30.0, 60.0), strict=False):
-        records.put(run, {"command": "eia-sec reproduce training", "commit": "abc"}, seconds, {})
+        records.put(run, {"command": "eia-sec reproduce training", "commit": "abc"}, seconds, result)
         records.path(run, POLICY_SUFFIX).touch()
     estimator = Estimator(records)
     estimator.learn(runs)

@@ -1,8 +1,11 @@
 """A scale of the studies so small that a run takes about a second."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from common.process import StopSignal
+from common.transitions import FARM_FIGURES
+from deploy.studies.checked import COUNTERS
 from deploy.studies.jobs import Job
 from deploy.studies.perform import perform
 from deploy.studies.runner import Runner
@@ -57,6 +60,28 @@ TINY = Scale(
     heuristics=("greedy", "lawnmower"),
     flights=1,
 )
+
+TIMES = {piece: {"q05": 1.0, "median": 2.0, "mean": 2.5, "q95": 4.0} for piece in ("decide", "separate", "simulate")}
+"""A result of a timing."""
+
+
+def flown(first: int, rewards: Sequence[float]) -> dict[str, Any]:
+    """Return the result of a flight with these rewards, and a hundredth of them as its figures."""
+    figures = dict.fromkeys(FARM_FIGURES, [reward / 100.0 for reward in rewards])
+    types = dict.fromkeys(("communication", "monitoring", "collection"), list(rewards))
+    return {"first_farm": first, "farms": len(rewards), "reward": list(rewards), "types": types, "figures": figures}
+
+
+def trained(first: int, rewards: Sequence[float]) -> dict[str, Any]:
+    """Return the result of a training whose policy earned these rewards."""
+    parts = ("mean", "communication", "monitoring", "collection")
+    return {
+        "diverged": False,
+        "curve": {"episodes": [6], "reward": {part: [1.0] for part in parts}, "aoi": [0.5], "vdf": [0.5]},
+        "checks": [{"episodes": 6, "reward": 1.0, "aoi": 0.5, "vdf": 0.5}],
+        "evaluation": flown(first, rewards),
+        **dict.fromkeys(COUNTERS, 6),
+    }
 
 
 def run_here(self: Runner, jobs: Sequence[Job], seconds: Mapping[str, float], stop: StopSignal) -> bool:

@@ -1,3 +1,4 @@
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +17,10 @@ from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centr
 from rollout.heuristics.sites import (
     image_succeeds,
     packet_chances,
+    pairs_within,
     plot_boxes,
     plot_centres,
+    radio_range,
     radio_reach,
     sensor_stops,
     steps_between,
@@ -326,6 +329,40 @@ def test_a_chain_is_worth_its_discounted_visits():
     assert second[0] == 1
     worth, second = chain_worth(np.array([0]), np.array([0.5]), value, between, 5)
     assert worth[0] == pytest.approx(2.625)
+
+
+def test_pairs_are_those_of_all_distances():
+    """Which places lie near which others, and how far apart, is what all distances say, in their order."""
+    random = np.random.default_rng(0)
+    places, others = random.uniform(0.0, 100.0, (300, 2)), random.uniform(0.0, 100.0, (40, 2))
+    others[7] = places[11]
+    distance = np.linalg.norm(places[:, None] - others, axis=2)
+    place, other, apart = pairs_within(places, others, 20.0)
+    np.testing.assert_array_equal(np.stack([place, other]), np.nonzero(distance <= 20.0))
+    np.testing.assert_allclose(apart, distance[place, other])
+    assert (11, 7) in set(zip(place.tolist(), other.tolist(), strict=True))
+    assert [len(part) for part in pairs_within(places, others + 1000.0, 20.0)] == [0, 0, 0]
+
+
+def test_no_chance_is_missed_within_the_radio_range():
+    """Beyond the range of a chance all chances are at most that, and just within it one is more."""
+    far = radio_range(SMALL, 0.02)
+    assert (packet_chances(SMALL, np.arange(far, 400.0, 0.1)) <= 0.02).all()
+    assert packet_chances(SMALL, np.array([far - 0.25])) > 0.02
+    assert radio_range(SMALL, 1.0) == 0.0
+
+
+def test_a_wide_field_takes_memory_for_what_is_near():
+    """Sites of a field of 5 km with 1,000 sensors are found in 200 MB; all its distances would take gigabytes."""
+    wide = FarmConfig(world=WorldConfig(field_x=5000.0, field_y=5000.0, sensors=1000))
+    xy = np.random.default_rng(0).uniform(0.0, 5000.0, (1000, 2))
+    tracemalloc.start()
+    stops, heard = sensor_stops(wide, xy), sensor_lattice(wide, xy)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 200e6
+    assert np.unique(heard.site).size == 1000
+    assert np.linalg.norm(xy[:, None] - stops.mean(axis=0), axis=2).min(axis=1).max() < 30.0
 
 
 def test_lattices_know_who_is_served():
