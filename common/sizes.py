@@ -24,7 +24,9 @@ def chunk_bytes(config: RunConfig, team: TeamSpec) -> int:
 def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
     """Return the bytes of all actors, at most."""
     sizes = ((g.count, g.observation_size, head_outputs(g.action_size, "gaussian")) for g in team.groups)
-    return 4 * sum(count * parameter_count(inputs, config.algorithm.hidden, outputs) for count, inputs, outputs in sizes)
+    return 4 * sum(
+        count * parameter_count(inputs, config.algorithm.hidden, outputs) for count, inputs, outputs in sizes
+    )
 
 
 def require_frames(config: RunConfig, team: TeamSpec) -> None:

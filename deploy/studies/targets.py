@@ -1,5 +1,6 @@
 """What this project set out to reach, each target beside what its committed results came to."""
 
+import math
 from collections.abc import Mapping, Sequence
 from statistics import median
 from typing import Any, Final
@@ -137,11 +138,18 @@ def _times(reach: Results, software: str, part: float) -> list[tuple[float, bool
 
 
 def _compared(own: Sequence[tuple[float, bool]], theirs: Sequence[tuple[float, bool]]) -> list[str]:
-    """Return what was reached, and whether that is enough; a peer that was ended too early is later than that."""
+    """Return what was reached, and whether that is enough; a peer that was ended too early is later than that.
+
+    The medians are told, and the range over all pairs of seeds; that whole range decides.
+    """
     seeds = f"{len(own)} seed{'s' if len(own) > 1 else ''}"
+    mine, late = ([seconds for seconds, _ in times] for times in (own, theirs))
     if not all(there for _, there in own):
-        return [f"ours not within {max(seconds for seconds, _ in own):.0f} s; {seeds}", "not met"]
-    times = median(seconds for seconds, _ in theirs) / median(seconds for seconds, _ in own)
+        return [f"ours not within {max(mine):.0f} s; {seeds}", "not met"]
     whole = all(there for _, there in theirs)
-    told = f"{'' if whole else 'more than '}{times:.1f} times, ours in {median(s for s, _ in own):.0f} s; {seeds}"
-    return [told, "met" if times >= SOONER else "not met" if whole else "cannot be told"]
+    least, most = min(late) / max(mine), max(late) / min(mine) if whole else math.inf
+    between = f" ({least:.1f}..{f'{most:.1f}' if whole else ''})" if len(own) > 1 else ""
+    told = (
+        f"{'' if whole else 'more than '}{median(late) / median(mine):.1f} times{between}, ours in {median(mine):.0f} s"
+    )
+    return [f"{told}; {seeds}", "met" if least >= SOONER else "not met" if most < SOONER else "cannot be told"]

@@ -52,6 +52,6 @@ def test_what_no_frame_holds_is_refused():
         require_frames(RunConfig(rollout=wide, replay=DEEP), TEAM)
     with pytest.raises(ConfigError, match=r"hidden 4096 take \d+ MiB, .* lower algorithm\.hidden"):
         require_frames(RunConfig(algorithm=AlgorithmConfig(hidden=4096)), TEAM)
-    seen = TeamSpec((GroupSpec("agent", 2, 1_000_000, 2),))
+    seen = TeamSpec((GroupSpec("agent", 64, 65_536, 2),))
     with pytest.raises(ConfigError, match="8 environments times 20 steps"):
         require_frames(RunConfig(env=EnvConfig(), algorithm=AlgorithmConfig(hidden=1)), seen)

@@ -152,7 +152,9 @@ def test_a_record_whose_result_is_not_whole_counts_as_missing(change, bench, cap
     assert f"{job.digest}.json" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("result", [{}, {**TIMES, "decide": 2.0}, {**TIMES, "separate": {**TIMES["separate"], "q95": "a"}}])
+@pytest.mark.parametrize(
+    "result", [{}, {**TIMES, "decide": 2.0}, {**TIMES, "separate": {**TIMES["separate"], "q95": "a"}}]
+)
 def test_a_timing_that_is_not_whole_counts_as_missing(result, bench):
     """All times of all pieces are there."""
     bench.records.put(timing(bench), MADE, 1.0, result)

@@ -77,6 +77,28 @@ def test_sooner_means_ten_times():
     assert verdicts(targets_block(None, None, reach(ours, short)), "than BenchMARL")[0] == "cannot be told"
 
 
+def test_the_slowest_of_ours_and_the_fastest_of_theirs_decide():
+    """Medians that are ten times apart are not enough when some pair of seeds is nearer, or may be."""
+
+    def told(*theirs):
+        runs = [("BenchMARL", course) for course in theirs]
+        text = targets_block(None, None, reach(*(("EIA-SEC", [(at, 700.0)]) for at in (10.0, 12.0, 17.0)), *runs))
+        (line,) = (line for line in text.splitlines() if line.startswith("| 50%"))
+        return line, verdicts(text, "than BenchMARL")[0]
+
+    def reached(*times):
+        return [[(at, 700.0)] for at in times]
+
+    line, verdict = told(*reached(170.0, 180.0, 300.0))
+    assert ("15.0 times (10.0..30.0), ours in 12 s; 3 seeds" in line, verdict) == (True, "met")
+    line, verdict = told(*reached(150.0, 180.0, 300.0))
+    assert ("15.0 times (8.8..30.0)" in line, verdict) == (True, "cannot be told")
+    assert told(*reached(50.0, 60.0, 90.0))[1] == "not met"
+    line, verdict = told([(480.0, 0.0)], *reached(160.0, 180.0))
+    assert ("more than 15.0 times (9.4..)" in line, verdict) == (True, "cannot be told")
+    assert told([(480.0, 0.0)], [(300.0, 700.0)], [(200.0, 0.0)])[1] == "met"
+
+
 def test_early_farms_are_said_beside_the_verdicts():
     """Results with the farms that the preset was chosen on say so, and those without do not."""
     text = comparison(ROOT)

@@ -102,5 +102,5 @@ def test_who_waits_for_room_can_be_stopped(bench, monkeypatch):
 def test_what_is_not_for_want_of_room_is_told_at_once(bench):
     """A folder that has gone does not come back by waiting."""
     bench.records.folder.rmdir()
-    with pytest.raises(RunDirError, match="cannot write .*No such file"):
+    with pytest.raises(RunDirError, match=r"cannot write .*No such file"):
         kept(lambda: bench.records.hand_over(bench.runs(EIA_SEC, 1)[0]), print)

@@ -67,8 +67,8 @@ TIMES = {piece: {"q05": 1.0, "median": 2.0, "mean": 2.5, "q95": 4.0} for piece i
 
 def flown(first: int, rewards: Sequence[float]) -> dict[str, Any]:
     """Return the result of a flight with these rewards, and a hundredth of them as its figures."""
-    figures = dict.fromkeys(FARM_FIGURES, [reward / 100.0 for reward in rewards])
-    types = dict.fromkeys(("communication", "monitoring", "collection"), list(rewards))
+    figures = {key: [reward / 100.0 for reward in rewards] for key in FARM_FIGURES}
+    types = {key: list(rewards) for key in ("communication", "monitoring", "collection")}
     return {"first_farm": first, "farms": len(rewards), "reward": list(rewards), "types": types, "figures": figures}
 
 

@@ -1,4 +1,3 @@
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -10,19 +9,11 @@ from rollout.farms import FarmBatch
 from rollout.heuristics import greedy
 from rollout.heuristics.crews import COLLECTORS, MONITORS, CrewPolicy
 from rollout.heuristics.greedy import best_targets
-from rollout.heuristics.horizon import plot_lattice, sensor_lattice
 from rollout.heuristics.hungarian import HungarianCrew, chain_worth
 from rollout.heuristics.lawnmower import INSET, collection_routes, monitoring_routes, round_steps
 from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centres, total_service
 from rollout.heuristics.sites import (
-    image_succeeds,
-    packet_chances,
-    pairs_within,
-    plot_boxes,
     plot_centres,
-    radio_range,
-    radio_reach,
-    sensor_stops,
     steps_between,
 )
 from rollout.heuristics.static import StaticPolicy
@@ -31,20 +22,8 @@ from rollout.heuristics.tour import grouped_tours, plot_tours, short_tour
 from rollout.kernel.constants import constants
 from rollout.layout import cell_counts
 from rollout.policies import HEURISTICS, TASKS, policy_of
+from tests.rollout.small_farm import SMALL
 
-SMALL = FarmConfig(
-    world=WorldConfig(
-        communication_uavs=1,
-        monitoring_uavs=2,
-        collection_uavs=2,
-        field_x=200.0,
-        field_y=200.0,
-        sensors=100,
-        plots_x=10,
-        plots_y=10,
-        steps=300,
-    )
-)
 WORLD = SMALL.world
 ODD = [
     WorldConfig(communication_uavs=3, monitoring_uavs=1, collection_uavs=1, steps=40),
@@ -203,28 +182,6 @@ def test_who_waits_flies_at_the_cheapest_speed():
     assert farms.energy[0, 0] == pytest.approx(1.6 + 20.2, abs=0.05)
 
 
-def test_every_place_in_a_plot_box_gives_an_image():
-    """From the corners, edges and middle of a plot's box its image succeeds; beyond a corner it does not."""
-    boxes, centre = plot_boxes(SMALL), plot_centres(WORLD)
-    half = boxes[1, 0] - centre[0]
-    assert (half > 6.0).all()
-    for x in np.linspace(-1.0, 1.0, 5):
-        for y in np.linspace(-1.0, 1.0, 5):
-            assert image_succeeds(SMALL, centre[37] + half * (x, y), 37)
-    assert not image_succeeds(SMALL, centre[37] + 1.1 * half, 37)
-
-
-def test_radio_reach_is_where_the_chance_falls():
-    """PLR is 0.045 at 28 m and 0.17 at 30 m beside the sensor; every sensor has a stop within reach."""
-    near, far = packet_chances(SMALL, np.array([28.0, 30.0]))
-    assert near == pytest.approx(0.955, abs=0.002)
-    assert far == pytest.approx(0.833, abs=0.002)
-    assert 27.5 < radio_reach(SMALL, 0.95) < 28.5
-    xy = situation().layout.sensor_xy
-    stops = sensor_stops(SMALL, xy).mean(axis=0)
-    assert np.linalg.norm(xy[:, None] - stops, axis=2).min(axis=1).max() < 30.0
-
-
 @pytest.mark.parametrize("uavs", [1, 3, 4, 7, 20, 33, 64])
 def test_lawnmower_sweeps_every_plot_once(uavs):
     """All monitors together pass every plot once in a round, one per step inside a lane of two."""
@@ -329,57 +286,6 @@ def test_a_chain_is_worth_its_discounted_visits():
     assert second[0] == 1
     worth, second = chain_worth(np.array([0]), np.array([0.5]), value, between, 5)
     assert worth[0] == pytest.approx(2.625)
-
-
-def test_pairs_are_those_of_all_distances():
-    """Which places lie near which others, and how far apart, is what all distances say, in their order."""
-    random = np.random.default_rng(0)
-    places, others = random.uniform(0.0, 100.0, (300, 2)), random.uniform(0.0, 100.0, (40, 2))
-    others[7] = places[11]
-    distance = np.linalg.norm(places[:, None] - others, axis=2)
-    place, other, apart = pairs_within(places, others, 20.0)
-    np.testing.assert_array_equal(np.stack([place, other]), np.nonzero(distance <= 20.0))
-    np.testing.assert_allclose(apart, distance[place, other])
-    assert (11, 7) in set(zip(place.tolist(), other.tolist(), strict=True))
-    assert [len(part) for part in pairs_within(places, others + 1000.0, 20.0)] == [0, 0, 0]
-
-
-def test_no_chance_is_missed_within_the_radio_range():
-    """Beyond the range of a chance all chances are at most that, and just within it one is more."""
-    far = radio_range(SMALL, 0.02)
-    assert (packet_chances(SMALL, np.arange(far, 400.0, 0.1)) <= 0.02).all()
-    assert packet_chances(SMALL, np.array([far - 0.25])) > 0.02
-    assert radio_range(SMALL, 1.0) == 0.0
-
-
-def test_a_wide_field_takes_memory_for_what_is_near():
-    """Sites of a field of 5 km with 1,000 sensors are found in 200 MB; all its distances would take gigabytes."""
-    wide = FarmConfig(world=WorldConfig(field_x=5000.0, field_y=5000.0, sensors=1000))
-    xy = np.random.default_rng(0).uniform(0.0, 5000.0, (1000, 2))
-    tracemalloc.start()
-    stops, heard = sensor_stops(wide, xy), sensor_lattice(wide, xy)
-    _, most = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert most < 200e6
-    assert np.unique(heard.site).size == 1000
-    assert np.linalg.norm(xy[:, None] - stops.mean(axis=0), axis=2).min(axis=1).max() < 30.0
-
-
-def test_lattices_know_who_is_served():
-    """A lattice place serves the plot that holds it, and hears near sensors with the chance of their distance."""
-    plots = plot_lattice(SMALL)
-    assert np.abs(np.diff(plots.place[[0, 1]], axis=0)).max() == pytest.approx(10.0)
-    assert (np.diff(plots.first) == 1).all()
-    np.testing.assert_array_equal((plots.place // 20.0) @ (10, 1), plots.site)
-    xy = situation().layout.sensor_xy
-    heard = sensor_lattice(SMALL, xy)
-    node = 210
-    sites = heard.site[heard.first[node] : heard.first[node + 1]]
-    distance = np.linalg.norm(xy - heard.place[node], axis=1)
-    assert set(np.flatnonzero(distance < 35.0)) <= set(sites.tolist()) <= set(np.flatnonzero(distance < 39.0))
-    np.testing.assert_allclose(
-        heard.chance[heard.first[node] : heard.first[node + 1]], packet_chances(SMALL, distance[sites])
-    )
 
 
 def test_centroid_relays_follow_those_they_serve():
