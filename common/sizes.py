@@ -1,5 +1,6 @@
-"""Whether a run's largest messages fit into a frame, told before anything is started."""
+"""Whether a run's largest messages (chunks, actors, flights for the elite) fit into a frame, told at its start."""
 
+import math
 from typing import Final
 
 from common.actors import head_outputs, parameter_count
@@ -15,10 +16,22 @@ EPISODE_BYTES: Final = 128
 
 
 def chunk_bytes(config: RunConfig, team: TeamSpec) -> int:
-    """Return the bytes of a worker's largest chunk: every step may end an episode."""
+    """Return the bytes of a worker's largest chunk.
+
+    Episodes of the farm last as long as configured; elsewhere every step may end one.
+    """
+    steps = config.rollout.chunk_steps
+    ends = math.ceil(steps / config.farm.world.steps) if config.env.is_farm else steps
     row = 4 * (team.observation_size + team.action_size + team.agents) + 1
-    rows = config.rollout.chunk_rows
-    return rows * row + rows // 2 * (EPISODE_BYTES + 4 * team.agents)
+    # An end inside the chunk is followed by a row of its own; the last row is there in any case.
+    rows = steps + 1 + min(ends, steps - 1)
+    return config.rollout.environments * (rows * row + ends * (EPISODE_BYTES + 4 * team.agents))
+
+
+def evaluation_bytes(config: RunConfig, team: TeamSpec) -> int:
+    """Return the bytes of the rewards of an imitation event's flights; 0 where an episode's length is not known."""
+    flights = min(config.elite.farms, config.rollout.train_farms)
+    return 4 * flights * config.farm.world.steps * team.agents if config.env.is_farm and config.elite.enabled else 0
 
 
 def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
@@ -30,9 +43,9 @@ def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
 
 
 def require_frames(config: RunConfig, team: TeamSpec) -> None:
-    """Raise ConfigError for a run whose workers could not deliver a chunk, or be sent the actors."""
+    """Raise ConfigError for a run whose workers could not deliver a chunk or a flight, or be sent the actors."""
     most = MAX_FRAME - ROOM
-    chunk, actors = chunk_bytes(config, team), actor_bytes(config, team)
+    chunk, actors, flights = chunk_bytes(config, team), actor_bytes(config, team), evaluation_bytes(config, team)
     if chunk > most:
         raise ConfigError(
             f"a chunk of {config.rollout.environments} environments times {config.rollout.chunk_steps} steps takes up "
@@ -43,4 +56,9 @@ def require_frames(config: RunConfig, team: TeamSpec) -> None:
         raise ConfigError(
             f"{team.agents} actors with algorithm.hidden {config.algorithm.hidden} take {actors / 2**20:.0f} MiB, a "
             f"message at most {most // 2**20}; lower algorithm.hidden."
+        )
+    if flights > most:
+        raise ConfigError(
+            f"the rewards of {config.elite.farms} flights of {config.farm.world.steps} steps with {team.agents} agents "
+            f"take {flights / 2**20:.0f} MiB, a message at most {most // 2**20}; lower elite.farms."
         )

@@ -20,6 +20,8 @@ from common.config.files import from_toml
 from common.endpoint import DEFAULT, Endpoint
 from common.errors import ConfigError, UsageError
 from common.keys import check_name
+from common.sizes import require_frames
+from common.team import farm_team
 from deploy.options import base_configuration
 
 LOCAL: Final = "local"
@@ -284,4 +286,6 @@ def _configuration(fleet: Fleet) -> RunConfig:
     config = base_configuration(arguments)
     for assignment in training.set:
         config = from_toml(assignment, config)
+    if config.env.is_farm:  # other environments may be installed on the learner's host alone, which looks itself
+        require_frames(config, farm_team(config.farm))
     return config

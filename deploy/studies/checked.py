@@ -29,7 +29,7 @@ def check_result(kind: str, config: RunConfig, options: Mapping[str, Any], resul
             _evaluation(result, options["farms"], types)
         else:
             _training(result, options, types)
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError, OverflowError) as error:
         raise ValueError(f"its result is not whole: {error}") from None
 
 

@@ -8,6 +8,7 @@ what is missing, and does again what another configuration made. Studies share t
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -117,6 +118,8 @@ class Records:
         if record["format"] != FORMAT or record["job"] != job.digest:
             return None
         try:
+            if not math.isfinite(record["seconds"]):
+                raise ValueError("its time is not finite")
             check_result(job.kind, job.config, job.options, record["result"])
         except ValueError as error:
             log(f"{path} is no such record and is made anew: {error}.")

@@ -4,6 +4,7 @@ Training runs without Zenoh: `deploy.inprocess.train_inprocess` has the mathemat
 (tests/system/test_lockstep.py), and needs one process where that needs three.
 """
 
+import errno
 import math
 import sys
 import time
@@ -23,7 +24,6 @@ from common.process import StopSignal, log
 from common.team import TeamSpec
 from common.transitions import Chunk, EpisodeSummary
 from deploy.inprocess import train_inprocess
-from deploy.output import FULL as DISK_FULL
 from deploy.provenance import commit
 from deploy.studies.checked import COUNTERS
 from deploy.studies.jobs import POLICY_SUFFIX, Job, Records
@@ -34,6 +34,8 @@ from rollout.environments import team_of
 from rollout.evaluation import Evaluation, evaluate
 from rollout.policies import ActorPolicy, policy_of
 
+NO_ROOM: Final = frozenset((errno.ENOSPC, errno.EDQUOT))
+"""What a disk says on which there may be room later."""
 ROOM_SECONDS: Final = 1.0
 """Pause before it is tried again to write onto a disk that was full."""
 DIVERGED: Final = 1e6
@@ -70,13 +72,15 @@ def perform(job: Job, records: Records, command: str, told: Callable[[float], No
     start = time.monotonic()
     if job.kind == "train":
         result, bank = train(job.config, job.options, told)
+        seconds = time.monotonic() - start
         metadata = {**made, "seed": str(job.config.seed), "job": job.digest}
         kept(lambda: save_policy(records.path(job, POLICY_SUFFIX), bank, metadata), told)
     elif job.kind == "fly":
         result = fly(job.config, job.options)
+        seconds = time.monotonic() - start
     else:
         result = time_decisions(job.config, int(job.options["steps"]))
-    seconds = time.monotonic() - start
+        seconds = time.monotonic() - start
     kept(lambda: records.put(job, made, seconds, result), told)
 
 
@@ -87,7 +91,7 @@ def kept(write: Callable[[], object], told: Callable[[float], None]) -> None:
         try:
             write()
         except (PolicyError, RunDirError) as error:
-            if not isinstance(error.__cause__, OSError) or error.__cause__.errno not in DISK_FULL:
+            if not isinstance(error.__cause__, OSError) or error.__cause__.errno not in NO_ROOM:
                 raise
             if not waiting:
                 log(f"{error} It waits for room.")

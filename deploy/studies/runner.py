@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -52,8 +53,6 @@ class Runner:
         loads = packed(jobs, seconds)
         try:
             failed = self._work(supervisor, loads, stop)
-        except StoppedError:
-            return False
         finally:
             supervisor.stop()
         if failed:
@@ -65,9 +64,10 @@ class Runner:
         waiting, running, clock = list(loads), list["Load"](), _Clock(self._at_once)
         total, done, failed, told = len(loads), 0, list["Load"](), time.monotonic()
         while (waiting or running) and not stop:
-            while waiting and len(running) < self._at_once:
-                running.append(waiting.pop(0))
-                self._start(supervisor, running[-1], stop)
+            with suppress(StoppedError):
+                while waiting and len(running) < self._at_once:
+                    self._start(supervisor, waiting[0], stop)
+                    running.append(waiting.pop(0))
             stop.event.wait(LOOK_SECONDS)
             supervisor.watch()
             for load in [load for load in running if _over(supervisor.children[load.name])]:

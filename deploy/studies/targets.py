@@ -146,10 +146,9 @@ def _compared(own: Sequence[tuple[float, bool]], theirs: Sequence[tuple[float, b
     mine, late = ([seconds for seconds, _ in times] for times in (own, theirs))
     if not all(there for _, there in own):
         return [f"ours not within {max(mine):.0f} s; {seeds}", "not met"]
-    whole = all(there for _, there in theirs)
-    least, most = min(late) / max(mine), max(late) / min(mine) if whole else math.inf
-    between = f" ({least:.1f}..{f'{most:.1f}' if whole else ''})" if len(own) > 1 else ""
-    told = (
-        f"{'' if whole else 'more than '}{median(late) / median(mine):.1f} times{between}, ours in {median(mine):.0f} s"
-    )
+    middle, in_vain = median(late), [seconds for seconds, there in theirs if not there]
+    least, most = min(late) / max(mine), math.inf if in_vain else max(late) / min(mine)
+    between = f" ({least:.1f}..{'' if in_vain else f'{most:.1f}'})" if max(len(own), len(theirs)) > 1 else ""
+    more = "more than " if in_vain and min(in_vain) <= middle else ""
+    told = f"{more}{middle / median(mine):.1f} times{between}, ours in {median(mine):.0f} s"
     return [f"{told}; {seeds}", "met" if least >= SOONER else "not met" if most < SOONER else "cannot be told"]

@@ -3,6 +3,7 @@
 Source: sequential assignment with the Hungarian method (Kuhn 1955), with look-ahead by rolling out a chain.
 """
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,8 @@ from rollout.heuristics.targets import Targets
 
 Indices = NDArray[np.int64]
 
+MOST_KNOWN: Final = 2048
+"""Up to so many targets the ways between all of them are held in memory."""
 CANDIDATES: Final = 12
 """Targets that each UAV considers: those with the largest discounted value."""
 CHAIN: Final = 8
@@ -46,8 +49,8 @@ class HungarianCrew:
     def __init__(self, situation: Situation, kind: int) -> None:
         self._kind = kind
         self._targets = Targets(situation, kind)
-        steps = steps_to(self._targets.centre[:, None], self._targets.box[:, None], situation.config.world)
-        self._between = DISCOUNT**steps
+        self._world, number = situation.config.world, len(self._targets.centre)
+        self._known = self._discounts(np.arange(number)) if number <= MOST_KNOWN else None
         self.chosen: Indices = np.full(len(situation.of(kind)), -1)
         self._second = self.chosen
 
@@ -63,6 +66,15 @@ class HungarianCrew:
             after = box[:, self._second[uav]]
             goals[uav] = aim(position[uav], box[:, self.chosen[uav]], after, situation.config.world)
         return goals
+
+    def _between(self, at: Indices) -> Array:
+        return self._discounts(at) if self._known is None else self._known[at]
+
+    def _discounts(self, at: Indices) -> Array:
+        """Return the discounts [C, K] of the flights from some targets [C] to all."""
+        steps = steps_to(self._targets.centre[at][:, None], self._targets.box[:, None], self._world)
+        discounts: Array = DISCOUNT**steps
+        return discounts
 
     def _assign(self, value: Array, steps: Array) -> tuple[Indices, Indices]:
         """Return each UAV's target, -1 for none, and the one after it, from values [K] and steps [n, K]."""
@@ -81,7 +93,9 @@ class HungarianCrew:
         return chosen, after
 
 
-def chain_worth(first: Indices, factor: Array, value: Array, between: Array, length: int) -> tuple[Array, Indices]:
+def chain_worth(
+    first: Indices, factor: Array, value: Array, between: Callable[[Indices], Array], length: int
+) -> tuple[Array, Indices]:
     """Return what chains of visits are worth, and where each goes second.
 
     A chain goes on to the target with the largest discounted value that it has not visited.
@@ -90,7 +104,7 @@ def chain_worth(first: Indices, factor: Array, value: Array, between: Array, len
         first: [C] first target of each chain.
         factor: [C] discount of the flight to it.
         value: [C, K] of each target for the UAV that would fly the chain.
-        between: [K, K] discount of the flight from target to target.
+        between: gives for targets [C] the discounts [C, K] of the flights to all.
         length: visits.
 
     Returns:
@@ -101,8 +115,9 @@ def chain_worth(first: Indices, factor: Array, value: Array, between: Array, len
     total = factor * left[chains, at]
     for visit in range(1, length):
         left[chains, at] = 0.0
-        following = (left * between[at]).argmax(axis=1)
-        factor = factor * between[at, following]
+        discounts = between(at)
+        following = (left * discounts).argmax(axis=1)
+        factor = factor * discounts[chains, following]
         total = total + factor * left[chains, following]
         second = following if visit == 1 else second
         at = following

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from rollout.heuristics.crews import MONITORS, Situation
 from rollout.heuristics.sites import plot_boxes, sensor_stops
@@ -26,8 +27,7 @@ class Targets:
             self.box = plot_boxes(situation.config)
         else:
             self.box = sensor_stops(situation.config, situation.layout.sensor_xy)
-            apart = np.linalg.norm(situation.layout.sensor_xy[:, None] - self.box.mean(axis=0), axis=2)
-            self._stop = apart.argmin(axis=1)
+            _, self._stop = cKDTree(self.box.mean(axis=0)).query(situation.layout.sensor_xy)
         self.centre: Array = self.box.mean(axis=0)
 
     def value(self, situation: Situation) -> Array:

@@ -1,5 +1,6 @@
 """Runs whose messages no frame holds."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,40 +8,61 @@ import pytest
 
 from common.actors import ActorBank
 from common.chunks import to_message
-from common.config import AlgorithmConfig, EnvConfig, ReplayConfig, RolloutConfig, RunConfig
+from common.config import AlgorithmConfig, EliteConfig, EnvConfig, ReplayConfig, RolloutConfig, RunConfig
 from common.errors import ConfigError
-from common.messages import ParametersMessage
-from common.sizes import ROOM, actor_bytes, chunk_bytes, require_frames
+from common.messages import EvaluationResult, ParametersMessage
+from common.sizes import actor_bytes, chunk_bytes, evaluation_bytes, require_frames
 from common.team import GroupSpec, TeamSpec, farm_team
-from common.transitions import FARM_FIGURES, TERMINATED, TRANSITION, Chunk, EpisodeSummary, Rows
+from common.transitions import FARM_FIGURES, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from rollout.environments import team_of
 
 TEAM = farm_team(RunConfig().farm)
 DEEP = ReplayConfig(capacity=10_000_000)
 
 
-@pytest.mark.parametrize(("environments", "steps"), [(1, 1), (8, 20), (64, 5)])
-def test_the_largest_chunk_is_as_large_as_told(environments, steps):
-    """A chunk in which every step ends an episode takes the bytes that are told, but for the room beside them."""
-    config = RunConfig(rollout=RolloutConfig(environments=environments, chunk_steps=steps))
-    count = environments * steps
+def chunk_size(config, ends):
+    """Return the bytes of a chunk in which so many steps of each environment, evenly apart, end an episode."""
+    count, steps = config.rollout.environments, config.rollout.chunk_steps
+    flag = []
+    for step in range(steps):
+        last = (step + 1) * ends // steps > step * ends // steps
+        flag += [TRANSITION | TRUNCATED, 0] if last else [TRANSITION]
+    flag += [] if last else [0]
     shapes = (TEAM.observation_size, TEAM.action_size, TEAM.agents)
-    flag = np.tile(np.array([TRANSITION | TERMINATED, 0], np.uint8), count)
-    rows = Rows(*(np.zeros((2 * count, size), np.float32) for size in shapes), flag)
+    rows = Rows(*(np.zeros((count * len(flag), size), np.float32) for size in shapes), np.array(flag * count, np.uint8))
+    rows.check(TEAM)
     ended = EpisodeSummary(0, 0, 1, (0.0,) * TEAM.agents, dict.fromkeys(FARM_FIGURES, 0.0))
-    size = len(to_message(Chunk(rows, (ended,) * count), TEAM, 1, count).encode())
-    assert 0.9 * (size - 1000) <= chunk_bytes(config, TEAM) <= size + 64 * count
-    assert size <= chunk_bytes(config, TEAM) + ROOM
+    return len(to_message(Chunk(rows, (ended,) * (count * ends)), TEAM, 1, count * steps).encode())
 
 
-@pytest.mark.parametrize("hidden", [4, 64])
+@pytest.mark.parametrize(("environments", "steps", "length"), [(8, 20, 500), (3, 1, 500), (4, 60, 20), (64, 5, 1)])
+@pytest.mark.parametrize("name", ["farm", "mpe2:simple_spread_v3"])
+def test_the_largest_chunk_is_as_large_as_told(name, environments, steps, length):
+    """A farm's episodes have a length, and chunks as many ends as fit; elsewhere every step may be the last."""
+    farm = replace(RunConfig().farm, world=replace(RunConfig().farm.world, steps=length))
+    rollout = RolloutConfig(environments=environments, chunk_steps=steps)
+    config = RunConfig(env=EnvConfig(name=name), farm=farm, rollout=rollout)
+    size = chunk_size(config, math.ceil(steps / length) if name == "farm" else steps)
+    assert 0.8 * size < chunk_bytes(config, TEAM) + 1000
+    assert size <= chunk_bytes(config, TEAM) + 1000 <= 1.3 * size
+
+
+@pytest.mark.parametrize("hidden", [16, 64])
 @pytest.mark.parametrize("head", ["deterministic", "gaussian"])
 def test_the_actors_are_as_large_as_told(hidden, head):
     """All actors take the bytes that are told, but for the room beside them."""
     bank = ActorBank.initial(TEAM, hidden, 0, head=head)
     size = len(ParametersMessage(1, 1, 0, 0, 0.0, TEAM.digest, bank.hidden, bank.head, bank.flat).encode())
-    told = actor_bytes(RunConfig(algorithm=AlgorithmConfig(hidden=hidden)), TEAM)
-    assert 0.8 * size <= told
-    assert size <= told + ROOM
+    assert size <= actor_bytes(RunConfig(algorithm=AlgorithmConfig(hidden=hidden)), TEAM) + 1000 <= 1.2 * size
+
+
+def test_flights_for_the_elite_are_as_large_as_told():
+    """Of no more farms than are trained on; without imitation, and where episodes have no known length, none."""
+    few = RunConfig(elite=EliteConfig(farms=50), rollout=RolloutConfig(train_farms=7))
+    result = EvaluationResult(1, 1, np.zeros((7, 500, TEAM.agents), np.float32), np.full(7, 500))
+    assert 0 < len(result.encode()) - evaluation_bytes(few, TEAM) < 1000
+    assert evaluation_bytes(replace(few, elite=EliteConfig(enabled=False)), TEAM) == 0
+    assert evaluation_bytes(replace(few, env=EnvConfig(name="mpe2:simple_spread_v3")), TEAM) == 0
 
 
 def test_what_no_frame_holds_is_refused():
@@ -54,4 +76,20 @@ def test_what_no_frame_holds_is_refused():
         require_frames(RunConfig(algorithm=AlgorithmConfig(hidden=4096)), TEAM)
     seen = TeamSpec((GroupSpec("agent", 64, 65_536, 2),))
     with pytest.raises(ConfigError, match="8 environments times 20 steps"):
-        require_frames(RunConfig(env=EnvConfig(), algorithm=AlgorithmConfig(hidden=1)), seen)
+        require_frames(RunConfig(algorithm=AlgorithmConfig(hidden=1)), seen)
+    long = replace(RunConfig().farm, world=replace(RunConfig().farm.world, steps=100_000))
+    fleet = TeamSpec(tuple(replace(group, count=12) for group in TEAM.groups))
+    with pytest.raises(
+        ConfigError, match=r"20 flights of 100000 steps with 36 agents take \d+ MiB, .* lower elite\.farms"
+    ):
+        require_frames(RunConfig(farm=long, elite=EliteConfig(farms=20)), fleet)
+    many = RunConfig(rollout=RolloutConfig(environments=4096, chunk_steps=20), replay=DEEP)
+    require_frames(many, TEAM)
+    with pytest.raises(ConfigError, match="4096 environments times 20 steps"):
+        require_frames(replace(many, env=EnvConfig(name="mpe2:simple_spread_v3")), TEAM)
+
+
+def test_a_run_is_refused_where_its_team_is_made():
+    """Whoever starts a run asks for its team first."""
+    with pytest.raises(ConfigError, match=r"lower algorithm\.hidden"):
+        team_of(RunConfig(algorithm=AlgorithmConfig(hidden=4096)))

@@ -109,6 +109,17 @@ def test_mistakes_are_one_sentence(
     assert said in complaint(capsys, *arguments)
 
 
+def test_a_run_that_no_message_holds_leaves_no_folder(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A learner that is refused has made nothing that a mended command would run into."""
+    monkeypatch.chdir(tmp_path)
+    command = ("--run-dir", "run", "--algorithm.hidden", "4096")
+    for name in ("learner", "train"):
+        assert "lower algorithm.hidden" in complaint(capsys, name, *command)
+        assert list(tmp_path.iterdir()) == []
+
+
 def test_another_configuration_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """A run directory of another configuration is named with the difference."""
     (tmp_path / "config.toml").write_text(to_toml(RunConfig(seed=7)), encoding="utf-8")

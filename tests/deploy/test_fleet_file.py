@@ -117,6 +117,7 @@ def test_training_is_resolved(tmp_path):
         (SMALL + '[network]\nendpoint = "farm"\n', "not an endpoint"),
         (SMALL + '[training]\npreset = "huge"\n', "no preset 'huge'"),
         (SMALL + '[training]\nset = ["episodes = 0"]\n', "episodes must be"),
+        (SMALL + '[training]\nset = ["algorithm.hidden = 4096"]\n', "lower algorithm.hidden"),
         (SMALL + '[training]\nconfig = "none.toml"\n', "none.toml cannot be read"),
     ],
 )

@@ -95,7 +95,9 @@ def test_the_slowest_of_ours_and_the_fastest_of_theirs_decide():
     assert ("15.0 times (8.8..30.0)" in line, verdict) == (True, "cannot be told")
     assert told(*reached(50.0, 60.0, 90.0))[1] == "not met"
     line, verdict = told([(480.0, 0.0)], *reached(160.0, 180.0))
-    assert ("more than 15.0 times (9.4..)" in line, verdict) == (True, "cannot be told")
+    assert ("| 15.0 times (9.4..)" in line, verdict) == (True, "cannot be told")
+    line, verdict = told(*[[(480.0, 0.0)]] * 2, *reached(160.0))
+    assert ("| more than 40.0 times (9.4..)" in line, verdict) == (True, "cannot be told")
     assert told([(480.0, 0.0)], [(300.0, 700.0)], [(200.0, 0.0)])[1] == "met"
 
 

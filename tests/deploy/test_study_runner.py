@@ -3,12 +3,12 @@
 import errno
 import os
 import threading
+from pathlib import Path
 
 import pytest
 
 from common.actors import ActorBank
 from common.errors import RunDirError
-from common.policy_file import save_policy
 from common.process import StopSignal
 from common.team import farm_team
 from deploy.studies import perform
@@ -60,38 +60,39 @@ def test_durations_are_said_as_people_say_them():
 
 
 def full_disk(monkeypatch, times):
-    """Let so many writes find the disk full."""
-    left, replaced = [times], os.replace
+    """Let so many writes of files with an ending find the disk full."""
+    replaced = os.replace
 
     def replace(source, target):
-        if left[0] > 0:
-            left[0] -= 1
+        ending = "".join(Path(target).suffixes)
+        if times.get(ending, 0) > 0:
+            times[ending] -= 1
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         replaced(source, target)
 
     monkeypatch.setattr(os, "replace", replace)
-    monkeypatch.setattr(perform, "ROOM_SECONDS", 0.0)
+    monkeypatch.setattr(perform, "ROOM_SECONDS", 0.1)
 
 
 def test_a_full_disk_costs_no_training(bench, monkeypatch, capfd):
-    """The policy and the record of a run, and the jobs of a study, wait for room; one line says so for each."""
-    full_disk(monkeypatch, 3)
+    """The policy and the record of a run, and a study's jobs, wait for room; that is no part of the run's time."""
+    full_disk(monkeypatch, {".safetensors": 2, ".json": 1, ".job.json": 1})
     job, shares = bench.runs(EIA_SEC, 1)[0], []
-    bank = ActorBank.initial(farm_team(job.config.farm), 16, 0)
-    kept(lambda: save_policy(bench.records.path(job, ".safetensors"), bank, {}), shares.append)
-    kept(lambda: bench.records.put(job, MADE, 1.0, trained(FIRST_FARM, [1.0, 2.0, 3.0])), shares.append)
-    full_disk(monkeypatch, 2)
+    result, bank = trained(FIRST_FARM, [1.0, 2.0, 3.0]), ActorBank.initial(farm_team(job.config.farm), 16, 0)
+    monkeypatch.setattr(perform, "train", lambda config, options, told: (result, bank))
     kept(lambda: bench.records.hand_over(job), shares.append)
-    assert shares == [1.0] * 5
+    perform.perform(job, bench.records, "eia-sec reproduce training", shares.append)
+    assert shares == [1.0] * 4
     assert bench.records.missing([job], flown=True) == []
+    assert bench.records.get(job)["seconds"] < 0.2
     names = {path.name for path in bench.records.folder.iterdir()}
-    assert names == {job.digest + suffix for suffix in (".safetensors", ".json", ".job.json")}
-    assert capfd.readouterr().err.count("It waits for room.") == 2
+    assert names == {job.digest + ending for ending in (".safetensors", ".json", ".job.json")}
+    assert capfd.readouterr().err.count("It waits for room.") == 3
 
 
 def test_who_waits_for_room_can_be_stopped(bench, monkeypatch):
     """A study that cannot even write its jobs ends when it is told to, as one that was stopped."""
-    full_disk(monkeypatch, 10**9)
+    full_disk(monkeypatch, {".job.json": 10**9})
     stop = StopSignal()
     threading.Timer(0.2, stop.event.set).start()
     job = bench.runs(EIA_SEC, 1)[0]
