@@ -14,7 +14,7 @@ from common.lattice import fewest
 from rollout.heuristics import lawnmower
 from rollout.heuristics.beam import Array, Indices, Lattice, Worth, best_path
 from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
-from rollout.heuristics.sites import image_succeeds, packet_chances, pairs_within, plot_centres, radio_range
+from rollout.heuristics.sites import images_succeed, packet_chances, pairs_within, plot_centres, radio_range
 from rollout.heuristics.steering import reach
 from rollout.kernel.constants import constants
 from rollout.kernel.motion import flight_power
@@ -149,8 +149,7 @@ def plot_lattice(config: FarmConfig) -> Lattice:
     place, rows = _places(config)
     far = config.camera.image_distance + 2.0 * reach(config.world).max()
     node, plot, _ = pairs_within(place, plot_centres(config.world), far)
-    served = [image_succeeds(config, place[at], int(site)) for at, site in zip(node, plot, strict=True)]
-    return _lattice(place, rows, node, plot, np.array(served, np.float64))
+    return _lattice(place, rows, node, plot, images_succeed(config, place[node], plot).astype(np.float64))
 
 
 @functools.lru_cache(maxsize=64)

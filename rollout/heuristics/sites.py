@@ -62,10 +62,12 @@ def imaging_share(config: FarmConfig) -> float:
     return far
 
 
-def image_succeeds(config: FarmConfig, place: Array, plot: int) -> bool:
-    """Return whether a UAV over a place [2] m takes a good image of a plot, given in row-major order."""
+def images_succeed(config: FarmConfig, places: Array, plots: Indices) -> NDArray[np.bool_]:
+    """Return for each place [P, 2] m whether a UAV over it takes a good image of a plot [P], in row-major order."""
     camera, rows = constants(config, cell_counts(config.world)).camera, config.world.plots_y
-    return plot_quality(camera, float(place[0]), float(place[1]), plot // rows, plot % rows) >= camera.threshold
+    pairs = zip(places.tolist(), plots.tolist(), strict=True)
+    quality = [plot_quality(camera, x, y, plot // rows, plot % rows) for (x, y), plot in pairs]
+    return np.array(quality) >= camera.threshold
 
 
 def packet_chances(config: FarmConfig, distance: Array) -> Array:

@@ -26,6 +26,8 @@ PLOT_RESTARTS: Final = 20
 """The same for plots, which are grouped once for all farms."""
 STARTS: Final = 30
 """About how many places a tour is started from, at most."""
+EASY: Final = 128
+"""Up to so many places of a tour all starts and groupings are tried; of more, fewer: their time grows by the cube."""
 SAVING: Final = 1e-9
 """Least saving for which a tour is changed, steps."""
 STRAIGHT: Final = 0.001
@@ -62,6 +64,7 @@ def grouped_tours(
     """Return a closed tour through some of the stops [L, 2] for each UAV; with fewer stops than UAVs some share one."""
     groups = min(uavs, len(stops))
     best, least = [np.array([stop]) for stop in range(groups)], np.inf
+    restarts = tries(restarts, len(stops) // groups)
     for _ in range(min(restarts, len(stops) - groups) if groups > 1 else 1):
         _, label = kmeans2(stops, groups, minit="++", rng=random, missing="warn")
         members = [np.flatnonzero(label == group) for group in range(groups)]
@@ -77,12 +80,17 @@ def short_tour(places: Array, world: WorldConfig) -> tuple[Indices, float]:
     """Return a short closed tour through places [L, 2] and its steps: from some starts the nearest next, then 2-opt."""
     steps = steps_between(places, places, world)
     best, least = np.arange(len(places)), np.inf
-    for start in range(0, len(places), 1 + len(places) // STARTS):
+    for start in range(0, len(places), 1 + len(places) // tries(STARTS, len(places))):
         tour = two_opt(nearest_next(steps, start), steps)
         length = float(steps[tour, np.roll(tour, -1)].sum())
         if length < least - SAVING:
             best, least = tour, length
     return best, least
+
+
+def tries(most: int, places: int) -> int:
+    """Return how many of at most so many tries a tour through so many places is given."""
+    return max(1, min(most, int(STARTS * (EASY / max(1, places)) ** 3)))
 
 
 def nearest_next(steps: Array, start: int) -> Indices:

@@ -18,7 +18,7 @@ from rollout.heuristics.sites import (
 )
 from rollout.heuristics.static import StaticPolicy
 from rollout.heuristics.steering import aim, inside, keep_apart, loiter_speed, reach, steps_to, towards
-from rollout.heuristics.tour import grouped_tours, plot_tours, short_tour
+from rollout.heuristics.tour import grouped_tours, plot_tours, short_tour, tries
 from rollout.kernel.constants import constants
 from rollout.layout import cell_counts
 from rollout.policies import HEURISTICS, TASKS, policy_of
@@ -244,6 +244,12 @@ def test_tours_visit_every_stop_once():
     steps = steps_between(ring, ring, WORLD)
     assert length <= steps[around, np.roll(around, -1)].sum() + 1e-9
     assert length == pytest.approx(steps[tour, np.roll(tour, -1)].sum())
+
+
+def test_tours_of_many_stops_are_tried_less_often():
+    """Up to 128 places everything is tried, beyond them less and less, and once in any case."""
+    assert [tries(30, places) for places in (0, 25, 128, 256, 625, 10_000)] == [30, 30, 30, 3, 1, 1]
+    assert tries(5, 225) == 5
 
 
 def test_plot_tours_image_every_plot():

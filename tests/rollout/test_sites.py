@@ -8,7 +8,7 @@ import pytest
 from common.config import FarmConfig, WorldConfig
 from rollout.heuristics.horizon import plot_lattice, sensor_lattice
 from rollout.heuristics.sites import (
-    image_succeeds,
+    images_succeed,
     packet_chances,
     pairs_within,
     plot_boxes,
@@ -28,10 +28,9 @@ def test_every_place_in_a_plot_box_gives_an_image():
     boxes, centre = plot_boxes(SMALL), plot_centres(WORLD)
     half = boxes[1, 0] - centre[0]
     assert (half > 6.0).all()
-    for x in np.linspace(-1.0, 1.0, 5):
-        for y in np.linspace(-1.0, 1.0, 5):
-            assert image_succeeds(SMALL, centre[37] + half * (x, y), 37)
-    assert not image_succeeds(SMALL, centre[37] + 1.1 * half, 37)
+    around = np.stack(np.meshgrid(np.linspace(-1.0, 1.0, 5), np.linspace(-1.0, 1.0, 5)), axis=-1).reshape(-1, 2)
+    assert images_succeed(SMALL, centre[37] + half * around, np.full(25, 37)).all()
+    assert images_succeed(SMALL, centre[37] + np.array([half, 1.1 * half]), np.full(2, 37)).tolist() == [True, False]
 
 
 def test_radio_reach_is_where_the_chance_falls():
