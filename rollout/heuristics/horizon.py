@@ -5,6 +5,7 @@ one robot after the other as in sequential allocation (Singh et al. 2009).
 """
 
 import functools
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -20,24 +21,37 @@ from rollout.kernel.constants import constants
 from rollout.kernel.motion import flight_power
 from rollout.layout import cell_counts
 
-HORIZON: Final = 16
-"""Steps that a plan looks ahead."""
-WIDTH: Final = 32
-"""Paths that the search keeps."""
 LAST: Final = 60
 """Steps before the end from which on plans look further ahead: what is left at the end is lost."""
-LAST_HORIZON: Final = 30
-"""Steps that these plans look ahead."""
-LAST_WIDTH: Final = 64
-"""Paths that their search keeps."""
-SAME: Final = 4
-"""Kept paths that may end in one place."""
-DISCOUNT: Final = 0.98
-"""Worth of what comes a step later."""
 NOBODY: Final[Indices] = np.zeros(0, np.int64)
 """The plan of a UAV that has none yet."""
 FAINT: Final = 0.02
 """Sensors that are heard with a smaller chance are left out."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How hard a plan is sought.
+
+    Attributes:
+        horizon: steps that it looks ahead.
+        width: paths that the search keeps.
+        last_horizon: steps that it looks ahead in the last LAST steps.
+        last_width: paths that the search keeps then.
+        same: kept paths that may end in one place.
+        discount: worth of what comes a step later.
+    """
+
+    horizon: int = 16
+    width: int = 32
+    last_horizon: int = 30
+    last_width: int = 64
+    same: int = 4
+    discount: float = 0.98
+
+
+EFFORT: Final = Effort()
+"""The effort with which the heuristic flies; `experiments.search` shows what more of it gives."""
 
 
 def monitors(situation: Situation) -> Crew:
@@ -74,12 +88,14 @@ class HorizonCrew:
     Args:
         situation: the start.
         kind: the crew's type.
+        effort: how hard the plans are sought.
     """
 
-    def __init__(self, situation: Situation, kind: int) -> None:
+    def __init__(self, situation: Situation, kind: int, effort: Effort = EFFORT) -> None:
         world, layout = situation.config.world, situation.layout
         self._kind = kind
-        self._worth = worth_of(situation.config, kind)
+        self._effort = effort
+        self._worth = worth_of(situation.config, kind, effort.discount)
         if kind == MONITORS:
             self._lattice = plot_lattice(situation.config)
             self._cycle: Indices = np.full(layout.plot_phase.size, round(world.vdf_cycle / world.step_seconds))
@@ -102,8 +118,9 @@ class HorizonCrew:
 
     def _plan(self, situation: Situation, uav: int) -> Indices:
         """Return the places [H] that a UAV will fly over."""
-        ahead = situation.config.world.steps - situation.time
-        most, width = (HORIZON, WIDTH) if ahead > LAST else (LAST_HORIZON, LAST_WIDTH)
+        ahead, effort = situation.config.world.steps - situation.time, self._effort
+        late = ahead <= LAST
+        most, width = (effort.last_horizon, effort.last_width) if late else (effort.horizon, effort.width)
         horizon = max(1, min(most, ahead))
         position, place = situation.of(self._kind), self._lattice.place
         others = np.empty((horizon + 1, len(position) - 1, 2))
@@ -115,7 +132,7 @@ class HorizonCrew:
         claimed = np.concatenate([plan for index, plan in enumerate(self._plans) if index != uav] or [NOBODY])
         start = int(np.abs(place - position[uav]).max(axis=1).argmin())
         levels = self._levels(situation, horizon)
-        return best_path(self._lattice, self._worth, start, levels, claimed, others, width, SAME)
+        return best_path(self._lattice, self._worth, start, levels, claimed, others, width, effort.same)
 
     def _levels(self, situation: Situation, horizon: int) -> Array:
         """Return the counters [horizon, S] with which the steps to come are credited if nobody serves anything."""
@@ -126,7 +143,7 @@ class HorizonCrew:
         return levels
 
 
-def worth_of(config: FarmConfig, kind: int) -> Worth:
+def worth_of(config: FarmConfig, kind: int, discount: float) -> Worth:
     """Return what the reward pays UAVs of a type; closing in is paid for by both of a pair."""
     reward, world = config.reward, config.world
     flight, across = constants(config, cell_counts(world)).flight, reach(world) / world.step_seconds
@@ -139,7 +156,7 @@ def worth_of(config: FarmConfig, kind: int) -> Worth:
         risk=-2.0 * reward.collision_risk,
         safety=world.safety_distance,
         flight=(still, straight, diagonal),
-        discount=DISCOUNT,
+        discount=discount,
     )
 
 

@@ -1,0 +1,91 @@
+"""What a harder search gives: the best heuristic, `horizon`, as it flies and with many times its effort.
+
+    python -m experiments.search [--farms 1000:1008] [--write docs/results/search]
+
+It plans with the farm's own dynamics and sees all of it. How much it gains by planning harder says how far above it a
+policy may be hoped to get; a bound, which is further off, is counted by `experiments.bound`.
+"""
+
+import argparse
+import json
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from common.config import FarmConfig
+from deploy.provenance import provenance
+from rollout.evaluation import evaluate
+from rollout.heuristics import horizon
+from rollout.heuristics.crews import COLLECTORS, MONITORS, CrewPolicy
+from rollout.heuristics.horizon import Effort, HorizonCrew
+from rollout.heuristics.relays import SearchRelays
+from rollout.policies import policy_of
+
+WIDE: Final = Effort(width=256, last_width=256, same=8)
+FAR: Final = Effort(horizon=40, width=512, last_horizon=40, last_width=512, same=8, discount=0.99)
+FORMS: Final = {
+    "as it flies": {},
+    "8 times as wide": {"collectors": WIDE},
+    "16 times as wide, 2.5 times as far": {"collectors": FAR},
+    "the same, monitors too": {"collectors": FAR, "monitors": FAR},
+}
+"""Who searches harder, and how hard; monitors otherwise sweep, and plan in the last steps only."""
+
+
+def fly(config: FarmConfig, form: str, farms: range) -> dict[str, Any]:
+    """Fly a form on farms; return its rewards and figures."""
+    efforts, policy = FORMS[form], policy_of("horizon", config)
+    if efforts:
+        crew = partial(HorizonCrew, kind=COLLECTORS, effort=efforts["collectors"])
+        sweep = partial(HorizonCrew, kind=MONITORS, effort=efforts["monitors"]) if "monitors" in efforts else None
+        policy = CrewPolicy(config, SearchRelays, sweep or horizon.monitors, crew)
+    total = evaluate(config, policy, farms, 1, name=form).total
+    told = {"reward": total.reward, **total.types, **total.figures}
+    return {"form": form, **{name: round(value, 4) for name, value in told.items()}}
+
+
+def page(data: dict[str, Any]) -> str:
+    """Return the results as a page."""
+    rows = [
+        f"| {found['form']} | {found['reward']:.0f} | {found['communication']:.0f} | {found['monitoring']:.0f} | "
+        f"{found['collection']:.0f} | {found['aoi']:.2f} | {found['vdf']:.2f} |"
+        for found in data["results"]
+    ]
+    first, most = data["results"][0]["reward"], max(found["reward"] for found in data["results"])
+    return "\n".join(
+        [
+            "# What a harder search gives",
+            "",
+            f"`{data['command']}`, commit {data['commit']}: `horizon` on farms",
+            f"{data['farms'][0]}..{data['farms'][-1]}, one episode each, as it flies and with more effort.",
+            "",
+            "| horizon | reward per agent | communication | monitoring | data collection | AoI | VDF |",
+            "|---|---:|---:|---:|---:|---:|---:|",
+            *rows,
+            "",
+            f"The most is {most / first:.3f} times what it earns as it flies.",
+            "",
+        ]
+    )
+
+
+def main() -> None:
+    """Fly every form, print what came out, and write it where asked."""
+    about = (__doc__ or "").partition("\n")[0]
+    parser = argparse.ArgumentParser(prog="python -m experiments.search", description=about)
+    parser.add_argument("--farms", default="1000:1008", help="farm seeds A:B, from A to B - 1")
+    parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
+    arguments = parser.parse_args()
+    farms = range(*(int(seed) for seed in arguments.farms.split(":")))
+    origin = provenance("experiments.search")
+    data = {**origin, "farms": list(farms), "results": [fly(FarmConfig(), form, farms) for form in FORMS]}
+    if arguments.write:
+        arguments.write.mkdir(parents=True, exist_ok=True)
+        (arguments.write / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        (arguments.write / "README.md").write_text(page(data), encoding="utf-8")
+    sys.stdout.write(json.dumps(data) + "\n")
+
+
+if __name__ == "__main__":
+    main()
