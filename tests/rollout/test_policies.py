@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from common.actors import ActorBank
-from common.config import ControlConfig, FarmConfig, WorldConfig
+from common.config import ControlConfig, FarmConfig
 from common.errors import PolicyError
 from common.policy_file import save_policy
 from common.team import farm_team
@@ -14,21 +14,9 @@ from deploy.evaluate import EvaluateArguments
 from rollout import policies
 from rollout.farms import FarmBatch
 from rollout.policies import HEURISTICS, POLICIES, RELAYS, TASKS, ActorPolicy, policy_of
+from tests.rollout.small_farm import SMALL
 
 ROOT = Path(__file__).resolve().parents[2]
-SMALL = FarmConfig(
-    world=WorldConfig(
-        communication_uavs=1,
-        monitoring_uavs=2,
-        collection_uavs=2,
-        field_x=200.0,
-        field_y=200.0,
-        sensors=100,
-        plots_x=10,
-        plots_y=10,
-        steps=300,
-    )
-)
 
 
 def begin(config, policy, environments=3):
