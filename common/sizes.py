@@ -23,9 +23,8 @@ def chunk_bytes(config: RunConfig, team: TeamSpec) -> int:
     steps = config.rollout.chunk_steps
     ends = math.ceil(steps / config.farm.world.steps) if config.env.is_farm else steps
     row = 4 * (team.observation_size + team.action_size + team.agents) + 1
-    # An end inside the chunk is followed by a row of its own; the last row is there in any case.
-    rows = steps + 1 + min(ends, steps - 1)
-    return config.rollout.environments * (rows * row + ends * (EPISODE_BYTES + 4 * team.agents))
+    episodes = config.rollout.environments * ends
+    return config.rollout.chunk_rows(ends) * row + episodes * (EPISODE_BYTES + 4 * team.agents)
 
 
 def evaluation_bytes(config: RunConfig, team: TeamSpec) -> int:

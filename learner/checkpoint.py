@@ -77,9 +77,9 @@ def save(
         the checkpoint's folder.
 
     Raises:
-        CheckpointError: when it is larger than `load` reads; the checkpoints before it are untouched.
-        OSError: when the disk does not take it; the checkpoints before it are untouched.
-        CheckpointError: when a number is not finite; likewise.
+        CheckpointError: when it is larger than `load` reads, or a number is not finite; the checkpoints before it are
+            untouched.
+        OSError: when the disk does not take it; likewise.
     """
     directory.mkdir(parents=True, exist_ok=True)
     for leftover in directory.glob(f"{_PARTIAL}*"):

@@ -80,7 +80,7 @@ def team_of(config: RunConfig) -> TeamSpec:
     """Return the team of a run's environment.
 
     Raises:
-        ConfigError: as `make_environments`, or its workers' chunks or its actors would fit into no message.
+        ConfigError: as `make_environments`, or its chunks, its actors or its flights for the elite fit into no message.
     """
     with closing(make_environments(config, 1)) as environments:
         require_frames(config, environments.team)

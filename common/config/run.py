@@ -42,10 +42,12 @@ class RolloutConfig:
         within(0, 2**31, max_lag_versions=self.max_lag_versions)
         not_negative(max_silence_seconds=self.max_silence_seconds)
 
-    @property
-    def chunk_rows(self) -> int:
-        """Most rows of a chunk: every segment has one row more than steps, at worst one for each step."""
-        return 2 * self.environments * self.chunk_steps
+    def chunk_rows(self, ends: int) -> int:
+        """Return the most rows of a chunk in which each environment ends so many episodes, at most one in each step.
+
+        An end inside the chunk is followed by a row of its own; the last row is there in any case.
+        """
+        return self.environments * (self.chunk_steps + 1 + min(ends, self.chunk_steps - 1))
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,7 @@ class RunConfig:
         within(1, 100_000_000, episodes=self.episodes)
         if self.evaluation.first_farm < self.rollout.train_farms:
             raise ConfigError("evaluation.first_farm must lie beyond the training farms, so that they stay unseen.")
-        if self.replay.capacity < max(2 * self.algorithm.batch, self.rollout.chunk_rows):
+        if self.replay.capacity < max(2 * self.algorithm.batch, self.rollout.chunk_rows(self.rollout.chunk_steps)):
             raise ConfigError(
                 f"replay.capacity {self.replay.capacity} holds no batch of {self.algorithm.batch} or no chunk of "
                 f"{self.rollout.environments} times {self.rollout.chunk_steps} steps; it takes up to two rows for each."

@@ -74,7 +74,8 @@ def _amount(job: Job) -> float:
 
 def _measure_training(job: Job) -> float:
     config = job.config
-    room = min(config.replay.capacity, max(4096, 2 * config.algorithm.batch, config.rollout.chunk_rows))
+    rows = config.rollout.chunk_rows(config.rollout.chunk_steps)
+    room = min(config.replay.capacity, max(4096, 2 * config.algorithm.batch, rows))
     short = replace(config, replay=replace(config.replay, warmup_steps=0, capacity=room))
     collector = Collector(short, "0", 0)
     trainer = Trainer(short, collector.team)

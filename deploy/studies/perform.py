@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -69,18 +70,18 @@ def perform(job: Job, records: Records, command: str, told: Callable[[float], No
     """
     torch.set_num_threads(job.config.learner.threads)
     made = {"command": command, "commit": commit()}
+    bank: ActorBank | None = None
     start = time.monotonic()
     if job.kind == "train":
         result, bank = train(job.config, job.options, told)
-        seconds = time.monotonic() - start
-        metadata = {**made, "seed": str(job.config.seed), "job": job.digest}
-        kept(lambda: save_policy(records.path(job, POLICY_SUFFIX), bank, metadata), told)
     elif job.kind == "fly":
         result = fly(job.config, job.options)
-        seconds = time.monotonic() - start
     else:
         result = time_decisions(job.config, int(job.options["steps"]))
-        seconds = time.monotonic() - start
+    seconds = time.monotonic() - start
+    if bank is not None:
+        metadata = {**made, "seed": str(job.config.seed), "job": job.digest}
+        kept(partial(save_policy, records.path(job, POLICY_SUFFIX), bank, metadata), told)
     kept(lambda: records.put(job, made, seconds, result), told)
 
 

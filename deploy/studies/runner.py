@@ -88,7 +88,6 @@ class Runner:
         return failed
 
     def _start(self, supervisor: Supervisor, load: "Load", stop: StopSignal) -> None:
-
         def told(share: float) -> None:
             if stop:
                 raise StoppedError("stopped before it was begun.")
