@@ -33,6 +33,11 @@ COMMUNICATION_OBSERVATION: Final = 17
 TASK_OBSERVATION: Final = 7
 """Besides plots and sensors: own (x, y); D_VDF or D_AoI (x, y); nearest UAV as (dx, dy, distance)."""
 
+PLACE: Final = slice(0, 2)
+"""Where an observation holds the own place, along the own axes."""
+SIGNS: Final = slice(2, 4)
+"""Where it holds the signs of the own axes if it is mirrored."""
+
 
 @dataclass(frozen=True)
 class GroupSpec:
@@ -43,7 +48,8 @@ class GroupSpec:
         count: agents of the type, n_v.
         observation_size: numbers in one agent's observation.
         action_size: numbers in one agent's action, each in [-1, 1].
-        lattice: what the agents steer by; none for those whose action is what the environment takes.
+        lattice: what the agents steer by; none for those whose action is a velocity.
+        mirrored: whether the agents see and act along axes of their own, whose signs follow the own place.
     """
 
     name: str
@@ -51,6 +57,7 @@ class GroupSpec:
     observation_size: int
     action_size: int
     lattice: Lattice | None = None
+    mirrored: bool = False
 
     def __post_init__(self) -> None:
         """Refuse groups that nobody could be a member of, and a lattice for agents that do not move in a plane."""
@@ -58,20 +65,27 @@ class GroupSpec:
         within(1, 65_536, observation_size=self.observation_size, action_size=self.action_size)
         if self.lattice is not None and (self.action_size != 2 or self.observation_size < 2):
             raise ConfigError(f"{self.name} agents cannot steer by a lattice: it takes x and y, and two outputs.")
+        if self.mirrored and (self.action_size != 2 or self.observation_size < SIGNS.stop):
+            raise ConfigError(f"{self.name} agents cannot be mirrored: it takes x and y, their signs, and two outputs.")
 
     def to_list(self) -> list[Any]:
         """Return a plain description for the wire and for files."""
-        sizes = [self.name, self.count, self.observation_size, self.action_size]
-        return sizes if self.lattice is None else [*sizes, self.lattice.to_list()]
+        lattice = None if self.lattice is None else self.lattice.to_list()
+        told = [self.name, self.count, self.observation_size, self.action_size, lattice, self.mirrored]
+        return told if self.mirrored else told[:5] if self.lattice else told[:4]
 
     @classmethod
     def from_list(cls, data: Any) -> "GroupSpec":
         """Rebuild a group from `to_list`; raise TypeError, ValueError or ConfigError when it is none."""
-        name, count, observation_size, action_size, *lattice = data
-        if len(lattice) > 1:
-            raise ValueError("a group has five entries at most")
+        name, count, observation_size, action_size, *rest = data
+        if len(rest) > 2:
+            raise ValueError("a group has six entries at most")
+        mirrored = len(rest) > 1
+        if mirrored and rest[1] is not True:
+            raise ValueError("the sixth entry is true where a group has one")
         sizes = int(count), int(observation_size), int(action_size)
-        return cls(str(name), *sizes, *map(Lattice.from_list, lattice))
+        lattice = None if not rest or (mirrored and rest[0] is None) else Lattice.from_list(rest[0])
+        return cls(str(name), *sizes, lattice, mirrored)
 
 
 @dataclass(frozen=True)
@@ -138,23 +152,25 @@ class TeamSpec:
         ]
 
     def steer(self, observations: Float32, actions: Float32) -> Float32:
-        """Return what the environment takes for the actors' actions: themselves, but for groups with a lattice.
+        """Return what the environment takes for the actors' actions: themselves, unless a lattice or mirrors say more.
 
         Args:
-            observations: rows [E, O] float32 in which the actions were decided; those who steer by a lattice see their
-                own place first.
+            observations: rows [E, O] float32 in which the actions were decided; those who steer by a lattice or are
+                mirrored see their own place first, and the signs of their axes behind it.
             actions: rows [E, A] float32 in [-1, 1].
 
         Returns:
-            rows [E, A] float32 in [-1, 1]; `actions` itself where nobody steers by a lattice.
+            rows [E, A] float32 in [-1, 1]; `actions` itself where nobody steers by a lattice or is mirrored.
         """
-        if all(group.lattice is None for group in self.groups):
+        if not any(group.lattice or group.mirrored for group in self.groups):
             return actions
         steered = actions.copy()
         seen, taken = self.split_observations(observations), self.split_actions(steered)
         for group, own, action in zip(self.groups, seen, taken, strict=True):
             if group.lattice is not None:
-                action[...] = group.lattice.steer(own[..., :2], action)
+                action[...] = group.lattice.steer(own[..., PLACE], action)
+            if group.mirrored:
+                action[...] = action * own[..., SIGNS]
         return steered
 
     def to_dict(self) -> dict[str, Any]:
@@ -193,7 +209,9 @@ def farm_team(farm: FarmConfig) -> TeamSpec:
     )
     return TeamSpec(
         tuple(
-            GroupSpec(name, count, size + _self(farm, count), 2, _steered(farm, control))
+            GroupSpec(
+                name, count, size + 2 * seen.mirrored + _self(farm, count), 2, _steered(farm, control), seen.mirrored
+            )
             for name, count, size, control in sizes
         )
     )

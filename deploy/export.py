@@ -12,10 +12,10 @@ from common.actors import ActorBank, parameter_views
 from common.config import RunConfig
 from common.config.files import digest
 from common.errors import PolicyError
-from common.lattice import EDGE, GAIN, Lattice
+from common.lattice import EDGE, GAIN
 from common.team import Float32, GroupSpec
 from deploy.layout import action_names, action_scale, observation_names
-from deploy.steering import STEERING, steering_numbers
+from deploy.steering import steering
 
 if TYPE_CHECKING:
     from onnx import ModelProto
@@ -63,7 +63,7 @@ def description(config: RunConfig, bank: ActorBank, metadata: Mapping[str, str])
         "network": "a = tanh(relu(relu(o w1 + b1) w2 + b2) w3 + b3)",
         "steering": "where lattice is not null: p = (o[:2] + 1) / 2, cell = clip(floor(p count + edge), 0, count - 1), "
         "goal = (clip(cell + clip(rint(gain a), -1, 1), 0, count - 1) + 0.5) / count, "
-        "action = clip((goal - p) / reach, -1, 1); elsewhere action = a",
+        "action = clip((goal - p) / reach, -1, 1); elsewhere action = a; where mirrored the action times o[2:4]",
         "origin": {**metadata, "configuration": digest(config), "environment": config.env.name},
         "sha256": bank.digest(),
         "hidden": bank.hidden,
@@ -74,6 +74,7 @@ def description(config: RunConfig, bank: ActorBank, metadata: Mapping[str, str])
                 "action": action_names(config, group),
                 "action_scale": action_scale(config, group),
                 "lattice": _lattice(group),
+                "mirrored": group.mirrored,
             }
             for name, group in zip(agent_names(bank), kinds, strict=True)
         },
@@ -113,7 +114,7 @@ def export_onnx(folder: Path, config: RunConfig, bank: ActorBank, metadata: Mapp
     paths = []
     for name, layers, group in zip(agent_names(bank), agent_layers(bank), kinds_of(bank), strict=True):
         shared = {key: value for key, value in told.items() if key != "agents"}
-        model = _model(name, layers, group.lattice, {**shared, **told["agents"][name]})
+        model = _model(name, layers, group, {**shared, **told["agents"][name]})
         path = folder / f"{name}.onnx"
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -141,22 +142,21 @@ def _lattice(group: GroupSpec) -> dict[str, Any] | None:
     return {"count": count, "reach": reach, "gain": GAIN, "edge": EDGE}
 
 
-def _model(name: str, layers: Mapping[str, Float32], lattice: Lattice | None, told: Mapping[str, Any]) -> "ModelProto":
+def _model(name: str, layers: Mapping[str, Float32], group: GroupSpec, told: Mapping[str, Any]) -> "ModelProto":
     try:
         from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415 - an extra that few users need
     except ImportError:
         raise PolicyError("ONNX export needs the package onnx: pip install 'eia-sec[export]'.") from None
     seen, done = layers["w1"].shape[0], layers["w3"].shape[1]
     nodes, flow = [], "observation"
+    steered, constants = steering(group)
     for index, activation in (("1", "Relu"), ("2", "Relu"), ("3", "Tanh")):
-        out = f"h{index}" if index != "3" else "action" if lattice is None else "output"
+        out = f"h{index}" if index != "3" else "output" if steered else "action"
         nodes.append(helper.make_node("Gemm", [flow, f"w{index}", f"b{index}"], [f"z{index}"]))
         nodes.append(helper.make_node(activation, [f"z{index}"], [out]))
         flow = out
-    numbers = {layer: layers[layer] for layer in LAYERS}
-    if lattice is not None:
-        numbers |= steering_numbers(lattice)
-        nodes += [helper.make_node(kind, taken, [given]) for kind, taken, given in STEERING]
+    numbers = {layer: layers[layer] for layer in LAYERS} | constants
+    nodes += [helper.make_node(kind, taken, [given]) for kind, taken, given in steered]
     graph = helper.make_graph(
         nodes,
         name,

@@ -11,17 +11,18 @@ def observation_names(config: RunConfig, group: GroupSpec) -> list[str]:
     seen, uav = config.farm.observation, _offset("nearest_uav")
     rank = [f"rank_{index}" for index in range(group.count)] if seen.identity else []
     last = [*rank, *(["clock"] if seen.clock else [])]
+    place = ["x", "y", *(["sign_x", "sign_y"] if seen.mirrored else [])]
     if group.name == COMMUNICATION:
         parts = ("nearest_relay", "relay_centroid", "served_centroid", "farthest_served")
-        return ["x", "y", *(name for part in parts for name in _offset(part)), *uav, *last]
+        return [*place, *(name for part in parts for name in _offset(part)), *uav, *last]
     if group.name == MONITORING:
         around = range(-(seen.window // 2), seen.window // 2 + 1)
         vdf = [f"vdf_{column}_{row}" for column in around for row in around]
         lattice = ["plot_dx", "plot_dy"] if seen.lattice else []
-        return ["x", "y", *vdf, "d_vdf_x", "d_vdf_y", *uav, *lattice, *last]
+        return [*place, *vdf, "d_vdf_x", "d_vdf_y", *uav, *lattice, *last]
     ends = ("aoi",) if seen.form == "printed" else ("aoi", "dx", "dy")
     sensors = [f"sensor_{index}_{end}" for index in range(seen.sensors) for end in ends]
-    return ["x", "y", *sensors, "d_aoi_x", "d_aoi_y", *uav, *last]
+    return [*place, *sensors, "d_aoi_x", "d_aoi_y", *uav, *last]
 
 
 def action_names(config: RunConfig, group: GroupSpec) -> list[str]:

@@ -85,8 +85,9 @@ def fitted(bank: ActorBank, team: TeamSpec) -> ActorBank:
     return ActorBank(team, bank.hidden, bank.flat, bank.head)
 
 
-def _interface(group: GroupSpec) -> tuple[str, int, int, int, bool]:
-    return group.name, group.count, group.observation_size, group.action_size, group.lattice is not None
+def _interface(group: GroupSpec) -> tuple[str, int, int, int, bool, bool]:
+    sizes = group.count, group.observation_size, group.action_size
+    return group.name, *sizes, group.lattice is not None, group.mirrored
 
 
 def trained_policy(path: Path, config: FarmConfig) -> Policy:
@@ -156,6 +157,6 @@ def _describe(team: TeamSpec) -> str:
     """Return a team in words: how many of each type, how many numbers each of them observes, and what it steers by."""
     told = []
     for group in team.groups:
-        how = " and a lattice" if group.lattice else ""
+        how = (" and a lattice" if group.lattice else "") + (" and mirrored axes" if group.mirrored else "")
         told.append(f"{group.count} {group.name} agents with {group.observation_size} inputs{how}")
     return ", ".join(told)

@@ -47,7 +47,7 @@ def observation_parts(config: FarmConfig) -> dict[str, tuple[Part, ...]]:
     around = f"{window} x {window} plots"
     return {
         COMMUNICATION: (
-            *_place(),
+            *_place(config),
             *_towards("nearest relay", 1.0),
             *_towards("centroid of all relays", 1.0),
             *_towards("centroid of those served", served),
@@ -56,7 +56,7 @@ def observation_parts(config: FarmConfig) -> dict[str, tuple[Part, ...]]:
             *_self(config, world.communication_uavs),
         ),
         MONITORING: (
-            *_place(),
+            *_place(config),
             Part("VDF", window**2, 0.0, 1.0, f"VDF over its largest value of the {around} around, x outer; 0 outside"),
             Part("D_VDF", 2, -DIAGONAL, DIAGONAL, "unit diagonal to the quadrant with most VDF; 0 if there is none"),
             *_nearest(config, world.height_monitoring),
@@ -64,7 +64,7 @@ def observation_parts(config: FarmConfig) -> dict[str, tuple[Part, ...]]:
             *_self(config, world.monitoring_uavs),
         ),
         COLLECTION: (
-            *_place(),
+            *_place(config),
             *_sensors(config),
             Part("D_AoI", 2, -DIAGONAL, DIAGONAL, "unit diagonal to the quadrant with most AoI; 0 if there is none"),
             *_nearest(config, world.height_collection),
@@ -105,8 +105,11 @@ def action_box(*shape: int) -> Box:
     return Box(-1.0, 1.0, shape, np.float32)
 
 
-def _place() -> tuple[Part, ...]:
-    return (Part("place", 2, -1.0, 1.0, "own (x, y), 2 x / X - 1"),)
+def _place(config: FarmConfig) -> tuple[Part, ...]:
+    place = Part("place", 2, -1.0, 1.0, "own (x, y), 2 x / X - 1")
+    if not config.observation.mirrored:
+        return (place,)
+    return place, Part("signs", 2, -1.0, 1.0, "signs of the own axes, 1 or -1, which all along them is multiplied by")
 
 
 def _towards(name: str, farthest: float) -> tuple[Part, ...]:

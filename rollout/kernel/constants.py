@@ -182,6 +182,7 @@ class ObservationConstants(NamedTuple):
         waiting: sensors with an AoI above 0 come first.
         window: plots along each side of the square that a monitoring UAV sees.
         lattice: a monitoring UAV sees where in its plot it is.
+        mirrored: axes point so that a UAV's place is not below 0, a monitoring UAV's in its plot.
         identity: an agent sees which of its type it is.
         clock: an agent sees the time.
         per_steps: 1 over the steps of an episode.
@@ -195,6 +196,7 @@ class ObservationConstants(NamedTuple):
     waiting: bool
     window: int
     lattice: bool
+    mirrored: bool
     identity: bool
     clock: bool
     per_steps: float
@@ -233,6 +235,7 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         what.choice == "waiting",
         what.window,
         what.lattice,
+        what.mirrored,
         what.identity,
         what.clock,
         1.0 / world.steps,

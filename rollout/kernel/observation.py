@@ -3,6 +3,10 @@
 Positions are 2 x / X - 1; offsets dx / X, dy / Y; distances are three-dimensional, over the field's diagonal; VDF and
 AoI are over their maxima. A UAV that does not exist is (0, 0, 1). Which of its type an agent is and the share of the
 episode that is over come last.
+
+Where the view is mirrored, each axis points so that what decides is not below 0: where a relay or a collector stands in
+the field, and where a monitor stands in its plot, from the middle of either. The two signs that say so follow the own
+place, and everything else along an axis is multiplied by the axis' sign.
 """
 
 import math
@@ -24,25 +28,43 @@ PER_SCALE: Final = 1.0 / SENSOR_SCALE
 
 
 @sealed
-def _put_place(fleet: FleetConstants, x: float, y: float, seen: Float32, at: int) -> int:
-    seen[at], seen[at + 1] = 2.0 * x * fleet.per_width - 1.0, 2.0 * y * fleet.per_depth - 1.0
-    return at + 2
+def _share(fleet: FleetConstants, position: Array, u: int) -> tuple[float, float]:
+    return 2.0 * position[u, 0] * fleet.per_width - 1.0, 2.0 * position[u, 1] * fleet.per_depth - 1.0
 
 
 @sealed
-def _put_offset(fleet: FleetConstants, dx: float, dy: float, dz: float, seen: Float32, at: int) -> int:
-    seen[at], seen[at + 1] = dx * fleet.per_width, dy * fleet.per_depth
+def _sign(what: ObservationConstants, offset: float) -> float:
+    return -1.0 if what.mirrored and offset < 0.0 else 1.0
+
+
+@sealed
+def _put_place(what: ObservationConstants, x: float, y: float, sx: float, sy: float, seen: Float32, at: int) -> int:
+    seen[at], seen[at + 1] = sx * x, sy * y
+    at += 2
+    if what.mirrored:
+        seen[at], seen[at + 1] = sx, sy
+        at += 2
+    return at
+
+
+@sealed
+def _put_offset(
+    fleet: FleetConstants, dx: float, dy: float, dz: float, sx: float, sy: float, seen: Float32, at: int
+) -> int:
+    seen[at], seen[at + 1] = sx * dx * fleet.per_width, sy * dy * fleet.per_depth
     seen[at + 2] = math.sqrt(dx * dx + dy * dy + dz * dz) * fleet.per_diagonal
     return at + 3
 
 
 @sealed
-def _put_uav(fleet: FleetConstants, position: Array, u: int, other: int, seen: Float32, at: int) -> int:
+def _put_uav(
+    fleet: FleetConstants, position: Array, u: int, other: int, sx: float, sy: float, seen: Float32, at: int
+) -> int:
     if other < 0:
         seen[at], seen[at + 1], seen[at + 2] = 0.0, 0.0, 1.0
         return at + 3
     dx, dy = position[other, 0] - position[u, 0], position[other, 1] - position[u, 1]
-    return _put_offset(fleet, dx, dy, height_of(fleet, other) - height_of(fleet, u), seen, at)
+    return _put_offset(fleet, dx, dy, height_of(fleet, other) - height_of(fleet, u), sx, sy, seen, at)
 
 
 @sealed
@@ -84,7 +106,7 @@ def see_relays(
 
     Args:
         fleet: the UAVs.
-        what: whether rank and time are seen.
+        what: whether the view is mirrored, and whether rank and time are seen.
         time: share of the episode that is over.
         position: [n, 2] m.
         peer: [n] nearest UAV of the plane.
@@ -98,19 +120,21 @@ def see_relays(
         where the next type begins.
     """
     for u in range(fleet.relays):
-        at = _put_place(fleet, position[u, 0], position[u, 1], seen, at)
-        at = _put_uav(fleet, position, u, peer[u], seen, at)
+        x, y = _share(fleet, position, u)
+        sx, sy = _sign(what, x), _sign(what, y)
+        at = _put_place(what, x, y, sx, sy, seen, at)
+        at = _put_uav(fleet, position, u, peer[u], sx, sy, seen, at)
         for point in (fleet.relays, u):
             dx, dy = centroid[point, 0] - position[u, 0], centroid[point, 1] - position[u, 1]
             dz = centroid[point, 2] - height_of(fleet, u)
             if point == u and farthest[u] < 0:
                 dx, dy, dz = 0.0, 0.0, 0.0
-            at = _put_offset(fleet, dx, dy, dz, seen, at)
+            at = _put_offset(fleet, dx, dy, dz, sx, sy, seen, at)
         if farthest[u] < 0:
-            at = _put_offset(fleet, 0.0, 0.0, 0.0, seen, at)
+            at = _put_offset(fleet, 0.0, 0.0, 0.0, sx, sy, seen, at)
         else:
-            at = _put_uav(fleet, position, u, farthest[u], seen, at)
-        at = _put_uav(fleet, position, u, neighbour[u], seen, at)
+            at = _put_uav(fleet, position, u, farthest[u], sx, sy, seen, at)
+        at = _put_uav(fleet, position, u, neighbour[u], sx, sy, seen, at)
         at = _put_self(what, time, u, fleet.relays, seen, at)
     return at
 
@@ -150,19 +174,23 @@ def see_plots(
     columns, rows = level.shape
     reach, count = what.window // 2, fleet.collectors - fleet.relays
     for u in range(fleet.relays, fleet.collectors):
-        at = _put_place(fleet, position[u, 0], position[u, 1], seen, at)
         column = min(int(position[u, 0] / camera.plot_width), columns - 1)
         row = min(int(position[u, 1] / camera.plot_depth), rows - 1)
-        for i in range(column - reach, column + reach + 1):
-            for j in range(row - reach, row + reach + 1):
+        across = 2.0 * (position[u, 0] / camera.plot_width - column) - 1.0
+        along = 2.0 * (position[u, 1] / camera.plot_depth - row) - 1.0
+        sx, sy = _sign(what, across), _sign(what, along)
+        x, y = _share(fleet, position, u)
+        at = _put_place(what, x, y, sx, sy, seen, at)
+        for step_x in range(-reach, reach + 1):
+            for step_y in range(-reach, reach + 1):
+                i, j = column + int(sx) * step_x, row + int(sy) * step_y
                 inside = 0 <= i < columns and 0 <= j < rows
                 seen[at] = level[i, j] / camera.level_max if inside else 0.0
                 at += 1
-        seen[at], seen[at + 1] = direction[u, 0], direction[u, 1]
-        at = _put_uav(fleet, position, u, neighbour[u], seen, at + 2)
+        seen[at], seen[at + 1] = sx * direction[u, 0], sy * direction[u, 1]
+        at = _put_uav(fleet, position, u, neighbour[u], sx, sy, seen, at + 2)
         if what.lattice:
-            seen[at] = 2.0 * (position[u, 0] / camera.plot_width - column) - 1.0
-            seen[at + 1] = 2.0 * (position[u, 1] / camera.plot_depth - row) - 1.0
+            seen[at], seen[at + 1] = sx * across, sy * along
             at += 2
         at = _put_self(what, time, u - fleet.relays, count, seen, at)
     return at
@@ -213,7 +241,9 @@ def see_sensors(
     count = fleet.uavs - fleet.collectors
     for u in range(fleet.collectors, fleet.uavs):
         x, y, listed = position[u, 0], position[u, 1], nearest[u - fleet.collectors]
-        at = _put_place(fleet, x, y, seen, at)
+        across, along = _share(fleet, position, u)
+        sx, sy = _sign(what, across), _sign(what, along)
+        at = _put_place(what, across, along, sx, sy, seen, at)
         sort, total = (HOLDING, holding) if what.waiting else (ALL, len(age))
         found = nearest_sensors(
             fleet, what, x, y, sort, sensor, cell_start, age, total, around, square, listed, nearest_square
@@ -223,7 +253,7 @@ def see_sensors(
             nearest_sensors(fleet, what, x, y, EMPTY, sensor, cell_start, age, total, around, square, rest, squares)
         for rank in range(wanted):
             j = listed[rank]
-            at = _put_sensor(what, age[j] * per_level, sensor[0, j] - x, sensor[1, j] - y, seen, at)
-        seen[at], seen[at + 1] = direction[u, 0], direction[u, 1]
-        at = _put_uav(fleet, position, u, neighbour[u], seen, at + 2)
+            at = _put_sensor(what, age[j] * per_level, sx * (sensor[0, j] - x), sy * (sensor[1, j] - y), seen, at)
+        seen[at], seen[at + 1] = sx * direction[u, 0], sy * direction[u, 1]
+        at = _put_uav(fleet, position, u, neighbour[u], sx, sy, seen, at + 2)
         at = _put_self(what, time, u - fleet.collectors, count, seen, at)

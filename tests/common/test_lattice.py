@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from common.config import ControlConfig, FarmConfig, WorldConfig
+from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
 from common.errors import ConfigError, SchemaError
 from common.lattice import GAIN, Lattice, fewest
-from common.team import GroupSpec, TeamSpec, farm_team
+from common.team import SIGNS, GroupSpec, TeamSpec, farm_team
 from rollout.farms import FarmBatch
 
 FIELD = 400.0
@@ -97,6 +97,30 @@ def test_only_those_with_a_lattice_are_steered():
     assert plain_team.digest != team.digest
 
 
+@pytest.mark.parametrize("control", ["velocity", "lattice"])
+def test_the_mirrored_command_along_axes_of_their_own(control):
+    """Whoever says "on" flies towards the side that the signs in the observation name, in a real farm."""
+    steering = ControlConfig(communication=control, monitoring=control, collection=control)
+    config = FarmConfig(observation=ObservationConfig(mirrored=True), control=steering)
+    farms = FarmBatch(config, 4)
+    for index in range(4):
+        farms.reset(index, index, 7)
+    before, signs = farms.position.copy(), []
+    for own in farms.team.split_observations(farms.observation):
+        signs.append(own[..., SIGNS].copy())
+    field = np.array([config.world.field_x, config.world.field_y])
+    (monitors,) = (slice(4, 8),)
+    middle = np.broadcast_to(field / 2.0, before.shape).copy()
+    middle[:, monitors] = (before[:, monitors] // 20.0) * 20.0 + 10.0
+    np.testing.assert_array_equal(np.concatenate(signs, axis=1), np.where(before < middle, -1.0, 1.0))
+    assert len(np.unique(np.concatenate(signs, axis=1))) == 2
+    ahead = np.full((4, farms.team.action_size), 0.8, np.float32)
+    farms.step(farms.team.steer(farms.observation, ahead))
+    inside = (before > 20.0) & (before < field - 20.0)
+    moved = (farms.position - before) * np.concatenate(signs, axis=1)
+    assert (moved[inside] > 4.9).all()
+
+
 @pytest.mark.parametrize(("reach", "cells"), [(0.025, 40), (0.0250001, 40), (0.3, 4), (1.0, 1), (5.0, 1)])
 def test_the_fewest_cells_within_reach(reach, cells):
     """So many fill the field, each no wider than a step."""
@@ -128,5 +152,12 @@ def test_descriptions_come_back_and_false_ones_are_refused():
             TeamSpec.from_dict({"groups": [[*good, bad]]})
     with pytest.raises(SchemaError):
         TeamSpec.from_dict({"groups": [[*good, [40, 40, 0.1, 0.1], 1]]})
+    mirrored = farm_team(FarmConfig(observation=ObservationConfig(mirrored=True)))
+    assert TeamSpec.from_dict(mirrored.to_dict()) == mirrored
+    for bad in ([None], [None, False], [None, 1], [None, True, True], [[40, 40, 0.1, 0.1], "yes"]):
+        with pytest.raises(SchemaError):
+            TeamSpec.from_dict({"groups": [[*good, *bad]]})
+    with pytest.raises(ConfigError, match="cannot be mirrored"):
+        GroupSpec("walker", 1, 3, 2, mirrored=True)
     with pytest.raises(ConfigError, match="cannot steer"):
         GroupSpec("walker", 1, 5, 3, SQUARE)

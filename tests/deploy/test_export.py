@@ -27,10 +27,12 @@ from rollout.farms import FarmBatch
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "export.md"
 
 
-@pytest.fixture(params=["farm", "other"])
+@pytest.fixture(params=["farm", "mirrored", "other"])
 def run(request, tmp_path):
     """A run directory with a policy of random parameters, its bank, and rows of observations."""
     config, draw = RunConfig(), np.random.default_rng(4)
+    if request.param == "mirrored":
+        config = replace(config, farm=FarmConfig(observation=ObservationConfig(mirrored=True)))
     team = farm_team(config.farm)
     if request.param == "other":
         config = replace(config, env=EnvConfig("some.module:env"))
@@ -109,7 +111,8 @@ def test_plain_tensors_are_the_policys_own(run, tmp_path_factory):
         for layer in "123":
             h = h @ tensors[f"{name}.w{layer}"] + tensors[f"{name}.b{layer}"]
             h = np.tanh(h) if layer == "3" else np.maximum(h, 0)
-        if not name.startswith("monitoring"):  # whose actions are steered; the next test has their arithmetic
+        group = next(group for group in bank.team.groups if name.startswith(group.name))
+        if not group.lattice and not group.mirrored:  # the next test has the arithmetic of those who are steered
             np.testing.assert_allclose(h, action, atol=2e-6)
 
 
@@ -132,7 +135,10 @@ def test_the_pages_code_runs_and_gives_the_policys_actions(run, monkeypatch, cap
     assert "collection-" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("observation", [ObservationConfig(), ObservationConfig(sensors=30, form="printed")])
+@pytest.mark.parametrize(
+    "observation",
+    [ObservationConfig(), ObservationConfig(sensors=30, form="printed"), ObservationConfig(mirrored=True)],
+)
 def test_every_number_has_a_name_of_its_own(observation):
     """Names are as many as numbers, and no two are equal."""
     config = RunConfig(farm=FarmConfig(observation=observation))

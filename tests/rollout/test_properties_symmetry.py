@@ -3,6 +3,8 @@
 Everything stands on a lattice of binary fractions, so that a mirrored distance is the same float64 and whatever is
 compared by distance falls alike. What is ranked by other rules (the first of equal quadrants, the positive side of
 what lies level, the lower number of sensors equally far) has no mirror image there, and is not compared.
+
+Mirrored views undo mirrors: those of a mirrored farm are the same but for the signs of the axes.
 """
 
 from dataclasses import dataclass, replace
@@ -12,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import FarmConfig
-from common.team import farm_team
+from common.team import SIGNS, farm_team
 from rollout.farms import REWARD_PARTS, FarmBatch, start_levels
 from rollout.layout import Layout
 from tests.rollout.strategies import Flight, dose, farm_configs, placed, renumbered, worlds
@@ -200,24 +202,42 @@ class Pair:
         compared = np.ones(row.shape, bool)
         views, masks = team.split_observations(row), team.split_observations(compared)
         seen = self.config.observation
-        width, side = 1 if seen.form == "printed" else 3, seen.window
-        last, behind = 2 + width * seen.sensors, 2 + side**2
-        sensors = range(3, last, 3) if width == 3 else ()
+        width, side, first = 1 if seen.form == "printed" else 3, seen.window, 4 if seen.mirrored else 2
+        last, behind = first + width * seen.sensors, first + side**2
+        sensors = range(first + 1, last, 3) if width == 3 else ()
         lattice = (behind + 5,) if seen.lattice else ()
-        vectors = ((0, 2, 5, 8, 11, 14), (0, behind, behind + 2, *lattice), (0, *sensors, last, last + 2))
+        uavs = range(first, first + 15, 3)
+        vectors = ((0, *uavs), (0, behind, behind + 2, *lattice), (0, *sensors, last, last + 2))
+        change = replace(self.symmetry, flip_x=False, flip_y=False) if seen.mirrored else self.symmetry
         for view, starts in zip(views, vectors, strict=True):
             for at in starts:
-                view[:, at : at + 2] = self.symmetry.vectors(view[:, at : at + 2])
-        views[1][:, 2:behind] = self.symmetry.plots(views[1][:, 2:behind].reshape(-1, side, side)).reshape(-1, side**2)
+                view[:, at : at + 2] = change.vectors(view[:, at : at + 2])
+            if seen.mirrored:
+                view[:, SIGNS] = self.symmetry.vectors(view[:, SIGNS])
+        views[1][:, first:behind] = change.plots(views[1][:, first:behind].reshape(-1, side, side)).reshape(-1, side**2)
         pointed = np.split(self.pointed, [slice.start for slice in team.agent_slices()[1:]])
         masks[1][~pointed[1], behind : behind + 2] = False
         masks[2][~pointed[2], last : last + 2] = False
         between = self.on_plot_borders()
-        masks[1][between, 2:behind] = False
+        masks[1][between, first:behind] = False
         if seen.lattice:
             masks[1][between, behind + 5 : behind + 7] = False
-        masks[2][self.sensors_equally_far(), 2:last] = False
+        masks[2][self.sensors_equally_far(), first:last] = False
+        if seen.mirrored:
+            for mask, unmoved in zip(
+                masks, np.split(self.without_image(), [len(masks[0]), -len(masks[2])]), strict=True
+            ):
+                mask[unmoved] = False
+            masks[1][between] = False
         return row, compared
+
+    def without_image(self) -> np.ndarray:
+        """Return which UAVs [n] stand in the middle of what decides their axes, which point on there as elsewhere."""
+        world = self.config.world
+        span = np.tile([world.field_x, world.field_y], (world.uavs, 1))
+        monitors = slice(world.communication_uavs, world.communication_uavs + world.monitoring_uavs)
+        span[monitors] /= world.plots_x, world.plots_y
+        return (self.farm.position[0] % span == span / 2.0).any(axis=1)
 
     def on_plot_borders(self) -> np.ndarray:
         """Return which monitoring UAVs [n_m] fly between two plots."""
