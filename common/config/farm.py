@@ -364,8 +364,7 @@ class ObservationConfig:
     lattice: bool = True
     """Whether a monitoring UAV sees where in its plot it is, as the offset to the middle over half a plot (ours)."""
     mirrored: bool = False
-    """Whether a UAV sees, and commands, along axes that point so that it stands in the far quarter of the field, or a
-    monitoring UAV in that of its plot: what looks alike but for a reflection is then the same (ours)."""
+    """Whether a UAV sees and steers along axes that make its place, a monitoring UAV's in its plot, positive (ours)."""
     identity: bool = True
     """Whether an agent sees which of its type it is, one of n_v, so that equal actors can share the work (ours)."""
     clock: bool = True

@@ -139,8 +139,21 @@ MUTATIONS = (
     one(
         "offsets along y have the wrong sign",
         "kernel/observation.py",
-        "dx * fleet.per_width, dy * fleet.per_depth",
-        "dx * fleet.per_width, -dy * fleet.per_depth",
+        "sy * dy * fleet.per_depth",
+        "-sy * dy * fleet.per_depth",
+    ),
+    one("a mirrored window is not turned", "kernel/observation.py", "row + int(sy) * step_y", "row + step_y"),
+    one(
+        "a monitor's axis points the wrong way",
+        "kernel/observation.py",
+        "_sign(what, across), _sign(what, along)\n        x, y",
+        "_sign(what, -across), _sign(what, along)\n        x, y",
+    ),
+    one(
+        "a mirrored offset of a sensor is not turned",
+        "kernel/observation.py",
+        "sx * (sensor[0, j] - x)",
+        "sensor[0, j] - x",
     ),
     one("sums of the last episode stay after a reset", "farms.py", "state.returns, state.sums)", "state.returns)"),
 )
