@@ -170,7 +170,7 @@ class TeamSpec:
             if group.lattice is not None:
                 action[...] = group.lattice.steer(own[..., PLACE], action)
             if group.mirrored:
-                action[...] = action * own[..., SIGNS]
+                action[...] = np.where(own[..., SIGNS] < 0.0, -action, action)
         return steered
 
     def to_dict(self) -> dict[str, Any]:

@@ -63,7 +63,7 @@ def description(config: RunConfig, bank: ActorBank, metadata: Mapping[str, str])
         "network": "a = tanh(relu(relu(o w1 + b1) w2 + b2) w3 + b3)",
         "steering": "where lattice is not null: p = (o[:2] + 1) / 2, cell = clip(floor(p count + edge), 0, count - 1), "
         "goal = (clip(cell + clip(rint(gain a), -1, 1), 0, count - 1) + 0.5) / count, "
-        "action = clip((goal - p) / reach, -1, 1); elsewhere action = a; where mirrored the action times o[2:4]",
+        "action = clip((goal - p) / reach, -1, 1); elsewhere action = a; where mirrored -action where o[2:4] < 0",
         "origin": {**metadata, "configuration": digest(config), "environment": config.env.name},
         "sha256": bank.digest(),
         "hidden": bank.hidden,

@@ -32,7 +32,11 @@ LATTICE: Final[tuple[Node, ...]] = (
     ("Clip", ["speed", "minus", "one"], "led"),
 )
 """The nodes between the network's `output` and what the lattice makes of it."""
-SEEN_SIGNS: Final[Node] = ("Slice", ["observation", "first_sign", "last_sign", "axis"], "signs")
+MIRROR: Final[tuple[Node, ...]] = (
+    ("Slice", ["observation", "first_sign", "last_sign", "axis"], "signs"),
+    ("Less", ["signs", "zero"], "against"),
+)
+"""The nodes that say whose axes point against the field's."""
 
 
 def steering(group: GroupSpec) -> tuple[list[Node], dict[str, NDArray[Any]]]:
@@ -46,8 +50,10 @@ def steering(group: GroupSpec) -> tuple[list[Node], dict[str, NDArray[Any]]]:
         nodes += LATTICE
         numbers |= _lattice_numbers(group.lattice)
     if group.mirrored:
-        nodes += [SEEN_SIGNS, ("Mul", [nodes[-1][2] if nodes else "output", "signs"], "action")]
+        along = nodes[-1][2] if nodes else "output"
+        nodes += [*MIRROR, ("Neg", [along], "turned"), ("Where", ["against", "turned", along], "action")]
         numbers |= {"first_sign": np.array([SIGNS.start]), "last_sign": np.array([SIGNS.stop]), "axis": np.array([1])}
+        numbers["zero"] = np.array(0.0, np.float32)
     if nodes:
         kind, taken, _ = nodes[-1]
         nodes[-1] = kind, taken, "action"

@@ -101,7 +101,7 @@ def row_box(config: FarmConfig) -> Box:
 
 
 def action_box(*shape: int) -> Box:
-    """Return the space of actions of a shape: velocities as shares of the largest ones."""
+    """Return the space of actions of a shape: velocities along the field's axes as shares of the largest ones."""
     return Box(-1.0, 1.0, shape, np.float32)
 
 
@@ -109,7 +109,9 @@ def _place(config: FarmConfig) -> tuple[Part, ...]:
     place = Part("place", 2, -1.0, 1.0, "own (x, y), 2 x / X - 1")
     if not config.observation.mirrored:
         return (place,)
-    return place, Part("signs", 2, -1.0, 1.0, "signs of the own axes, 1 or -1, which all along them is multiplied by")
+    return place, Part(
+        "signs", 2, -1.0, 1.0, "of the own axes, 1 or -1; all along them is multiplied by it, and VDF turned"
+    )
 
 
 def _towards(name: str, farthest: float) -> tuple[Part, ...]:

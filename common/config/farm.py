@@ -364,7 +364,7 @@ class ObservationConfig:
     lattice: bool = True
     """Whether a monitoring UAV sees where in its plot it is, as the offset to the middle over half a plot (ours)."""
     mirrored: bool = False
-    """Whether a UAV sees and steers along axes that make its place, a monitoring UAV's in its plot, positive (ours)."""
+    """Whether an actor sees and steers along axes that make its place, a monitor's in its plot, positive (ours)."""
     identity: bool = True
     """Whether an agent sees which of its type it is, one of n_v, so that equal actors can share the work (ours)."""
     clock: bool = True

@@ -18,7 +18,7 @@ import numpy as np
 from common.actors import ActorBank
 from common.errors import ConfigError, ProtocolError, SchemaError
 from common.messages import Envelope, ObservationMessage, SetpointMessage
-from common.team import Float32
+from common.team import SIGNS, Float32
 
 LARGEST: Final = 4.0
 """Largest size of a number in an observation. Scaled as the actors know them they lie within about [-1, 1]; what is far
@@ -90,6 +90,7 @@ class Pilot:
     ) -> None:
         self._bank, self._speed, self._limits, self._clock = bank.noise_free(), speed, limits, clock
         self._names = bank.team.agent_names
+        self._mirrored = [group.mirrored for group in bank.team.groups for _ in range(group.count)]
         places = _places(bank)
         strangers = sorted(set(agents.values()) - set(self._names))
         if strangers:
@@ -186,6 +187,8 @@ class Pilot:
             raise SchemaError(f"it has the shape {list(message.values.shape)}, not [{wanted}].")
         if not (np.abs(message.values) <= LARGEST).all():
             raise SchemaError(f"a number is not finite or larger than {LARGEST:g}; is it scaled?")
+        if self._mirrored[held.agent] and not (np.abs(message.values[SIGNS]) == 1.0).all():
+            raise SchemaError("the signs of its axes are not 1 or -1.")
         if (objection := self._stale(message.stamp, now)) is not None:
             raise ProtocolError(objection)
         return sender, message

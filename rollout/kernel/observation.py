@@ -6,7 +6,8 @@ episode that is over come last.
 
 Where the view is mirrored, each axis points so that what decides is not below 0: where a relay or a collector stands in
 the field, and where a monitor stands in its plot, from the middle of either. The two signs that say so follow the own
-place, and everything else along an axis is multiplied by the axis' sign.
+place, everything along an axis is multiplied by the axis' sign, and the window of VDF is turned. What the farm takes is
+along the field's axes all the same; `TeamSpec.steer` turns what actors command.
 """
 
 import math

@@ -99,26 +99,41 @@ def test_only_those_with_a_lattice_are_steered():
 
 @pytest.mark.parametrize("control", ["velocity", "lattice"])
 def test_the_mirrored_command_along_axes_of_their_own(control):
-    """Whoever says "on" flies towards the side that the signs in the observation name, in a real farm."""
+    """Back, stay and on follow the signs in a real farm, from place to place where there is a lattice."""
     steering = ControlConfig(communication=control, monitoring=control, collection=control)
     config = FarmConfig(observation=ObservationConfig(mirrored=True), control=steering)
-    farms = FarmBatch(config, 4)
+    farms, draw = FarmBatch(config, 4), np.random.default_rng(4)
+    field, monitors = np.array([config.world.field_x, config.world.field_y]), slice(4, 8)
     for index in range(4):
         farms.reset(index, index, 7)
-    before, signs = farms.position.copy(), []
-    for own in farms.team.split_observations(farms.observation):
-        signs.append(own[..., SIGNS].copy())
-    field = np.array([config.world.field_x, config.world.field_y])
-    (monitors,) = (slice(4, 8),)
-    middle = np.broadcast_to(field / 2.0, before.shape).copy()
-    middle[:, monitors] = (before[:, monitors] // 20.0) * 20.0 + 10.0
-    np.testing.assert_array_equal(np.concatenate(signs, axis=1), np.where(before < middle, -1.0, 1.0))
-    assert len(np.unique(np.concatenate(signs, axis=1))) == 2
-    ahead = np.full((4, farms.team.action_size), 0.8, np.float32)
-    farms.step(farms.team.steer(farms.observation, ahead))
-    inside = (before > 20.0) & (before < field - 20.0)
-    moved = (farms.position - before) * np.concatenate(signs, axis=1)
-    assert (moved[inside] > 4.9).all()
+    for _ in range(5):
+        before = farms.position.copy()
+        middle = np.broadcast_to(field / 2.0, before.shape).copy()
+        middle[:, monitors] = (before[:, monitors] // 20.0) * 20.0 + 10.0
+        signs = np.where(before < middle, -1.0, 1.0)
+        seen = farms.team.split_observations(farms.observation)
+        np.testing.assert_array_equal(np.concatenate([own[..., SIGNS] for own in seen], axis=1), signs)
+        wish = draw.choice([-0.8, 0.0, 0.8], signs.shape)
+        action = wish.reshape(4, -1).astype(np.float32)
+        farms.step(farms.team.steer(farms.observation, action))
+        if control == "velocity":
+            wanted = before + 10.0 * signs * wish
+        else:
+            cell = np.floor(before / 10.0 + 1e-3)
+            wanted = 10.0 * (np.clip(cell + signs * np.sign(wish), 0, field / 10.0 - 1.0) + 0.5)
+            wanted = before + np.clip(wanted - before, -10.0, 10.0)
+        np.testing.assert_allclose(farms.position, np.clip(wanted, 0.0, field), atol=2e-3)
+
+
+def test_no_sign_makes_a_command_larger():
+    """Whatever stands where the signs belong: it only says which way an axis points."""
+    team, draw = farm_team(FarmConfig(observation=ObservationConfig(mirrored=True))), np.random.default_rng(5)
+    seen = draw.uniform(-4, 4, (50, team.observation_size)).astype(np.float32)
+    action = draw.uniform(-1, 1, (50, team.action_size)).astype(np.float32)
+    assert np.abs(team.steer(seen, action)).max() <= 1.0
+    own, taken = team.split_observations(seen)[0], team.split_actions(team.steer(seen, action))[0]
+    given = team.split_actions(action)[0]
+    np.testing.assert_array_equal(taken, np.where(own[..., SIGNS] < 0.0, -given, given))
 
 
 @pytest.mark.parametrize(("reach", "cells"), [(0.025, 40), (0.0250001, 40), (0.3, 4), (1.0, 1), (5.0, 1)])

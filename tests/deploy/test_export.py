@@ -15,7 +15,7 @@ from common.actors import ActorBank
 from common.config import AlgorithmConfig, EnvConfig, FarmConfig, ObservationConfig, ReplayConfig, RunConfig
 from common.config.files import to_toml
 from common.policy_file import save_policy
-from common.team import GroupSpec, TeamSpec, farm_team
+from common.team import SIGNS, GroupSpec, TeamSpec, farm_team
 from common.transitions import TRANSITION, Chunk, Rows
 from deploy.cli import dispatch
 from deploy.exit_codes import run_command
@@ -41,7 +41,11 @@ def run(request, tmp_path):
     bank = ActorBank(team, 24, tuple(flat * np.float32(5.0) for flat in bank.flat))
     (tmp_path / "config.toml").write_text(to_toml(config))
     save_policy(tmp_path / "policy.safetensors", bank, {"seed": "3", "episodes": "12"})
-    return tmp_path, bank, draw.uniform(-1, 1, (50, team.observation_size)).astype(np.float32)
+    rows = draw.uniform(-1, 1, (50, team.observation_size)).astype(np.float32)
+    for group, own in zip(team.groups, team.split_observations(rows), strict=True):
+        if group.mirrored:
+            own[..., SIGNS] = draw.choice([-1.0, 1.0], own[..., SIGNS].shape)
+    return tmp_path, bank, rows
 
 
 def by_agent(bank, rows):
@@ -112,8 +116,8 @@ def test_plain_tensors_are_the_policys_own(run, tmp_path_factory):
             h = h @ tensors[f"{name}.w{layer}"] + tensors[f"{name}.b{layer}"]
             h = np.tanh(h) if layer == "3" else np.maximum(h, 0)
         group = next(group for group in bank.team.groups if name.startswith(group.name))
-        if not group.lattice and not group.mirrored:  # the next test has the arithmetic of those who are steered
-            np.testing.assert_allclose(h, action, atol=2e-6)
+        if not group.lattice:  # the next test has the arithmetic of those who steer by one
+            np.testing.assert_allclose(h * (observation[:, SIGNS] if group.mirrored else 1.0), action, atol=2e-6)
 
 
 def test_the_pages_code_runs_and_gives_the_policys_actions(run, monkeypatch, capsys):
@@ -148,9 +152,10 @@ def test_every_number_has_a_name_of_its_own(observation):
         assert len(action_names(config, group)) == group.action_size
 
 
-def test_names_stand_where_the_simulator_writes(tmp_path):
-    """Own place, AoI, VDF and distances are found under their names in a real observation."""
-    config = RunConfig()
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_names_stand_where_the_simulator_writes(mirrored):
+    """Own place, signs, AoI, VDF and distances are found under their names in a real observation."""
+    config = RunConfig(farm=FarmConfig(observation=ObservationConfig(mirrored=mirrored)))
     farms = FarmBatch(config.farm, 1)
     farms.reset(0, 0, 0)
     for _ in range(30):
@@ -158,6 +163,9 @@ def test_names_stand_where_the_simulator_writes(tmp_path):
     for group, seen in zip(farms.team.groups, farms.team.split_observations(farms.observation), strict=True):
         named = [dict(zip(observation_names(config, group), row, strict=True)) for row in seen[0]]
         for numbers in named:
+            signs = [value for name, value in numbers.items() if name.startswith("sign_")]
+            assert len(signs) == 2 * mirrored
+            assert set(signs) <= {-1.0, 1.0}
             assert all(0.0 <= value <= 1.0 for name, value in numbers.items() if name.endswith(("distance", "aoi")))
             assert all(0.0 <= value <= 1.0 for name, value in numbers.items() if name.startswith("vdf"))
             for kind in ("d_vdf", "d_aoi"):

@@ -7,11 +7,11 @@ import pytest
 
 from common import frame
 from common.actors import ActorBank
-from common.config import FarmConfig
+from common.config import FarmConfig, ObservationConfig
 from common.errors import ConfigError
 from common.figures import undeclared
 from common.messages import Envelope, ObservationMessage, SetpointMessage
-from common.team import farm_team
+from common.team import SIGNS, farm_team
 from deploy.flight.pilot import LARGEST, ROWS, Limits, Pilot
 
 TEAM = farm_team(FarmConfig())
@@ -48,6 +48,25 @@ def test_set_points_are_the_actors_actions_in_metres_per_second():
         assert (np.array(found.velocity) / SPEED).astype(np.float32).tobytes() == wanted.tobytes()
         assert (found.hover, found.answers, found.stamp, found.period) == (False, sequence, int(NOW * 1e6), sequence)
         assert found.latency > 0
+
+
+@pytest.mark.parametrize("bad", [0.0, 0.5, -4.0])
+def test_a_mirrored_agents_signs_are_1_or_minus_1(bad):
+    """Others are refused, and the set-point of what is accepted points along the field's axes."""
+    team = farm_team(FarmConfig(observation=ObservationConfig(mirrored=True)))
+    bank = ActorBank.initial(team, 16, 7, per_type=False)
+    pilot = Pilot(bank, {UAV: AGENT}, SPEED, Limits())
+    size = team.groups[2].observation_size
+    values, row = seen(1, size), np.zeros((1, team.observation_size), np.float32)
+    values[SIGNS] = 1.0, bad
+    assert not offer(pilot, 1, values=values)
+    assert "signs" in pilot.decide(NOW)[UAV].reason
+    values[SIGNS] = 1.0, -1.0
+    assert offer(pilot, 2, values=values)
+    place = team.observation_slices()[2].start + size
+    row[0, place : place + size] = values
+    across, along = bank.act(row)[0].reshape(-1, 2)[team.agent_names.index(AGENT)]
+    np.testing.assert_allclose(pilot.decide(NOW)[UAV].velocity, (across * SPEED[0], -along * SPEED[1]), rtol=1e-6)
 
 
 @pytest.mark.parametrize("hold", [1, 3])

@@ -150,6 +150,18 @@ MUTATIONS = (
         "_sign(what, -across), _sign(what, along)\n        x, y",
     ),
     one(
+        "a relay's axes stay the field's",
+        "kernel/observation.py",
+        "sx, sy = _sign(what, x), _sign(what, y)",
+        "sx, sy = 1.0, 1.0",
+    ),
+    one(
+        "a mirrored place in the plot is not turned",
+        "kernel/observation.py",
+        "sx * across, sy * along\n            at += 2",
+        "across, along\n            at += 2",
+    ),
+    one(
         "a mirrored offset of a sensor is not turned",
         "kernel/observation.py",
         "sx * (sensor[0, j] - x)",

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from common.actors import ActorBank
-from common.config import ControlConfig, FarmConfig
+from common.config import ControlConfig, FarmConfig, ObservationConfig
 from common.errors import PolicyError
 from common.policy_file import save_policy
 from common.team import farm_team
@@ -141,3 +141,16 @@ def test_a_policy_steers_by_the_lattice_of_the_farm_that_it_flies_over():
     printed = FarmConfig(control=ControlConfig(monitoring="velocity"))
     with pytest.raises(PolicyError, match="and a lattice"):
         begin(printed, policy)
+
+
+def test_a_mirrored_policy_is_another_kind_even_where_sizes_are_the_same():
+    """With one UAV of each type two signs are as many numbers as rank and clock."""
+    one = replace(FarmConfig().world, communication_uavs=1, monitoring_uavs=1, collection_uavs=1)
+    plain = FarmConfig(world=one)
+    mirrored = FarmConfig(world=one, observation=ObservationConfig(mirrored=True, identity=False, clock=False))
+    teams = farm_team(plain), farm_team(mirrored)
+    assert teams[0].observation_size == teams[1].observation_size
+    policy = ActorPolicy(ActorBank.initial(teams[1], 16, 3))
+    begin(mirrored, policy)
+    with pytest.raises(PolicyError, match="mirrored axes"):
+        begin(plain, policy)
