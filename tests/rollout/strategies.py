@@ -99,7 +99,7 @@ def worlds(
     seconds = draw(st.sampled_from([0.25, 0.5, 1.0, 2.0]))
     cycles = st.integers(1, 9).map(lambda number: number * max(1, int(seconds)))
     ground = draw(fields_with_plots(draw(st.booleans()) if lattice is None else lattice))
-    number = draw(st.one_of(st.integers(1, 12), st.integers(1, sensors)))
+    number = draw(st.one_of(st.integers(1, 12), st.integers(1, sensors), st.integers(sensors * 5 // 8, sensors)))
     world = WorldConfig(
         communication_uavs=draw(counts),
         monitoring_uavs=draw(counts),
