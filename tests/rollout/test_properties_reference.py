@@ -1,9 +1,10 @@
 """The compiled farm against the reference farm, on any farm and any flight, with every switch drawn."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
+from common.config import FarmConfig, WorldConfig
 from rollout.farms import FarmBatch
 from rollout.reference import DIRECTIONS, ReferenceFarm
 from rollout.reference_views import observe
@@ -16,6 +17,29 @@ ROUGH = ("reward", "observation")
 
 CLOSE = 1e-9
 """Sums of fractions closer than this may rank either way."""
+TOGETHER = Flight(
+    FarmConfig(
+        world=WorldConfig(
+            communication_uavs=2,
+            monitoring_uavs=4,
+            collection_uavs=4,
+            field_x=64.0,
+            field_y=64.0,
+            plots_x=4,
+            plots_y=4,
+            sensors=16,
+            sensor_spacing=2.0,
+            sensor_cycles=(2.0,),
+            vdf_cycle=2.0,
+            steps=12,
+        )
+    ),
+    farm=1,
+    episode=2,
+    starts="together",
+    manner="hovering",
+)
+"""UAVs that stay where others of their type are, so that several are equally near to what they serve."""
 SMALL = worlds(st.one_of(st.integers(1, 4), st.integers(1, 10)), 90)
 
 
@@ -54,6 +78,7 @@ def agree_on_directions(batch: FarmBatch, reference: ReferenceFarm) -> None:
 
 @dose(40)
 @given(flights(farm_configs(SMALL)))
+@example(TOGETHER)
 def test_any_flight_equals_the_reference(flight: Flight):
     """Every quantity after every step; where several assignments cost the same, the reference flies on with ours."""
     batch, layout = begin(flight), flight.layout()
