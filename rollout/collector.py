@@ -13,6 +13,7 @@ from common.seeds import derive, stream
 from common.team import Float32
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from rollout.environments import make_environments
+from rollout.shaping import Shaping
 
 BLOCK: Final = 128
 """Steps for which random numbers are drawn at once."""
@@ -54,6 +55,7 @@ class Collector:
         count = config.rollout.environments
         self.environments = make_environments(config, count)
         self.team = self.environments.team
+        self._shaping = Shaping(self.environments, config.algorithm.potential_discount)
         self.environment_steps = 0
         self.lens: Onlooker | None = None
         self._episode: NDArray[np.int64] = np.full(count, -1, np.int64)
@@ -71,7 +73,8 @@ class Collector:
             uniform: draw actions uniformly instead (warm-up).
 
         Returns:
-            Rows of all environments, each environment's segments one after the other, and the episodes that ended.
+            Rows of all environments, each environment's segments one after the other, and the episodes that ended. What
+            rows pay may be shaped (`rollout.shaping`), what the episodes tell is not.
         """
         environments, steps = self.environments, self._config.rollout.chunk_steps
         rows = _Rectangle(len(environments.time), steps, self.team.observation_size, self.team.action_size)
@@ -80,10 +83,11 @@ class Collector:
         for step in range(steps):
             rows.observation[:, step] = environments.observation
             action = self._act(bank, deviation, uniform)
+            self._shaping.look()
             environments.step(self.team.steer(environments.observation, action))
             if self.lens is not None:
                 self.lens.note()
-            rows.action[:, step], reward[:, step] = action, environments.reward
+            rows.action[:, step], reward[:, step] = action, self._shaping.reward()
             over = np.flatnonzero(environments.ended)
             rows.observation[:, step + 1] = environments.observation
             for index in over:

@@ -39,6 +39,10 @@ class Environments(Protocol):
         """[E, agents] of the last step."""
 
     @property
+    def potential(self) -> Float32:
+        """[E, agents] whose change in a step is part of the reward, as of now; 0 where the reward holds no such part."""
+
+    @property
     def time(self) -> NDArray[np.int64]:
         """[E] steps done in this episode; -1 before the first reset."""
 

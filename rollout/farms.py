@@ -97,6 +97,13 @@ class FarmBatch:
         self.link_quality: NDArray[np.float64] = self._state.quality
 
     @property
+    def potential(self) -> Float32:
+        """[E, n] what a relay's reward pays the change of: -alpha_1 D_c t_step, or +alpha_1 as printed (W1)."""
+        weight, levels = self._constants.reward, np.zeros_like(self.reward)
+        levels[:, : self.service.shape[1]] = weight.positioning * self.service * self.config.world.step_seconds
+        return levels
+
+    @property
     def ended(self) -> NDArray[np.bool_]:
         """[E] whether the episode is over; a farm's is truncated, it never terminates."""
         return self.truncated

@@ -32,6 +32,7 @@ class PettingZooBatch:
         names: the agents in row order.
         observation: [E, O] float32, flattened as `gymnasium.spaces.flatten` does.
         reward: [E, agents] float32 of the last step.
+        potential: [E, agents] float32 of 0: nothing is known of what the rewards are made of.
         time: [E] steps done in this episode; -1 before the first reset.
         terminated: [E] whether every agent that was left terminated in the last step.
         ended: [E] whether the episode is over.
@@ -58,6 +59,7 @@ class PettingZooBatch:
         self._actions = [slice(a[1], b[1]) for a, b in itertools.pairwise(ends)]
         self.observation: Float32 = np.zeros((environments, self.team.observation_size), np.float32)
         self.reward: Float32 = np.zeros((environments, self.team.agents), np.float32)
+        self.potential: Float32 = np.zeros_like(self.reward)
         self.time: NDArray[np.int64] = np.full(environments, -1, np.int64)
         self.terminated: NDArray[np.bool_] = np.zeros(environments, np.bool_)
         self.ended: NDArray[np.bool_] = np.zeros(environments, np.bool_)

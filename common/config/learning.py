@@ -39,6 +39,9 @@ class AlgorithmConfig:
     """Soft update parameter xi of the target networks, eq. (xt)."""
     reward_scale: float = 0.1
     """Factor on every reward before it enters a target (ours)."""
+    potential_discount: float = 0.0
+    """Discount gamma_s at which the worker shapes the rewards of relays by D_c, see `rollout/shaping.py`; 0 for as they
+    are (ours)."""
     reward_normalisation: bool = False
     """Divide each type's rewards by their running standard deviation, before `reward_scale` (ours)."""
     observation_normalisation: bool = False
@@ -91,6 +94,7 @@ class AlgorithmConfig:
         within(1, 65_536, batch=self.batch)
         within(1, 10, n_step=self.n_step)
         within(0.0, 1.0, discount=self.discount, target_rate=self.target_rate, mixture_epsilon=self.mixture_epsilon)
+        within(0.0, 1.0, potential_discount=self.potential_discount)
         within(0.0, 1.0, ensemble_copy_rate=self.ensemble_copy_rate)
         within(1, 64, ensemble_members=self.ensemble_members)
         positive(actor_rate=self.actor_rate, critic_rate=self.critic_rate, reward_scale=self.reward_scale)
