@@ -15,8 +15,9 @@ from typing import Any, Final
 
 from common.actors import ActorBank
 from common.chunks import fitting
-from common.config import LearnerConfig, ReplayConfig, RolloutConfig, RunConfig
+from common.config import LearnerConfig, RolloutConfig, RunConfig
 from common.config.checks import positive, within
+from common.config.presets import PRESETS
 from common.errors import ConfigError
 from common.messages import ParametersMessage
 from common.team import TeamSpec, farm_team
@@ -47,7 +48,7 @@ class Plan:
     """Environment steps a second that one worker flies. Default: as measured."""
     round_ms: float | None = None
     """Milliseconds of one update round of all agents. Default: as measured on one core."""
-    updates_per_step: float = ReplayConfig().updates_per_step
+    updates_per_step: float = PRESETS["default"].replay.updates_per_step
     """Update rounds per environment step, `replay.updates_per_step`."""
     environments: int = RolloutConfig().environments
     """Environments of a worker, `rollout.environments`."""
@@ -174,6 +175,12 @@ def table(plan: Plan, measured: Measured) -> list[str]:
     return rows
 
 
+def _wider() -> float:
+    """Return by which share the whole team's observation is wider in the default preset than where it was measured."""
+    flown, measured = (farm_team(PRESETS[name].farm).observation_size for name in ("default", "study"))
+    return flown / measured - 1.0
+
+
 def block(*data: dict[str, Any]) -> str:
     """Return the generated part of docs/capacity.md."""
     measured, plan = Measured.of(*data), Plan()
@@ -187,7 +194,8 @@ def block(*data: dict[str, Any]) -> str:
             "",
             *table(plan, measured),
             "",
-            f"A step's rows are {measured.step_bytes():,.0f} bytes,",
+            f"A step's rows are {measured.step_bytes():,.0f} bytes (with the study preset's views; mirrored ones hold",
+            f"{_wider():.0%} more numbers),",
             f"a chunk of {plan.steps} steps {size / 1000:,.0f} KB;",
             f"one publication of all actors is {sent / 1000:,.0f} KB, to each worker at most every",
             f"{plan.publish_seconds} s.",

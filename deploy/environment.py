@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
+from common.config.presets import PRESETS
 from common.team import farm_team
 from rollout.farms import FarmBatch
 from rollout.policies import policy_of
@@ -29,7 +30,7 @@ STEP: Final = 205
 
 def picture() -> NDArray[np.uint8]:
     """Return the policy POLICY on farm FARM after STEP steps, [H, W, 3]."""
-    batch = FarmBatch(FarmConfig(), 1)
+    batch = FarmBatch(PRESETS["default"].farm, 1)
     policy, renderer = policy_of(POLICY, batch.config), Renderer(batch, 0)
     batch.reset(0, FARM, EPISODE)
     policy.reset(batch, 0)

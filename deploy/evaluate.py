@@ -10,6 +10,7 @@ from rich.console import Console
 
 from common.config import RunConfig
 from common.config.files import from_toml
+from common.config.presets import PRESETS
 from common.errors import PolicyError, RunDirError, UsageError
 from common.policy_file import load_policy
 from deploy.exit_codes import DONE
@@ -121,12 +122,12 @@ def parse_farms(text: str) -> range:
 
 def configuration_of(arguments: EvaluateArguments) -> RunConfig:
     """Return the run's or the default configuration with the file's and the single values in it."""
-    config = RunConfig()
+    config = PRESETS["default"]
     if arguments.run_dir is not None:
         path = arguments.run_dir / CONFIG
         if not path.is_file():
             raise RunDirError(f"{arguments.run_dir} is no run directory: it holds no {CONFIG}.")
-        config = from_toml(path, config)
+        config = from_toml(path, RunConfig())
     if arguments.config is not None:
         config = from_toml(arguments.config, config)
     require_env(config, arguments.env)

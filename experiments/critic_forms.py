@@ -2,7 +2,7 @@
 
     python -m experiments.critic_forms --episodes 160
 
-Every form trains the same run (default preset, same seed, same farms, same noise) inside one process. Written to
+Every form trains the same run (study preset, same seed, same farms, same noise) inside one process. Written to
 docs/results/critic_forms: forms.json with every curve, and forms.png.
 """
 
@@ -74,7 +74,7 @@ class DivergedError(Exception):
 def train_form(name: str, seed: int, episodes: int) -> dict[str, Any]:
     """Train one form and return its curves."""
     torch.set_num_threads(1)
-    base = PRESETS["default"]
+    base = PRESETS["study"]
     config: RunConfig = replace(base, seed=seed, episodes=episodes, algorithm=replace(base.algorithm, **FORMS[name]))
     curve: list[dict[str, float]] = []
 

@@ -17,7 +17,7 @@ import tyro
 from matplotlib.figure import Figure
 from scipy.stats import bootstrap
 
-from common.config import FarmConfig
+from common.config.presets import PRESETS
 from common.seeds import stream
 from deploy.evaluate import parse_farms
 from deploy.intervals import COLUMNS, interval_table, ranked
@@ -100,7 +100,7 @@ def draw(data: dict[str, Any], path: Path) -> None:
 def fly(arguments: Arguments) -> dict[str, Any]:
     """Return every policy's results."""
     made = provenance("experiments.heuristics")
-    farms, config, results = parse_farms(arguments.farms), FarmConfig(), []
+    farms, config, results = parse_farms(arguments.farms), PRESETS["default"].farm, []
     for name in contenders():
         start = time.process_time()
         evaluation = evaluate(config, policy_of(name, config), farms, 1, name=name)

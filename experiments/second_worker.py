@@ -64,7 +64,7 @@ class Arguments:
 
     def config(self) -> RunConfig:
         """Return what the learner is started with."""
-        base = PRESETS["default"]
+        base = PRESETS["study"]
         warmup = base.replay.warmup_steps if self.updates_per_step else 0
         stored = replace(base.replay, updates_per_step=self.updates_per_step, warmup_steps=warmup)
         return replace(base, episodes=10_000_000, replay=stored)

@@ -40,7 +40,7 @@ class Environments(Protocol):
 
     @property
     def potential(self) -> Float32:
-        """[E, agents] whose change in a step is part of the reward, as of now; 0 where the reward holds no such part."""
+        """[E, agents] whose change in a step is part of the reward, as of now; else 0."""
 
     @property
     def time(self) -> NDArray[np.int64]:

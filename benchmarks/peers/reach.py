@@ -2,12 +2,12 @@
 
     python -m benchmarks.peers.reach [--write docs/results/reach] [--seeds 3] [--json]
 
-Ours is `eia-sec train` as a user starts it: the default preset, with learner, coordinator and worker as processes of
-their own. The peers train on the same PettingZoo farm with as many farms side by side, the same widths, batch, rates,
-discount, reward scale, warm-up (BenchMARL's collector only), update rounds per environment step, and the noise that
-ours begins with; they may use all cores. The clock starts with the command and stands while somebody looks at a peer's
-policy; ours is looked at afterwards, from the parameters that it publishes. Everybody is ended after a while, a peer
-also when it earns what the lawnmower does.
+Ours is `eia-sec train --preset study` as a user starts it, with learner, coordinator and worker as processes of their
+own: that preset sees and trains as the peers can be told to. The peers train on the same PettingZoo farm with as many
+farms side by side, the same widths, batch, rates, discount, reward scale, warm-up (BenchMARL's collector only), update
+rounds per environment step, and the noise that ours begins with; they may use all cores. The clock starts with the
+command and stands while somebody looks at a peer's policy; ours is looked at afterwards, from the parameters that it
+publishes. Everybody is ended after a while, a peer also when it earns what the lawnmower does.
 """
 
 import argparse
@@ -46,6 +46,7 @@ from deploy.threads import thread_environment
 from rollout.policies import ActorPolicy, policy_of
 
 BAR: Final = "lawnmower"
+PRESET: Final = "study"
 FARMS: Final = tuple(range(1000, 1020))
 """Farms that no training sees."""
 OURS: Final = "EIA-SEC"
@@ -69,7 +70,7 @@ def run_ours(seed: int, limit: float) -> Line:
     """
     endpoint = free_endpoint()
     with tempfile.TemporaryDirectory() as scratch:
-        words = ("train", "--seed", str(seed), "--endpoint", str(endpoint), "--no-report")
+        words = ("train", "--preset", PRESET, "--seed", str(seed), "--endpoint", str(endpoint), "--no-report")
         command = [sys.executable, "-m", "deploy.cli", *words, "--run-dir", str(Path(scratch) / "run")]
         began = time.time()
         with (Path(scratch) / "log").open("wb") as log:
@@ -82,7 +83,7 @@ def run_ours(seed: int, limit: float) -> Line:
                 _end(process)
     points: list[Point] = []
     for seconds, message in published:
-        bank = ActorBank(farm_team(PRESETS["default"].farm), message.hidden, message.flat, message.head)
+        bank = ActorBank(farm_team(PRESETS[PRESET].farm), message.hidden, message.flat, message.head)
         reward = reward_of(ActorPolicy(bank), FARMS)
         points.append({"seconds": round(seconds, 2), "steps": message.environment_steps, "reward": reward})
     return {"points": points}
@@ -111,7 +112,7 @@ def _published(endpoint: Endpoint, began: float, limit: float) -> list[tuple[flo
 
 def run_peer(program: Program, seed: int, bar: float, asked: argparse.Namespace) -> Line:
     """Train with a peer in its own environment; raise EiaSecError if it fails."""
-    config = PRESETS["default"]
+    config = PRESETS[PRESET]
     environment = os.environ | thread_environment(1) | {"PYTHONPATH": str(ROOT)}
     words = {
         **{"seed": seed, "limit": asked.limit, "every": asked.every, "reward": bar, "threads": os.cpu_count()},
@@ -192,8 +193,9 @@ def page(data: Line) -> str:
     made = (
         f"`{data['command']}`, commit {data['commit']}: seconds from the command until a policy, flown without\n"
         f"noise on farms {FARMS[0]}..{FARMS[-1]}, earns a part of the {BAR}'s {data['bar']:.0f} per agent.\n"
-        f"{data['cores']} cores. Ours is `eia-sec train`; the peers train MADDPG on the same PettingZoo farm with the\n"
-        "default preset's settings, and their actions steer by the lattice as those of our actors do. Ours is ended\n"
+        f"{data['cores']} cores. Ours is `eia-sec train` with the settings of the preset `{PRESET}`; the peers\n"
+        "train MADDPG on the same PettingZoo farm with the same settings, and their actions steer by the lattice as\n"
+        "those of our actors do. Ours is ended\n"
         f"after {data['seconds']:.0f} s, a peer after {data['limit']:.0f} s of training; it is looked at every\n"
         f"{data['every']:g} s.\n"
     )
@@ -253,7 +255,7 @@ def measure() -> int:
     peers = [program for program in PEERS if not asked.only or program.name in asked.only]
     for program in peers:
         provide(program, asked.venvs, asked.pip_args)
-    bar = reward_of(policy_of(BAR, PRESETS["default"].farm), FARMS)
+    bar = reward_of(policy_of(BAR, PRESETS[PRESET].farm), FARMS)
     runs: list[Line] = []
     data = {
         **provenance("benchmarks.peers.reach"),

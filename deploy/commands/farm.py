@@ -10,10 +10,11 @@ import tyro
 from rich.console import Console
 from scipy.spatial import cKDTree
 
-from common.config import FarmConfig, RunConfig
+from common.config import FarmConfig
 from common.config.checks import within
 from common.config.farm import Density
 from common.config.files import from_toml
+from common.config.presets import PRESETS
 from deploy.exit_codes import DONE
 from deploy.farm_figures import draw_farm
 from deploy.options import parse, with_farm_file
@@ -94,7 +95,7 @@ def command(arguments: Sequence[str]) -> int:
 def _farm(source: Source, farm_file: Path | None) -> FarmConfig:
     """Return the farm that the options name."""
     within(0, 2**63 - 1, seed=source.seed)
-    config = from_toml(source.config, RunConfig()) if source.config is not None else RunConfig()
+    config = PRESETS["default"] if source.config is None else from_toml(source.config, PRESETS["default"])
     if farm_file is not None:
         config = with_farm_file(config, farm_file)
     for assignment in source.set:

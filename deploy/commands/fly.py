@@ -8,6 +8,7 @@ from common.bus import Bus
 from common.config import FarmConfig, RunConfig
 from common.config.checks import positive, within
 from common.config.files import from_toml
+from common.config.presets import PRESETS
 from common.endpoint import DEFAULT, Endpoint
 from common.errors import RunDirError, UsageError
 from common.keys import check_name
@@ -108,11 +109,11 @@ def farm_of(run_dir: Path | None, config: Path | None) -> FarmConfig:
     Raises:
         UsageError: when there is none, or it is about another environment.
     """
-    found = RunConfig()
+    found = PRESETS["default"]
     if run_dir is not None:
         if not (run_dir / CONFIG).is_file():
             raise RunDirError(f"{run_dir} is no run directory: it holds no {CONFIG}.")
-        found = from_toml(run_dir / CONFIG, found)
+        found = from_toml(run_dir / CONFIG, RunConfig())
     if config is not None:
         found = from_toml(config, found)
     if not found.env.is_farm:

@@ -26,7 +26,7 @@ class Scale:
 
     Attributes:
         name: smoke or full.
-        settings: TOML over the default preset, the same for every method.
+        settings: TOML over the study preset, the same for every method.
         episodes: budget of a run, episodes, those of elite imitation included.
         seeds: seeds of `training`.
         side_seeds: seeds of `ablation` and `ensemble`.
@@ -72,7 +72,7 @@ class Scale:
 
     def base(self) -> RunConfig:
         """Return the configuration that every method begins from; one thread for each run."""
-        config = from_toml(self.settings, PRESETS["default"])
+        config = from_toml(self.settings, PRESETS["study"])
         return replace(config, learner=replace(config.learner, threads=1), rollout=replace(config.rollout, threads=1))
 
     @property

@@ -16,7 +16,7 @@ from rollout.farms import FarmBatch
 
 def test_peers_fly_what_our_actors_fly():
     """The same actions lead to the same course, steered and with smaller rewards, as in one of our workers."""
-    assert PRESETS["default"].farm == FarmConfig()
+    assert PRESETS[reach.PRESET].farm == FarmConfig()
     farm, ours = SteeredFarm(0.1), FarmBatch(FarmConfig(), 1)
     seen, _ = farm.reset(options={"farm": 3, "episode": 5})
     ours.reset(0, 3, 5)
@@ -134,8 +134,8 @@ def test_a_seed_that_fails_leaves_those_before_it(monkeypatch, tmp_path):
 
 
 def test_peers_are_told_our_settings():
-    """What a peer trains with is the default preset's, under the names that the scripts understand."""
-    told = reach.settings(PRESETS["default"])
+    """What a peer trains with is our preset's, under the names that the scripts understand."""
+    told = reach.settings(PRESETS[reach.PRESET])
     words = [text for name, value in told.items() for text in (f"--{name.replace('_', '-')}", str(value))]
     asked = {"seed": 0, "began": 0, "limit": 1, "every": 1, "reward": 1, "farms": 1000, "threads": 2}
     others = [text for name, value in asked.items() for text in (f"--{name}", str(value))]

@@ -1,9 +1,9 @@
-"""The presets: the paper's tables as printed, the defaults, a smoke run."""
+"""The presets: the paper's tables as printed, the study's, what trains best, a smoke run."""
 
 import pytest
 
 from common.config import RunConfig
-from common.config.files import flatten
+from common.config.files import differences, flatten
 from common.config.presets import PRESETS, preset
 from common.errors import ConfigError
 
@@ -116,9 +116,20 @@ def test_paper_preset_keeps_what_it_cannot_work_without(key):
     assert flatten(PRESETS["paper"])[key] == CORRECTED[key]
 
 
-def test_default_preset_is_the_dataclasses():
-    """The default preset is what the dataclasses say."""
-    assert PRESETS["default"] == RunConfig()
+def test_study_preset_is_the_dataclasses():
+    """The study preset, whose runs are kept under the digests of their settings, is what the dataclasses say."""
+    assert PRESETS["study"] == RunConfig()
+
+
+def test_default_preset_stands_on_the_study_preset():
+    """The default preset differs from the study preset in what docs/method.md names, and in nothing else."""
+    told = differences(PRESETS["study"], PRESETS["default"])
+    assert {line.partition(":")[0] for line in told} == {
+        "episodes",
+        "farm.observation.mirrored",
+        "algorithm.potential_discount",
+        "replay.updates_per_step",
+    }
 
 
 def test_quick_preset_exercises_everything():
@@ -126,7 +137,7 @@ def test_quick_preset_exercises_everything():
     quick = PRESETS["quick"]
     steps = quick.episodes * quick.farm.world.steps
     assert quick.episodes <= 80
-    assert quick.farm == RunConfig().farm
+    assert quick.farm == PRESETS["default"].farm
     assert 0 < quick.replay.warmup_steps < steps / 4
     assert quick.replay.updates_per_step * steps <= 8_000
     assert quick.elite.enabled
@@ -136,5 +147,7 @@ def test_quick_preset_exercises_everything():
 def test_preset_is_found_by_name():
     """A preset is found by its name, and a name that is none is refused with those that are."""
     assert preset("quick") is PRESETS["quick"]
-    with pytest.raises(ConfigError, match=r"^there is no preset 'fast'; the presets are default, quick, paper\.$"):
+    with pytest.raises(
+        ConfigError, match=r"^there is no preset 'fast'; the presets are default, quick, study, paper\.$"
+    ):
         preset("fast")

@@ -3,8 +3,8 @@ import json
 import pytest
 
 from common.actors import ActorBank
-from common.config import RunConfig
 from common.config.files import from_toml, to_toml
+from common.config.presets import PRESETS
 from common.errors import ConfigError, PolicyError, RunDirError, UsageError
 from common.policy_file import save_policy
 from common.team import farm_team
@@ -21,7 +21,7 @@ SMALL = (
 
 @pytest.fixture
 def run_dir(tmp_path):
-    config = RunConfig()
+    config = PRESETS["default"]
     for line in SMALL:
         config = from_toml(line, config)
     folder = tmp_path / "my-run"

@@ -12,6 +12,9 @@ from typing import Any
 
 from common import keys
 from common.bus import Bus
+from common.config import RunConfig
+from common.config.files import from_toml
+from common.config.presets import PRESETS
 from common.endpoint import Endpoint, free_endpoint
 from common.history import Entry, read
 from common.messages import CommandMessage, ConfigurationMessage, ReceiptMessage
@@ -55,6 +58,11 @@ checkpoint_seconds = 0.5
 [evaluation]
 farms = 2
 """
+
+
+def configured(toml: str = TINY) -> RunConfig:
+    """Return what the commands make of a file with this text."""
+    return from_toml(toml, PRESETS["default"])
 
 
 def until(condition: Callable[[], Any], what: str, seconds: float = SECONDS) -> Any:

@@ -13,22 +13,20 @@ import pytest
 from common import keys
 from common.actors import ActorBank
 from common.bus import Bus
-from common.config import RunConfig
-from common.config.files import from_toml
 from common.endpoint import Endpoint, free_endpoint
 from common.figures import FIGURES, undeclared
 from common.messages import MetricMessage, SetpointMessage
 from common.policy_file import save_policy
 from common.process import StopSignal
-from common.team import farm_team
+from common.team import SIGNS, farm_team
 from deploy.flight.simulator import SimulatedFleet
 from deploy.flight.vehicle import VehicleLink
 from rollout.evaluation import episode_seed, evaluate
 from rollout.farms import FarmBatch
 from rollout.policies import ActorPolicy
-from tests.system.fleet import RUN, TINY, until
+from tests.system.fleet import RUN, TINY, configured, until
 
-FARM = from_toml(TINY, RunConfig()).farm
+FARM = configured().farm
 TEAM = farm_team(FARM)
 FASTEST = (FARM.world.speed_x_max, FARM.world.speed_y_max)
 RATE = 50.0
@@ -92,6 +90,7 @@ def test_hover_is_commanded_in_the_period_after_observations_stop(node: Node) ->
     """By the node's own count of periods: the set-point after the last decision commands hover, and so do all later."""
     agent = TEAM.agent_names[-1]
     values = np.random.default_rng(0).uniform(-1, 1, TEAM.groups[-1].observation_size).astype(np.float32)
+    values[SIGNS] = 1.0
     with node.bus() as bus:
         link = VehicleLink(bus, RUN, agent, agent, FASTEST)
         decided: list[SetpointMessage] = []

@@ -3,11 +3,10 @@
 import hashlib
 from pathlib import Path
 
-from common.config import RunConfig
 from common.config.files import from_toml
 from common.policy_file import load_policy
 from deploy.inprocess import train_inprocess
-from tests.system.fleet import TINY, Processes
+from tests.system.fleet import TINY, Processes, configured
 
 
 def test_lockstep_is_bit_equal_to_one_process(processes: Processes) -> None:
@@ -16,7 +15,7 @@ def test_lockstep_is_bit_equal_to_one_process(processes: Processes) -> None:
     processes.worker()
     processes.learner("--lockstep")
     assert processes.wait("learner") == 0
-    alone = train_inprocess(from_toml(TINY, RunConfig()))
+    alone = train_inprocess(configured())
     assert alone.events == 3
     (end,) = processes.records("end")
     assert end["state"] == "finished"
@@ -29,7 +28,7 @@ def test_lockstep_is_bit_equal_to_one_process(processes: Processes) -> None:
 
 def test_one_process_repeats_itself() -> None:
     """Equal seeds give equal weights, another seed gives others."""
-    config = from_toml(TINY.replace("episodes = 8", "episodes = 2"), RunConfig())
+    config = configured(TINY.replace("episodes = 8", "episodes = 2"))
     first, second = (train_inprocess(config).actors().digest() for _ in range(2))
     other = train_inprocess(from_toml("seed = 1", config)).actors().digest()
     assert first == second != other
@@ -38,6 +37,6 @@ def test_one_process_repeats_itself() -> None:
 
 def test_the_tiny_run_is_the_configured_one(tmp_path: Path) -> None:
     """The tests' configuration is read without change by those who get it over the wire."""
-    config = from_toml(TINY, RunConfig())
+    config = configured()
     assert config.episodes == 8
     assert config.farm.world.uavs == 5

@@ -10,15 +10,13 @@ import pytest
 
 from common import keys
 from common.bus import Bus
-from common.config import RunConfig
-from common.config.files import from_toml
 from common.credentials import Identity
 from common.endpoint import Endpoint, free_endpoint
 from deploy import authority
 from deploy.audit import audit
 from deploy.cli import dispatch
 from deploy.inprocess import train_inprocess
-from tests.system.fleet import RUN, TINY, Processes, until
+from tests.system.fleet import RUN, TINY, Processes, configured, until
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")
 ZENOHD = """
@@ -86,7 +84,7 @@ def test_a_router_changes_nothing(routed: Routed, issued: Path) -> None:
     routed.learner("--lockstep")
     assert routed.wait("learner") == 0, routed.log("router") + routed.log("learner")
     (end,) = routed.records("end")
-    assert end["digest"] == train_inprocess(from_toml(TINY, RunConfig())).actors().digest()
+    assert end["digest"] == train_inprocess(configured()).actors().digest()
     assert routed.wait("rollout-0") == routed.wait("elite") == 0
     assert audit(routed.directory / "run").clean
     routed.running["router"].terminate()
