@@ -64,7 +64,8 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
     start = size.get("first_farm", FIRST_FARM)
     early = f", of which the preset was chosen on {FIRST_FARM}..{FIRST_REPORTED - 1}" if early_farms(study) else ""
     rows = [
-        f"Beside the paper's baselines: equal tuning, {size['episodes']} episodes and {seeds} seeds each, flown on",
+        "Beside the paper's baselines, every method with the plain views of the preset `study`: equal tuning,",
+        f"{size['episodes']} episodes and {seeds} seeds each, flown on",
         f"farms {start}..{start + size['farms'] - 1}{early}; interquartile means, in brackets 95 % of",
         "a bootstrap over the seeds ([what that is worth](docs/reproduce.md#statistics)), and",
         "normalised: 0 is the random policy, 1 the best heuristic. Made by",

@@ -6,7 +6,7 @@ top of it and is what was found since (docs/method.md).
 
 The paper preset names every printed value of the method, so that tuning the defaults leaves it alone. Where the
 printed thing cannot work at all the correction stays: the signs of W1 and W8, the rule of A1, evaluation on farms
-that training never saw (W26). What the paper does not give (marked "(ours)" in the dataclasses) is the default's.
+that training never saw (W26). What the paper does not give (marked "(ours)" in the dataclasses) is theirs.
 """
 
 from typing import Final
