@@ -57,7 +57,7 @@ SEGMENT = 20
 GROWTH_BY = ("agents", "width", "batch")
 """What a round's growth is measured with, one at a time."""
 GROWTH_ROWS = 8192
-"""Rows of the replay buffer there: of the default preset's 65,536 those of 96 agents would take 1.6 GB."""
+"""Rows of the replay buffer there: of the presets' 65,536 those of 96 agents would take 1.6 GB."""
 DEVICES = {"cpu": (512, 400), "cuda": (8192, 50)}
 """For each device the rows of the square matrices whose product tells its speed, and how often they are multiplied. A
 processor is fastest where they stay in its caches, an accelerator where they fill it."""
@@ -113,7 +113,7 @@ def operations(config: AlgorithmConfig, team: TeamSpec) -> float:
 
 
 def team_of(uavs: int) -> FarmConfig:
-    """Return the default farm with so many UAVs, as even as possible, communication UAVs first."""
+    """Return the plain farm with so many UAVs, as even as possible, communication UAVs first."""
     counts = [uavs // 3 + (uavs % 3 > kind) for kind in range(3)]
     names = ("communication_uavs", "monitoring_uavs", "collection_uavs")
     return replace(FarmConfig(), world=replace(WorldConfig(), **dict(zip(names, counts, strict=True))))

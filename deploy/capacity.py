@@ -142,7 +142,7 @@ def parameter_bytes(config: RunConfig, team: TeamSpec) -> int:
 
 def saturation(plan: Plan, measured: Measured) -> dict[str, float]:
     """Return, for each part, the environment steps a second of the whole run at which it is busy all the time."""
-    config = RunConfig()
+    config = PRESETS["default"]
     size = measured.step_bytes() * plan.steps
     round_ms = plan.round_ms or measured.round_ms
     published = parameter_bytes(config, farm_team(config.farm)) / plan.publish_seconds
@@ -185,7 +185,8 @@ def block(*data: dict[str, Any]) -> str:
     """Return the generated part of docs/capacity.md."""
     measured, plan = Measured.of(*data), Plan()
     size = measured.step_bytes() * plan.steps
-    sent = parameter_bytes(RunConfig(), farm_team(RunConfig().farm))
+    config = PRESETS["default"]
+    sent = parameter_bytes(config, farm_team(config.farm))
     far = [f"{worker_rate(Plan(round_trip_ms=ms), measured):,.0f}" for ms in ROUND_TRIPS]
     return "\n".join(
         [
@@ -194,8 +195,10 @@ def block(*data: dict[str, Any]) -> str:
             "",
             *table(plan, measured),
             "",
-            f"A step's rows are {measured.step_bytes():,.0f} bytes (with the study preset's views; mirrored ones hold",
-            f"{_wider():.0%} more numbers),",
+            "Rates of workers, rounds and intake were measured with the preset `study`; the default preset's",
+            f"observations hold {_wider():.0%} more numbers, so that its rates are a little lower.",
+            "",
+            f"A step's rows are {measured.step_bytes():,.0f} bytes there,",
             f"a chunk of {plan.steps} steps {size / 1000:,.0f} KB;",
             f"one publication of all actors is {sent / 1000:,.0f} KB, to each worker at most every",
             f"{plan.publish_seconds} s.",

@@ -12,7 +12,7 @@
     member_spread       standard deviation over the members of Q_s,k at the actor's own action, mean over the batch
     temperature         alpha, the weight of entropy
     log_probability     mean log pi of the actions that the actor drew for the batch's observations
-    realised_return     discounted, scaled rewards that followed rows of the batch (see `newest_returns`)
+    realised_return     discounted, scaled rewards of the rows that followed those of the batch (see `newest_returns`)
     overestimation      mean Q of these rows' actions less their realised return
 
 Q is the mixture Q_P with an ensemble, whatever its losses, and the agent's (first) critic without one. Where it counts

@@ -38,7 +38,7 @@ def parallel_env(
     """Return the farm as a PettingZoo ParallelEnv.
 
     Args:
-        config: the farm; the default one when there is none.
+        config: the farm; the plain one, the preset study's, when there is none.
         farms: seeds of the farms that episodes are flown on.
         render_mode: "rgb_array", "ansi", "human", or none.
 
@@ -63,7 +63,7 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
     caller's own; the next step does not change them.
 
     Args:
-        config: the farm; the default one when there is none.
+        config: the farm; the plain one, the preset study's, when there is none.
         farms: seeds of the farms that episodes are flown on.
         render_mode: "rgb_array", "ansi", "human", or none.
 

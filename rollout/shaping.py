@@ -26,12 +26,12 @@ class Shaping:
     def __init__(self, environments: Environments, discount: float) -> None:
         self._environments = environments
         self._discount = discount
-        self._before = environments.potential
+        self._before = environments.potential.copy()
 
     def look(self) -> None:
         """Note Phi before a step."""
         if self._discount:
-            self._before = self._environments.potential
+            self._before = self._environments.potential.copy()
 
     def reward(self) -> Float32:
         """Return what rows pay for the last step, [E, agents]."""

@@ -38,7 +38,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
 
     Args:
         num_envs: E.
-        config: the farm; the default one when there is none.
+        config: the farm; the plain one, the preset study's, when there is none.
         farms: seeds of the farms that episodes are flown on.
         autoreset_mode: what follows an episode's end, as Gymnasium defines it. SAME_STEP: the next episode begins
             in the same call; the last observation is infos["final_obs"][e] and the last info infos["final_info"].

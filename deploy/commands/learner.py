@@ -35,9 +35,9 @@ class LearnerArguments:
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
     preset: str = "default"
-    """Configuration to begin from: default, paper or quick."""
+    """Configuration to begin from: default, quick, study or paper."""
     config: Path | None = None
-    """TOML file with values that replace the preset's."""
+    """TOML file with values that replace the preset's; what it leaves out is the preset's."""
     farm_file: Path | None = None
     """CSV or GeoJSON file with the sensors' places; workers get them with the configuration."""
     run_dir: Path | None = None

@@ -14,6 +14,7 @@ from common import keys
 from common.bus import Bus
 from common.config import RunConfig
 from common.config.checks import within
+from common.config.presets import WRITTEN
 from common.credentials import load
 from common.endpoint import Endpoint, free_endpoint
 from common.errors import BusError, ConfigError, EiaSecError, EndpointError, UsageError
@@ -45,9 +46,9 @@ class TrainArguments:
     """Train on this machine: learner, elite coordinator and workers as processes of their own, over loopback."""
 
     preset: str = "default"
-    """Configuration to begin from: default, paper or quick."""
+    """Configuration to begin from: default, quick, study or paper."""
     config: Path | None = None
-    """TOML file with values that replace the preset's."""
+    """TOML file with values that replace the preset's; what it leaves out is the preset's."""
     farm_file: Path | None = None
     """CSV or GeoJSON file with the sensors' places; the run keeps them in its configuration."""
     workers: int = 1
@@ -160,7 +161,7 @@ class _Training:
         learner = ["learner", "--run", RUN, "--listen", where, "--run-dir", str(self._directory.path)]
         shared = ["--shared-memory"] if options.shared_memory else []
         learner += [*shared, *self._tls(LEARNER)]
-        learner += ["--config", str(self._directory.path / CONFIG), "--await-elite"]
+        learner += ["--preset", WRITTEN, "--config", str(self._directory.path / CONFIG), "--await-elite"]
         learner += ["--lockstep"] if options.lockstep else []
         learner += ["--resume"] if options.resume else []
         again = [] if options.resume or options.lockstep else ["--resume"]

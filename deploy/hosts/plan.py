@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
+from common.config.presets import WRITTEN
 from common.credentials import Identity
 from deploy.hosts.description import Fleet
 from deploy.rundir import HISTORY
@@ -103,7 +104,8 @@ def _learner(fleet: Fleet, places: Places) -> Process:
         met: tuple[str, ...] = ("--listen", places.listen, *_insecure(fleet))
     else:
         met = ("--connect", places.endpoint, "--patience", PATIENCE)
-    kept = ("--run-dir", places.run_dir, "--config", places.config, "--resume-if-any", "--await-elite")
+    trained = ("--preset", WRITTEN, "--config", places.config)
+    kept = ("--run-dir", places.run_dir, *trained, "--resume-if-any", "--await-elite")
     tls = _tls(fleet, places, Identity("learner", "learner"))
     arguments = ("learner", "--run", fleet.run, *met, *_shared(fleet), *kept, *tls)
     return Process("learner", "learner", fleet.learner.host, arguments, fleet.config.learner.threads)

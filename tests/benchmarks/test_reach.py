@@ -17,6 +17,7 @@ from rollout.farms import FarmBatch
 def test_peers_fly_what_our_actors_fly():
     """The same actions lead to the same course, steered and with smaller rewards, as in one of our workers."""
     assert PRESETS[reach.PRESET].farm == FarmConfig()
+    assert PRESETS[reach.PRESET].algorithm.potential_discount == 0.0
     farm, ours = SteeredFarm(0.1), FarmBatch(FarmConfig(), 1)
     seen, _ = farm.reset(options={"farm": 3, "episode": 5})
     ours.reset(0, 3, 5)

@@ -4,7 +4,7 @@ import pytest
 
 from common.config import RunConfig
 from common.config.files import differences, flatten
-from common.config.presets import PRESETS, preset
+from common.config.presets import PRESETS, WRITTEN, preset
 from common.errors import ConfigError
 
 PRINTED = {
@@ -119,6 +119,7 @@ def test_paper_preset_keeps_what_it_cannot_work_without(key):
 def test_study_preset_is_the_dataclasses():
     """The study preset, whose runs are kept under the digests of their settings, is what the dataclasses say."""
     assert PRESETS["study"] == RunConfig()
+    assert PRESETS[WRITTEN] == RunConfig()
 
 
 def test_default_preset_stands_on_the_study_preset():
@@ -138,6 +139,7 @@ def test_quick_preset_exercises_everything():
     steps = quick.episodes * quick.farm.world.steps
     assert quick.episodes <= 80
     assert quick.farm == PRESETS["default"].farm
+    assert quick.algorithm == PRESETS["default"].algorithm
     assert 0 < quick.replay.warmup_steps < steps / 4
     assert quick.replay.updates_per_step * steps <= 8_000
     assert quick.elite.enabled

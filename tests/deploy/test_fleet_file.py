@@ -8,7 +8,11 @@ from typing import Any
 
 import pytest
 
+from common.config.presets import PRESETS, WRITTEN
 from common.errors import ConfigError, CredentialsError
+from deploy.commands.learner import LearnerArguments
+from deploy.commands.train import TrainArguments
+from deploy.docs import field_docs
 from deploy.hosts import operations
 from deploy.hosts.description import Containers, Coordinator, Host, Learner, Network, Router, Training, read
 from deploy.hosts.plan import here, processes
@@ -48,6 +52,14 @@ def test_the_example_names_every_key_and_its_default():
             assert getattr(sections[place][0](), told[1]) == tomllib.loads(f"x = {told[2]}")["x"], line
 
 
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_is_named_where_one_is_chosen(preset):
+    """Both commands that take one, and the fleet file, tell which there are."""
+    (line,) = [line for line in EXAMPLE.read_text().splitlines() if line.startswith("preset =")]
+    told = [field_docs(TrainArguments)["preset"], field_docs(LearnerArguments)["preset"], line.partition("#")[2]]
+    assert all(re.search(rf"\b{preset}\b", text.partition("; default")[0]) for text in told)
+
+
 def test_the_example_becomes_command_lines():
     """Router, learner, coordinator and ten workers come out of it, each with its own certificate."""
     fleet = read(EXAMPLE)
@@ -58,7 +70,9 @@ def test_the_example_becomes_command_lines():
         words = list(process.arguments)
         assert words[words.index("--tls") + 1] == f"keys/{identity}"
         assert ("--listen" in words) == (process.role == "router")
-    assert "--resume-if-any" in found["learner.learner"].arguments
+    learner = found["learner.learner"].arguments
+    assert "--resume-if-any" in learner
+    assert learner[learner.index("--config") - 2 :][:2] == ("--preset", WRITTEN)
     assert "farm-2-7" in found["rollout.farm-2-7"].arguments
 
 

@@ -8,8 +8,9 @@ import pytest
 from common.actors import ActorBank
 from common.config import AlgorithmConfig, EnvConfig, RewardConfig, RolloutConfig, RunConfig
 from common.errors import ConfigError
+from common.team import farm_team
 from common.transitions import TRANSITION
-from rollout.collector import Collector
+from rollout.collector import Collector, fly_noise_free
 from rollout.farms import REWARD_PARTS
 from tests.rollout.small_farm import SMALL
 
@@ -33,11 +34,11 @@ class Witness:
         self.seen.append((int(farms.time[0]), farms.service[0].copy(), farms.parts[0].copy()))
 
 
-def configured(discount, seconds=1.0, relays=2, **reward):
+def configured(discount, seconds=1.0, relays=2, chunk=STEPS, threads=1, **reward):
     """Return a run on a small farm with episodes of 15 steps."""
     world = replace(SMALL.world, steps=15, step_seconds=seconds, communication_uavs=relays)
     farm = replace(SMALL, world=world, reward=RewardConfig(**reward))
-    rollout = RolloutConfig(environments=2, chunk_steps=STEPS)
+    rollout = RolloutConfig(environments=2, chunk_steps=chunk, threads=threads)
     return RunConfig(farm=farm, rollout=rollout, algorithm=AlgorithmConfig(hidden=4, potential_discount=discount))
 
 
@@ -98,6 +99,27 @@ def test_episodes_are_summed_up_as_they_were_flown():
     assert len(plain.episodes) == 4
     assert np.array_equal(shaped.rows.observation, plain.rows.observation)
     assert not np.array_equal(shaped.rows.reward, plain.rows.reward)
+
+
+def test_chunks_and_threads_change_nothing():
+    """Two chunks pay together what one of twice the length does, and two threads what one does."""
+    whole, _ = flown(configured(0.995))
+    threaded, _ = flown(configured(0.995, threads=2))
+    assert np.array_equal(threaded.rows.reward, whole.rows.reward)
+    collector = Collector(configured(0.995, chunk=STEPS // 2), "w", 0)
+    bank = ActorBank.initial(collector.team, 4, 0)
+    halves = [collector.collect(bank, 0.5, uniform=False).rows for _ in range(2)]
+    steps = [rows.reward[(rows.flag & TRANSITION) > 0][: STEPS // 2] for rows in halves]
+    assert np.array_equal(np.concatenate(steps), paid(whole))
+
+
+def test_elites_are_chosen_by_what_farms_pay():
+    """Noise-free episodes, by which agents are scored, earn the same whatever rows pay."""
+    plain, shaped = configured(0.0), configured(0.995)
+    bank = ActorBank.initial(farm_team(plain.farm), 4, 0)
+    found = [fly_noise_free(config, bank, [3, 4], [5, 6])[0] for config in (plain, shaped)]
+    assert np.array_equal(*found)
+    assert np.abs(found[0][..., :2]).max() > 1.0
 
 
 def test_other_environments_pay_what_they_pay():
