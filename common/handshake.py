@@ -80,6 +80,9 @@ def _compare(link: socket.socket, where: str, host: str, credentials: Credential
     except ssl.SSLCertVerificationError as error:
         verdict = _VERDICTS.get(error.verify_code, error.verify_message)
         return f"the listener at {where} is not accepted: {verdict} (checked against {credentials.ca})."
+    except (ssl.SSLEOFError, ssl.SSLZeroReturnError):
+        # It hung up in the middle, which says nothing about certificates: one that is starting or ending does so.
+        return None
     except ssl.SSLError as error:
         reason = str(error.reason or "")
         alert = next((text for name, text in _ALERTS.items() if reason.endswith(name)), None)

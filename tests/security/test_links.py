@@ -3,10 +3,13 @@
 import datetime
 import re
 import shutil
+import socket
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +20,7 @@ from common.bus import Bus
 from common.credentials import Credentials, Identity
 from common.endpoint import Endpoint, free_endpoint
 from common.errors import CredentialsError, EndpointError
+from common.handshake import complaint
 from common.zenoh_config import connecting, listening, routing
 from deploy import authority
 from deploy.commands import elite, rollout
@@ -73,6 +77,49 @@ def attempt(listener: Endpoint, client: Endpoint, patience: float = 10.0) -> tup
 def test_a_good_certificate_delivers(bad):
     """With a certificate of the authority a message arrives; without this the refusals below would prove nothing."""
     assert attempt(*endpoints(bad / "learner.learner", bad / "rollout.a")) == ("", 1)
+
+
+@contextmanager
+def answering(answers: list[bytes]) -> Iterator[tuple[Endpoint, list[float]]]:
+    """Take connections one after another, say what the next answer is, and hang up; tell when each one came."""
+    came: list[float] = []
+    place = free_endpoint()
+    with socket.create_server((place.host, place.port)) as server:
+
+        def serve() -> None:
+            with suppress(OSError):
+                while True:
+                    link, _ = server.accept()
+                    came.append(time.monotonic())
+                    with link:
+                        link.settimeout(2.0)
+                        with suppress(OSError):
+                            link.recv(4096)
+                            link.sendall(answers[min(len(came), len(answers)) - 1])
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield place, came
+        server.shutdown(socket.SHUT_RDWR)
+        thread.join(10.0)
+
+
+def test_a_listener_that_hangs_up_is_tried_again(bad):
+    """A router that is only starting may close what it has just accepted: whoever has time goes on trying."""
+    with answering([b""]) as (place, came):
+        client = replace(place, protocol="tls", credentials=unchecked(bad / "rollout.a"))
+        assert complaint(client, "control") is None
+        with pytest.raises(EndpointError, match="takes connections and answers no TLS handshake"):
+            Bus.connect(client, "control", wait=3.0).close()
+        assert len(came) > 2
+        assert came[-1] - came[0] > 2.0
+
+
+def test_a_listener_that_speaks_something_else_is_told_at_once(bad):
+    """What is no TLS at all does not become TLS by waiting."""
+    with answering([b"HTTP/1.1 400 Bad Request\r\n\r\n"]) as (place, _):
+        client = replace(place, protocol="tls", credentials=unchecked(bad / "rollout.a"))
+        assert "does not speak TLS as this process does" in (complaint(client, "control") or "")
 
 
 @pytest.mark.parametrize(
