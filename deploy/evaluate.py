@@ -15,7 +15,7 @@ from common.errors import PolicyError, RunDirError, UsageError
 from common.policy_file import load_policy
 from deploy.exit_codes import DONE
 from deploy.options import require_env, with_farm_file
-from deploy.rundir import CONFIG, POLICY
+from deploy.rundir import CONFIG, POLICY, RunDirectory
 from deploy.tables import comparison_table
 from rollout.environments import Environments
 from rollout.evaluation import Evaluation, evaluate, evaluate_run
@@ -127,7 +127,7 @@ def configuration_of(arguments: EvaluateArguments) -> RunConfig:
         path = arguments.run_dir / CONFIG
         if not path.is_file():
             raise RunDirError(f"{arguments.run_dir} is no run directory: it holds no {CONFIG}.")
-        config = from_toml(path, RunConfig())
+        config = RunDirectory(arguments.run_dir).configuration()
     if arguments.config is not None:
         config = from_toml(arguments.config, config)
     require_env(config, arguments.env)

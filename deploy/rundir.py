@@ -82,7 +82,11 @@ class RunDirectory:
             raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
 
     def configuration(self) -> RunConfig:
-        """Return the configuration; raise RunDirError when the folder holds none."""
+        """Return the configuration, in which what an older version did not name is as it was then.
+
+        Raises:
+            RunDirError: the folder holds none.
+        """
         held = self.path / CONFIG
         if not held.exists():
             raise RunDirError(f"{self.path} holds no {CONFIG}; is it a run directory?")

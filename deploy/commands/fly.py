@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from common.bus import Bus
-from common.config import FarmConfig, RunConfig
+from common.config import FarmConfig
 from common.config.checks import positive, within
 from common.config.files import from_toml
 from common.config.presets import PRESETS
@@ -18,7 +18,7 @@ from common.team import farm_team
 from deploy.flight.node import FlightNode, NodeOptions
 from deploy.flight.pilot import Limits, Pilot
 from deploy.options import parse
-from deploy.rundir import CONFIG, POLICY
+from deploy.rundir import CONFIG, POLICY, RunDirectory
 from rollout.policies import TRAINED, fitted
 
 
@@ -113,7 +113,7 @@ def farm_of(run_dir: Path | None, config: Path | None) -> FarmConfig:
     if run_dir is not None:
         if not (run_dir / CONFIG).is_file():
             raise RunDirError(f"{run_dir} is no run directory: it holds no {CONFIG}.")
-        found = from_toml(run_dir / CONFIG, RunConfig())
+        found = RunDirectory(run_dir).configuration()
     if config is not None:
         found = from_toml(config, found)
     if not found.env.is_farm:
