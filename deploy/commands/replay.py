@@ -30,8 +30,8 @@ class ReplayArguments:
     policy: str | None = None
     """A policy's name or file, as eia-sec evaluate takes them; instead of the run's policy, or of a run directory."""
     against: str = "lawnmower"
-    """The other policy: static, random, lawnmower, greedy, tour, hungarian, horizon, trained, or a policy file. Both
-    fly the run's farm, so actors must see as the run's do: "trained" goes with runs of the default preset."""
+    """The other policy: static, random, lawnmower, greedy, tour, hungarian, horizon, trained, or a policy file.
+    Both fly the run's farm, so actors must see as the run's do: "trained" goes with runs of the default preset."""
     farm: int = 1000
     """The farm's seed; training uses 0 to 19, results are about 1000 and on."""
     episode: int = 0
