@@ -31,13 +31,13 @@ LOCK: Final = "reproduce.lock"
 
 @dataclass(frozen=True)
 class ReproduceArguments:
-    """Do one of the paper's studies: training, ablation, ensemble, scalability, inference or trajectories; or all.
+    """Do one of the paper's studies, train the default preset over seeds, or do all of these.
 
     Says beforehand how long it takes. What is there already is kept, so the same command goes on after Ctrl-C.
     """
 
     study: tyro.conf.Positional[str] = ""
-    """training, ablation, ensemble, scalability, inference, trajectories, or all."""
+    """training, ablation, ensemble, scalability, inference, trajectories, default (the preset), or all."""
     scale: Literal["smoke", "full"] = "full"
     """full: the study; smoke: a few minutes that show that everything works, and nothing else."""
     jobs: int = 1

@@ -1,13 +1,14 @@
 """Makes the jobs of all studies at one scale, and finds what they came to."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from common.config import RunConfig
 from deploy.studies.jobs import Job, Records
-from deploy.studies.methods import CANDIDATES, Method, configuration, with_uavs
+from deploy.studies.methods import CANDIDATES, DEFAULT_PRESET, Method, configuration, with_uavs
 from deploy.studies.scales import CHOICE_FARM, FIRST_FARM, TRIAL_SEED, Scale
 from deploy.studies.statistics import Numbers, interquartile_mean
 
@@ -72,6 +73,14 @@ class Bench:
                 configuration(self.base(uavs), method, candidate, seed, self.scale.episodes),
                 (FIRST_FARM, self.scale.farms),
             )
+            for seed in range(seeds)
+        ]
+
+    def preset_runs(self, seeds: int) -> list[Job]:
+        """Return runs of the default preset, for so many seeds from 0 on: those of `eia-sec train --seed N`."""
+        preset = self.scale.preset()
+        return [
+            self._train(f"{DEFAULT_PRESET}, seed {seed}", replace(preset, seed=seed), (FIRST_FARM, self.scale.farms))
             for seed in range(seeds)
         ]
 

@@ -1,4 +1,4 @@
-"""The six studies: which jobs each consists of, and what its results are made from."""
+"""The studies: which jobs each consists of, and what its results are made from."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Any, Final
 from deploy.studies.bench import TWELVE, Bench
 from deploy.studies.flights import flight_summary
 from deploy.studies.jobs import Job
-from deploy.studies.methods import ABLATIONS, EIA_SEC, PEERS, Method
+from deploy.studies.methods import ABLATIONS, DEFAULT_PRESET, EIA_SEC, PEERS, Method
 from deploy.studies.summary import choice_summary, comparisons, method_summary, reference_summary, times_summary
 
 Stages = list[list[Job]]
@@ -121,6 +121,22 @@ def _trajectory_stages(bench: Bench) -> Stages:
     return [bench.trials(EIA_SEC), [*bench.references(), *bench.runs(EIA_SEC, 1)]]
 
 
+def _default_stages(bench: Bench) -> Stages:
+    runs = zip(bench.preset_runs(bench.scale.seeds), bench.runs(EIA_SEC, bench.scale.seeds), strict=True)
+    return [bench.trials(EIA_SEC), [*bench.references(), *(run for both in runs for run in both)]]
+
+
+def _default(bench: Bench) -> dict[str, Any]:
+    seeds = bench.scale.seeds
+    runs = {DEFAULT_PRESET: bench.preset_runs(seeds), EIA_SEC.name: bench.runs(EIA_SEC, seeds)}
+    return {
+        "references": reference_summary(bench),
+        "choice": choice_summary(bench, [EIA_SEC]),
+        "methods": {name: method_summary(bench, own) for name, own in runs.items()},
+        **comparisons(bench, runs),
+    }
+
+
 STUDIES: Final[Mapping[str, Study]] = {
     "training": Study(
         "M1, M2, M3: EIA-SEC beside MADDPG, MATD3 and MASAC",
@@ -135,6 +151,7 @@ STUDIES: Final[Mapping[str, Study]] = {
     "ensemble": Study("Members of the shared ensemble critic, k_s", _ensemble_stages, _ensemble),
     "scalability": Study("M4: smaller and larger teams", _scalability_stages, _scalability),
     "inference": Study("M5: time of a decision", _inference_stages, _inference),
+    "default": Study("The default preset beside EIA-SEC as the studies train it", _default_stages, _default),
     "trajectories": Study("Where the UAVs fly, and what they collect", _trajectory_stages, flight_summary, True),
 }
 """Every study by the word that names it."""

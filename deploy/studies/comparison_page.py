@@ -24,8 +24,8 @@ COVERAGE: Final = RESULTS / "coverage.json"
 
 def comparison(root: Path) -> str:
     """Return the comparison with the paper that the results in a repository allow."""
-    held = {name: full(_read(root / RESULTS / name / "results.json")) for name in STUDIES}
-    groups: dict[str, list[Row]] = {name: CLAIMS[name](held[name]) for name in STUDIES}
+    held = {name: full(_read(root / RESULTS / name / "results.json")) for name in CLAIMS}
+    groups: dict[str, list[Row]] = {name: claims(held[name]) for name, claims in CLAIMS.items()}
     groups["training"] = training(held["training"], held["ablation"])
     groups["training"] += heuristics(held["training"], _read(root / HEURISTICS))
     count = Counter(row.verdict for rows in groups.values() for row in rows)
@@ -37,7 +37,7 @@ def comparison(root: Path) -> str:
 
 def beaten(root: Path) -> str:
     """Return the targets of the project beside what the results in a repository came to."""
-    study = full(_read(root / RESULTS / "training" / "results.json"))
+    study = full(_read(root / RESULTS / "default" / "results.json"))
     return targets.block(_read(root / HEURISTICS), study, _read(root / REACH))
 
 

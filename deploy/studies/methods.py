@@ -50,6 +50,8 @@ ABLATIONS: Final = (
     Method("EIA-SEC, printed target", {"name": "eia-sec", **PRINTED_TARGET}),
 )
 
+DEFAULT_PRESET: Final = "default preset"
+"""What `eia-sec train` does when it is told nothing; it is tuned further than any method is here."""
 MIXTURE: Final = "mixture"
 """Whose value new records compare with realised returns; older ones do not say, and compared the local critic's Q_i."""
 CANDIDATES: Final[dict[str, dict[str, float]]] = {

@@ -54,7 +54,7 @@ def save_pictures(data: Results, folder: Path) -> list[str]:
         OSError: a picture cannot be written.
     """
     match data["study"]:
-        case "training" | "ablation":
+        case "training" | "ablation" | "default":
             return save_comparison(data, folder)
         case "ensemble":
             return save_ensemble(data, folder)

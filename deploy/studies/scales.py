@@ -26,7 +26,7 @@ class Scale:
 
     Attributes:
         name: smoke or full.
-        settings: TOML over the study preset, the same for every method.
+        settings: TOML over the study preset, the same for every method, and over the default preset.
         episodes: budget of a run, episodes, those of elite imitation included.
         seeds: seeds of `training`.
         side_seeds: seeds of `ablation` and `ensemble`.
@@ -72,7 +72,15 @@ class Scale:
 
     def base(self) -> RunConfig:
         """Return the configuration that every method begins from; one thread for each run."""
-        config = from_toml(self.settings, PRESETS["study"])
+        return self._settled(PRESETS["study"])
+
+    def preset(self) -> RunConfig:
+        """Return the default preset, with the episodes that it says, or the budget where that is smaller."""
+        config = self._settled(PRESETS["default"])
+        return replace(config, episodes=min(config.episodes, self.episodes))
+
+    def _settled(self, config: RunConfig) -> RunConfig:
+        config = from_toml(self.settings, config)
         return replace(config, learner=replace(config.learner, threads=1), rollout=replace(config.rollout, threads=1))
 
     @property

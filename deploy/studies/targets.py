@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from deploy.studies.evidence import early_farms
+from deploy.studies.methods import DEFAULT_PRESET
 from deploy.studies.scales import FIRST_FARM, FIRST_REPORTED
 from deploy.studies.verdicts import Triple, shown
 
@@ -26,20 +27,20 @@ PARTS: Final = (0.5, 0.75, 1.0)
 """Parts of the lawnmower's reward; the target is the last one."""
 OURS: Final = "EIA-SEC"
 SHIPPED: Final = "the policy that ships"
-SEEDS: Final = "EIA-SEC, seeds of `training`"
+SEEDS: Final = "the default preset, seeds of `default`"
 ABSENT: Final = "not measured"
 HEAD: Final = ("| target | of | needed | reached | verdict |", "|---|---|---|---|---|")
 
 
-def block(flown: Results | None, training: Results | None, reach: Results | None) -> str:
+def block(flown: Results | None, seeds: Results | None, reach: Results | None) -> str:
     """Return the table of targets.
 
     Args:
         flown: docs/results/heuristics/results.json: heuristics and the policy that ships, farms 1000..1099.
-        training: the results of the study `training` at full scale.
+        seeds: the results of the study `default` at full scale.
         reach: docs/results/reach/results.json: seconds until parts of the lawnmower's reward.
     """
-    rows = [*_rewards(flown, training), *_figures(flown, training), *_sooner(reach)]
+    rows = [*_rewards(flown, seeds), *_figures(flown, seeds), *_sooner(reach)]
     met = sum(row[-1] == "met" for row in rows)
     lines = ["| " + " | ".join([*row[:-1], f"**{row[-1]}**"]) + " |" for row in rows]
     return "\n".join([f"{met} of {len(rows)} met.", "", *HEAD, *lines, ""])
@@ -50,7 +51,7 @@ def judged(reached: Triple, needed: float) -> str:
     return "met" if reached[1] >= needed else "not met"
 
 
-def _rewards(flown: Results | None, training: Results | None) -> list[list[str]]:
+def _rewards(flown: Results | None, seeds: Results | None) -> list[list[str]]:
     """Return the rows of reward: against the best heuristic, and against the supply bound."""
     factor = f"at least {FACTOR:.2f} times the best heuristic's mean reward per agent, farms {FIRST_FARM}..1099"
     supply = f"at least {SHARE} of the supply bound, {SUPPLY:.0f} (a sharper one: method.md)"
@@ -62,12 +63,12 @@ def _rewards(flown: Results | None, training: Results | None) -> list[list[str]]
         best = max(rewards, key=lambda name: rewards[name]["reward"][0])
         found[SHIPPED] = (best, rewards[best]["reward"][0], own["reward"])
         told[SHIPPED] = f"; {_late(own):.0f} on {FIRST_REPORTED}..{flown['last_farm']}"
-    if training is not None:
-        policies, name = training["references"]["policies"], training["references"]["best"]
+    if seeds is not None:
+        policies, name = seeds["references"]["policies"], seeds["references"]["best"]
         level = policies[name].get("mean_reward", policies[name]["reward"])
-        found[SEEDS] = (name, level, training["methods"][OURS]["mean_reward"])
-        farms = "" if early_farms(training) else f"; on farms from {training['sizes']['first_farm']} on"
-        told[SEEDS] = f", {len(training['methods'][OURS]['runs'])} seeds{farms}"
+        found[SEEDS] = (name, level, seeds["methods"][DEFAULT_PRESET]["mean_reward"])
+        farms = "" if early_farms(seeds) else f"; on farms from {seeds['sizes']['first_farm']} on"
+        told[SEEDS] = f", {len(seeds['methods'][DEFAULT_PRESET]['runs'])} seeds{farms}"
     rows = []
     for target in (factor, supply):
         for who, known in found.items():
@@ -86,7 +87,7 @@ def _late(result: Results) -> float:
     return float(np.mean(result["per_farm"][FIRST_REPORTED - FIRST_FARM :]))
 
 
-def _figures(flown: Results | None, training: Results | None) -> list[list[str]]:
+def _figures(flown: Results | None, seeds: Results | None) -> list[list[str]]:
     """Return the rows of AoI and VDF, which should be below every heuristic's."""
     rows = []
     for figure, name in (("aoi", "AoI"), ("vdf", "VDF")):
@@ -96,12 +97,12 @@ def _figures(flown: Results | None, training: Results | None) -> list[list[str]]
         else:
             others = {result["policy"]: result[figure] for result in flown["results"]}
             rows.append([target, SHIPPED, *_below(others.pop("trained"), others)])
-        if training is None:
+        if seeds is None:
             rows.append([target, SEEDS, "", "", ABSENT])
         else:
-            policies = training["references"]["policies"]
+            policies = seeds["references"]["policies"]
             levels = {policy: [found["figures"][figure]] * 3 for policy, found in policies.items()}
-            rows.append([target, SEEDS, *_below(training["methods"][OURS]["figures"][figure], levels)])
+            rows.append([target, SEEDS, *_below(seeds["methods"][DEFAULT_PRESET]["figures"][figure], levels)])
     return rows
 
 

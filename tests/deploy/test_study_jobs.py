@@ -9,6 +9,7 @@ import pytest
 
 from common.actors import ActorBank
 from common.config import EliteConfig
+from common.config.presets import PRESETS
 from common.errors import UsageError
 from common.imitation import ImitationSchedule
 from common.policy_file import save_policy
@@ -301,6 +302,18 @@ def test_studies_share_their_runs(tmp_path):
     runs = {job.digest for job in bench.runs(EIA_SEC, 1)}
     for name in ("training", "ablation", "ensemble", "scalability", "trajectories"):
         assert runs <= {job.digest for stage in STUDIES[name].stages(bench) for job in stage}, name
+
+
+def test_the_default_preset_is_trained_as_it_is(tmp_path):
+    """Its runs have the configuration of `eia-sec train --seed N`; those beside them are EIA-SEC's of `training`."""
+    bench = Bench(FULL, Records(tmp_path))
+    runs = bench.preset_runs(FULL.seeds)
+    assert [job.config for job in runs] == [replace(PRESETS["default"], seed=seed) for seed in range(FULL.seeds)]
+    wanted = {job.digest for job in (*runs, *bench.runs(EIA_SEC, FULL.seeds))}
+    trained = [job for stage in STUDIES["default"].stages(bench) for job in stage if job.kind == "train"]
+    assert wanted == {job.digest for job in trained if job.config.seed != TRIAL_SEED}
+    assert SMOKE.preset().episodes == SMOKE.episodes
+    assert SMOKE.preset().farm.observation.mirrored
 
 
 def test_seeds_and_teams_can_be_asked_for():

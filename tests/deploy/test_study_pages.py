@@ -65,6 +65,31 @@ def test_targets_are_met_only_by_the_whole_interval():
     assert "0 of 11 met." in targets_block(close, None, None)
 
 
+def test_the_default_presets_seeds_are_judged_by_their_interval():
+    """Their mean reward, AoI and VDF stand beside the study's own heuristics, not beside those flown elsewhere."""
+    study = {
+        "references": {
+            "best": "horizon",
+            "policies": {"horizon": {"reward": 1400.0, "figures": {"aoi": 0.5, "vdf": 2.0}}},
+        },
+        "methods": {
+            "default preset": {
+                "mean_reward": [1530.0, 1280.0, 1600.0],
+                "figures": {"aoi": [0.45, 0.4, 0.49], "vdf": [1.9, 1.8, 2.1]},
+                "runs": [{}] * 5,
+            },
+            "EIA-SEC": {"mean_reward": [0.0] * 3, "figures": {"aoi": [9.0] * 3, "vdf": [9.0] * 3}, "runs": []},
+        },
+        "scale": "full",
+        "sizes": {"first_farm": 1020},
+    }
+    text = targets_block(None, study, None)
+    assert verdicts(text, "seeds of") == ["not met", "met", "met", "not met"]
+    assert "| 1540 (horizon 1400) | 1530 (1280..1600), 5 seeds; on farms from 1020 on |" in text
+    assert "| below 0.50 (horizon) | 0.45 (0.40..0.49) |" in text
+    assert verdicts(text, "the policy that ships") == ["not measured"] * 4
+
+
 def test_sooner_means_ten_times():
     """A peer that never got there counts by the time that it was given; nothing is met where ours did not get there."""
     ours = ("EIA-SEC", [(10.0, 600.0), (20.0, 800.0)])

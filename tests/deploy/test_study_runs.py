@@ -228,7 +228,8 @@ def test_a_study_from_start_to_end_and_once_more(study, bench, tmp_path, monkeyp
     assert carry_out(again, StopSignal())
     assert {path: path.stat().st_mtime_ns for path in bench.records.folder.iterdir()} == before
     assert json.loads((folder / RESULTS).read_text()) == data
-    assert all(row.ours for row in CLAIMS[study](data)), "the claims can read the results"
+    if study in CLAIMS:
+        assert all(row.ours for row in CLAIMS[study](data)), "the claims can read the results"
 
 
 @pytest.mark.parametrize("study", ["ensemble", "inference", "trajectories"])
