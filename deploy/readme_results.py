@@ -72,10 +72,10 @@ def _seeds(study: dict[str, Any]) -> list[str]:
     own, size = study["methods"][DEFAULT_PRESET], study["sizes"]
     aoi, vdf = (shown(own["figures"][figure], 2) for figure in ("aoi", "vdf"))
     return [
-        f"{len(own['runs'])} seeds of the preset earn {shown(own['reward'])} on farms",
-        f"{size['first_farm']}..{size['first_farm'] + size['farms'] - 1}, AoI {aoi},",
-        f"VDF {vdf} ([study](docs/results/reproduce/default/README.md)); EIA-SEC as it stands beside other",
-        f"methods below, {shown(study['methods'][EIA_SEC.name]['reward'])}.",
+        f"{len(own['runs'])} seeds of the preset earn {shown(own['mean_reward'])} on farms",
+        f"{size['first_farm']}..{size['first_farm'] + size['farms'] - 1} (mean; in brackets 95 % over the seeds),",
+        f"AoI {aoi}, VDF {vdf}; with the settings of the comparison below it is",
+        f"{shown(study['methods'][EIA_SEC.name]['mean_reward'])} ([study](docs/results/reproduce/default/README.md)).",
         "",
     ]
 

@@ -4,7 +4,7 @@
 
 Every counter rises at multiples of its cycle and no further than its largest value (W18). A unit that has risen is paid
 for, or is left at the end of the episode. A rise that does not happen is lost: at the cap, because nobody came for so
-long, or to service, because the counter is set back in the very step in which it was to rise.
+long, or else to service, because the counter is set back in the very step in which it was to rise.
 """
 
 import argparse
@@ -48,7 +48,7 @@ class Ledger:
     def note(self, step: int, level: Array, paid: float) -> None:
         """Take down one step: its number from 1 on, the counters behind it, and the units that it paid."""
         due = step % self._cycle == 0
-        lost = due & (self._before >= self._largest) & (level >= self._largest)
+        lost = due & (self._before >= self._largest)
         self.supply += float(due.sum())
         self.paid += paid
         self.cap += float(lost.sum())

@@ -23,8 +23,8 @@ LEAST_SCORE: Final = -0.25
 """Where the axis of normalised scores ends at the latest, so that one of a diverged run does not squeeze the others."""
 CAPTIONS: Final = {
     "checks.png": "Evaluations without noise on the way, on farms that are neither trained on nor reported.",
-    "curves.png": "Training curves: with exploration noise, on the farms of training, unlike the table. Those with "
-    "elite imitation end earlier, because the episodes that it flies count too.",
+    "curves.png": "Training curves: with exploration noise, on the farms of training, unlike the table. Of equal "
+    "budgets those with elite imitation end earlier, because the episodes that it flies count too.",
     "types.png": "The same by type of UAV.",
     "scores.png": "What the table reports, on the unseen farms.",
     "members.png": "Reward by k_s: beside the paper's, as ratios to k_s = 2, and ours enlarged.",

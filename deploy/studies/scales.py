@@ -28,7 +28,7 @@ class Scale:
         name: smoke or full.
         settings: TOML over the study preset, the same for every method, and over the default preset.
         episodes: budget of a run, episodes, those of elite imitation included.
-        seeds: seeds of `training`.
+        seeds: seeds of `training` and `default`.
         side_seeds: seeds of `ablation` and `ensemble`.
         team_seeds: seeds of `scalability`.
         trial_episodes: budget of a tuning trial.

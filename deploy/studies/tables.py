@@ -151,6 +151,7 @@ def choices(data: Results) -> str:
         "bold one are in force. Every method has the same candidates and the same seed, and trials of "
         f"{_lengths(data)}."
     )
+    told += _BEYOND if data["study"] == "default" else ""
     return f"{table(['method', *names], rows)}\n{textwrap.fill(told, WIDTH)}\n{made}"
 
 
@@ -226,6 +227,7 @@ _TIMES: Final = (
     "Other work on the machine is in them. They compare within a page: `scalability` and `inference` share timings\n"
     "that one machine made, and otherwise differ by machine, commit and what else ran.\n"
 )
+_BEYOND: Final = " The default preset stands outside of this: docs/method.md says how it was found."
 _UNEQUAL: Final = (
     "The two are not equally tuned, and their budgets differ: fewer episodes and more update rounds for each step in\n"
     "the default preset; times and steps stand below. Its seed 0 has the configuration of the policy that ships.\n"

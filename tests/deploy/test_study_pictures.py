@@ -21,7 +21,7 @@ from rollout.palette import COLOURS, END_MARKERS
 from rollout.policies import policy_of
 
 RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results" / "reproduce"
-STUDIES = ("training", "ablation", "ensemble", "scalability", "inference", "trajectories")
+STUDIES = ("training", "ablation", "ensemble", "scalability", "inference", "trajectories", "default")
 NEEDS_FLIGHTS = re.compile(r"farm-\d+(-collected)?\.png")
 """Pictures of `trajectories` that its results do not hold."""
 

@@ -7,24 +7,59 @@ import pytest
 
 from common.config.presets import PRESETS
 from common.errors import ConfigError
-from experiments.supply import COLUMNS, KINDS, Ledger, mean, page
-from rollout.policies import HEURISTICS
+from experiments.supply import COLUMNS, KINDS, Ledger, follow, mean, page
+from rollout.evaluation import episode_seed, record
+from rollout.farms import FarmBatch
+from rollout.policies import HEURISTICS, policy_of
 from tests.rollout.small_farm import SMALL
+
+FARM = replace(SMALL, observation=PRESETS["default"].farm.observation)
 
 
 def test_every_unit_is_booked_once():
-    """Three counters with a cycle of 2 and a cap of 1 through 6 steps: served in time, at its rise, and never."""
-    ledger = Ledger(np.full(3, 2.0), 1.0, np.array([False, False, True]))
-    courses = [[0, 1, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1], [0, 1, 1, 1, 1, 1]]
+    """Four counters with a cycle of 2 and a cap of 1: served in time, at its rise, never, and at the cap."""
+    ledger = Ledger(np.full(4, 2.0), 1.0, np.array([False, False, True, False]))
+    courses = [[0, 1, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1], [0, 1, 1, 1, 1, 1], [0, 1, 1, 0, 0, 1]]
     for step, level in enumerate(np.array(courses, float).T, 1):
-        ledger.note(step, level, 1.0 if step == 3 else 0.0)
-    assert ledger.told() == {"supply": 9.0, "paid": 1.0, "left": 3.0, "service": 1.0, "cap": 4.0, "border": 2.0}
+        ledger.note(step, level, 1.0 if step in (3, 4) else 0.0)
+    assert ledger.told() == {"supply": 12.0, "paid": 2.0, "left": 4.0, "service": 1.0, "cap": 5.0, "border": 2.0}
+
+
+def plots_of(name):
+    """Return the VDF of all plots at the start and behind each step of the first episode of farm 3."""
+    batch, policy = FarmBatch(FARM, 1), policy_of(name, FARM)
+    batch.reset(0, 3, episode_seed(3, 0))
+    policy.reset(batch, 0)
+    course = [batch.vdf[0].copy()]
+    while not batch.ended.all():
+        batch.step(policy.act(batch))
+        course.append(batch.vdf[0].copy())
+    return np.stack(course)
+
+
+@pytest.mark.parametrize("name", ["lawnmower", "greedy", "static"])
+def test_what_is_told_is_what_a_recorded_episode_shows(name):
+    """Counted from the course of the same episode: what was paid and left, rises at the cap, and rises while served."""
+    told, flown = follow(FARM, policy_of(name, FARM), 3), record(FARM, policy_of(name, FARM), 3, 0)
+    world, (plots, sensors), course = FARM.world, KINDS, plots_of(name)
+    due = np.arange(1, world.steps + 1) % round(world.vdf_cycle / world.step_seconds) == 0
+    before, after = course[:-1][due], course[1:][due]
+    inside = np.zeros((world.plots_x, world.plots_y), bool)
+    inside[1:-1, 1:-1] = True
+    full = before >= world.vdf_max
+    assert told[plots]["cap"] == full.sum()
+    assert told[plots]["border"] == full[:, ~inside].sum()
+    assert told[plots]["service"] == ((after == 0) & ~full).sum()
+    assert told[plots]["left"] == flown.final_vdf.sum()
+    assert told[sensors]["left"] == flown.final_aoi.sum()
+    collected, first = flown.collected[-1], world.communication_uavs + world.monitoring_uavs
+    assert (told[plots]["paid"], told[sensors]["paid"]) == (collected[:first].sum(), collected[first:].sum())
 
 
 @pytest.mark.parametrize("name", HEURISTICS)
 def test_nothing_is_lost_that_is_not_told(name):
     """Of whoever flies nothing is negative, and who stands still loses most of it at the cap or leaves it."""
-    found = mean(replace(SMALL, observation=PRESETS["default"].farm.observation), name, range(2))
+    found = mean(FARM, name, range(2))
     for kind in KINDS:
         own = found[kind]
         assert all(own[column] >= 0.0 for column in COLUMNS)

@@ -1,0 +1,155 @@
+"""What a search earns in the place of learned UAVs, and what it leaves to those that stay.
+
+    python -m experiments.exchange [--farms 500:508] [--write docs/results/exchange]
+
+Of one type some UAVs are flown by the search of `horizon`, 16 steps ahead without a sweep, the others by the policy
+that ships. Searches know of each other's plans, and nothing of what the learned UAVs are about to do. Where one search
+earns more than the learned UAV did and the others lose as much, it takes from them; what a type earns all together
+tells whether anything was gained.
+"""
+
+import argparse
+import json
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig
+from common.config.presets import PRESETS
+from common.team import COLLECTION, MONITORING, Float32, farm_team
+from deploy.provenance import provenance
+from rollout.evaluation import episode_seed
+from rollout.farms import FarmBatch
+from rollout.heuristics import lawnmower
+from rollout.heuristics.crews import COLLECTORS, MONITORS, CrewPolicy, Situation
+from rollout.heuristics.horizon import Effort, HorizonCrew
+from rollout.heuristics.relays import CentroidRelays
+from rollout.policies import policy_of
+
+AHEAD: Final = 16
+"""Steps that the search looks ahead, to the end of the episode."""
+KINDS: Final = {MONITORING: MONITORS, COLLECTION: COLLECTORS}
+
+
+class PartialCrew(HorizonCrew):
+    """A crew of which the first few search, one after the other; the rest have no plans and stay where they are.
+
+    Args:
+        situation: the start.
+        kind: the crew's type.
+        searching: how many search.
+    """
+
+    def __init__(self, situation: Situation, kind: int, searching: int) -> None:
+        super().__init__(situation, kind, Effort(horizon=AHEAD, last_horizon=AHEAD, last_width=32))
+        self._searching = searching
+
+    def goals(self, situation: Situation) -> NDArray[np.float64]:
+        """Return the next place of each plan, [n_v, 2] m; the own place of those that have none."""
+        self._plans = [plan[1:] for plan in self._plans]
+        goals = situation.of(self._kind).copy()
+        for uav in range(self._searching):
+            if situation.time % len(self._plans) == uav or len(self._plans[uav]) == 0:
+                self._plans[uav] = self._plan(situation, uav)
+            goals[uav] = self._lattice.place[self._plans[uav][0]]
+        return goals
+
+
+class Exchange:
+    """Flies the policy that ships with the first few of a type exchanged for searches.
+
+    Args:
+        config: the farm.
+        kind: the type's name.
+        searching: how many are exchanged.
+    """
+
+    def __init__(self, config: FarmConfig, kind: str, searching: int) -> None:
+        crew = partial(PartialCrew, kind=KINDS[kind], searching=searching)
+        monitors = crew if kind == MONITORING else lawnmower.monitors
+        collectors = crew if kind == COLLECTION else lawnmower.collectors
+        self._learned, self._search = (
+            policy_of("trained", config),
+            CrewPolicy(config, CentroidRelays, monitors, collectors),
+        )
+        first = farm_team(config).agent_slices()[KINDS[kind]].start
+        self._columns = slice(2 * first, 2 * (first + searching))
+
+    def reset(self, farms: FarmBatch, index: int) -> None:
+        """Prepare for the episode that environment `index` has just begun."""
+        self._learned.reset(farms, index)
+        self._search.reset(farms, index)
+
+    def act(self, farms: FarmBatch) -> Float32:
+        """Return the actions [E, A] of all agents."""
+        action = self._learned.act(farms).copy()
+        if self._columns.stop > self._columns.start:
+            action[:, self._columns] = self._search.act(farms)[:, self._columns]
+        return action
+
+
+def fly(config: FarmConfig, kind: str, searching: int, farms: range) -> dict[str, Any]:
+    """Return the mean reward of a type's UAVs: of those that search, of those that stay, and of all."""
+    policy, agents, rewards = Exchange(config, kind, searching), farm_team(config).agent_slices()[KINDS[kind]], []
+    for farm in farms:
+        batch = FarmBatch(config, 1)
+        batch.reset(0, farm, episode_seed(farm, 0))
+        policy.reset(batch, 0)
+        while not batch.ended.all():
+            batch.step(policy.act(batch))
+        rewards.append(batch.summary(0).reward[agents])
+    own = np.array(rewards, np.float64)
+    parts = {"search": own[:, :searching], "learned": own[:, searching:], "all": own}
+    return {"type": kind, "searching": searching} | {
+        name: round(float(part.mean()), 1) if part.size else None for name, part in parts.items()
+    }
+
+
+def page(data: dict[str, Any]) -> str:
+    """Return the results as a page."""
+    rows = [
+        f"| {found['type']} | {found['searching']} | "
+        + " | ".join("" if found[part] is None else f"{found[part]:.0f}" for part in ("search", "learned", "all"))
+        + " |"
+        for found in data["results"]
+    ]
+    return "\n".join(
+        [
+            "# A search in the place of learned UAVs",
+            "",
+            f"`{data['command']}`, commit {data['commit']}: mean reward of one UAV on farms",
+            f"{data['farms'][0]}..{data['farms'][-1]}, one episode each. So many of a type search {AHEAD} steps ahead",
+            "and know of each other's plans; the others of the team are flown by the policy that ships.",
+            "",
+            "| type | searching | each that searches | each other of the type | all of the type |",
+            "|---|---:|---:|---:|---:|",
+            *rows,
+            "",
+        ]
+    )
+
+
+def main() -> None:
+    """Fly every exchange, print what came out, and write it where asked."""
+    about = (__doc__ or "").partition("\n")[0]
+    parser = argparse.ArgumentParser(prog="python -m experiments.exchange", description=about)
+    parser.add_argument("--farms", default="500:508", help="farm seeds A:B, from A to B - 1")
+    parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
+    arguments = parser.parse_args()
+    farms = range(*(int(seed) for seed in arguments.farms.split(":")))
+    config = PRESETS["default"].farm
+    results = [fly(config, kind, searching, farms) for kind in KINDS for searching in (0, 1, 2, 3, 4)]
+    data = {**provenance("experiments.exchange"), "farms": list(farms), "results": results}
+    if arguments.write:
+        arguments.write.mkdir(parents=True, exist_ok=True)
+        (arguments.write / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+        (arguments.write / "README.md").write_text(page(data), encoding="utf-8")
+    sys.stdout.write(json.dumps(data) + "\n")
+
+
+if __name__ == "__main__":
+    main()
