@@ -177,7 +177,7 @@ def test_a_training_that_is_flown_needs_its_policy(bench):
     assert bench.records.missing([job]) == [job]
 
 
-@pytest.mark.parametrize("name", ["ablation", "scalability"])
+@pytest.mark.parametrize("name", ["ablation", "scalability", "default"])
 def test_kept_records_are_found_by_their_study(name, tmp_path):
     """The archive that is kept with the results, unpacked, has all that these pages were made from."""
     folder = Path(__file__).resolve().parents[2] / "docs" / "results" / "reproduce"
