@@ -40,10 +40,14 @@ def _compared(bench: Bench, methods: tuple[Method, ...], seeds: int) -> Stages:
 
 
 def _comparison(bench: Bench, methods: tuple[Method, ...], seeds: int) -> dict[str, Any]:
-    runs = {method.name: bench.runs(method, seeds) for method in methods}
+    return _compared_runs(bench, methods, {method.name: bench.runs(method, seeds) for method in methods})
+
+
+def _compared_runs(bench: Bench, tuned: tuple[Method, ...], runs: Mapping[str, list[Job]]) -> dict[str, Any]:
+    """Return what runs came to, by name, and how the methods among them that were tuned here were tuned."""
     return {
         "references": reference_summary(bench),
-        "choice": choice_summary(bench, methods),
+        "choice": choice_summary(bench, tuned),
         "methods": {name: method_summary(bench, own) for name, own in runs.items()},
         **comparisons(bench, runs),
     }
@@ -129,12 +133,7 @@ def _default_stages(bench: Bench) -> Stages:
 def _default(bench: Bench) -> dict[str, Any]:
     seeds = bench.scale.seeds
     runs = {DEFAULT_PRESET: bench.preset_runs(seeds), EIA_SEC.name: bench.runs(EIA_SEC, seeds)}
-    return {
-        "references": reference_summary(bench),
-        "choice": choice_summary(bench, [EIA_SEC]),
-        "methods": {name: method_summary(bench, own) for name, own in runs.items()},
-        **comparisons(bench, runs),
-    }
+    return _compared_runs(bench, (EIA_SEC,), runs)
 
 
 STUDIES: Final[Mapping[str, Study]] = {
