@@ -1,5 +1,6 @@
 """What holds for all tests."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,9 @@ TESTS = Path(__file__).parent
 WITH_PROCESSES = tuple(TESTS / folder for folder in ("faults", "security", "system", "watching"))
 """Tests that start several processes and wait for what they do to one another."""
 
+
+for variable in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")  # as `make test` has it: commands give themselves one, which numba wants early
 
 OUT_OF_TIME = ["did not happen within", "nobody answers at"]
 """What a test says whose processes were too slow. Only that is tried again: a broken promise never is."""
