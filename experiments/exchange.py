@@ -9,8 +9,6 @@ tells whether anything was gained.
 """
 
 import argparse
-import json
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -22,6 +20,7 @@ from common.config import FarmConfig
 from common.config.presets import PRESETS
 from common.team import COLLECTION, MONITORING, Float32, farm_team
 from deploy.provenance import provenance
+from experiments.told import tell
 from rollout.evaluation import episode_seed
 from rollout.farms import FarmBatch
 from rollout.heuristics import lawnmower
@@ -144,11 +143,7 @@ def main() -> None:
     config = PRESETS["default"].farm
     results = [fly(config, kind, searching, farms) for kind in KINDS for searching in (0, 1, 2, 3, 4)]
     data = {**provenance("experiments.exchange"), "farms": list(farms), "results": results}
-    if arguments.write:
-        arguments.write.mkdir(parents=True, exist_ok=True)
-        (arguments.write / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-        (arguments.write / "README.md").write_text(page(data), encoding="utf-8")
-    sys.stdout.write(json.dumps(data) + "\n")
+    tell(data, page, arguments.write)
 
 
 if __name__ == "__main__":

@@ -7,14 +7,13 @@ policy may be hoped to get; a bound, which is further off, is counted by `experi
 """
 
 import argparse
-import json
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from common.config import FarmConfig
 from deploy.provenance import provenance
+from experiments.told import tell
 from rollout.evaluation import evaluate
 from rollout.heuristics import horizon
 from rollout.heuristics.crews import COLLECTORS, MONITORS, CrewPolicy
@@ -80,11 +79,7 @@ def main() -> None:
     farms = range(*(int(seed) for seed in arguments.farms.split(":")))
     origin = provenance("experiments.search")
     data = {**origin, "farms": list(farms), "results": [fly(FarmConfig(), form, farms) for form in FORMS]}
-    if arguments.write:
-        arguments.write.mkdir(parents=True, exist_ok=True)
-        (arguments.write / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-        (arguments.write / "README.md").write_text(page(data), encoding="utf-8")
-    sys.stdout.write(json.dumps(data) + "\n")
+    tell(data, page, arguments.write)
 
 
 if __name__ == "__main__":

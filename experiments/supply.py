@@ -8,8 +8,6 @@ long, or else to service, because the counter is set back in the very step in wh
 """
 
 import argparse
-import json
-import sys
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +18,7 @@ from common.config import FarmConfig
 from common.config.presets import PRESETS
 from common.errors import ConfigError
 from deploy.provenance import provenance
+from experiments.told import tell
 from rollout.evaluation import episode_seed
 from rollout.farms import FarmBatch
 from rollout.policies import Policy, policy_of
@@ -135,11 +134,7 @@ def main() -> None:
     config = PRESETS["default"].farm
     results = [mean(config, name, farms) for name in arguments.policy]
     data = {**provenance("experiments.supply"), "farms": list(farms), "results": results}
-    if arguments.write:
-        arguments.write.mkdir(parents=True, exist_ok=True)
-        (arguments.write / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-        (arguments.write / "README.md").write_text(page(data), encoding="utf-8")
-    sys.stdout.write(json.dumps(data) + "\n")
+    tell(data, page, arguments.write)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Where the supply goes."""
 
+import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 
 from common.config.presets import PRESETS
 from common.errors import ConfigError
-from experiments.supply import COLUMNS, KINDS, Ledger, follow, mean, page
+from experiments.supply import COLUMNS, KINDS, Ledger, follow, main, mean, page
 from rollout.evaluation import episode_seed, record
 from rollout.farms import FarmBatch
 from rollout.policies import HEURISTICS, policy_of
@@ -73,3 +75,15 @@ def test_other_cycles_are_refused():
     """Where counters rise at other times than multiples of their cycles, the sums would not say what they say."""
     with pytest.raises(ConfigError, match="multiples of their cycles"):
         mean(replace(SMALL, world=replace(SMALL.world, start_levels="random")), "static", range(1))
+
+
+def test_the_command_prints_and_writes_the_same(tmp_path, monkeypatch, capsys):
+    """One line of JSON with its origin, and in a folder that it makes the same data and their page."""
+    folder = tmp_path / "new" / "supply"
+    monkeypatch.setattr(sys, "argv", ["supply", "static", "--farms", "3:4", "--write", str(folder)])
+    main()
+    told = json.loads(capsys.readouterr().out)
+    assert (told["farms"], [found["policy"] for found in told["results"]]) == ([3], ["static"])
+    assert "commit" in told
+    assert json.loads((folder / "results.json").read_text()) == told
+    assert (folder / "README.md").read_text() == page(told)
