@@ -23,6 +23,7 @@ import numpy as np
 from common.config import FarmConfig
 from common.errors import ConfigError
 from deploy.provenance import provenance
+from experiments.told import farm_range
 from rollout.evaluation import episode_seed
 from rollout.farms import FarmBatch
 from rollout.heuristics.sites import plot_half
@@ -109,9 +110,8 @@ def bounds(config: FarmConfig, farms: list[int]) -> dict[str, Any]:
 def main() -> None:
     """Print the bound."""
     parser = argparse.ArgumentParser(prog="python -m experiments.bound", description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--farms", default="1000:1100", help="farm seeds A:B, from A to B - 1")
-    first, last = (int(seed) for seed in parser.parse_args().farms.split(":"))
-    found = {**bounds(FarmConfig(), list(range(first, last))), **provenance("experiments.bound")}
+    parser.add_argument("--farms", type=farm_range, default="1000:1100", help="farm seeds A:B, from A to B - 1")
+    found = {**bounds(FarmConfig(), list(parser.parse_args().farms)), **provenance("experiments.bound")}
     sys.stdout.write(json.dumps(found) + "\n")
 
 

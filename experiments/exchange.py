@@ -20,7 +20,7 @@ from common.config import FarmConfig
 from common.config.presets import PRESETS
 from common.team import COLLECTION, MONITORING, Float32, farm_team
 from deploy.provenance import provenance
-from experiments.told import tell
+from experiments.told import farm_range, tell
 from rollout.evaluation import episode_seed
 from rollout.farms import FarmBatch
 from rollout.heuristics import lawnmower
@@ -71,10 +71,8 @@ class Exchange:
         crew = partial(PartialCrew, kind=KINDS[kind], searching=searching)
         monitors = crew if kind == MONITORING else lawnmower.monitors
         collectors = crew if kind == COLLECTION else lawnmower.collectors
-        self._learned, self._search = (
-            policy_of("trained", config),
-            CrewPolicy(config, CentroidRelays, monitors, collectors),
-        )
+        self._learned = policy_of("trained", config)
+        self._search = CrewPolicy(config, CentroidRelays, monitors, collectors)
         first = farm_team(config).agent_slices()[KINDS[kind]].start
         self._columns = slice(2 * first, 2 * (first + searching))
 
@@ -136,10 +134,10 @@ def main() -> None:
     """Fly every exchange, print what came out, and write it where asked."""
     about = (__doc__ or "").partition("\n")[0]
     parser = argparse.ArgumentParser(prog="python -m experiments.exchange", description=about)
-    parser.add_argument("--farms", default="500:508", help="farm seeds A:B, from A to B - 1")
+    parser.add_argument("--farms", type=farm_range, default="500:508", help="farm seeds A:B, from A to B - 1")
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
     arguments = parser.parse_args()
-    farms = range(*(int(seed) for seed in arguments.farms.split(":")))
+    farms = arguments.farms
     config = PRESETS["default"].farm
     results = [fly(config, kind, searching, farms) for kind in KINDS for searching in (0, 1, 2, 3, 4)]
     data = {**provenance("experiments.exchange"), "farms": list(farms), "results": results}

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from common.config import FarmConfig
 from deploy.provenance import provenance
-from experiments.told import tell
+from experiments.told import farm_range, tell
 from rollout.evaluation import evaluate
 from rollout.heuristics import horizon
 from rollout.heuristics.crews import COLLECTORS, MONITORS, CrewPolicy
@@ -73,10 +73,10 @@ def main() -> None:
     """Fly every form, print what came out, and write it where asked."""
     about = (__doc__ or "").partition("\n")[0]
     parser = argparse.ArgumentParser(prog="python -m experiments.search", description=about)
-    parser.add_argument("--farms", default="1000:1008", help="farm seeds A:B, from A to B - 1")
+    parser.add_argument("--farms", type=farm_range, default="1000:1008", help="farm seeds A:B, from A to B - 1")
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
     arguments = parser.parse_args()
-    farms = range(*(int(seed) for seed in arguments.farms.split(":")))
+    farms = arguments.farms
     origin = provenance("experiments.search")
     data = {**origin, "farms": list(farms), "results": [fly(FarmConfig(), form, farms) for form in FORMS]}
     tell(data, page, arguments.write)

@@ -18,13 +18,14 @@ from common.config import FarmConfig
 from common.config.presets import PRESETS
 from common.errors import ConfigError
 from deploy.provenance import provenance
-from experiments.told import tell
+from experiments.told import farm_range, tell
 from rollout.evaluation import episode_seed
 from rollout.farms import FarmBatch
 from rollout.policies import Policy, policy_of
 
 POLICIES: Final = ("trained", "lawnmower", "greedy", "hungarian", "tour", "horizon")
-KINDS: Final = {"VDF of plots": "vdf", "AoI of sensors": "aoi"}
+PLOTS: Final = "VDF of plots"
+KINDS: Final = (PLOTS, "AoI of sensors")
 COLUMNS: Final = ("supply", "paid", "left", "service", "cap", "border")
 
 Array = NDArray[np.float64]
@@ -42,23 +43,24 @@ class Ledger:
     def __init__(self, cycle: Array, largest: float, border: NDArray[np.bool_]) -> None:
         self._cycle, self._largest, self._border = cycle, largest, border
         self._before = np.zeros(cycle.shape)
-        self.supply = self.paid = self.cap = self.border = 0.0
+        self._supply = self._paid = self._cap = self._lost_at_border = 0.0
 
     def note(self, step: int, level: Array, paid: float) -> None:
         """Take down one step: its number from 1 on, the counters behind it, and the units that it paid."""
         due = step % self._cycle == 0
         lost = due & (self._before >= self._largest)
-        self.supply += float(due.sum())
-        self.paid += paid
-        self.cap += float(lost.sum())
-        self.border += float((lost & self._border).sum())
+        self._supply += float(due.sum())
+        self._paid += paid
+        self._cap += float(lost.sum())
+        self._lost_at_border += float((lost & self._border).sum())
         self._before = level.copy()
 
     def told(self) -> dict[str, float]:
         """Return the units by the names of COLUMNS; `border` is the part of `cap` that was lost there."""
         left = float(self._before.sum())
-        service = self.supply - self.paid - self.cap - left
-        return dict(zip(COLUMNS, (self.supply, self.paid, left, service, self.cap, self.border), strict=True))
+        service = self._supply - self._paid - self._cap - left
+        found = self._supply, self._paid, left, service, self._cap, self._lost_at_border
+        return dict(zip(COLUMNS, found, strict=True))
 
 
 def follow(config: FarmConfig, policy: Policy, farm: int) -> dict[str, dict[str, float]]:
@@ -116,7 +118,7 @@ def page(data: dict[str, Any]) -> str:
         parts.append("|---|---:|---:|---:|---:|---:|")
         for found in data["results"]:
             own = found[kind]
-            border = f" ({own['border']:.0f})" if kind == "VDF of plots" else ""
+            border = f" ({own['border']:.0f})" if kind == PLOTS else ""
             numbers = " | ".join(f"{own[column]:,.0f}" for column in ("supply", "paid", "left", "service", "cap"))
             parts.append(f"| {found['policy']} | {numbers}{border} |")
     return "\n".join([*parts, ""])
@@ -127,10 +129,10 @@ def main() -> None:
     about = (__doc__ or "").partition("\n")[0]
     parser = argparse.ArgumentParser(prog="python -m experiments.supply", description=about)
     parser.add_argument("policy", nargs="*", default=list(POLICIES), help="policies by name or file")
-    parser.add_argument("--farms", default="1000:1020", help="farm seeds A:B, from A to B - 1")
+    parser.add_argument("--farms", type=farm_range, default="1000:1020", help="farm seeds A:B, from A to B - 1")
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
     arguments = parser.parse_args()
-    farms = range(*(int(seed) for seed in arguments.farms.split(":")))
+    farms = arguments.farms
     config = PRESETS["default"].farm
     results = [mean(config, name, farms) for name in arguments.policy]
     data = {**provenance("experiments.supply"), "farms": list(farms), "results": results}

@@ -1,10 +1,19 @@
-"""How an experiment tells what came out: one line of JSON, and where asked its data and a page."""
+"""What experiments have in common: which farms they fly, and how they tell what came out."""
 
+import argparse
 import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+
+def farm_range(text: str) -> range:
+    """Return the farm seeds A to B - 1 of a text "A:B"; raise ArgumentTypeError where it names none."""
+    first, _, last = text.partition(":")
+    if not (first.isdecimal() and last.isdecimal() and int(first) < int(last)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not A:B with whole numbers A < B")
+    return range(int(first), int(last))
 
 
 def tell(data: dict[str, Any], page: Callable[[dict[str, Any]], str], folder: Path | None) -> None:

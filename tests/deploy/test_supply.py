@@ -12,6 +12,7 @@ from common.errors import ConfigError
 from experiments.supply import COLUMNS, KINDS, Ledger, follow, main, mean, page
 from rollout.evaluation import episode_seed, record
 from rollout.farms import FarmBatch
+from rollout.layout import make_layout
 from rollout.policies import HEURISTICS, policy_of
 from tests.rollout.small_farm import SMALL
 
@@ -27,35 +28,43 @@ def test_every_unit_is_booked_once():
     assert ledger.told() == {"supply": 12.0, "paid": 2.0, "left": 4.0, "service": 1.0, "cap": 5.0, "border": 2.0}
 
 
-def plots_of(name):
-    """Return the VDF of all plots at the start and behind each step of the first episode of farm 3."""
+def courses_of(name):
+    """Return VDF of all plots, and AoI of all sensors, at the start and behind each step of farm 3's first episode."""
     batch, policy = FarmBatch(FARM, 1), policy_of(name, FARM)
     batch.reset(0, 3, episode_seed(3, 0))
     policy.reset(batch, 0)
-    course = [batch.vdf[0].copy()]
+    course = [(batch.vdf[0].reshape(-1).copy(), batch.aoi[0].copy())]
     while not batch.ended.all():
         batch.step(policy.act(batch))
-        course.append(batch.vdf[0].copy())
-    return np.stack(course)
+        course.append((batch.vdf[0].reshape(-1).copy(), batch.aoi[0].copy()))
+    return [np.stack(levels) for levels in zip(*course, strict=True)]
 
 
 @pytest.mark.parametrize("name", ["lawnmower", "greedy", "static"])
 def test_what_is_told_is_what_a_recorded_episode_shows(name):
     """Counted from the course of the same episode: what was paid and left, rises at the cap, and rises while served."""
     told, flown = follow(FARM, policy_of(name, FARM), 3), record(FARM, policy_of(name, FARM), 3, 0)
-    world, (plots, sensors), course = FARM.world, KINDS, plots_of(name)
-    due = np.arange(1, world.steps + 1) % round(world.vdf_cycle / world.step_seconds) == 0
-    before, after = course[:-1][due], course[1:][due]
+    world, collected = FARM.world, flown.collected[-1]
+    steps = np.arange(1, world.steps + 1)[:, None]
+    cycles = np.full(world.plots_x * world.plots_y, round(world.vdf_cycle)), make_layout(FARM, 3).sensor_cycle_steps
+    first = world.communication_uavs + world.monitoring_uavs
+    paid = collected[:first].sum(), collected[first:].sum()
     inside = np.zeros((world.plots_x, world.plots_y), bool)
     inside[1:-1, 1:-1] = True
-    full = before >= world.vdf_max
-    assert told[plots]["cap"] == full.sum()
-    assert told[plots]["border"] == full[:, ~inside].sum()
-    assert told[plots]["service"] == ((after == 0) & ~full).sum()
-    assert told[plots]["left"] == flown.final_vdf.sum()
-    assert told[sensors]["left"] == flown.final_aoi.sum()
-    collected, first = flown.collected[-1], world.communication_uavs + world.monitoring_uavs
-    assert (told[plots]["paid"], told[sensors]["paid"]) == (collected[:first].sum(), collected[first:].sum())
+    border = ~inside.reshape(-1), np.zeros(world.sensors, bool)
+    most = world.vdf_max, world.aoi_max
+    for kind, course, cycle, earned, edge, largest in zip(
+        KINDS, courses_of(name), cycles, paid, border, most, strict=True
+    ):
+        due, full = steps % cycle == 0, course[:-1] >= largest
+        assert told[kind] == {
+            "supply": due.sum(),
+            "paid": earned,
+            "left": course[-1].sum(),
+            "service": (due & ~full & (course[1:] == 0)).sum(),
+            "cap": (due & full).sum(),
+            "border": (due & full)[:, edge].sum(),
+        }
 
 
 @pytest.mark.parametrize("name", HEURISTICS)
@@ -87,3 +96,12 @@ def test_the_command_prints_and_writes_the_same(tmp_path, monkeypatch, capsys):
     assert "commit" in told
     assert json.loads((folder / "results.json").read_text()) == told
     assert (folder / "README.md").read_text() == page(told)
+
+
+@pytest.mark.parametrize("farms", ["3", "3:3", "4:3", "a:b", "-1:3", ""])
+def test_farms_that_are_none_are_refused(farms, monkeypatch, capsys):
+    """A range that holds no farm ends with code 2 and says what is asked for."""
+    monkeypatch.setattr(sys, "argv", ["supply", "static", f"--farms={farms}"])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert "A:B with whole numbers A < B" in capsys.readouterr().err
