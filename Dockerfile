@@ -44,7 +44,7 @@ COPY deploy deploy
 RUN pip install -c constraints.txt ${PIP_ARGS} ".[export]"
 WORKDIR /data
 # The simulator is compiled once, into a cache that any account may add to: other processors compile for themselves.
-RUN NUMBA_NUM_THREADS=1 python -c "from common.config import FarmConfig; from rollout.farms import FarmBatch; \
+RUN NUMBA_NUM_THREADS=1 python -c "from common.config import FarmConfig; from rollout.sim.batch import FarmBatch; \
 FarmBatch(FarmConfig(), 1).reset(0, 0, 0)" \
     && chmod -R a+rwX /var/cache/eia-sec
 

@@ -37,10 +37,10 @@ lint: $(READY)
 	@$(VENV)/bin/mypy
 
 docs: $(READY)
-	@$(VENV)/bin/python -m deploy.docs
-	@$(VENV)/bin/python -m deploy.results
-	@$(VENV)/bin/python -m deploy.studies.comparison_page
-	@$(VENV)/bin/python -m deploy.environment
+	@$(VENV)/bin/python -m docs.tools.pages
+	@$(VENV)/bin/python -m docs.tools.results
+	@$(VENV)/bin/python -m docs.tools.reproduce_page
+	@$(VENV)/bin/python -m docs.tools.environment_page
 
 bench-peers: $(READY)
 	@$(VENV)/bin/python -m benchmarks.peers --pip-args="$(PIP_ARGS)" $(ARGS)
@@ -63,7 +63,7 @@ $(READY): pyproject.toml constraints.txt
 	@$(PIP) torch==$$(sed -n 's/^torch==//p' constraints.txt) hatchling
 	@$(PIP) --no-build-isolation --editable '.[dev,export]'
 	@echo "Compiling the simulator once, so that no process has to."
-	@NUMBA_NUM_THREADS=1 $(VENV)/bin/python -c 'from common.config import FarmConfig; from rollout.farms import FarmBatch; \
+	@NUMBA_NUM_THREADS=1 $(VENV)/bin/python -c 'from common.config import FarmConfig; from rollout.sim.batch import FarmBatch; \
 	  FarmBatch(FarmConfig(), 1).reset(0, 0, 0)'
 	@touch $(READY)
 

@@ -30,9 +30,9 @@ from common.config import AlgorithmConfig, ReplayConfig, RunConfig  # noqa: E402
 from common.errors import EiaSecError  # noqa: E402  (as above)
 from common.transitions import TRANSITION, Chunk, Rows  # noqa: E402  (as above)
 from deploy.exit_codes import run_command  # noqa: E402  (as above)
-from deploy.provenance import provenance  # noqa: E402  (as above)
-from learner.intake import Intake  # noqa: E402  (as above)
-from learner.storage import RunStorage  # noqa: E402  (as above)
+from deploy.reports.provenance import provenance  # noqa: E402  (as above)
+from learner.checkpoint.storage import RunStorage  # noqa: E402  (as above)
+from learner.intake.ledger import Intake  # noqa: E402  (as above)
 from learner.trainer import Trainer  # noqa: E402  (as above)
 
 SETTLE_TURNS = 20

@@ -18,15 +18,15 @@ from typing import Any, Final
 
 import tyro
 
-from common import keys
-from common.bus import Bus, Subscription
 from common.config import FarmConfig
-from common.endpoint import Endpoint, free_endpoint
 from common.errors import EiaSecError
-from common.messages import MetricMessage
+from common.protocol import keys
+from common.protocol.messages import MetricMessage
 from common.team import farm_team
+from common.transport.bus import Bus, Subscription
+from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.exit_codes import run_command
-from deploy.provenance import provenance
+from deploy.reports.provenance import provenance
 
 RUN: Final = "fly"
 LIMIT: Final = 600.0

@@ -22,8 +22,8 @@ import numpy as np  # noqa: E402  (the variables above count only before numpy i
 import torch  # noqa: E402  (as above)
 
 from benchmarks.learner import fastest, matrix_speed  # noqa: E402  (as above)
-from deploy.provenance import provenance  # noqa: E402  (as above)
-from learner.products import (  # noqa: E402  (as above)
+from deploy.reports.provenance import provenance  # noqa: E402  (as above)
+from learner.networks.matrix_products import (  # noqa: E402  (as above)
     WHOLE,
     Floats,
     multiply,

@@ -27,9 +27,9 @@ import tyro
 from benchmarks.simulator_page import table, write
 from benchmarks.stages import stage_shares
 from common.config import FarmConfig, WorldConfig
-from rollout.farms import FarmBatch
-from rollout.layout import make_layout
-from rollout.reference import ReferenceFarm
+from rollout.sim.batch import FarmBatch
+from rollout.sim.layout import make_layout
+from rollout.sim.reference import ReferenceFarm
 
 FARM = FarmConfig()
 FARMS = 20
@@ -40,7 +40,7 @@ COMPILE = """
 import time
 began = time.perf_counter()
 from common.config import FarmConfig
-from rollout.farms import FarmBatch
+from rollout.sim.batch import FarmBatch
 batch = FarmBatch(FarmConfig(), 1)
 batch.reset(0, 0, 0)
 print(time.perf_counter() - began)

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from matplotlib.figure import Figure
 
-from deploy.provenance import provenance
+from deploy.reports.provenance import provenance
 
 AXES: Final = {
     "uavs": ("UAVs", "on the default field, a third of each type"),

@@ -10,10 +10,10 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-import rollout.kernel.step as kernel
+import rollout.sim.kernel.step as kernel
 from common.config import FarmConfig
-from rollout.farms import FarmBatch
-from rollout.kernel.compiled import SEALED
+from rollout.sim.batch import FarmBatch
+from rollout.sim.kernel.compiler.decorators import SEALED
 
 STAGED = ("_survey", "_serve_tasks", "_observe", "_step")
 """Functions whose calls are stages, unless they call one of these themselves."""

@@ -26,17 +26,17 @@ import psutil
 import tyro
 
 from common.actors import ActorBank
-from common.bus import Bus
 from common.config import RunConfig
 from common.config.files import to_toml
-from common.endpoint import Endpoint, free_endpoint
 from common.process import Presence
-from deploy.provenance import provenance
-from deploy.watching.hub import Hub, Seat
-from deploy.watching.source import Source
-from rollout.collector import Collector
-from rollout.lens import Lens
-from rollout.showing import Showing
+from common.transport.bus import Bus
+from common.transport.endpoint import Endpoint, free_endpoint
+from deploy.monitor.web.hub import Hub, Seat
+from deploy.monitor.web.source import Source
+from deploy.reports.provenance import provenance
+from rollout.worker.collector import Collector
+from rollout.worker.probe import Lens
+from rollout.worker.view_service import Showing
 
 RUN: Final = "watch"
 CHECK_SECONDS: Final = 0.05

@@ -8,10 +8,10 @@ One JSON array per line:
     [verdict, worker, incarnation, first, last, steps, produced, flown]
 
 The last kind is about chunks `first` to `last` of one start of a worker, each of `steps` environment steps; `produced`
-and `flown` are the worker's counts (see `common.messages.ChunkMessage`) with the last of them. Verdicts of a worker are
-*made*, and what it was told: *told* (accepted), *again* (a duplicate, whatever became of it when it first came) and
-*refused*; those of the learner *accepted*, *refused*, *duplicate* and *missing* (it learnt that these can no longer
-arrive), and for the last two `steps` is the count of chunks or steps together.
+and `flown` are the worker's counts (see `common.protocol.messages.ChunkMessage`) with the last of them. Verdicts of a
+worker are *made*, and what it was told: *told* (accepted), *again* (a duplicate, whatever became of it when it first
+came) and *refused*; those of the learner *accepted*, *refused*, *duplicate* and *missing* (it learnt that these can no
+longer arrive), and for the last two `steps` is the count of chunks or steps together.
 
 A line is written before whatever it tells of is told to anybody, and reaches the operating system at once: it survives
 a killed process, though not a power cut. The file stays small because consecutive chunks are joined into one line

@@ -3,7 +3,7 @@
 from common.actors import ActorBank, checked_head, imitate
 from common.errors import VersionError
 from common.imitation import ImitationEvent
-from common.messages import ParametersMessage
+from common.protocol.messages import ParametersMessage
 from common.team import TeamSpec
 
 

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, Final
 
-from common import keys
-from common.bus import Bus, Publisher
-from common.endpoint import Endpoint
 from common.errors import BusError
-from common.messages import CommandMessage, ConfigurationMessage, Envelope, MetricMessage
+from common.protocol import keys
+from common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, MetricMessage
+from common.transport.bus import Bus, Publisher
+from common.transport.endpoint import Endpoint
 
 LARGEST: Final = 2**63 - 1
 """Largest whole number that a report tells; a sum that is larger is told as this."""

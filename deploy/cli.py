@@ -5,12 +5,13 @@ import importlib
 import os
 import sys
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Final
 
 from common.errors import UsageError
 from deploy.exit_codes import run_command
-from deploy.memory import keep_freed_memory
-from deploy.threads import thread_environment
+from deploy.local.memory import keep_freed_memory
+from deploy.local.threads import thread_environment
 
 
 @dataclass(frozen=True)
@@ -27,29 +28,43 @@ class Command:
 
 
 COMMANDS: Final = {
-    "train": Command("deploy.commands.train", "train on this machine: learner, coordinator, workers, live view"),
-    "learner": Command("deploy.commands.learner", "start the learner alone"),
-    "rollout": Command("deploy.commands.rollout", "start one rollout worker"),
-    "elite": Command("deploy.commands.elite", "start the elite coordinator"),
-    "router": Command("deploy.commands.router", "start a router, to which learner, workers and monitors connect"),
-    "evaluate": Command("deploy.commands.evaluate", "fly a policy without noise on farms that training never saw"),
-    "replay": Command("deploy.commands.replay", "film a policy against another on the same farm, and draw their paths"),
-    "farm": Command("deploy.commands.farm", "draw, save or check farms: densities, and files of sensors' places"),
-    "reproduce": Command("deploy.commands.reproduce", "do the paper's studies over again, with tables and pictures"),
-    "export": Command("deploy.commands.export", "write a run's actors for use without this project"),
-    "fly": Command("deploy.commands.fly", "fly vehicles with trained actors: observations in, set-points out"),
-    "simulator": Command("deploy.commands.simulator", "a simulated farm in the place of vehicles, for eia-sec fly"),
-    "keys": Command("deploy.commands.keys", "certificates for --tls: an authority, and one for each process"),
-    "audit": Command("deploy.commands.audit", "check that every chunk of a run is explained, from the histories"),
-    "up": Command("deploy.commands.up", "start a fleet: the processes of fleet.toml, on its hosts, over SSH"),
-    "down": Command("deploy.commands.down", "end a fleet, workers first"),
-    "status": Command("deploy.commands.status", "show what runs on the hosts of a fleet"),
-    "logs": Command("deploy.commands.logs", "show what the processes of a fleet have written"),
-    "fleet": Command("deploy.commands.fleet", "check, keys, collect; render for systemd, Compose and Kubernetes"),
-    "host": Command("deploy.commands.host", "the far end of up, down, status and logs, called by them"),
-    "alive": Command("deploy.commands.alive", "probe one process of a run, for whatever starts it again"),
-    "monitor": Command("deploy.commands.monitor", "watch a run live from anywhere, read-only"),
-    "watch": Command("deploy.commands.watch", "see one worker's farm live in the browser"),
+    "train": Command(
+        "deploy.commands.training.train", "train on this machine: learner, coordinator, workers, live view"
+    ),
+    "learner": Command("deploy.commands.training.learner", "start the learner alone"),
+    "rollout": Command("deploy.commands.training.rollout", "start one rollout worker"),
+    "elite": Command("deploy.commands.training.elite", "start the elite coordinator"),
+    "router": Command(
+        "deploy.commands.training.router", "start a router, to which learner, workers and monitors connect"
+    ),
+    "evaluate": Command(
+        "deploy.commands.policies.evaluate", "fly a policy without noise on farms that training never saw"
+    ),
+    "replay": Command(
+        "deploy.commands.policies.replay", "film a policy against another on the same farm, and draw their paths"
+    ),
+    "farm": Command(
+        "deploy.commands.policies.farm", "draw, save or check farms: densities, and files of sensors' places"
+    ),
+    "reproduce": Command("experiments.studies.command", "do the paper's studies over again, with tables and pictures"),
+    "export": Command("deploy.commands.policies.export", "write a run's actors for use without this project"),
+    "fly": Command("deploy.commands.policies.fly", "fly vehicles with trained actors: observations in, set-points out"),
+    "simulator": Command(
+        "deploy.commands.policies.simulator", "a simulated farm in the place of vehicles, for eia-sec fly"
+    ),
+    "keys": Command("deploy.commands.fleet.keys", "certificates for --tls: an authority, and one for each process"),
+    "audit": Command(
+        "deploy.commands.monitoring.audit", "check that every chunk of a run is explained, from the histories"
+    ),
+    "up": Command("deploy.commands.fleet.up", "start a fleet: the processes of fleet.toml, on its hosts, over SSH"),
+    "down": Command("deploy.commands.fleet.down", "end a fleet, workers first"),
+    "status": Command("deploy.commands.fleet.status", "show what runs on the hosts of a fleet"),
+    "logs": Command("deploy.commands.fleet.logs", "show what the processes of a fleet have written"),
+    "fleet": Command("deploy.commands.fleet.fleet", "check, keys, collect; render for systemd, Compose and Kubernetes"),
+    "host": Command("deploy.commands.fleet.host", "the far end of up, down, status and logs, called by them"),
+    "alive": Command("deploy.commands.monitoring.alive", "probe one process of a run, for whatever starts it again"),
+    "monitor": Command("deploy.commands.monitoring.monitor", "watch a run live from anywhere, read-only"),
+    "watch": Command("deploy.commands.monitoring.watch", "see one worker's farm live in the browser"),
 }
 
 
@@ -71,7 +86,17 @@ def dispatch(arguments: list[str]) -> int:
     for variable, threads in thread_environment(1).items():
         os.environ.setdefault(variable, threads)
     keep_freed_memory()
-    return int(importlib.import_module(command.module).command(arguments[1:]) or 0)
+    return int(_load(arguments[0], command.module).command(arguments[1:]) or 0)
+
+
+def _load(word: str, module: str) -> ModuleType:
+    """Import a command's module; the studies are no part of the installed package."""
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name != module.partition(".")[0]:
+            raise
+        raise UsageError(f"eia-sec {word} needs a checkout of the source: the studies are not installed.") from error
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from common.config.files import from_toml
 from common.config.presets import PRESETS
 from common.config.sites import Sites
 from common.errors import ConfigError, UsageError
-from deploy.rundir import RunDirectory
+from deploy.local.run_directory import RunDirectory
 from rollout.farm_files import read_farm
 
 T = TypeVar("T")

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common import keys
-from common.bus import Bus
 from common.config.files import from_toml
 from common.config.run import RunConfig
-from common.endpoint import Endpoint
 from common.errors import BusClosedError, BusError, ProtocolError
 from common.imitation import ImitationEvent, ImitationSchedule
-from common.messages import (
+from common.process import Presence, StopSignal, connect, denial, fetch_configuration, incarnation, log
+from common.protocol import keys
+from common.protocol.messages import (
     CommandMessage,
     Envelope,
     EvaluationOrder,
@@ -23,9 +22,10 @@ from common.messages import (
     ProgressMessage,
     ReceiptMessage,
 )
-from common.process import Presence, StopSignal, connect, denial, fetch_configuration, incarnation, log
 from common.team import Float32, TeamSpec
-from elite.plan import evaluation_plan
+from common.transport.bus import Bus
+from common.transport.endpoint import Endpoint
+from elite.evaluation_plan import evaluation_plan
 from elite.scoring import decide
 
 ANSWER_SECONDS = 30.0

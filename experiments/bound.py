@@ -22,15 +22,15 @@ import numpy as np
 
 from common.config import FarmConfig
 from common.errors import ConfigError
-from deploy.provenance import provenance
-from experiments.told import farm_range
+from deploy.reports.provenance import provenance
+from experiments.reporting import farm_range
 from rollout.evaluation import episode_seed
-from rollout.farms import FarmBatch
 from rollout.heuristics.sites import plot_half
-from rollout.kernel.camera import plot_quality
-from rollout.kernel.constants import constants
-from rollout.kernel.motion import flight_power
-from rollout.layout import cell_counts, make_layout
+from rollout.sim.batch import FarmBatch
+from rollout.sim.kernel.camera import plot_quality
+from rollout.sim.kernel.constants import constants
+from rollout.sim.kernel.motion import flight_power
+from rollout.sim.layout import cell_counts, make_layout
 
 SPEEDS: Final = 2001
 """Speeds among which the cheapest is sought."""

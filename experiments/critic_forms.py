@@ -24,8 +24,8 @@ from matplotlib.figure import Figure
 from common.config import RunConfig
 from common.config.presets import PRESETS
 from common.transitions import Chunk
-from deploy.inprocess import train_inprocess
-from deploy.provenance import provenance
+from deploy.local.in_process import train_inprocess
+from deploy.reports.provenance import provenance
 from learner.trainer import Trainer
 
 PRINTED: Final = {"ensemble_loss": "mixture", "bootstrap": "local", "actor_objective": "local"}

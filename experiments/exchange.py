@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.config.presets import PRESETS
 from common.team import COLLECTION, MONITORING, Float32, farm_team
-from deploy.provenance import provenance
-from experiments.told import farm_range, tell
+from deploy.reports.provenance import provenance
+from experiments.reporting import farm_range, tell
 from rollout.evaluation import episode_seed
-from rollout.farms import FarmBatch
 from rollout.heuristics import lawnmower
 from rollout.heuristics.crews import COLLECTORS, MONITORS, CrewPolicy, Situation
 from rollout.heuristics.horizon import Effort, HorizonCrew
 from rollout.heuristics.relays import CentroidRelays
 from rollout.policies import policy_of
+from rollout.sim.batch import FarmBatch
 
 AHEAD: Final = 16
 """Steps that the search looks ahead, to the end of the episode."""

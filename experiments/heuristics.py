@@ -19,9 +19,9 @@ from scipy.stats import bootstrap
 
 from common.config.presets import PRESETS
 from common.seeds import stream
-from deploy.evaluate import parse_farms
-from deploy.intervals import COLUMNS, interval_table, ranked
-from deploy.provenance import provenance
+from deploy.policies.evaluate import parse_farms
+from deploy.reports.intervals import COLUMNS, interval_table, ranked
+from deploy.reports.provenance import provenance
 from rollout.evaluation import Evaluation, Score, evaluate
 from rollout.policies import POLICIES, RELAYS, policy_of
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from common.config import RunConfig
 from common.config.files import from_toml
-from deploy.provenance import provenance
+from deploy.reports.provenance import provenance
 from rollout.evaluation import evaluate
 from rollout.policies import HEURISTICS, policy_of
 

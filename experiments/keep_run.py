@@ -11,9 +11,9 @@ from pathlib import Path
 import tyro
 
 from common.policy_file import load_policy, save_policy
-from deploy.provenance import provenance
-from deploy.report import read_metrics
-from deploy.rundir import METRICS, POLICY, RunDirectory
+from deploy.local.run_directory import METRICS, POLICY, RunDirectory
+from deploy.reports.provenance import provenance
+from deploy.reports.run_report import read_metrics
 from rollout.evaluation import evaluate
 from rollout.policies import TRAINED, policy_of
 

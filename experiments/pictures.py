@@ -18,23 +18,23 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from common.actors import ActorBank
-from common.bus import Bus
 from common.config import RunConfig
 from common.config.files import to_toml
 from common.config.presets import preset
-from common.endpoint import Endpoint, free_endpoint
 from common.errors import EiaSecError, UsageError
 from common.policy_file import load_policy
 from common.process import Presence
-from deploy.provenance import provenance
-from deploy.replay import Contest, scenes_of
-from deploy.watching.hub import Hub
-from deploy.watching.server import WebServer
-from deploy.watching.source import Source
-from rollout.collector import Collector
-from rollout.contest import ContestPicture
+from common.transport.bus import Bus
+from common.transport.endpoint import Endpoint, free_endpoint
+from deploy.monitor.web.hub import Hub
+from deploy.monitor.web.server import WebServer
+from deploy.monitor.web.source import Source
+from deploy.policies.replay import Contest, scenes_of
+from deploy.reports.provenance import provenance
 from rollout.policies import TRAINED
-from rollout.showing import Showing
+from rollout.rendering.side_by_side import ContestPicture
+from rollout.worker.collector import Collector
+from rollout.worker.view_service import Showing
 
 FOLDER = Path("docs/images")
 RUN, WORKER = "farm", "0"

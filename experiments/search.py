@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.config import FarmConfig
-from deploy.provenance import provenance
-from experiments.told import farm_range, tell
+from deploy.reports.provenance import provenance
+from experiments.reporting import farm_range, tell
 from rollout.evaluation import evaluate
 from rollout.heuristics import horizon
 from rollout.heuristics.crews import COLLECTORS, MONITORS, CrewPolicy

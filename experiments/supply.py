@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.config.presets import PRESETS
 from common.errors import ConfigError
-from deploy.provenance import provenance
-from experiments.told import farm_range, tell
+from deploy.reports.provenance import provenance
+from experiments.reporting import farm_range, tell
 from rollout.evaluation import episode_seed
-from rollout.farms import FarmBatch
 from rollout.policies import Policy, policy_of
+from rollout.sim.batch import FarmBatch
 
 POLICIES: Final = ("trained", "lawnmower", "greedy", "hungarian", "tour", "horizon")
 PLOTS: Final = "VDF of plots"

@@ -20,10 +20,10 @@ import numpy as np
 import tyro
 from matplotlib.figure import Figure
 
-from deploy.figures import DPI, OTHER_COLOURS, smooth
-from deploy.provenance import provenance
-from deploy.report import read_metrics
-from deploy.rundir import CONFIG, METRICS
+from deploy.local.run_directory import CONFIG, METRICS
+from deploy.reports.plots import DPI, OTHER_COLOURS, smooth
+from deploy.reports.provenance import provenance
+from deploy.reports.run_report import read_metrics
 
 POINTS: Final = 200
 """Points of a curve that are kept."""

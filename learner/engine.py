@@ -15,11 +15,11 @@ from common.actors import ActorBank
 from common.config import AlgorithmConfig
 from common.seeds import stream
 from common.team import Float32, TeamSpec
-from learner.algorithm import Batch, Figures
 from learner.algorithms import ALGORITHMS
-from learner.compiled import usable_cores
-from learner.graphs import Graphs
-from learner.normalisation import Normalisation
+from learner.algorithms.base import Batch, Figures
+from learner.networks.compiled_pass import usable_cores
+from learner.networks.cuda_graphs import Graphs
+from learner.networks.normalisation import Normalisation
 
 __all__ = ["Batch", "Engine", "Figures"]
 

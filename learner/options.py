@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from common.endpoint import Endpoint
+from common.transport.endpoint import Endpoint
 
 
 @dataclass(frozen=True)

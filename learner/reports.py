@@ -13,7 +13,7 @@ from typing import Any, TextIO
 from common.imitation import ImitationEvent
 from common.team import TeamSpec
 from common.transitions import EpisodeSummary
-from learner.board import flattened
+from learner.tensorboard import flattened
 
 IMITATIONS = 4
 """Newest imitation events that metric messages tell of."""

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import torch
 
-from common import keys
-from common.bus import Bus
 from common.config import RunConfig
 from common.config.files import to_toml
 from common.errors import BusError, EiaSecError, ProtocolError, UsageError
 from common.history import History
 from common.imitation import ImitationSchedule
-from common.messages import (
+from common.process import Presence, StopSignal, connect, incarnation
+from common.protocol import keys
+from common.protocol.messages import (
     ChunkAck,
     ConfigurationMessage,
     Envelope,
@@ -22,20 +22,20 @@ from common.messages import (
     ProgressMessage,
     ReceiptMessage,
 )
-from common.process import Presence, StopSignal, connect, incarnation
 from common.team import TeamSpec
 from common.transitions import FARM_FIGURES
-from learner.board import Board, flattened
-from learner.desk import Desk
-from learner.intake import Intake
+from common.transport.bus import Bus
+from learner.checkpoint.recovery import take_up
+from learner.checkpoint.storage import RunStorage
+from learner.command_server import Desk
+from learner.event_deadline import Overdue
+from learner.intake.ledger import Intake
+from learner.intake.receiver import Arrival, Receiver
 from learner.options import LearnerOptions
-from learner.overdue import Overdue
-from learner.past import take_up
-from learner.receiver import Arrival, Receiver
-from learner.rehearsal import rehearse
 from learner.reports import Curves, Journal, diverging, imitation_record
-from learner.storage import RunStorage
+from learner.tensorboard import Board, flattened
 from learner.trainer import Trainer
+from learner.warm_up import rehearse
 
 HISTORY = Path("history", "learner.jsonl")
 """The learner's own account of chunks, in the run directory."""

@@ -26,13 +26,7 @@ from common.imitation import ImitationEvent
 from common.seeds import stream
 from common.team import TeamSpec
 from common.transitions import TRANSITION, Chunk, EpisodeSummary
-from learner.arithmetic import choose_products
-from learner.device import usable_device
-from learner.engine import Engine, Figures
-from learner.figures import RETURN_ROUNDS, SHARE, RunningFigures, newest_returns
-from learner.frozen import Frozen, whole
-from learner.replay import Replay
-from learner.state import (
+from learner.checkpoint.trainer_state import (
     checked_tensors,
     counter,
     episode_record,
@@ -42,6 +36,12 @@ from learner.state import (
     random_state,
     restored_random,
 )
+from learner.data.replay import Replay
+from learner.data.tensor_snapshot import Frozen, whole
+from learner.diagnostics import RETURN_ROUNDS, SHARE, RunningFigures, newest_returns
+from learner.engine import Engine, Figures
+from learner.networks.device import usable_device
+from learner.networks.product_choice import choose_products
 
 COUNTERS = ("environment_steps", "updates", "episodes", "version", "events", "evaluation_steps")
 RECENT_EPISODES = 100

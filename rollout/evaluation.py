@@ -13,9 +13,9 @@ from common.errors import ConfigError
 from common.seeds import derive
 from common.team import LETTERS, TeamSpec
 from common.transitions import EpisodeSummary
-from rollout.environments import Environments, make_environments
-from rollout.farms import FarmBatch
+from rollout.envs.base import Environments, make_environments
 from rollout.policies import Decider, Policy
+from rollout.sim.batch import FarmBatch
 
 BATCH: Final = 32
 """Episodes that are flown side by side; results do not depend on it."""

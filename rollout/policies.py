@@ -20,13 +20,13 @@ from common.config import FarmConfig
 from common.errors import PolicyError
 from common.policy_file import load_policy
 from common.team import Float32, GroupSpec, TeamSpec, farm_team
-from rollout.environments import Environments
-from rollout.farms import FarmBatch
+from rollout.envs.base import Environments
 from rollout.heuristics import greedy, horizon, hungarian, lawnmower, tour
 from rollout.heuristics.crews import CrewPolicy, MakeCrew
 from rollout.heuristics.random import RandomPolicy
 from rollout.heuristics.relays import CentroidRelays, SearchRelays
 from rollout.heuristics.static import StaticPolicy
+from rollout.sim.batch import FarmBatch
 
 TRAINED: Final = Path(__file__).parent / "trained" / "default.safetensors"
 """The policy that ships with this package."""

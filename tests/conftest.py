@@ -7,7 +7,7 @@ import pytest
 from hypothesis import settings
 
 TESTS = Path(__file__).parent
-WITH_PROCESSES = tuple(TESTS / folder for folder in ("faults", "security", "system", "watching"))
+WITH_PROCESSES = tuple(TESTS / folder for folder in ("faults", "security", "system", "deploy/monitor/web"))
 """Tests that start several processes and wait for what they do to one another."""
 
 

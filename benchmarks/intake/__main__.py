@@ -29,11 +29,11 @@ from benchmarks.intake.record import record, write
 from benchmarks.peers.catalogue import ROOT, Program
 from benchmarks.peers.venvs import interpreter, provide
 from common.config import FarmConfig, RolloutConfig
-from common.endpoint import free_endpoint
 from common.errors import EiaSecError
 from common.team import farm_team
-from deploy.provenance import provenance
-from deploy.threads import thread_environment
+from common.transport.endpoint import free_endpoint
+from deploy.local.threads import thread_environment
+from deploy.reports.provenance import provenance
 
 WORKERS: Final = 8
 MOST_WORKERS: Final = 4096

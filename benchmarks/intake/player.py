@@ -14,14 +14,14 @@ import zenoh
 
 from benchmarks.intake.record import record
 from benchmarks.intake.sink import RUN
-from common import keys
-from common.chunks import fitting, to_message, to_request
 from common.config import FarmConfig
-from common.endpoint import Endpoint
-from common.messages import ChunkAck, ChunkMessage, Envelope
+from common.protocol import keys
+from common.protocol.chunk_messages import fitting, to_message, to_request
+from common.protocol.messages import ChunkAck, ChunkMessage, Envelope
 from common.team import farm_team
-from common.zenoh_config import connecting
-from deploy.memory import keep_freed_memory
+from common.transport.endpoint import Endpoint
+from common.transport.zenoh_config import connecting
+from deploy.local.memory import keep_freed_memory
 
 
 class Worker:

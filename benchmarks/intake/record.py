@@ -11,7 +11,7 @@ from common.actors import ActorBank
 from common.config import FarmConfig, RunConfig
 from common.team import farm_team
 from common.transitions import Chunk
-from rollout.collector import Collector
+from rollout.worker.collector import Collector
 
 ENVIRONMENTS = 4
 

@@ -6,9 +6,9 @@ import threading
 
 import zenoh
 
-from common.endpoint import Endpoint
-from common.zenoh_config import listening
-from deploy.memory import keep_freed_memory
+from common.transport.endpoint import Endpoint
+from common.transport.zenoh_config import listening
+from deploy.local.memory import keep_freed_memory
 
 
 def main() -> None:

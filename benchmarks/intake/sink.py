@@ -8,15 +8,15 @@ import argparse
 import sys
 
 from benchmarks.intake.chunks import CAPACITY, Window, tell
-from common import keys
-from common.bus import Bus
 from common.config import FarmConfig, ReplayConfig
-from common.endpoint import Endpoint
+from common.protocol import keys
 from common.team import farm_team
-from deploy.memory import keep_freed_memory
-from learner.intake import Intake
-from learner.receiver import Receiver
-from learner.replay import Replay
+from common.transport.bus import Bus
+from common.transport.endpoint import Endpoint
+from deploy.local.memory import keep_freed_memory
+from learner.data.replay import Replay
+from learner.intake.ledger import Intake
+from learner.intake.receiver import Receiver
 
 RUN = "intake"
 WAITING = 64

@@ -23,7 +23,7 @@ from benchmarks.peers.session import Line, Plan, ProgramError, jobs, run
 from benchmarks.peers.summary import summarised
 from benchmarks.peers.venvs import provide
 from common.errors import EiaSecError
-from deploy.provenance import provenance
+from deploy.reports.provenance import provenance
 
 
 def options(arguments: Sequence[str] | None = None) -> argparse.Namespace:

@@ -37,12 +37,12 @@ class Program:
 
 
 PROGRAMS: Final = (
-    Program("simulator", "EIA-SEC", "benchmarks.peers.run_ours_simulator", OURS),
-    Program("simulator", "VMAS", "benchmarks.peers.run_vmas", "vmas", processes=True),
-    Program("simulator", "mpe2", "benchmarks.peers.run_mpe2", "mpe2", threaded=False),
+    Program("simulator", "EIA-SEC", "benchmarks.peers.scripts.run_ours_simulator", OURS),
+    Program("simulator", "VMAS", "benchmarks.peers.scripts.run_vmas", "vmas", processes=True),
+    Program("simulator", "mpe2", "benchmarks.peers.scripts.run_mpe2", "mpe2", threaded=False),
     Program("learner", "EIA-SEC", "benchmarks.learner", OURS),
-    Program("learner", "AgileRL", "benchmarks.peers.run_agilerl", "agilerl"),
-    Program("learner", "BenchMARL", "benchmarks.peers.run_benchmarl", "benchmarl"),
+    Program("learner", "AgileRL", "benchmarks.peers.scripts.run_agilerl", "agilerl"),
+    Program("learner", "BenchMARL", "benchmarks.peers.scripts.run_benchmarl", "benchmarl"),
 )
 """In the order in which one repeat runs them."""
 SUBJECTS: Final = ("simulator", "learner")

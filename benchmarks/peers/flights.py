@@ -9,8 +9,8 @@ import numpy as np
 
 from common.config import FarmConfig
 from common.team import Float32
+from rollout.envs.parallel_env import FarmParallelEnv, Infos, Observations
 from rollout.evaluation import evaluate
-from rollout.parallel_env import FarmParallelEnv, Infos, Observations
 from rollout.policies import Policy
 
 Point = dict[str, float]

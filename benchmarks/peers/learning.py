@@ -29,11 +29,11 @@ from benchmarks.peers.spread import EPISODE_STEPS, NOISE, curve
 from benchmarks.peers.venvs import interpreter, provide
 from common.errors import EiaSecError
 from common.seeds import derive
-from deploy.figures import DPI, OTHER_COLOURS
-from deploy.provenance import provenance
-from deploy.report import read_metrics
-from deploy.rundir import METRICS
-from deploy.threads import thread_environment
+from deploy.local.run_directory import METRICS
+from deploy.local.threads import thread_environment
+from deploy.reports.plots import DPI, OTHER_COLOURS
+from deploy.reports.provenance import provenance
+from deploy.reports.run_report import read_metrics
 
 RATES: Final = (5e-4, 1e-3, 2e-3)
 """Learning rates that are tried for every program at first."""
@@ -42,8 +42,8 @@ FURTHER: Final = 2
 TUNING_SEED: Final = 100
 SCENARIOS: Final = 200
 PEERS: Final = (
-    (Program("learner", "AgileRL", "benchmarks.peers.learn_agilerl", "agilerl"), ("matd3",)),
-    (Program("learner", "BenchMARL", "benchmarks.peers.learn_benchmarl", "benchmarl"), ("maddpg",)),
+    (Program("learner", "AgileRL", "benchmarks.peers.scripts.learn_agilerl", "agilerl"), ("matd3",)),
+    (Program("learner", "BenchMARL", "benchmarks.peers.scripts.learn_benchmarl", "benchmarl"), ("maddpg",)),
 )
 OURS: Final = {"EIA-SEC": (), "EIA-SEC, team": ("--algorithm.others", "team")}
 """Options of our lines: as published, where each actor climbs its own critic and the others act as in the batch, and

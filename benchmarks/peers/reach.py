@@ -29,20 +29,20 @@ from benchmarks.peers.catalogue import ROOT, Program
 from benchmarks.peers.flights import Point, reward_of
 from benchmarks.peers.report import table
 from benchmarks.peers.venvs import interpreter, provide
-from common import keys
 from common.actors import ActorBank
-from common.bus import Bus, Sample
 from common.config import RunConfig
 from common.config.presets import PRESETS
-from common.endpoint import Endpoint, free_endpoint
 from common.errors import EiaSecError
-from common.messages import ParametersMessage
+from common.protocol import keys
+from common.protocol.messages import ParametersMessage
 from common.team import farm_team
-from deploy.commands.train import RUN
+from common.transport.bus import Bus, Sample
+from common.transport.endpoint import Endpoint, free_endpoint
+from deploy.commands.training.train import RUN
 from deploy.exit_codes import run_command
-from deploy.figures import DPI, OTHER_COLOURS
-from deploy.provenance import provenance
-from deploy.threads import thread_environment
+from deploy.local.threads import thread_environment
+from deploy.reports.plots import DPI, OTHER_COLOURS
+from deploy.reports.provenance import provenance
 from rollout.policies import ActorPolicy, policy_of
 
 BAR: Final = "lawnmower"
@@ -51,8 +51,8 @@ FARMS: Final = tuple(range(1000, 1020))
 """Farms that no training sees."""
 OURS: Final = "EIA-SEC"
 PEERS: Final = (
-    Program("learner", "AgileRL", "benchmarks.peers.reach_agilerl", "agilerl"),
-    Program("learner", "BenchMARL", "benchmarks.peers.reach_benchmarl", "benchmarl"),
+    Program("learner", "AgileRL", "benchmarks.peers.scripts.reach_agilerl", "agilerl"),
+    Program("learner", "BenchMARL", "benchmarks.peers.scripts.reach_benchmarl", "benchmarl"),
 )
 LOOK_SECONDS: Final = 2.0
 """Time between two looks at ours; looking costs it nothing."""

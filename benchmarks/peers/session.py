@@ -13,7 +13,7 @@ from benchmarks.peers.venvs import interpreter
 from common.config import FarmConfig
 from common.errors import EiaSecError
 from common.team import farm_team
-from deploy.threads import thread_environment
+from deploy.local.threads import thread_environment
 
 LIMIT = 1800.0
 """Seconds after which a program counts as failed."""

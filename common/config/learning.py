@@ -40,7 +40,7 @@ class AlgorithmConfig:
     reward_scale: float = 0.1
     """Factor on every reward before it enters a target (ours)."""
     potential_discount: float = 0.0
-    """Discount gamma_s of the potential that shapes what rows pay relays (`rollout/shaping.py`); 0 for none (ours)."""
+    """Discount gamma_s of the potential that shapes relays' rewards (`rollout.worker`); 0 for none (ours)."""
     reward_normalisation: bool = False
     """Divide each type's rewards by their running standard deviation, before `reward_scale` (ours)."""
     observation_normalisation: bool = False

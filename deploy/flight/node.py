@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from common import keys
-from common.bus import Bus
-from common.messages import Envelope, SetpointMessage
 from common.process import Presence, StopSignal, incarnation
+from common.protocol import keys
+from common.protocol.messages import Envelope, SetpointMessage
+from common.transport.bus import Bus
 from deploy.flight.pilot import Pilot
 
 WAITING: Final = 4

@@ -17,7 +17,7 @@ import numpy as np
 
 from common.actors import ActorBank
 from common.errors import ConfigError, ProtocolError, SchemaError
-from common.messages import Envelope, ObservationMessage, SetpointMessage
+from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
 from common.team import SIGNS, Float32
 
 LARGEST: Final = 4.0
@@ -150,7 +150,7 @@ class Pilot:
         return {vehicle: self._hover(held) for vehicle, held in self._vehicles.items()}
 
     def report(self) -> dict[str, Any]:
-        """Return the figures of `common.figures` that are the pilot's."""
+        """Return the figures of `common.protocol.metrics` that are the pilot's."""
         worst = sorted(self._vehicles.items(), key=lambda item: (not item[1].reason, -item[1].hovers, item[0]))
         return {
             "periods": self.period,

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.errors import BusError
-from common.messages import SetpointMessage
 from common.process import StopSignal
+from common.protocol.messages import SetpointMessage
 from common.team import Float32, TeamSpec
 from common.transitions import EpisodeSummary
 from deploy.flight.vehicle import VehicleLink
 from rollout.evaluation import episode_seed
-from rollout.farms import FarmBatch
+from rollout.sim.batch import FarmBatch
 
 RESEND_SECONDS: Final = 0.5
 """Time without an answer after which a vehicle publishes its observation once more: the path is lossy."""

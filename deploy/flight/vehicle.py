@@ -6,12 +6,12 @@ from typing import Final
 
 import numpy as np
 
-from common import keys
-from common.bus import Bus
 from common.errors import ProtocolError, SchemaError
-from common.messages import Envelope, ObservationMessage, SetpointMessage
 from common.process import incarnation
+from common.protocol import keys
+from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
 from common.team import Float32
+from common.transport.bus import Bus
 
 WAITING: Final = 4
 """Set-points that wait to be looked at; the oldest give way."""

@@ -13,11 +13,11 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from common.errors import HostError
-from common.keys import check_name
-from deploy.authority import replace
+from common.protocol.keys import check_name
 from deploy.hosts import keeper
 from deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
-from deploy.rundir import HISTORY, RunDirectory
+from deploy.local.run_directory import HISTORY, RunDirectory
+from deploy.security.authority import replace
 
 START_SECONDS: Final = 30.0
 """Time that a keeper has to take a plan up."""

@@ -5,9 +5,9 @@ from typing import Any, Final
 from common.config.files import to_toml
 from deploy.hosts import containers
 from deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, probe
-from deploy.hosts.description import Fleet
+from deploy.hosts.fleet_file import Fleet
 from deploy.hosts.plan import SHARING, Places, Process, processes
-from deploy.rundir import HISTORY
+from deploy.local.run_directory import HISTORY
 
 SHARED: Final = "memory"
 """The volume that stands in for /dev/shm in every container that hands transitions over in memory."""

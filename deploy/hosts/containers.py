@@ -5,13 +5,13 @@ from typing import Any, Final
 
 import yaml
 
-from common import credentials
-from common.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
-from common.endpoint import Endpoint
 from common.errors import ConfigError
-from deploy.hosts.description import Fleet
+from common.transport import credentials
+from common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
+from common.transport.endpoint import Endpoint
+from deploy.hosts.fleet_file import Fleet
 from deploy.hosts.plan import Places, Process
-from deploy.threads import thread_environment
+from deploy.local.threads import thread_environment
 
 USER_ID: Final = 10_001
 """The account in the image, see Dockerfile."""

@@ -25,7 +25,7 @@ from typing import IO, Any, Final
 from common.errors import HostError
 from common.process import StopSignal, log
 from deploy.hosts.plan import ORDER
-from deploy.supervisor import Child, Supervisor
+from deploy.local.supervisor import Child, Supervisor
 
 PLAN, STATE, LOCK, LOG, LOGS = "plan.json", "state.json", "keeper.lock", "keeper.log", "logs"
 TICK_SECONDS: Final = 0.25

@@ -8,7 +8,7 @@ from common.config.files import to_toml
 from common.errors import ConfigError
 from deploy.hosts import containers
 from deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, port_of, probe
-from deploy.hosts.description import Fleet
+from deploy.hosts.fleet_file import Fleet
 from deploy.hosts.operations import service_name
 from deploy.hosts.plan import Places, Process, processes, worker
 

@@ -7,16 +7,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from common import credentials
 from common.config.files import to_toml
-from common.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
-from common.endpoint import Endpoint
 from common.errors import CredentialsError, HostError
 from common.process import StopSignal
-from deploy import authority
-from deploy.hosts.description import Fleet
+from common.transport import credentials
+from common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
+from common.transport.endpoint import Endpoint
+from deploy.hosts.fleet_file import Fleet
 from deploy.hosts.plan import ORDER, Process, here, processes
 from deploy.hosts.remote import Link, everywhere, links
+from deploy.security import authority
 
 Failures = dict[str, str]
 """For each host that failed, why."""

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from common.config.presets import WRITTEN
-from common.credentials import Identity
-from deploy.hosts.description import Fleet
-from deploy.rundir import HISTORY
+from common.transport.credentials import Identity
+from deploy.hosts.fleet_file import Fleet
+from deploy.local.run_directory import HISTORY
 
 PATIENCE: Final = "86400"
 """Seconds for which everybody waits for the listener: hosts come up in any order, and some much later."""

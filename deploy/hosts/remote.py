@@ -17,7 +17,7 @@ from typing import IO, Any, Final, TypeVar
 
 from common.errors import HostError
 from common.process import StopSignal
-from deploy.hosts.description import LOCAL, Fleet, Host
+from deploy.hosts.fleet_file import LOCAL, Fleet, Host
 
 CONNECT_SECONDS: Final = 10
 CALL_SECONDS: Final = 90.0
@@ -61,7 +61,7 @@ class Link:
         """Have the host do something.
 
         Args:
-            verb: what, see `deploy.commands.host`.
+            verb: what, see `deploy.commands.fleet.host`.
             request: the particulars.
             seconds: how long it may wait on purpose.
 
@@ -82,7 +82,7 @@ class Link:
         """Have the host do something, and return a file with its answer, which is not held in memory.
 
         Args:
-            verb: what, see `deploy.commands.host`.
+            verb: what, see `deploy.commands.fleet.host`.
             request: the particulars.
             seconds: how long it may wait on purpose.
             most: longest answer, bytes.
@@ -133,7 +133,7 @@ class Link:
         """Have the host tell line by line until somebody stops it.
 
         Args:
-            verb: what, see `deploy.commands.host`.
+            verb: what, see `deploy.commands.fleet.host`.
             request: the particulars.
             take: gets each line.
             stop: ends it.

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Final
 
 from common.errors import ConfigError
-from deploy.authority import replace
 from deploy.hosts.compose import compose
-from deploy.hosts.description import Fleet
+from deploy.hosts.fleet_file import Fleet
 from deploy.hosts.kubernetes import kubernetes
 from deploy.hosts.systemd import units
-from deploy.rundir import HISTORY
+from deploy.local.run_directory import HISTORY
+from deploy.security.authority import replace
 
 _OPEN: Final = (".service", ".target")
 """Endings of files that everybody may read; systemd wants to."""

@@ -5,9 +5,9 @@ from typing import Final
 
 from common.config.files import to_toml
 from common.errors import ConfigError
-from deploy.hosts.description import Fleet
+from deploy.hosts.fleet_file import Fleet
 from deploy.hosts.plan import ORDER, Places, Process, processes
-from deploy.threads import thread_environment
+from deploy.local.threads import thread_environment
 
 USER: Final = "eia-sec"
 """The account that the processes run under."""

@@ -5,7 +5,7 @@ from pkgutil import iter_modules
 from typing import Final
 
 from common.config.learning import AlgorithmName
-from learner.algorithm import Algorithm
+from learner.algorithms.base import Algorithm
 
 for _file in iter_modules(__path__):
     import_module(f"{__name__}.{_file.name}")

@@ -28,9 +28,9 @@ Elite imitation, the other half of the method, acts on the actors between rounds
 import torch
 from torch import Tensor
 
-from learner.algorithm import Algorithm, Batch, Figures
-from learner.ensemble import Ensemble
-from learner.optimiser import Adam
+from learner.algorithms.base import Algorithm, Batch, Figures
+from learner.algorithms.ensemble import Ensemble
+from learner.networks.optimiser import Adam
 
 
 class EiaSec(Algorithm):

@@ -11,7 +11,7 @@ One round, for every agent i at once, with x all observations and a all actions 
 
 from torch import Tensor
 
-from learner.algorithm import Algorithm, Batch, Figures
+from learner.algorithms.base import Algorithm, Batch, Figures
 
 
 class Maddpg(Algorithm):

@@ -27,8 +27,8 @@ from torch.nn.functional import softplus
 from common.actors import LOG_DEVIATION
 from common.config import AlgorithmConfig
 from common.team import TeamSpec
-from learner.algorithm import Algorithm, Batch, Figures
-from learner.optimiser import Adam
+from learner.algorithms.base import Algorithm, Batch, Figures
+from learner.networks.optimiser import Adam
 
 
 class Sample(NamedTuple):

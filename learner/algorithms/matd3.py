@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from common.config import AlgorithmConfig
-from learner.algorithm import Algorithm, Batch, Figures
+from learner.algorithms.base import Algorithm, Batch, Figures
 
 
 class Matd3(Algorithm):

@@ -12,7 +12,7 @@ from rollout.farm_files.csv_text import format_csv, parse_csv
 from rollout.farm_files.geojson import format_geojson, parse_geojson
 from rollout.farm_files.projection import TangentPlane
 from rollout.farm_files.survey import GivenFarm, settle
-from rollout.layout import make_layout
+from rollout.sim.layout import make_layout
 
 MAX_BYTES: Final = 8 * 1024 * 1024
 """Largest farm file that is read; 10,000 sensors take 0.3 MB as CSV and 1.5 MB as GeoJSON."""

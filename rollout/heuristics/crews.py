@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.team import Float32
-from rollout.farms import FarmBatch
 from rollout.heuristics.steering import Array, keep_apart, loiter, loiter_speed, towards
-from rollout.layout import Layout
+from rollout.sim.batch import FarmBatch
+from rollout.sim.layout import Layout
 
 RELAYS: Final = 0
 MONITORS: Final = 1

@@ -17,9 +17,9 @@ from rollout.heuristics.beam import Array, Indices, Lattice, Worth, best_path
 from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
 from rollout.heuristics.sites import images_succeed, packet_chances, pairs_within, plot_centres, radio_range
 from rollout.heuristics.steering import reach
-from rollout.kernel.constants import constants
-from rollout.kernel.motion import flight_power
-from rollout.layout import cell_counts
+from rollout.sim.kernel.constants import constants
+from rollout.sim.kernel.motion import flight_power
+from rollout.sim.layout import cell_counts
 
 LAST: Final = 60
 """Steps before the end from which on plans look further ahead: what is left at the end is lost."""

@@ -4,7 +4,7 @@ import numpy as np
 
 from common.seeds import stream
 from common.team import Float32
-from rollout.environments import Environments
+from rollout.envs.base import Environments
 
 
 class RandomPolicy:

@@ -9,8 +9,8 @@ from scipy.optimize import linear_sum_assignment
 from common.config import WorldConfig
 from rollout.heuristics.crews import Situation
 from rollout.heuristics.steering import Array
-from rollout.kernel.constants import LEAST_LINK, RelayConstants, constants
-from rollout.layout import cell_counts
+from rollout.sim.kernel.constants import LEAST_LINK, RelayConstants, constants
+from rollout.sim.layout import cell_counts
 
 GAIN: Final = 0.02
 """Share of the way to its centre that a relay flies in one step."""

@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 
 from common.config import FarmConfig, WorldConfig
 from rollout.heuristics.steering import Array, reach
-from rollout.kernel.camera import plot_quality
-from rollout.kernel.constants import constants
-from rollout.kernel.radio import delivery, received_power
-from rollout.layout import cell_counts
+from rollout.sim.kernel.camera import plot_quality
+from rollout.sim.kernel.constants import constants
+from rollout.sim.kernel.radio import delivery, received_power
+from rollout.sim.layout import cell_counts
 
 Indices = NDArray[np.int64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from common.team import Float32
-from rollout.farms import FarmBatch
+from rollout.sim.batch import FarmBatch
 
 
 class StaticPolicy:

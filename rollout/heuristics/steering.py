@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig, WorldConfig
-from rollout.kernel.constants import constants
-from rollout.kernel.motion import flight_power
-from rollout.layout import cell_counts
+from rollout.sim.kernel.constants import constants
+from rollout.sim.kernel.motion import flight_power
+from rollout.sim.layout import cell_counts
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import subprocess
 import sys
 
 from benchmarks.peers.catalogue import ROOT
-from deploy.provenance import PACKAGES
-from deploy.results import BLOCKS, NOT_MEASURED, PAUSE_AIM, refreshed
+from deploy.reports.provenance import PACKAGES
+from docs.tools.results import BLOCKS, NOT_MEASURED, PAUSE_AIM, refreshed
 
 DOCUMENT = "docs/understanding.md"
 

@@ -18,7 +18,7 @@ from common.errors import UsageError
 from common.team import GroupSpec, TeamSpec
 from deploy.exit_codes import USAGE, run_command
 from learner.engine import Engine
-from tests.learner.test_engine import batches
+from tests.learner.algorithms.test_engine import batches
 
 GROWTH = ROOT / "docs" / "results" / "learner"
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 2), GroupSpec("b", 1, 6, 1)))

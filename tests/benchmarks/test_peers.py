@@ -17,7 +17,7 @@ from benchmarks.peers.summary import merged, summarised
 from common.config import FarmConfig
 from common.errors import EiaSecError
 from common.team import farm_team
-from deploy.provenance import command
+from deploy.reports.provenance import command
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_peers.json").read_text(encoding="utf-8"))
 PAGE = ROOT / "docs" / "results" / "peers"

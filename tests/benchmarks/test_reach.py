@@ -11,7 +11,7 @@ from benchmarks.peers.flights import Course, SteeredFarm
 from common.config import FarmConfig
 from common.config.presets import PRESETS
 from common.errors import EiaSecError
-from rollout.farms import FarmBatch
+from rollout.sim.batch import FarmBatch
 
 
 def test_peers_fly_what_our_actors_fly():

@@ -10,7 +10,7 @@ from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldCon
 from common.errors import ConfigError, SchemaError
 from common.lattice import GAIN, Lattice, fewest
 from common.team import SIGNS, GroupSpec, TeamSpec, farm_team
-from rollout.farms import FarmBatch
+from rollout.sim.batch import FarmBatch
 
 FIELD = 400.0
 SQUARE = Lattice.spanning(10.0 / FIELD, 10.0 / FIELD)

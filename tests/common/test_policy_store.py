@@ -8,8 +8,8 @@ import pytest
 from common.actors import ActorBank, imitate
 from common.errors import ProtocolError, SchemaError, VersionError
 from common.imitation import ImitationEvent
-from common.messages import ParametersMessage
 from common.policy_store import PolicyStore
+from common.protocol.messages import ParametersMessage
 from common.team import GroupSpec, TeamSpec
 
 TEAM = TeamSpec((GroupSpec("a", 3, 4, 2), GroupSpec("b", 2, 5, 1)))

@@ -3,11 +3,11 @@
 import io
 import sys
 
-from common import keys
-from common.bus import Bus
-from common.endpoint import free_endpoint
-from common.messages import MetricMessage
 from common.process import LARGEST, SEPARATOR, Presence, log
+from common.protocol import keys
+from common.protocol.messages import MetricMessage
+from common.transport.bus import Bus
+from common.transport.endpoint import free_endpoint
 from tests.system.fleet import until
 
 

@@ -9,8 +9,8 @@ from common.config.files import to_toml
 from common.errors import RunDirError
 from deploy.cli import COMMANDS, dispatch
 from deploy.exit_codes import run_command
+from deploy.local.run_directory import RunDirectory
 from deploy.options import base_configuration
-from deploy.rundir import RunDirectory
 
 
 def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

@@ -15,14 +15,14 @@ from common.config import FarmConfig, RunConfig
 from common.config.files import differences, from_toml, to_toml
 from common.errors import ConfigError
 from deploy.cli import dispatch
-from deploy.commands.learner import LearnerArguments
-from deploy.evaluate import EvaluateArguments, run
+from deploy.commands.training.learner import LearnerArguments
+from deploy.local.run_directory import RunDirectory
 from deploy.options import base_configuration, parse
-from deploy.rundir import RunDirectory
+from deploy.policies.evaluate import EvaluateArguments, run
 from rollout.farm_files import read_farm
-from rollout.farms import FarmBatch
-from rollout.layout import make_layout
-from rollout.reference import ReferenceFarm
+from rollout.sim.batch import FarmBatch
+from rollout.sim.layout import make_layout
+from rollout.sim.reference import ReferenceFarm
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "farms.md").read_text()

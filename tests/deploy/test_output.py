@@ -8,7 +8,7 @@ import sys
 import pytest
 from rich.console import Console
 
-from deploy.commands.replay import _apart
+from deploy.commands.policies.replay import _apart
 from deploy.output import patient_output
 
 

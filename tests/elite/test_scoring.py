@@ -6,7 +6,7 @@ import pytest
 from common.config import EliteConfig, RunConfig
 from common.errors import SchemaError
 from common.team import GroupSpec, TeamSpec
-from elite.plan import evaluation_plan
+from elite.evaluation_plan import evaluation_plan
 from elite.scoring import decide, scores
 
 TEAM = TeamSpec((GroupSpec("a", 3, 4, 2), GroupSpec("b", 2, 5, 1)))

@@ -2,14 +2,14 @@
 
 import threading
 
-from common import keys
-from common.bus import Bus
 from common.config import RunConfig
-from common.endpoint import free_endpoint
-from common.messages import EvaluationOrder
 from common.process import StopSignal
+from common.protocol import keys
+from common.protocol.messages import EvaluationOrder
 from common.team import farm_team
-from elite.plan import evaluation_plan
+from common.transport.bus import Bus
+from common.transport.endpoint import free_endpoint
+from elite.evaluation_plan import evaluation_plan
 from elite.service import Coordinator, CoordinatorOptions
 from tests.system.fleet import until
 

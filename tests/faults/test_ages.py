@@ -4,13 +4,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from common import keys
 from common.actors import ActorBank
-from common.bus import Bus
-from common.chunks import from_request
 from common.config import RunConfig
 from common.config.files import from_toml
-from common.messages import (
+from common.protocol import keys
+from common.protocol.chunk_messages import from_request
+from common.protocol.messages import (
     ChunkAck,
     ConfigurationMessage,
     Envelope,
@@ -19,6 +18,7 @@ from common.messages import (
     ProgressMessage,
 )
 from common.team import farm_team
+from common.transport.bus import Bus
 from tests.system.fleet import RUN, TINY, Processes, until
 
 LAG, SILENCE = 5, 1.5

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.faults.harness import tell
-from tests.faults.mutants import READERS, feed, mutant, pass_through, samples, sealed
+from tests.faults.tools.harness import tell
+from tests.faults.tools.mutants import READERS, feed, mutant, pass_through, samples, sealed
 
 CORPUS = Path(__file__).parent / "corpus"
 

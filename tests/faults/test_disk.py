@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from learner import checkpoint
-from tests.faults.harness import FaultRun, tell
+from learner.checkpoint import files
+from tests.faults.tools.harness import FaultRun, tell
 from tests.system.fleet import until
 
 MOUNT = Path("/bin/mount")
@@ -75,12 +75,12 @@ def test_a_full_disk(tmp_path, small_disk):
             trained = lambda: [report["updates"] for report in heard()]  # noqa: E731  # asked twice
             until(lambda: trained() and trained()[-1] > trained()[0], "training on a full disk", 60.0)
             complaints = len(told())
-        found = checkpoint.load_latest(folder)
+        found = files.load_latest(folder)
         assert found is not None
         steps = found.manifest["trainer"]["environment_steps"]
         (small_disk / "ballast").unlink()
         started = time.monotonic()
-        newest = lambda: checkpoint.load_latest(folder).manifest["trainer"]["environment_steps"]  # noqa: E731  # asked twice
+        newest = lambda: files.load_latest(folder).manifest["trainer"]["environment_steps"]  # noqa: E731  # asked twice
         until(lambda: newest() > steps, "a new checkpoint with more steps", 60.0)
         recovery = round(time.monotonic() - started, 2)
         fleet.end()
@@ -103,12 +103,12 @@ def test_a_disk_that_becomes_read_only(tmp_path, small_disk):
         until(fleet.taken, "chunks", 120.0)
         with read_only(folder):
             until(lambda: "Read-only file system" in alarms(fleet), "an alarm", 60.0)
-            found = checkpoint.load_latest(folder)
+            found = files.load_latest(folder)
             assert found is not None
             before = fleet.taken()
             until(lambda: fleet.taken() > before, "further chunks")
         steps = found.manifest["trainer"]["environment_steps"]
-        newest = lambda: checkpoint.load_latest(folder).manifest["trainer"]["environment_steps"]  # noqa: E731  # asked twice
+        newest = lambda: files.load_latest(folder).manifest["trainer"]["environment_steps"]  # noqa: E731  # asked twice
         until(lambda: newest() > steps, "a new checkpoint with more steps", 60.0)
         fleet.end()
         assert fleet.audit().clean

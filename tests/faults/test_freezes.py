@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from deploy.audit import audit
-from tests.faults.harness import BEHIND, LONG, Routed, memory, run, tell
+from deploy.monitor.audit import audit
+from tests.faults.tools.harness import BEHIND, LONG, Routed, memory, run, tell
 from tests.system.fleet import until
 
 EVENTS = LONG.replace("cycle = 2", "cycle = 4\ncycle_growth = 1.0\nrate_decay = 0.9")

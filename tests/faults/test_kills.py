@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.faults.harness import BEHIND, LONG, FaultRun, Routed, memory, run, spread, tell
+from tests.faults.tools.harness import BEHIND, LONG, FaultRun, Routed, memory, run, spread, tell
 from tests.system.fleet import until
 
 

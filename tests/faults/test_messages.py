@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from common.history import History
-from tests.faults.channel import Road, front_door, shut, travel
-from tests.faults.harness import tell
+from tests.faults.tools.channel import Road, front_door, shut, travel
+from tests.faults.tools.harness import tell
 
 
 def bad_road(workers: int, chunks: int, path: Any = None) -> dict[str, Any]:

@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
-from common import frame
 from common.actors import ActorBank
 from common.history import Entry, History
-from common.messages import ParametersMessage
 from common.policy_store import PolicyStore
-from learner import past
-from learner.intake import Intake
+from common.protocol import frame
+from common.protocol.messages import ParametersMessage
+from learner.checkpoint import recovery
+from learner.intake.ledger import Intake
 from learner.lease import Lease
-from tests.faults.channel import TEAM
 from tests.faults.test_messages import bad_road
-from tests.learner import test_lease, test_past
+from tests.faults.tools.channel import TEAM
+from tests.learner import test_lease
+from tests.learner.checkpoint import test_recovery
 
 
 def stale_parameters_are_refused() -> None:
@@ -70,14 +71,14 @@ def test_the_lease(monkeypatch):
 
 def test_the_history_of_losses(tmp_path, monkeypatch):
     """A resumed learner that does not look into its history fails the test of exact losses."""
-    monkeypatch.setattr(past, "_book", lambda intake, entry: None)
+    monkeypatch.setattr(recovery, "_book", lambda intake, entry: None)
     with pytest.raises(AssertionError):
-        test_past.test_what_was_acknowledged_after_the_checkpoint_is_lost_exactly(tmp_path, 2)
+        test_recovery.test_what_was_acknowledged_after_the_checkpoint_is_lost_exactly(tmp_path, 2)
 
 
 def test_acknowledgement_before_booking(tmp_path, monkeypatch):
     """A receiver that acknowledges what it does not write down fails the audit."""
-    from tests.deploy.test_audit import write  # noqa: PLC0415  # only this test needs it
+    from tests.deploy.monitor.test_audit import write  # noqa: PLC0415  # only this test needs it
 
     kept = History.add
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from common.endpoint import Endpoint, free_endpoint
-from tests.faults.harness import FaultRun, memory, run, tell
-from tests.faults.network import LEARNER, Pair, Relay, namespaces
+from common.transport.endpoint import Endpoint, free_endpoint
+from tests.faults.tools.harness import FaultRun, memory, run, tell
+from tests.faults.tools.network import LEARNER, Pair, Relay, namespaces
 from tests.system.fleet import until
 
 WAYS = ("link", "both", "to_learner", "to_worker")

@@ -3,7 +3,7 @@
 import signal
 from pathlib import Path
 
-from tests.faults.harness import run
+from tests.faults.tools.harness import run
 from tests.system.fleet import RUN, until
 
 

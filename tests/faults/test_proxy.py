@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
-from common.endpoint import free_endpoint
-from tests.faults.channel import Road
-from tests.faults.harness import run, tell
-from tests.faults.proxy import Proxy
+from common.transport.endpoint import free_endpoint
+from tests.faults.tools.channel import Road
+from tests.faults.tools.harness import run, tell
+from tests.faults.tools.proxy import Proxy
 from tests.system.fleet import until
 
 KINDS = ("duplicated", "reordered", "cut", "flipped")

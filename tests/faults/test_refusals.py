@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from common import frame, keys
-from common.chunks import to_message, to_request
 from common.config import ReplayConfig
-from common.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessage, Envelope
+from common.protocol import frame, keys
+from common.protocol.chunk_messages import to_message, to_request
+from common.protocol.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessage, Envelope
 from common.transitions import Chunk, Rows
-from learner.offenders import LIMIT
-from tests.faults.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut
-from tests.faults.harness import LONG, FaultRun, run, tell
+from learner.intake.peer_penalties import LIMIT
+from tests.faults.tools.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut
+from tests.faults.tools.harness import LONG, FaultRun, run, tell
 from tests.system.fleet import RUN as RUN_NAME
 from tests.system.fleet import until
 
@@ -299,7 +299,7 @@ def flood(directory: Path, seconds: float) -> dict[str, Any]:
 def _junk(fleet: FaultRun, seconds: float) -> int:
     """Flood for some seconds from a process that comes after all others; return its requests."""
     where = (fleet.endpoint.locator("bulk"), keys.TRANSITION.key(RUN_NAME, worker="flood"), str(seconds))
-    command = ["nice", "-n", "10", sys.executable, "-m", "tests.faults.flooder", *where]
+    command = ["nice", "-n", "10", sys.executable, "-m", "tests.faults.tools.flooder", *where]
     done = subprocess.run(command, capture_output=True, check=True, timeout=seconds + 60.0)
     return int(json.loads(done.stdout)["requests"])
 

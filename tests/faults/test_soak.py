@@ -7,7 +7,7 @@ import numpy as np
 import psutil
 import pytest
 
-from tests.faults.harness import run, tell
+from tests.faults.tools.harness import run, tell
 from tests.system.fleet import until
 
 MINUTES = float(os.environ.get("EIA_SEC_SOAK_MINUTES", "6"))

@@ -11,9 +11,9 @@ from typing import Any
 import psutil
 import pytest
 
-from deploy.audit import audit
-from learner import checkpoint
-from tests.faults.harness import LONG, spread, tell
+from deploy.monitor.audit import audit
+from learner.checkpoint import files
+from tests.faults.tools.harness import LONG, spread, tell
 from tests.system.fleet import until
 
 
@@ -44,7 +44,7 @@ def stop_training(directory: Path, number: int, running: bool) -> float:
         seconds = time.monotonic() - started
         assert not [child for child in children if child.is_running() and child.status() != psutil.STATUS_ZOMBIE]
         if running:
-            assert checkpoint.load_latest(directory / "run" / "checkpoints") is not None
+            assert files.load_latest(directory / "run" / "checkpoints") is not None
             assert audit(directory / "run").clean
         return seconds
     finally:

@@ -7,11 +7,11 @@ from tensorboardX.proto.event_pb2 import SessionLog
 
 from common.team import GroupSpec, TeamSpec
 from common.transitions import EpisodeSummary
-from deploy.report import read_metrics
-from learner import board, reports
-from learner.board import FOLDER, Board
+from deploy.reports.run_report import read_metrics
+from learner import reports, tensorboard
 from learner.reports import SMOOTHED_EPISODES, Curves, Journal, _continued, diverging
-from tests.learner.test_figures import events
+from learner.tensorboard import FOLDER, Board
+from tests.learner.test_diagnostics import events
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 
@@ -138,7 +138,7 @@ def test_scalars_go_on_in_another_file_after_a_full_disk(tmp_path, monkeypatch):
     made.write(2, {"a": 2.0})
     made.write(3, {"a": 3.0})
     assert made.failure == "TensorBoard's scalars cannot be written: No space left on device; 1 are lost."
-    monkeypatch.setattr(board, "RETRY_SECONDS", 0.0)
+    monkeypatch.setattr(tensorboard, "RETRY_SECONDS", 0.0)
     made._again = 0.0
     made.write(4, {"a": 4.0})
     made.close()

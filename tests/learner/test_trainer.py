@@ -13,7 +13,7 @@ from common.errors import CheckpointError, SchemaError
 from common.imitation import ImitationEvent
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
-from learner import checkpoint
+from learner.checkpoint import files
 from learner.trainer import FIGURE_ROUNDS, Trainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
@@ -171,9 +171,9 @@ def test_a_restored_trainer_goes_on_bit_equal(tmp_path, cut):
             trainer.imitate(event(number + 1))
 
     play(whole, 0, cut)
-    checkpoint.save(tmp_path, *whole.state(), keep=1)
+    files.save(tmp_path, *whole.state(), keep=1)
     play(whole, cut, 6)
-    found = checkpoint.load_latest(tmp_path)
+    found = files.load_latest(tmp_path)
     resumed.restore(found.tensors, found.manifest)
     assert resumed.updates < whole.updates
     play(resumed, cut, 6)

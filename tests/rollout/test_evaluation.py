@@ -9,8 +9,8 @@ from common.config import FarmConfig, WorldConfig
 from common.errors import ConfigError, PolicyError
 from common.team import farm_team
 from rollout.evaluation import episode_seed, evaluate, record
-from rollout.farms import FarmBatch
 from rollout.policies import ActorPolicy, policy_of
+from rollout.sim.batch import FarmBatch
 
 SMALL = FarmConfig(
     world=WorldConfig(communication_uavs=1, monitoring_uavs=2, collection_uavs=3, sensors=60, steps=50, field_x=200.0)

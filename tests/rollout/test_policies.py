@@ -9,12 +9,12 @@ from common.config import ControlConfig, FarmConfig, ObservationConfig
 from common.errors import PolicyError
 from common.policy_file import save_policy
 from common.team import farm_team
-from deploy.docs import field_docs
-from deploy.evaluate import EvaluateArguments
+from deploy.policies.evaluate import EvaluateArguments
+from docs.tools.pages import field_docs
 from rollout import policies
-from rollout.farms import FarmBatch
 from rollout.policies import HEURISTICS, POLICIES, RELAYS, TASKS, ActorPolicy, policy_of
-from tests.rollout.small_farm import SMALL
+from rollout.sim.batch import FarmBatch
+from tests.rollout.heuristics.small_farm import SMALL
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from common.credentials import Identity
-from deploy import authority
+from common.transport.credentials import Identity
+from deploy.security import authority
 
 YEAR = datetime.timedelta(days=365)
 MEMBERS = (

@@ -12,10 +12,10 @@ from typing import Any
 
 import zenoh
 
-from common import access, keys
-from common.credentials import Identity
-from common.endpoint import Endpoint, free_endpoint
-from common.zenoh_config import listening
+from common.protocol import access, keys
+from common.transport.credentials import Identity
+from common.transport.endpoint import Endpoint, free_endpoint
+from common.transport.zenoh_config import listening
 from tests.security.probe import open_session
 
 RUN = "matrix"
@@ -59,7 +59,7 @@ def concrete_keys(identity: Identity) -> tuple[str, ...]:
 
 
 def declared(identity: Identity, listed: bool = True) -> set[Cell]:
-    """Return what the table in `common.access` grants to one process, wildcards included."""
+    """Return what the table in `common.protocol.access` grants to one process, wildcards included."""
     grants = [g for g in access.GRANTS if g.role == access.ANYBODY or (listed and g.role == identity.role)]
     pairs = [pair for grant in grants for pair in grant.expressions(identity.name)]
     return {

@@ -12,8 +12,8 @@ from typing import Any
 
 import zenoh
 
-from common.endpoint import Endpoint
-from common.zenoh_config import connecting
+from common.transport.endpoint import Endpoint
+from common.transport.zenoh_config import connecting
 
 
 class Probe:

@@ -4,13 +4,13 @@ import time
 
 import numpy as np
 
-from common import keys
 from common.actors import ActorBank
-from common.bus import Bus
 from common.config import FarmConfig
-from common.endpoint import Endpoint, free_endpoint
-from common.messages import Envelope, SetpointMessage
+from common.protocol import keys
+from common.protocol.messages import Envelope, SetpointMessage
 from common.team import farm_team
+from common.transport.bus import Bus
+from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.flight.node import FlightNode, NodeOptions
 from deploy.flight.pilot import Limits, Pilot
 from deploy.flight.vehicle import VehicleLink

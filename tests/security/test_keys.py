@@ -13,11 +13,11 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_private_key,
 )
 
-from common.credentials import Identity, load
-from common.endpoint import Endpoint
 from common.errors import ConfigError, CredentialsError, EndpointError
-from deploy import authority
-from deploy.commands.keys import command
+from common.transport.credentials import Identity, load
+from common.transport.endpoint import Endpoint
+from deploy.commands.fleet.keys import command
+from deploy.security import authority
 from tests.security.conftest import YEAR
 
 

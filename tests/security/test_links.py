@@ -15,15 +15,15 @@ from pathlib import Path
 
 import pytest
 
-from common import keys
-from common.bus import Bus
-from common.credentials import Credentials, Identity
-from common.endpoint import Endpoint, free_endpoint
 from common.errors import CredentialsError, EndpointError
-from common.handshake import complaint
-from common.zenoh_config import connecting, listening, routing
-from deploy import authority
-from deploy.commands import elite, rollout
+from common.protocol import keys
+from common.transport.bus import Bus
+from common.transport.credentials import Credentials, Identity
+from common.transport.endpoint import Endpoint, free_endpoint
+from common.transport.handshake import complaint
+from common.transport.zenoh_config import connecting, listening, routing
+from deploy.commands.training import elite, rollout
+from deploy.security import authority
 from tests.security.conftest import YEAR, make_authority
 from tests.security.probe import open_session
 
@@ -164,7 +164,7 @@ def test_no_certificate_is_not_accepted(bad):
 def test_a_message_over_the_limit_is_dropped_where_it_arrives(monkeypatch):
     """It never reaches the process, its sender gets no answer, and what it sends within the limit is still served."""
     place = free_endpoint()
-    monkeypatch.setattr("common.zenoh_config.MAX_FRAME", 2**20)
+    monkeypatch.setattr("common.transport.zenoh_config.MAX_FRAME", 2**20)
     with Bus.listen(place, "bulk") as bus:
         server = bus.serve("a/x", 8)
         monkeypatch.undo()

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from common import access, keys
-from common.credentials import Identity
+from common.protocol import access, keys
+from common.transport.credentials import Identity
 from tests.security.matrix import compare, observe_egress, observe_ingress
 
 NAMES = (

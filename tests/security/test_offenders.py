@@ -4,17 +4,17 @@ import time
 
 import pytest
 
-from common import keys
-from common.bus import Bus, Sample, Server, Subscription
 from common.config import ReplayConfig, RunConfig
-from common.endpoint import free_endpoint
 from common.errors import BusError
-from common.messages import Envelope
-from learner.intake import Intake
-from learner.offenders import CUT_SECONDS, LIMIT, MOST_PEERS, Offenders
-from learner.receiver import Receiver
-from learner.tarpit import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Tarpit
-from rollout.environments import team_of
+from common.protocol import keys
+from common.protocol.messages import Envelope
+from common.transport.bus import Bus, Sample, Server, Subscription
+from common.transport.endpoint import free_endpoint
+from learner.intake.ledger import Intake
+from learner.intake.peer_penalties import CUT_SECONDS, LIMIT, MOST_PEERS, Offenders
+from learner.intake.receiver import Receiver
+from learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Tarpit
+from rollout.envs.base import team_of
 
 RUN = "run"
 
@@ -92,7 +92,7 @@ def test_what_is_held_back_is_bounded(size, most):
 
 def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
     """A worker that sends rubbish is refused by name after LIMIT tries; another is still looked at."""
-    monkeypatch.setattr("learner.tarpit.HOLD_SECONDS", 0.0)
+    monkeypatch.setattr("learner.intake.throttle.HOLD_SECONDS", 0.0)
     endpoint = free_endpoint()
     with Bus.listen(endpoint, "bulk") as bus, Bus.connect(endpoint, "bulk", wait=5.0) as worker:
         receiver = Receiver(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from common.endpoint import free_endpoint
+from common.transport.endpoint import free_endpoint
 from tests.system.fleet import RUN, TINY
 
 SECONDS = 120.0

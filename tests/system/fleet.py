@@ -10,14 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from common import keys
-from common.bus import Bus
 from common.config import RunConfig
 from common.config.files import from_toml
 from common.config.presets import PRESETS
-from common.endpoint import Endpoint, free_endpoint
 from common.history import Entry, read
-from common.messages import CommandMessage, ConfigurationMessage, ReceiptMessage
+from common.protocol import keys
+from common.protocol.messages import CommandMessage, ConfigurationMessage, ReceiptMessage
+from common.transport.bus import Bus
+from common.transport.endpoint import Endpoint, free_endpoint
 
 RUN = "test"
 SECONDS = 90.0

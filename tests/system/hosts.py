@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from common.endpoint import free_endpoint
-from deploy.audit import Audit, audit
+from common.transport.endpoint import free_endpoint
+from deploy.monitor.audit import Audit, audit
 from tests.system.fleet import TINY, until
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")

@@ -10,20 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common import keys
 from common.actors import ActorBank
-from common.bus import Bus
-from common.endpoint import Endpoint, free_endpoint
-from common.figures import FIGURES, undeclared
-from common.messages import MetricMessage, SetpointMessage
 from common.policy_file import save_policy
 from common.process import StopSignal
+from common.protocol import keys
+from common.protocol.messages import MetricMessage, SetpointMessage
+from common.protocol.metrics import FIGURES, undeclared
 from common.team import SIGNS, farm_team
+from common.transport.bus import Bus
+from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.flight.simulator import SimulatedFleet
 from deploy.flight.vehicle import VehicleLink
 from rollout.evaluation import episode_seed, evaluate
-from rollout.farms import FarmBatch
 from rollout.policies import ActorPolicy
+from rollout.sim.batch import FarmBatch
 from tests.system.fleet import RUN, TINY, configured, until
 
 FARM = configured().farm

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from experiments.hosts import ROLES, Hosts, evaluated, finish, happen
-from experiments.namespaces import laboratory
+from experiments.network.hosts import ROLES, Hosts, evaluated, finish, happen
+from experiments.network.namespaces import laboratory
 from tests.system.hosts import LONG
 
 DELAY = 0.02

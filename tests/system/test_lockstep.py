@@ -5,7 +5,7 @@ from pathlib import Path
 
 from common.config.files import from_toml
 from common.policy_file import load_policy
-from deploy.inprocess import train_inprocess
+from deploy.local.in_process import train_inprocess
 from tests.system.fleet import TINY, Processes, configured
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from deploy.hosts.following import MOST_READ, Follower
+from deploy.hosts.log_stream import MOST_READ, Follower
 from tests.system.fleet import until
 from tests.system.hosts import EIA_SEC, OnHosts, fake_ssh, sshd
 

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from common import keys
-from common.bus import Bus
-from common.figures import FIGURES, undeclared
-from common.messages import MetricMessage
+from common.protocol import keys
+from common.protocol.messages import MetricMessage
+from common.protocol.metrics import FIGURES, undeclared
+from common.transport.bus import Bus
 from deploy.exit_codes import PIPE_CLOSED
-from deploy.snapshot import Snapshot, record
-from tests.faults.harness import LONG
+from deploy.monitor.snapshot import Snapshot, record
+from tests.faults.tools.harness import LONG
 from tests.system.fleet import RUN, Processes, until
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -102,7 +102,7 @@ def test_the_monitor_ends_when_its_reader_goes(watched: Processes) -> None:
 
 
 def test_every_figure_of_a_run_is_declared(watched: Processes) -> None:
-    """What each role reports is in `common.figures`, and what is declared there is reported, but for rare names."""
+    """What each role reports is declared in `common.protocol.metrics`, and the reverse, but for rare names."""
     told: dict[str, MetricMessage] = {}
     with Bus.connect(watched.endpoint, "control", wait=10.0) as bus:
         subscription = bus.subscribe(keys.METRIC.pattern(RUN), 256)

@@ -33,7 +33,7 @@ publish_seconds = 0.05
 [evaluation]
 farms = 3
 """
-TOYS = str(Path(__file__).parents[1] / "rollout")
+TOYS = str(Path(__file__).parents[1] / "rollout" / "envs")
 
 
 def test_trained_to_the_end_and_evaluated(tmp_path: Path) -> None:

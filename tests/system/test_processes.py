@@ -7,14 +7,14 @@ from pathlib import Path
 import psutil
 import pytest
 
-from common import frame, keys
-from common.bus import Bus
 from common.config import RolloutConfig
 from common.errors import BusError
 from common.imitation import ImitationEvent
-from common.messages import ChunkAck, ChunkMessage, CommandMessage, Envelope, ImitationMessage, ReceiptMessage
-from deploy.audit import audit
-from tests.faults.harness import BEHIND
+from common.protocol import frame, keys
+from common.protocol.messages import ChunkAck, ChunkMessage, CommandMessage, Envelope, ImitationMessage, ReceiptMessage
+from common.transport.bus import Bus
+from deploy.monitor.audit import audit
+from tests.faults.tools.harness import BEHIND
 from tests.system.fleet import RUN, Processes, until
 
 

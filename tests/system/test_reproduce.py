@@ -12,13 +12,13 @@ import psutil
 import pytest
 
 from deploy.cli import dispatch
-from deploy.studies.bench import Bench
-from deploy.studies.catalogue import STUDIES
-from deploy.studies.jobs import Records
-from deploy.studies.methods import EIA_SEC
-from deploy.studies.perform import perform
-from deploy.studies.scales import SCALES, SMOKE
-from tests.deploy.tiny_study import TINY
+from experiments.studies.bench import Bench
+from experiments.studies.catalogue import STUDIES
+from experiments.studies.jobs import Records
+from experiments.studies.methods import EIA_SEC
+from experiments.studies.perform import perform
+from experiments.studies.scales import SCALES, SMOKE
+from tests.experiments.studies.tiny_study import TINY
 from tests.system.fleet import until
 
 WHOLE = ("results.json", "README.md")

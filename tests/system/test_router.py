@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from common import keys
-from common.bus import Bus
-from common.credentials import Identity
-from common.endpoint import Endpoint, free_endpoint
-from deploy import authority
-from deploy.audit import audit
+from common.protocol import keys
+from common.transport.bus import Bus
+from common.transport.credentials import Identity
+from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.cli import dispatch
-from deploy.inprocess import train_inprocess
+from deploy.local.in_process import train_inprocess
+from deploy.monitor.audit import audit
+from deploy.security import authority
 from tests.system.fleet import RUN, TINY, Processes, configured, until
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")

@@ -12,10 +12,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from common.bus import Bus
-from common.endpoint import free_endpoint
-from deploy.report import read_metrics
-from deploy.rundir import METRICS
+from common.transport.bus import Bus
+from common.transport.endpoint import free_endpoint
+from deploy.local.run_directory import METRICS
+from deploy.reports.run_report import read_metrics
 from tests.system.fleet import TINY, until
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")

@@ -1,0 +1,184 @@
+"""Who may do what on which keys: declared once, here.
+
+From this table come the access list of every process that listens, the table in docs/security.md, and what the tests
+expect. Everything that it does not name is denied, wildcards included: an expression passes only when one that is
+granted covers all of it.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from common.protocol import keys
+from common.protocol.keys import KeyFamily
+from common.transport.credentials import Identity
+
+NAME: Final = "{name}"
+"""Stands for the name in the certificate."""
+ANYBODY: Final = "anybody"
+"""Every process whose certificate the authority signed, whether it is on the list of members or not."""
+
+RIGHTS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
+    "put": (("put",), ("declare_subscriber",)),
+    "read": (("declare_subscriber",), ("put",)),
+    "ask": (("query",), ("reply", "declare_queryable")),
+    "answer": (("declare_queryable", "reply"), ("query",)),
+    "appear": (("liveliness_token",), ()),
+    "watch": (("declare_liveliness_subscriber", "liveliness_query"), ("liveliness_token",)),
+    "repeat": (("reply",), ()),
+    "recall": ((), ("reply",)),
+}
+"""For each right, the Zenoh messages that it lets in from its holder, and those that it lets out to it.
+
+No right lets a `delete` through in either direction. The last two come with a state alone: a late joiner asks on the
+helper keys, and the answer comes on the state's own key."""
+
+_HISTORY: Final[dict[str, tuple[str, ...]]] = {"put": ("put", "answer", "appear"), "read": ("read", "ask", "watch")}
+"""Rights on a state's helper keys, on which Zenoh keeps the latest value for late joiners and notices gaps."""
+_LATE: Final = {"put": "repeat", "read": "recall"}
+
+
+@dataclass(frozen=True)
+class Grant:
+    """One line of the table.
+
+    Attributes:
+        role: who.
+        right: a key of RIGHTS.
+        family: on which keys.
+        variables: values of the family's variables, NAME for the holder's own; what is missing may be anything.
+    """
+
+    role: str
+    right: str
+    family: KeyFamily
+    variables: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def personal(self) -> bool:
+        """Return whether the keys differ from holder to holder."""
+        return NAME in self.variables.values()
+
+    def expressions(self, name: str, run: str = "*") -> list[tuple[str, str]]:
+        """Return (right, key expression) for a holder of this name, those of a state's helper keys included."""
+        given = {key: name if value == NAME else value for key, value in self.variables.items()}
+        pattern = self.family.pattern("run", **given)
+        pattern = pattern.replace(f"{keys.ROOT}/run/", f"{keys.ROOT}/{run}/", 1)
+        found = [(self.right, pattern)]
+        if self.family.delivery == "state":
+            found += [(right, f"{pattern}/@adv/**") for right in _HISTORY[self.right]]
+            found.append((_LATE[self.right], pattern))
+        return found
+
+
+def _own(role: str) -> tuple[Grant, ...]:
+    return (
+        Grant(role, "put", keys.METRIC, {"role": role, "name": NAME}),
+        Grant(role, "appear", keys.LIVE, {"role": role, "name": NAME}),
+        Grant(role, "watch", keys.LIVE, {"role": role, "name": NAME}),
+    )
+
+
+GRANTS: Final = (
+    Grant("learner", "answer", keys.TRANSITION),
+    Grant("learner", "put", keys.PARAMETERS),
+    Grant("learner", "put", keys.PROGRESS),
+    Grant("learner", "read", keys.PROGRESS),
+    Grant("learner", "answer", keys.COMMAND),
+    Grant("learner", "answer", keys.IMITATION),
+    *_own("learner"),
+    Grant("rollout", "ask", keys.TRANSITION, {"worker": NAME}),
+    Grant("rollout", "read", keys.PARAMETERS),
+    Grant("rollout", "read", keys.PROGRESS),
+    Grant("rollout", "read", keys.IMITATION_EVENT),
+    Grant("rollout", "ask", keys.COMMAND, {"verb": "configuration"}),
+    Grant("rollout", "answer", keys.EVALUATION, {"worker": NAME}),
+    Grant("rollout", "answer", keys.WATCH, {"worker": NAME}),
+    Grant("rollout", "put", keys.VIEW, {"worker": NAME}),
+    *_own("rollout"),
+    Grant("elite", "read", keys.PROGRESS),
+    Grant("elite", "ask", keys.COMMAND, {"verb": "configuration"}),
+    Grant("elite", "ask", keys.COMMAND, {"verb": "lead"}),
+    Grant("elite", "ask", keys.EVALUATION),
+    Grant("elite", "ask", keys.IMITATION),
+    Grant("elite", "put", keys.IMITATION_EVENT),
+    Grant("elite", "watch", keys.LIVE, {"role": "rollout"}),
+    *_own("elite"),
+    Grant("operator", "read", keys.METRIC),
+    Grant("operator", "watch", keys.LIVE),
+    Grant("operator", "ask", keys.COMMAND, {"verb": "drain"}),
+    Grant("monitor", "read", keys.METRIC),
+    Grant("monitor", "watch", keys.LIVE),
+    Grant("vehicle", "put", keys.OBSERVATION, {"vehicle": NAME}),
+    Grant("vehicle", "read", keys.SETPOINT, {"vehicle": NAME}),
+    Grant("flight", "read", keys.OBSERVATION),
+    Grant("flight", "put", keys.SETPOINT),
+    *_own("flight"),
+    Grant("watcher", "watch", keys.LIVE),
+    Grant("watcher", "ask", keys.WATCH),
+    Grant("watcher", "read", keys.VIEW),
+    Grant(ANYBODY, "watch", keys.LIVE, {"role": "learner"}),
+)
+"""The whole table. That everybody may see whether a learner lives lets a process that is not on the list say so."""
+
+
+def grants_of(role: str) -> tuple[Grant, ...]:
+    """Return what a member of a role may do, what everybody may included."""
+    return tuple(grant for grant in GRANTS if grant.role in (role, ANYBODY))
+
+
+def access_control(members: Iterable[Identity], enabled: bool = True) -> dict[str, Any]:
+    """Return Zenoh's `access_control` for a process that listens: default deny, and an allow-list.
+
+    Args:
+        members: who is let in; everybody else who has a certificate sees whether a learner lives, and nothing more.
+        enabled: False lets everything through; for the tests, which then have to fail.
+    """
+    listed = sorted(members)
+    rules: list[dict[str, Any]] = []
+    policies: list[dict[str, Any]] = []
+    subjects: list[dict[str, Any]] = [{"id": ANYBODY, "link_protocols": ["tls"]}]
+    subjects += [
+        {"id": str(member), "cert_common_names": [str(member)], "link_protocols": ["tls"]} for member in listed
+    ]
+
+    def allow(owner: str, grants: Sequence[Grant], name: str, holders: list[str]) -> None:
+        made = _rules(owner, grants, name)
+        if made and holders:
+            rules.extend(made)
+            policies.append({"rules": [rule["id"] for rule in made], "subjects": holders})
+
+    for role in sorted({grant.role for grant in GRANTS}):
+        mine = [grant for grant in GRANTS if grant.role == role]
+        holders = [str(member) for member in listed if member.role == role]
+        allow(role, [g for g in mine if not g.personal], "", [ANYBODY] if role == ANYBODY else holders)
+        for member in listed:
+            if member.role == role:
+                allow(str(member), [g for g in mine if g.personal], member.name, [str(member)])
+    return {
+        "enabled": enabled,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def _rules(owner: str, grants: Sequence[Grant], name: str) -> list[dict[str, Any]]:
+    """Return one rule for each right and direction that the grants need."""
+    rules = []
+    expressions = [pair for grant in grants for pair in grant.expressions(name)]
+    for right, (incoming, outgoing) in RIGHTS.items():
+        covered = sorted({expression for found, expression in expressions if found == right})
+        for flow, messages in (("ingress", incoming), ("egress", outgoing)):
+            if covered and messages:
+                rules.append(
+                    {
+                        "id": f"{owner} {right} {flow}",
+                        "permission": "allow",
+                        "flows": [flow],
+                        "messages": list(messages),
+                        "key_exprs": covered,
+                    }
+                )
+    return rules

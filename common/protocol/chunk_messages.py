@@ -1,0 +1,122 @@
+"""Between chunks of experience and a request on the wire."""
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from common.errors import FrameError, SchemaError, VersionError
+from common.protocol.frame import Data, length
+from common.protocol.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessage
+from common.team import TeamSpec
+from common.transitions import TERMINATED, TRUNCATED, Chunk, EpisodeSummary, Rows
+
+MOST_COUNT = 2**48
+"""Largest count of steps or chunks that is believed; a million steps a second make it in nine years."""
+LARGEST = 1e30
+"""Largest size of what an episode comes to; sums of many are finite numbers, too."""
+
+
+def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> ChunkMessage:
+    """Return the message of a chunk; see `ChunkMessage` for `version` and `produced`."""
+    done = chunk.episodes
+    names = tuple(done[0].figures) if done else ()
+    figures = [[e.figures[name] for name in names] for e in done]
+    rewards = [e.reward for e in done]
+    return ChunkMessage(
+        team=team.digest,
+        version=version,
+        produced=produced,
+        observation=chunk.rows.observation,
+        action=chunk.rows.action,
+        reward=chunk.rows.reward,
+        flag=chunk.rows.flag,
+        farm=np.array([e.farm for e in done], np.int64),
+        episode=np.array([e.episode for e in done], np.int64),
+        steps=np.array([e.steps for e in done], np.int64),
+        episode_reward=np.array(rewards, np.float32).reshape(len(done), team.agents),
+        episode_figures=np.array(figures, np.float64).reshape(len(done), len(names)),
+        figure_names=names,
+    )
+
+
+def from_message(message: ChunkMessage, team: TeamSpec, figures: Collection[str]) -> Chunk:
+    """Return the chunk of a message, checked against the team.
+
+    Args:
+        message: the message.
+        team: what its rows must fit.
+        figures: names of what an episode of the run's environment comes to; a finished episode has exactly these.
+
+    Raises:
+        VersionError: when it is for another team.
+        SchemaError: when a shape does not fit, a number is not finite, an action leaves [-1, 1], or the steps that the
+            worker says it produced cannot be, or a finished episode's figures are others or beyond LARGEST.
+    """
+    if message.team != team.digest:
+        raise VersionError(f"rows for team {message.team[:16]} sent to a learner of team {team.digest}.")
+    rows = Rows(message.observation, message.action, message.reward, message.flag)
+    rows.check(team)
+    if not rows.steps <= message.produced <= MOST_COUNT:
+        raise SchemaError(f"{rows.steps} steps of {message.produced} produced so far are impossible.")
+    count = message.farm.shape[0] if message.farm.ndim == 1 else -1
+    names = message.figure_names
+    if len(set(names)) != len(names) or (count > 0 and set(names) != set(figures)):
+        raise SchemaError("the finished episodes' figures are not those of the run's environment.")
+    shapes = (message.episode.shape, message.steps.shape, message.episode_reward.shape, message.episode_figures.shape)
+    ends = np.count_nonzero(rows.flag & (TERMINATED | TRUNCATED))
+    if count != ends or shapes != ((count,), (count,), (count, team.agents), (count, len(names))):
+        raise SchemaError("the finished episodes' arrays do not fit together, or the rows.")
+    if count and message.steps.min() < 1:
+        raise SchemaError("a finished episode has no steps.")
+    if count and not all((np.abs(part) <= LARGEST).all() for part in (message.episode_reward, message.episode_figures)):
+        raise SchemaError("a finished episode holds a number that is not finite, or far too large.")
+    episodes = tuple(
+        EpisodeSummary(
+            int(message.farm[k]),
+            int(message.episode[k]),
+            int(message.steps[k]),
+            tuple(message.episode_reward[k].tolist()),
+            dict(zip(names, message.episode_figures[k].tolist(), strict=True)),
+        )
+        for k in range(count)
+    )
+    return Chunk(rows, episodes)
+
+
+def fitting(sizes: Sequence[int]) -> int:
+    """Return how many chunks of these sizes in bytes, the first always among them, go into one delivery."""
+    count, room = 1, MOST_BYTES - sizes[0]
+    while count < min(len(sizes), MOST_CHUNKS) and sizes[count] <= room:
+        room -= sizes[count]
+        count += 1
+    return count
+
+
+def to_request(sealed: Sequence[bytes], oldest: int, flown: int) -> bytes:
+    """Return a request's payload: the frames of chunks behind a `DeliveryMessage`, which tells of the rest."""
+    return b"".join([DeliveryMessage(oldest, flown, tuple(map(len, sealed))).encode(), *sealed])
+
+
+def from_request(payload: bytes) -> tuple[DeliveryMessage, list[Data]]:
+    """Return what stands before the chunks of a request, and the frame of each, not copied and not looked into.
+
+    Raises:
+        FrameError, VersionError: when the payload does not begin with a whole DeliveryMessage, or is not as long as it
+            says.
+        SchemaError: when it holds no chunks, or more than a delivery may, or an impossible count of steps.
+    """
+    view = memoryview(payload)
+    place = length(view)
+    delivery = DeliveryMessage.decode(view[:place])
+    sizes = delivery.sizes
+    if sum(sizes) != len(view) - place:
+        raise FrameError("the chunks are not as long as their delivery says.")
+    if not sizes or fitting(sizes) < len(sizes):
+        raise SchemaError(f"{len(sizes)} chunks of {sum(sizes)} bytes are no delivery.")
+    if delivery.flown > MOST_COUNT:
+        raise SchemaError(f"{delivery.flown} steps flown are impossible.")
+    parts: list[Data] = []
+    for size in sizes:
+        parts.append(view[place : place + size])
+        place += size
+    return delivery, parts

@@ -1,0 +1,139 @@
+"""How a message becomes a frame and comes back, by its declaration alone.
+
+A message's scalar fields go into the frame's header, its arrays into the body, by name. Decoding checks every type
+against the dataclass, so a message that exists is a message that fits its declaration.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any, ClassVar, Final, Self, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from common.errors import SchemaError
+from common.protocol import frame
+
+
+class Message:
+    """Base of all messages: a frozen dataclass with a KIND that encodes and decodes itself."""
+
+    KIND: ClassVar[int] = 0
+    MOST_HEADER: ClassVar[int] = 64 * 1024
+    """Longest header, bytes; it holds everything but the arrays."""
+
+    def encode(self) -> bytes:
+        """Return the message's frame."""
+        scalars: dict[str, Any] = {}
+        arrays: dict[str, frame.Array] = {}
+        for item in fields(self):  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray):
+                arrays[item.name] = value
+            elif isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
+                arrays.update({f"{item.name}.{index}": part for index, part in enumerate(value)})
+            else:
+                scalars[item.name] = value
+        return frame.encode(self.KIND, scalars, arrays)
+
+    @classmethod
+    def decode(cls, data: frame.Data) -> Self:
+        """Rebuild a message from its frame.
+
+        Raises:
+            FrameError, VersionError: when the bytes are not such a frame.
+            SchemaError: when a field is missing, unknown or of another type.
+        """
+        scalars, arrays = frame.decode(data, cls.KIND, cls.MOST_HEADER)
+        values = {name: read(scalars, arrays) for name, read in _readers(cls)}
+        if scalars or arrays:
+            raise SchemaError(f"{cls.__name__} has no field {sorted([*scalars, *arrays])[0][:40]!r}.")
+        return cls(**values)
+
+
+Reader = Callable[[dict[str, Any], dict[str, frame.Array]], Any]
+"""Takes a field out of a frame's scalars or arrays, checked against its declaration."""
+
+
+_PLANS: Final[dict[type[Any], tuple[tuple[str, Reader], ...]]] = {}
+
+
+def _readers(cls: type[Message]) -> tuple[tuple[str, Reader], ...]:
+    """Return how each field of a message type is read; looking into annotations takes longer than reading."""
+    if (plan := _PLANS.get(cls)) is None:
+        plan = _PLANS[cls] = _plan(cls)
+    return plan
+
+
+def _plan(cls: type[Message]) -> tuple[tuple[str, Reader], ...]:
+    hints = get_type_hints(cls)
+    names = [item.name for item in fields(cls)]  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
+    return tuple((name, _reader(name, hints[name])) for name in names)
+
+
+def _reader(name: str, kind: Any) -> Reader:
+    if get_origin(kind) is np.ndarray:
+        return functools.partial(_read_array, name, _dtype(kind))
+    if get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is np.ndarray:
+        return functools.partial(_read_arrays, name, _dtype(get_args(kind)[0]))
+    return functools.partial(_read_scalar, name, kind)
+
+
+def _dtype(kind: Any) -> np.dtype[Any]:
+    found: np.dtype[Any] = np.dtype(get_args(get_args(kind)[1])[0])
+    return found
+
+
+def _read_array(
+    name: str, wanted: np.dtype[Any], scalars: dict[str, Any], arrays: dict[str, frame.Array]
+) -> frame.Array:
+    if name not in arrays:
+        raise SchemaError(f"array {name} is missing.")
+    return _array(name, wanted, arrays.pop(name))
+
+
+def _read_arrays(
+    name: str, wanted: np.dtype[Any], scalars: dict[str, Any], arrays: dict[str, frame.Array]
+) -> tuple[frame.Array, ...]:
+    parts: list[frame.Array] = []
+    while (key := f"{name}.{len(parts)}") in arrays:
+        parts.append(_array(name, wanted, arrays.pop(key)))
+    return tuple(parts)
+
+
+def _read_scalar(name: str, kind: Any, scalars: dict[str, Any], arrays: dict[str, frame.Array]) -> Any:
+    if name not in scalars:
+        raise SchemaError(f"field {name} is missing.")
+    return _scalar(name, kind, scalars.pop(name))
+
+
+def _array(name: str, wanted: np.dtype[Any], value: frame.Array) -> frame.Array:
+    if value.dtype != wanted:
+        raise SchemaError(f"array {name} is {value.dtype}, not {wanted}.")
+    return value
+
+
+@functools.cache
+def _origin(kind: Any) -> Any:
+    return get_origin(kind)
+
+
+def _scalar(name: str, kind: Any, value: Any) -> Any:
+    if _origin(kind) is tuple:
+        if not isinstance(value, list):
+            raise SchemaError(f"field {name} is not a list.")
+        return tuple(_scalar(name, get_args(kind)[0], part) for part in value)
+    if _origin(kind) is dict:
+        if not isinstance(value, dict) or len(value) > 4096:
+            raise SchemaError(f"field {name} is not a map.")
+        return value
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind:
+        raise SchemaError(f"field {name} is {type(value).__name__}, not {kind.__name__}.")
+    if kind is int and not 0 <= value < 2**63:
+        raise SchemaError(f"field {name} is {value}, out of range.")
+    if kind is float and not math.isfinite(value):
+        raise SchemaError(f"field {name} is not finite.")
+    return value

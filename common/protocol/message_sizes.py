@@ -1,0 +1,63 @@
+"""Whether a run's largest messages (chunks, actors, flights for the elite) fit into a frame, told at its start."""
+
+import math
+from typing import Final
+
+from common.actors import head_outputs, parameter_count
+from common.config import RunConfig
+from common.errors import ConfigError
+from common.protocol.frame import MAX_FRAME
+from common.team import TeamSpec
+
+ROOM: Final = 2**20
+"""Bytes of a frame that are left for what stands beside rows and parameters."""
+EPISODE_BYTES: Final = 128
+"""Bytes of a finished episode beside its rewards: seeds, steps and figures."""
+
+
+def chunk_bytes(config: RunConfig, team: TeamSpec) -> int:
+    """Return the bytes of a worker's largest chunk.
+
+    Episodes of the farm last as long as configured; elsewhere every step may end one.
+    """
+    steps = config.rollout.chunk_steps
+    ends = math.ceil(steps / config.farm.world.steps) if config.env.is_farm else steps
+    row = 4 * (team.observation_size + team.action_size + team.agents) + 1
+    episodes = config.rollout.environments * ends
+    return config.rollout.chunk_rows(ends) * row + episodes * (EPISODE_BYTES + 4 * team.agents)
+
+
+def evaluation_bytes(config: RunConfig, team: TeamSpec) -> int:
+    """Return the bytes of the rewards of an imitation event's flights; 0 where an episode's length is not known."""
+    flights = min(config.elite.farms, config.rollout.train_farms)
+    return 4 * flights * config.farm.world.steps * team.agents if config.env.is_farm and config.elite.enabled else 0
+
+
+def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
+    """Return the bytes of all actors, at most."""
+    sizes = ((g.count, g.observation_size, head_outputs(g.action_size, "gaussian")) for g in team.groups)
+    return 4 * sum(
+        count * parameter_count(inputs, config.algorithm.hidden, outputs) for count, inputs, outputs in sizes
+    )
+
+
+def require_frames(config: RunConfig, team: TeamSpec) -> None:
+    """Raise ConfigError for a run whose workers could not deliver a chunk or a flight, or be sent the actors."""
+    most = MAX_FRAME - ROOM
+    chunk, actors, flights = chunk_bytes(config, team), actor_bytes(config, team), evaluation_bytes(config, team)
+    if chunk > most:
+        raise ConfigError(
+            f"a chunk of {config.rollout.environments} environments times {config.rollout.chunk_steps} steps takes up "
+            f"to {chunk / 2**20:.0f} MiB with {team.agents} agents, a message at most {most // 2**20}; lower "
+            "rollout.chunk_steps or rollout.environments."
+        )
+    if actors > most:
+        raise ConfigError(
+            f"{team.agents} actors with algorithm.hidden {config.algorithm.hidden} take {actors / 2**20:.0f} MiB, a "
+            f"message at most {most // 2**20}; lower algorithm.hidden."
+        )
+    if flights > most:
+        raise ConfigError(
+            f"the rewards of {config.elite.farms} flights of {config.farm.world.steps} steps with {team.agents} agents "
+            f"take {flights / 2**20:.0f} MiB, a message at most {most // 2**20}; lower elite.farms."
+        )

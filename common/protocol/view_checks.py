@@ -1,0 +1,59 @@
+"""What a frame of a watched farm must look like before anybody draws it."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig
+from common.errors import SchemaError
+from common.protocol.messages import ViewMessage
+from common.team import farm_team
+
+FRAMES: Final = 32
+"""Most frames in one message."""
+MAX_PARTS: Final = 32
+"""Most parts of a reward."""
+EDGE: Final = 1e-3
+"""Rounding that a position at the field's edge may have suffered, m."""
+
+
+def check_view(message: ViewMessage, farm: FarmConfig, parts: int) -> None:
+    """Raise SchemaError unless a message shows the farm that its sender has announced.
+
+    Args:
+        message: what came.
+        farm: the configuration that the worker answered with.
+        parts: K, how many parts of the reward it named.
+    """
+    world = farm.world
+    frames = len(message.position) if message.position.ndim else 0
+    served = world.monitoring_uavs + world.collection_uavs
+    types = len(farm_team(farm).groups)
+    wanted = {
+        "position": (frames, world.uavs, 2),
+        "assignment": (frames, served),
+        "quality": (frames, served),
+        "aoi": (frames, world.sensors),
+        "vdf": (frames, world.plots_x, world.plots_y),
+        "level": (frames, 2),
+        "parts": (frames, types, parts),
+    }
+    if not 1 <= frames <= FRAMES:
+        raise SchemaError(f"a view has {frames} frames, not 1 to {FRAMES}.")
+    for name, shape in wanted.items():
+        if getattr(message, name).shape != shape:
+            raise SchemaError(f"array {name} is {list(getattr(message, name).shape)}, not {list(shape)}.")
+    for name in ("position", "quality", "level", "parts"):
+        if not np.isfinite(getattr(message, name)).all():
+            raise SchemaError(f"array {name} holds a number that is not finite.")
+    _within(message.position, np.array([world.field_x, world.field_y]) + EDGE, -EDGE, "position")
+    _within(message.level, np.array([world.aoi_max, world.vdf_max]) + EDGE, -EDGE, "level")
+    _within(message.assignment, np.array(world.communication_uavs - 1), 0.0, "assignment")
+    if message.first + frames > world.steps + 1:
+        raise SchemaError(f"a view reaches step {message.first + frames - 1} of {world.steps}.")
+
+
+def _within(values: NDArray[Any], most: NDArray[np.float64], least: float, name: str) -> None:
+    if (values < least).any() or (values > most).any():
+        raise SchemaError(f"array {name} leaves its range.")

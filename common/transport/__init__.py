@@ -1,0 +1,1 @@
+"""How processes connect: the bus over Zenoh, endpoints, TLS handshakes and credentials."""

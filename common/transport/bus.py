@@ -1,0 +1,374 @@
+"""The only module that touches Zenoh.
+
+A `Bus` is one session on one lane. It offers the four deliveries that `common.protocol.keys` declares: acknowledged
+requests, latest-wins states, lossy puts, and liveliness tokens. Everything arrives through channels, never through
+callbacks, so that closing the bus ends every waiting thread.
+"""
+
+import json
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Final, Self
+
+import zenoh
+from zenoh import ext
+
+from common.errors import BusClosedError, BusError, EndpointError, ForkedProcessError
+from common.transport.credentials import Credentials
+from common.transport.endpoint import Endpoint, Lane
+from common.transport.handshake import complaint, silence
+from common.transport.zenoh_config import Values, connecting, listening, routing
+
+LIVING_SECONDS: Final = 1.0
+"""Longest wait for the tokens that stand."""
+POLL_SECONDS: Final = 0.002
+"""Pause between two looks at a channel while waiting with a time limit."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One received message.
+
+    Attributes:
+        key: the concrete key it came on.
+        payload: the frame.
+        attachment: the envelope's frame, or empty.
+        present: False when a liveliness token vanished.
+    """
+
+    key: str
+    payload: bytes
+    attachment: bytes
+    present: bool = True
+
+
+class Incoming:
+    """A request that waits for its answer."""
+
+    def __init__(self, query: zenoh.Query) -> None:
+        self._query = query
+        self.key = str(query.key_expr)
+        self.payload = query.payload.to_bytes() if query.payload is not None else b""
+        self.attachment = query.attachment.to_bytes() if query.attachment is not None else b""
+
+    def reply(self, payload: bytes) -> None:
+        """Answer; the request is over afterwards. An asker who is gone is no error."""
+        with self._query as query:
+            query.reply(self.key, payload)
+
+    def refuse(self, reason: str) -> None:
+        """Answer with an error text; the request is over afterwards."""
+        with self._query as query:
+            query.reply_err(reason.encode())
+
+
+class Server:
+    """Requests on one key expression, in order of arrival, at most `capacity` of them waiting.
+
+    Attributes:
+        wild: requests that were refused because their key held a wildcard.
+    """
+
+    def __init__(self, queryable: Any, capacity: int) -> None:
+        self._queryable, self._capacity = queryable, capacity
+        self.wild = 0
+
+    def poll(self) -> Incoming | None:
+        """Return the next request, or None when there is none now."""
+        return next(self.waiting(), None)
+
+    def waiting(self) -> Iterator[Incoming]:
+        """Yield the requests that wait now, at most `capacity`: who asks without end must not keep the caller."""
+        for _ in range(self._capacity):
+            if (query := self._queryable.handler.try_recv()) is None:
+                return
+            if (incoming := self._concrete(query)) is not None:
+                yield incoming
+
+    def __iter__(self) -> Iterator[Incoming]:
+        """Yield requests until the bus is closed."""
+        while True:
+            try:
+                query = self._queryable.handler.recv()
+            except zenoh.ZError:
+                return
+            if (incoming := self._concrete(query)) is not None:
+                yield incoming
+
+    def _concrete(self, query: zenoh.Query) -> Incoming | None:
+        incoming = Incoming(query)
+        if "*" not in incoming.key:
+            return incoming
+        self.wild += 1
+        incoming.refuse("a request needs a key without wildcards.")
+        return None
+
+
+class Subscription:
+    """Samples of one key expression.
+
+    Attributes:
+        missed: samples that were overtaken or lost.
+        wild: samples that were dropped because their key held a wildcard.
+    """
+
+    def __init__(self, subscriber: Any, misses: Any = None) -> None:
+        self._subscriber = subscriber
+        self._misses = misses
+        self.missed = self.wild = 0
+
+    def poll(self) -> Sample | None:
+        """Return the next sample, or None when there is none now."""
+        if self._misses is not None:
+            while (miss := self._misses.try_recv()) is not None:
+                self.missed += miss.nb
+        while (sample := self._subscriber.handler.try_recv()) is not None and "*" in str(sample.key_expr):
+            self.wild += 1
+        if sample is None:
+            return None
+        attachment = sample.attachment.to_bytes() if sample.attachment is not None else b""
+        present = sample.kind == zenoh.SampleKind.PUT
+        return Sample(str(sample.key_expr), sample.payload.to_bytes(), attachment, present)
+
+    def drain(self) -> Iterator[Sample]:
+        """Yield what has arrived by now."""
+        while (sample := self.poll()) is not None:
+            yield sample
+
+
+class Publisher:
+    """Puts on one key."""
+
+    def __init__(self, publisher: Any) -> None:
+        self._publisher = publisher
+
+    def put(self, payload: bytes, attachment: bytes = b"") -> None:
+        """Publish once."""
+        try:
+            self._publisher.put(payload, attachment=attachment or None)
+        except zenoh.ZError as error:
+            raise BusClosedError(f"the bus is closed: {error}") from error
+
+
+class Bus:
+    """One Zenoh session on one lane; use it as a context manager.
+
+    Attributes:
+        credentials: this process's certificate, or None without TLS.
+
+    Raises (every method):
+        ForkedProcessError: in a process other than the one that opened it.
+        BusClosedError: after `close`.
+    """
+
+    def __init__(self, session: zenoh.Session, credentials: Credentials | None = None) -> None:
+        self.credentials = credentials
+        self._session = session
+        self._pid = os.getpid()
+        self._closed = threading.Event()
+
+    @classmethod
+    def listen(cls, endpoint: Endpoint, lane: Lane) -> "Bus":
+        """Open a session that others connect to; raise EndpointError when the address is taken or not ours."""
+        return cls._listening(listening(endpoint, lane), endpoint, endpoint.locator(lane))
+
+    @classmethod
+    def route(cls, endpoint: Endpoint) -> "Bus":
+        """Open a router for both lanes; raise EndpointError when an address is taken or not ours.
+
+        Nothing else may be open in the same process: a router starves beside its own clients.
+        """
+        return cls._listening(routing(endpoint), endpoint, f"{endpoint} and the port after it")
+
+    @classmethod
+    def _listening(cls, values: Values, endpoint: Endpoint, where: str) -> "Bus":
+        try:
+            return cls(_open(values), endpoint.credentials)
+        except zenoh.ZError as error:
+            raise EndpointError(f"cannot listen on {where}: the address is taken or not of this machine.") from error
+
+    @classmethod
+    def connect(
+        cls, endpoint: Endpoint, lane: Lane, wait: float = 0.0, waiting: Callable[[], bool] = lambda: True
+    ) -> "Bus":
+        """Open a session to a listener or a router.
+
+        Args:
+            endpoint: where it listens.
+            lane: which of its two ports.
+            wait: keep trying for this long, s.
+            waiting: asked between two tries; False gives up at once.
+
+        Raises:
+            EndpointError: when nobody answers there in that time, and at once when one side does not accept the
+                other's certificate.
+        """
+        deadline = time.monotonic() + wait
+        while True:
+            try:
+                return cls(_open(connecting(endpoint, lane)), endpoint.credentials)
+            except zenoh.ZError as error:
+                if (reason := complaint(endpoint, lane)) is not None:
+                    raise EndpointError(reason) from error
+                if time.monotonic() >= deadline or not waiting():
+                    raise EndpointError(silence(endpoint, lane)) from error
+                time.sleep(0.2)
+
+    def serve(self, key: str, capacity: int) -> Server:
+        """Take requests on a key expression."""
+        channel: Any = zenoh.handlers.FifoChannel(capacity)
+        return Server(self._open().declare_queryable(key, channel, complete=True), capacity)
+
+    def ask(
+        self,
+        key: str,
+        payload: bytes,
+        timeout: float,
+        attachment: bytes = b"",
+        again: Callable[[float], bool] = lambda waited: False,
+    ) -> bytes | None:
+        """Send a request and wait for its answer.
+
+        Args:
+            key: a concrete key.
+            payload: the request's frame.
+            timeout: s.
+            attachment: the envelope's frame.
+            again: told the seconds since the request was made, now and then; True makes it once more, and the first
+                answer to any counts. Who serves the key may get the request as often.
+
+        Returns:
+            The answer's frame, or None when nobody serves the key or the time ran out.
+
+        Raises:
+            BusError: when the other side refused with a reason.
+        """
+        asked = [self._request(key, payload, timeout, attachment)]
+        started = newest = time.monotonic()
+        pause = 0.0002
+        while asked and (now := time.monotonic()) - started < timeout + 1.0:
+            if again(now - newest):
+                asked.append(self._request(key, payload, timeout, attachment))
+                newest = now
+            for one in list(asked):
+                try:
+                    reply = one.try_recv()
+                except zenoh.ZError:
+                    asked.remove(one)
+                    continue
+                if reply is not None:
+                    return _answered(reply)
+            if self._closed.is_set():
+                raise BusClosedError("the bus was closed while a request was under way.")
+            if asked:
+                time.sleep(pause)
+                pause = min(pause * 1.5, POLL_SECONDS)
+        return None
+
+    def _request(self, key: str, payload: bytes, timeout: float, attachment: bytes) -> Any:
+        session = self._open()
+        try:
+            return session.get(
+                key,
+                zenoh.handlers.FifoChannel(4),
+                payload=payload,
+                attachment=attachment or None,
+                timeout=timeout,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+        except zenoh.ZError as error:
+            raise BusClosedError(f"the bus is closed: {error}") from error
+
+    def publish(self, key: str) -> Publisher:
+        """Publish lossy puts on a key."""
+        return Publisher(self._open().declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP))
+
+    def subscribe(self, key: str, capacity: int) -> Subscription:
+        """Receive lossy puts; when more than `capacity` wait, the oldest are dropped."""
+        return Subscription(self._open().declare_subscriber(key, zenoh.handlers.RingChannel(capacity)))
+
+    def publish_state(self, key: str) -> Publisher:
+        """Publish a state: the latest value is kept for late joiners, gaps are detected."""
+        return Publisher(
+            ext.declare_advanced_publisher(
+                self._open(),
+                key,
+                cache=ext.CacheConfig(1),
+                sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=1.0),
+                publisher_detection=True,
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+        )
+
+    def subscribe_state(self, key: str) -> Subscription:
+        """Receive a state: only the latest value waits; `missed` counts what was overtaken or lost."""
+        subscriber = ext.declare_advanced_subscriber(
+            self._open(),
+            key,
+            zenoh.handlers.RingChannel(1),
+            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+            recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+        )
+        return Subscription(subscriber, subscriber.sample_miss_listener(zenoh.handlers.RingChannel(64)))
+
+    def announce(self, key: str) -> Any:
+        """Declare a liveliness token; it vanishes with the session. Keep the returned object."""
+        return self._open().liveliness().declare_token(key)
+
+    def watch(self, key: str, capacity: int) -> Subscription:
+        """Receive liveliness changes, those of tokens that are already there first."""
+        return Subscription(
+            self._open().liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(capacity), history=True)
+        )
+
+    def living(self, key: str) -> list[str]:
+        """Return the liveliness tokens that stand now, by their keys."""
+        replies = self._open().liveliness().get(key, zenoh.handlers.FifoChannel(64), timeout=LIVING_SECONDS)
+        return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
+
+    def close(self) -> None:
+        """Close the session; waiting threads end. Closing twice is no error."""
+        if not self._closed.is_set():
+            self._closed.set()
+            # Zenoh gives up closing while it still reaches for a peer that is frozen; there is nothing else to do then.
+            with suppress(zenoh.ZError):
+                if self._pid == os.getpid():
+                    self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub leaves close() without types
+
+    def _open(self) -> zenoh.Session:
+        if self._pid != os.getpid():
+            raise ForkedProcessError("a bus works only in the process that opened it.")
+        if self._closed.is_set():
+            raise BusClosedError("the bus is closed.")
+        return self._session
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _answered(reply: Any) -> bytes | None:
+    """Return the frame of an answer, None for a time-out; raise BusError when it is a refusal."""
+    if reply.ok is not None:
+        return bytes(reply.ok.payload.to_bytes())
+    text = reply.err.payload.to_bytes().decode(errors="replace")
+    if text.strip().lower() == "timeout":
+        return None
+    raise BusError(f"refused: {text[:200]}")
+
+
+def _open(values: Values) -> zenoh.Session:
+    config = zenoh.Config()
+    for key, value in values.items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)

@@ -1,0 +1,78 @@
+"""`eia-sec host`: the far end of `eia-sec up`, which calls it over SSH; people have no need to."""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from common.errors import HostError
+from deploy.exit_codes import DONE
+from deploy.hosts import agent
+from deploy.hosts.history_collection import pack
+from deploy.hosts.keeper import keep
+from deploy.hosts.log_stream import follow
+from deploy.options import parse
+
+MAX_REQUEST = 64 * 1024 * 1024
+"""Longest request that is read, bytes; a farm of many sensors is the largest thing in one."""
+
+
+@dataclass(frozen=True)
+class HostArguments:
+    """Act in the folder of one host; what to do comes as JSON on standard input, the answer goes to standard output."""
+
+    verb: Annotated[
+        tyro.conf.Positional[Literal["up", "down", "status", "logs", "follow", "collect", "keep"]],
+        tyro.conf.arg(metavar="VERB"),
+    ]
+    """up, down, status, logs, follow, collect, or keep, which is the process that stays."""
+    folder: Path = Path()
+    """The host's folder."""
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Do what the verb says; return 0."""
+    options = parse(HostArguments, arguments, "host")
+    folder = options.folder.expanduser()
+    if options.verb == "keep":
+        keep(folder)
+        return DONE
+    if options.verb == "collect":
+        pack(folder, sys.stdout.buffer)
+        return DONE
+    if options.verb == "follow":
+        follow(folder, sys.stdin.buffer, sys.stdout.buffer)
+        return DONE
+    request = _request()
+    try:
+        answer = _answer(options.verb, folder, request)
+    except (KeyError, TypeError, ValueError) as error:
+        raise HostError(f"this version of eia-sec does not understand the request: {error!r}.") from error
+    sys.stdout.write(json.dumps(answer) + "\n")
+    return DONE
+
+
+def _request() -> dict[str, Any]:
+    data = sys.stdin.buffer.read(MAX_REQUEST + 1)
+    try:
+        found = json.loads(data) if len(data) <= MAX_REQUEST else None
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise HostError("the request on standard input is no JSON object.")
+    return found
+
+
+def _answer(verb: str, folder: Path, request: dict[str, Any]) -> dict[str, Any]:
+    if verb == "up":
+        words = request["processes"], request["files"], request["start"]
+        return agent.up(folder, *words, again=bool(request["again"]))
+    if verb == "down":
+        return agent.down(folder, request["roles"], float(request["seconds"]), bool(request["kill"]))
+    if verb == "logs":
+        return agent.logs(folder, request["names"], int(request["lines"]))
+    return agent.status(folder)

@@ -1,0 +1,158 @@
+"""`eia-sec keys`: the certificate authority of an installation, and a certificate for each of its processes."""
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from common.errors import CredentialsError
+from common.transport import credentials
+from common.transport.credentials import CA, CERTIFICATE, LISTENING, MEMBERS, ROLES, SOON, Identity
+from deploy.exit_codes import DONE
+from deploy.options import parse
+from deploy.security import authority
+
+Role = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROLE")]
+Name = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
+
+
+@dataclass(frozen=True)
+class _InFolder:
+    dir: Path = Path("keys")
+    """Folder of the authority."""
+
+
+@dataclass(frozen=True)
+class InitArguments(_InFolder):
+    """Make a certificate authority; its key, ca.key, signs everything else and belongs on no training machine."""
+
+
+@dataclass(frozen=True)
+class IssueArguments(_InFolder):
+    """Make the key and the certificate of one process and let it in."""
+
+    role: Role = ""
+    """learner, router, rollout, elite, operator or monitor."""
+    name: Name = ""
+    """The process's name: that of `--name` for a worker, "learner" for the learner."""
+    host: tuple[str, ...] = ()
+    """Names and addresses under which a learner or router listens."""
+    days: int = 365
+    """Days until the certificate ends."""
+
+
+@dataclass(frozen=True)
+class RenewArguments(_InFolder):
+    """Replace the key and the certificate of one process; name and hosts stay."""
+
+    role: Role = ""
+    """The process's role."""
+    name: Name = ""
+    """The process's name."""
+    days: int = 365
+    """Days until the new certificate ends."""
+
+
+@dataclass(frozen=True)
+class RevokeArguments(_InFolder):
+    """Strike one process from the list of members, which listeners read when they start."""
+
+    role: Role = ""
+    """The process's role."""
+    name: Name = ""
+    """The process's name."""
+
+
+@dataclass(frozen=True)
+class ShowArguments:
+    """List certificates and when they end."""
+
+    dir: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")] = Path("keys")
+    """Folder of the authority, or of one process."""
+
+
+@dataclass(frozen=True)
+class KeysArguments:
+    """Certificates for `--tls`: an authority, and a key and a certificate for each process."""
+
+    task: Annotated[
+        Annotated[InitArguments, tyro.conf.subcommand("init")]
+        | Annotated[IssueArguments, tyro.conf.subcommand("issue")]
+        | Annotated[RenewArguments, tyro.conf.subcommand("renew")]
+        | Annotated[RevokeArguments, tyro.conf.subcommand("revoke")]
+        | Annotated[ShowArguments, tyro.conf.subcommand("show")],
+        tyro.conf.arg(name=""),
+    ]
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Do what the subcommand says; return 0."""
+    task = parse(KeysArguments, arguments, "keys").task
+    console = Console(highlight=False, soft_wrap=True, markup=False)
+    if isinstance(task, InitArguments):
+        authority.create(task.dir)
+        console.print(f"written: {task.dir / CA} and {task.dir / authority.CA_KEY}; keep the latter to yourself.")
+        _show(task.dir, console)
+    elif isinstance(task, IssueArguments):
+        target = authority.issue(task.dir, _identity(task.role, task.name), task.host, authority.lasting(task.days))
+        _tell(target, console)
+        _remind(task.dir, console)
+    elif isinstance(task, RenewArguments):
+        _tell(authority.renew(task.dir, _identity(task.role, task.name), authority.lasting(task.days)), console)
+    elif isinstance(task, RevokeArguments):
+        identity = _identity(task.role, task.name)
+        authority.revoke(task.dir, identity)
+        console.print(f"{identity} is struck from the list.")
+        _remind(task.dir, console)
+    else:
+        _show(task.dir, console)
+    return DONE
+
+
+def _identity(role: str, name: str) -> Identity:
+    if role not in ROLES or not name:
+        raise CredentialsError(f"say ROLE and NAME; the roles are {', '.join(ROLES)}.")
+    if role == "learner" and name != "learner":
+        raise CredentialsError("the learner's name is learner: eia-sec keys issue learner learner --host HOST.")
+    return Identity.parse(f"{role}.{name}")
+
+
+def _tell(target: Path, console: Console) -> None:
+    loaded = credentials.load(target)
+    console.print(f"written: {loaded.identity} in {target}, valid until {loaded.expires:%Y-%m-%d}.")
+
+
+def _remind(folder: Path, console: Console) -> None:
+    """Say which listeners have to read the list of members again."""
+    listening = sorted(path.name for role in LISTENING for path in folder.glob(f"{role}.*"))
+    if listening:
+        console.print(f"{MEMBERS} is new: copy it to {', '.join(listening)} and start that again to take effect.")
+
+
+def _show(folder: Path, console: Console) -> None:
+    paths = [path for path in (folder / CA, folder / CERTIFICATE) if path.exists()]
+    paths += sorted(folder.glob(f"*/{CERTIFICATE}"))
+    if not paths:
+        raise CredentialsError(f"{folder} holds no certificate.")
+    members = set(credentials.read_members(folder / MEMBERS)) if (folder / MEMBERS).exists() else None
+    table = Table("certificate", "ends", "left", "serves", "let in", box=None)
+    for path in paths:
+        table.add_row(*_row(path, members))
+    console.print(table)
+
+
+def _row(path: Path, members: set[Identity] | None) -> list[str]:
+    certificate = credentials.read_certificate(path)
+    left = certificate.not_valid_after_utc - datetime.datetime.now(datetime.UTC)
+    state = "expired" if left.total_seconds() < 0 else f"{left.days} days{', renew it' if left < SOON else ''}"
+    ends = f"{certificate.not_valid_after_utc:%Y-%m-%d}"
+    if path.name == CA:
+        return ["authority", ends, state, "", ""]
+    identity = credentials.identity_of(certificate, path)
+    known = "" if members is None else "yes" if identity in members else "no"
+    return [str(identity), ends, state, ", ".join(credentials.hosts_of(certificate)), known]

@@ -1,0 +1,71 @@
+"""`eia-sec status fleet.toml`: what runs on the hosts of a fleet."""
+
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from deploy.exit_codes import DONE, FAILED
+from deploy.hosts import operations
+from deploy.hosts.fleet_file import Fleet, read
+from deploy.hosts.plan import here, processes
+from deploy.options import parse
+
+
+@dataclass(frozen=True)
+class StatusArguments:
+    """Show every process that a fleet file names: its state, process number, age and deaths in a row."""
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FLEET")] = Path("fleet.toml")
+    """The fleet file."""
+    json: bool = False
+    """Print one JSON object instead of the table."""
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Show; return 0 when everything runs (or has finished), 1 otherwise."""
+    options = parse(StatusArguments, arguments, "status")
+    fleet = read(options.file)
+    states, failed = operations.status(fleet)
+    if options.json:
+        sys.stdout.write(json.dumps({"hosts": states, "failed": failed}) + "\n")
+    else:
+        show(fleet, states, failed)
+    named = [(process.host, str(process.identity)) for process in processes(fleet, here(fleet))]
+    words = [states.get(host, {}).get("processes", {}).get(name, {}).get("state") for host, name in named]
+    return DONE if all(word in ("running", "finished") for word in words) else FAILED
+
+
+def show(fleet: Fleet, states: Mapping[str, dict[str, Any]], failed: Mapping[str, str]) -> None:
+    """Print a table of every process that is named or runs, then what is wrong."""
+    table = Table("host", "process", "state", "pid", "since", "deaths", box=None)
+    rows: dict[tuple[str, str], dict[str, Any]] = {
+        (process.host, str(process.identity)): {} for process in processes(fleet, here(fleet))
+    }
+    rows |= {(host, name): found for host, state in states.items() for name, found in state["processes"].items()}
+    for (host, name), found in rows.items():
+        state = "unknown" if host in failed else found.get("state", "down")
+        pid, deaths = found.get("pid") or "", found.get("deaths", 0)
+        since = _age(time.time() - found["since"]) if found.get("since") else ""
+        table.add_row(host, name, state, str(pid), since, str(deaths or ""))
+    console = Console(highlight=False, soft_wrap=True, markup=False)
+    console.print(table)
+    for host, state in states.items():
+        for alarm in state.get("alarms", []) if state["keeper"] else []:
+            console.print(f"{host}: {alarm}")
+    for sentence in failed.values():
+        console.print(sentence)
+
+
+def _age(seconds: float) -> str:
+    for size, unit in ((86_400, "d"), (3_600, "h"), (60, "min")):
+        if seconds >= size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{max(0.0, seconds):.0f} s"

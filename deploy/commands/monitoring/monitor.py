@@ -1,0 +1,82 @@
+"""`eia-sec monitor`: a plain Zenoh subscriber that shows a run live, read-only."""
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.live import Live
+
+from common.config.checks import within
+from common.process import StopSignal, denial
+from common.protocol import keys
+from common.protocol.keys import check_name
+from common.transport.bus import Bus
+from common.transport.endpoint import DEFAULT, Endpoint
+from deploy.monitor.live_view import render, summary
+from deploy.monitor.run_monitor import Fleet
+from deploy.monitor.snapshot import record
+from deploy.options import parse
+
+
+@dataclass(frozen=True)
+class MonitorArguments:
+    """Watch a run live; nothing is ever published."""
+
+    run: str = "farm"
+    """Name of the run."""
+    connect: str = DEFAULT
+    """Endpoint where the learner or a router listens."""
+    tls: Path | None = None
+    """Folder with a monitor's certificate, made by `eia-sec keys issue monitor NAME`; the link is TLS then."""
+    patience: float = 10.0
+    """Seconds to wait for somebody to listen at the endpoint."""
+    json: bool = False
+    """Print one JSON object per refresh instead of the view."""
+    refresh: float = 1.0
+    """Seconds between two refreshes."""
+    seconds: float | None = None
+    """Stop after this time. Default: watch until interrupted."""
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Watch until interrupted or the time is over; return 0."""
+    options = parse(MonitorArguments, arguments, "monitor")
+    check_name(options.run, "run")
+    within(0.05, 3600.0, refresh=options.refresh)
+    within(0.0, 1e9, patience=options.patience, seconds=0.0 if options.seconds is None else options.seconds)
+    stop = StopSignal()
+    stop.install()
+    endpoint = Endpoint.parse(options.connect, options.tls)
+    with Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus:
+        _show(options, Fleet(bus, options.run), stop, bus)
+    return 0
+
+
+def _show(options: MonitorArguments, fleet: Fleet, stop: StopSignal, bus: Bus) -> None:
+    console = Console()
+    deadline = time.monotonic() + (options.seconds if options.seconds is not None else float("inf"))
+    plain = options.json or not console.is_terminal
+    live = None if plain else Live(console=console, auto_refresh=False, screen=True)
+    if live is not None:
+        live.start()
+    try:
+        while not stop and time.monotonic() < deadline:
+            stop.event.wait(options.refresh)
+            fleet.update()
+            silent = bus.credentials is not None and not fleet.learner_values()
+            denied = denial(bus, options.run, keys.METRIC.pattern(options.run)) if silent else None
+            snapshot = fleet.snapshot((denied,) if denied else ())
+            if live is not None:
+                live.update(render(snapshot, console.height), refresh=True)
+            elif options.json:
+                sys.stdout.write(json.dumps(record(snapshot), allow_nan=False) + "\n")
+                sys.stdout.flush()
+            else:
+                console.print(summary(snapshot), highlight=False, markup=False, soft_wrap=True)
+    finally:
+        if live is not None:
+            live.stop()

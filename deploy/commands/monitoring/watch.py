@@ -1,0 +1,81 @@
+"""`eia-sec watch`: a worker's farm, live in the browser."""
+
+import logging
+import sys
+import webbrowser
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from common.config.checks import within
+from common.errors import EndpointError
+from common.process import StopSignal
+from common.protocol.keys import check_name
+from common.transport.bus import Bus
+from common.transport.endpoint import DEFAULT, Endpoint
+from deploy.exit_codes import DONE
+from deploy.monitor.web.hub import Hub
+from deploy.monitor.web.server import WebServer
+from deploy.monitor.web.source import Source
+from deploy.options import parse
+
+TICK_SECONDS: Final = 0.04
+
+
+@dataclass(frozen=True)
+class WatchArguments:
+    """Watch one worker's farm in the browser; the worker publishes it only while somebody looks."""
+
+    run: str = "farm"
+    """Name of the run."""
+    connect: str = DEFAULT
+    """Endpoint where the learner or a router listens."""
+    worker: str | None = None
+    """Name of the worker. Default: the first that lives."""
+    host: str = "127.0.0.1"
+    """Address that the page is served on."""
+    port: int = 8347
+    """Port that the page is served on; 0 for any that is free."""
+    insecure: bool = False
+    """Serve the page on an address that other machines reach: anybody there can look."""
+    open: bool = False
+    """Open the page in this machine's browser."""
+    tls: Path | None = None
+    """Folder with a watcher's certificate, made by `eia-sec keys issue watcher NAME`; the link is TLS then."""
+    patience: float = 10.0
+    """Seconds to wait for somebody to listen at the endpoint."""
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Serve the page until interrupted; return 0."""
+    options = parse(WatchArguments, arguments, "watch")
+    check_name(options.run, "run")
+    if options.worker is not None:
+        check_name(options.worker, "worker")
+    within(0, 65_535, port=options.port)
+    if not (options.insecure or Endpoint("tcp", options.host, 1).is_loopback):
+        raise EndpointError(
+            f"a page on {options.host} could be looked at by anybody who reaches it; add --insecure if that is meant."
+        )
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a browser that goes away is nothing to log
+    stop = StopSignal()
+    stop.install()
+    endpoint, hub = Endpoint.parse(options.connect, options.tls), Hub()
+    with (
+        Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus,
+        WebServer(hub, options.host, options.port, strangers=options.insecure) as server,
+    ):
+        address = f"http://{options.host}:{server.port}/"
+        sys.stdout.write(f"watch at {address}\n")
+        sys.stdout.flush()
+        if options.open:
+            webbrowser.open(address)
+        _serve(Source(bus, options.run, options.worker, hub), hub, stop)
+    return DONE
+
+
+def _serve(source: Source, hub: Hub, stop: StopSignal) -> None:
+    while not stop.event.wait(TICK_SECONDS):
+        source.tend(hub.seats > 0)
+    source.leave()

@@ -1,0 +1,41 @@
+"""`eia-sec export`: a run's actors for use without this project."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from common.errors import RunDirError
+from common.policy_file import load_policy
+from deploy.exit_codes import DONE
+from deploy.local.run_directory import POLICY, RunDirectory
+from deploy.options import parse
+from deploy.policies.export import export_onnx, export_safetensors
+
+FORMATS: Final = {"onnx": export_onnx, "safetensors": export_safetensors}
+
+
+@dataclass(frozen=True)
+class ExportArguments:
+    """Write a run's actors as files that need nothing of this project; see docs/export.md."""
+
+    run_dir: Path
+    """The run's directory."""
+    format: Literal["onnx", "safetensors"] = "onnx"
+    """onnx: one model for each agent; safetensors: one file with the layers of all agents."""
+    out: Path | None = None
+    """Folder for the files. Default: export in the run's directory."""
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Write the files and print their names; return the exit code."""
+    options = parse(ExportArguments, arguments, "export")
+    config = RunDirectory(options.run_dir).configuration()
+    path = options.run_dir / POLICY
+    if not path.is_file():
+        raise RunDirError(f"{options.run_dir} holds no {POLICY}: the run has not saved a policy yet.")
+    bank, metadata = load_policy(path)
+    written = FORMATS[options.format](options.out or options.run_dir / "export", config, bank, metadata)
+    sys.stdout.write("".join(f"{file}\n" for file in written))
+    return DONE

@@ -1,0 +1,123 @@
+"""`eia-sec farm`: farms as pictures and as files."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from rich.console import Console
+from scipy.spatial import cKDTree
+
+from common.config import FarmConfig
+from common.config.checks import within
+from common.config.farm import Density
+from common.config.files import from_toml
+from common.config.presets import PRESETS
+from deploy.exit_codes import DONE
+from deploy.options import parse, with_farm_file
+from deploy.reports.farm_plots import draw_farm
+from rollout.farm_files import read_farm, write_farm
+
+
+@dataclass(frozen=True)
+class Source:
+    """Which farm."""
+
+    seed: int = 0
+    """The farm's seed."""
+    density: Density | None = None
+    """How sensors are spread. Default: as the configuration says."""
+    config: Path | None = None
+    """TOML file whose values replace the default preset's, a run's config.toml for instance."""
+    set: tuple[str, ...] = ()
+    """Single values, for instance farm.world.sensors=100; they come last."""
+
+
+@dataclass(frozen=True)
+class ShowArguments(Source):
+    """Draw a farm."""
+
+    farm_file: Path | None = None
+    """CSV or GeoJSON file with the sensors' places."""
+    out: Path = Path("farm.png")
+    """The picture, PNG."""
+
+
+@dataclass(frozen=True)
+class SaveArguments(Source):
+    """Write a farm as CSV or GeoJSON."""
+
+    out: Path = Path("farm.csv")
+    """The file; its ending, .csv or .geojson, says the format."""
+    longitude: float = 0.0
+    """Longitude of the field's south-west corner, degrees; GeoJSON only."""
+    latitude: float = 0.0
+    """Latitude of the field's south-west corner, degrees; GeoJSON only."""
+
+
+@dataclass(frozen=True)
+class CheckArguments:
+    """Read a farm file and say what is in it."""
+
+    file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    """CSV or GeoJSON file."""
+
+
+@dataclass(frozen=True)
+class FarmArguments:
+    """Farms as pictures and as files."""
+
+    task: Annotated[
+        Annotated[ShowArguments, tyro.conf.subcommand("show")]
+        | Annotated[SaveArguments, tyro.conf.subcommand("save")]
+        | Annotated[CheckArguments, tyro.conf.subcommand("check")],
+        tyro.conf.arg(name=""),
+    ]
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Draw, save or check; return 0."""
+    task = parse(FarmArguments, arguments, "farm").task
+    console = Console(highlight=False, soft_wrap=True, markup=False)
+    if isinstance(task, ShowArguments):
+        draw_farm(_farm(task, task.farm_file), task.seed, task.out)
+        console.print(f"written: {task.out}")
+    elif isinstance(task, SaveArguments):
+        write_farm(task.out, _farm(task, None), task.seed, (task.longitude, task.latitude))
+        console.print(f"written: {task.out}")
+    else:
+        _check(task.file, console)
+    return DONE
+
+
+def _farm(source: Source, farm_file: Path | None) -> FarmConfig:
+    """Return the farm that the options name."""
+    within(0, 2**63 - 1, seed=source.seed)
+    config = PRESETS["default"] if source.config is None else from_toml(source.config, PRESETS["default"])
+    if farm_file is not None:
+        config = with_farm_file(config, farm_file)
+    for assignment in source.set:
+        config = from_toml(assignment, config)
+    if source.density is None:
+        return config.farm
+    return replace(config.farm, world=replace(config.farm.world, density=source.density))
+
+
+def _check(path: Path, console: Console) -> None:
+    """Print what a farm file holds."""
+    given = read_farm(path)
+    marks = given.survey.marks
+    console.print(f"{path}: {len(given.xy)} sensors on {given.field_x:g} m x {given.field_y:g} m")
+    if len(given.xy) > 1:
+        near = cKDTree(np.array(given.xy)).query(given.xy, k=2)[0][:, 1]
+        console.print(
+            f"nearest neighbours: {near.min():.3g} m to {near.max():.3g} m, {np.median(near):.3g} m as a rule"
+        )
+    if marks:
+        unit = " s" if given.survey.mark == "cycle" else ""
+        counts = ", ".join(f"{marks.count(mark)} of {mark}{unit}" for mark in sorted(set(marks)))
+        console.print(f"{given.survey.mark}s: {counts}")
+    else:
+        console.print("types: by the farm's seed")

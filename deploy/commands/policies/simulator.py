@@ -1,0 +1,115 @@
+"""`eia-sec simulator`: a simulated farm in the place of real vehicles, flown by `eia-sec fly`."""
+
+import json
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from common.config import FarmConfig
+from common.config.checks import positive, within
+from common.process import StopSignal
+from common.protocol.keys import check_name
+from common.team import farm_team
+from common.transport.bus import Bus
+from common.transport.endpoint import DEFAULT, Endpoint
+from deploy.commands.policies.fly import farm_of, vehicles_of
+from deploy.flight.simulator import Flight, SimulatedFleet
+from deploy.flight.vehicle import VehicleLink
+from deploy.options import parse
+
+
+@dataclass(frozen=True)
+class SimulatorArguments:
+    """Let a farm's UAVs publish what they see and obey the set-points of a flight node, for one episode."""
+
+    run_dir: Path | None = None
+    """A run's directory, for its farm."""
+    config: Path | None = None
+    """TOML file with the farm. Default: the default preset's."""
+    farm: int = 1000
+    """Seed of the farm."""
+    episode: int = 0
+    """Which of its evaluation episodes; the same ones that `eia-sec evaluate` flies."""
+    steps: int | None = None
+    """Steps to fly. Default: the whole episode."""
+    run: str = "farm"
+    """Name under which vehicles and node meet."""
+    connect: str = DEFAULT
+    """Endpoint where the flight node, a learner or a router listens."""
+    tls: Path | None = None
+    """Folder of `eia-sec keys`; each vehicle takes its own certificate, vehicle.NAME, from there."""
+    vehicle: tuple[str, ...] = ()
+    """Names of the vehicles, NAME=AGENT, one for every agent. Default: the agents' own."""
+    patience: float = 30.0
+    """Seconds to wait for somebody to listen, and for a set-point, before giving up."""
+    json: bool = False
+    """Print one JSON object instead of sentences."""
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Fly one episode over the path; return 0."""
+    options = parse(SimulatorArguments, arguments, "simulator")
+    check_name(options.run, "run")
+    within(0, 2**62, farm=options.farm, episode=options.episode)
+    positive(patience=options.patience)
+    farm = farm_of(options.run_dir, options.config)
+    stop = StopSignal()
+    stop.install()
+    with ExitStack() as opened:
+        links = _links(options, farm, opened, stop)
+        flight = SimulatedFleet(farm, links, options.patience).fly(options.farm, options.episode, stop, options.steps)
+        refused = sum(link.refused for link in links.values())
+    _show(figures(flight, refused), options.json)
+    return 0
+
+
+def _links(
+    options: SimulatorArguments, farm: FarmConfig, opened: ExitStack, stop: StopSignal
+) -> dict[str, VehicleLink]:
+    """Return each agent's link: one session for all of them, or with TLS one for each certificate."""
+    fastest = farm.world.speed_x_max, farm.world.speed_y_max
+    named = {agent: vehicle for vehicle, agent in vehicles_of(options.vehicle).items()}
+    shared: Bus | None = None
+    links = {}
+    for agent in farm_team(farm).agent_names:
+        vehicle = named.get(agent, agent)
+        if shared is None or options.tls is not None:
+            folder = options.tls / f"vehicle.{vehicle}" if options.tls is not None else None
+            endpoint = Endpoint.parse(options.connect, folder)
+            shared = opened.enter_context(Bus.connect(endpoint, "control", options.patience, lambda: not stop))
+        links[agent] = VehicleLink(shared, options.run, vehicle, agent, fastest)
+    return links
+
+
+def figures(flight: Flight, refused: int) -> dict[str, Any]:
+    """Return what a flight came to, as plain numbers."""
+    trips = 1e3 * np.array(flight.round_trips or [0.0])
+    return {
+        "steps": flight.summary.steps,
+        "reward": float(np.mean(flight.summary.reward)),
+        "round_trip_ms": {
+            "median": round(float(np.median(trips)), 3),
+            "p99": round(float(np.percentile(trips, 99)), 3),
+            "most": round(float(trips.max()), 3),
+        },
+        "hovers": flight.hovers,
+        "resent": flight.resent,
+        "refused": refused,
+    }
+
+
+def _show(found: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        sys.stdout.write(json.dumps(found) + "\n")
+        return
+    trip = found["round_trip_ms"]
+    sys.stdout.write(
+        f"{found['steps']} steps, {found['reward']:.1f} reward per agent; set-points after {trip['median']} ms "
+        f"(median), {trip['p99']} ms (99 of 100); {found['hovers']} hovers, {found['resent']} observations resent, "
+        f"{found['refused']} set-points refused.\n"
+    )

@@ -1,0 +1,38 @@
+"""`eia-sec elite`: the elite coordinator."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from common.protocol.keys import check_name
+from common.transport.endpoint import DEFAULT, Endpoint
+from deploy.options import parse
+from elite.service import CoordinatorOptions, serve
+
+
+@dataclass(frozen=True)
+class EliteArguments:
+    """Start the elite coordinator; the learner tells it the configuration."""
+
+    run: str = "farm"
+    """Name of the run."""
+    connect: str = DEFAULT
+    """Endpoint where the learner or a router listens."""
+    name: str = "coordinator"
+    """Name of the coordinator."""
+    tls: Path | None = None
+    """Folder with the coordinator's certificate, made by `eia-sec keys issue elite NAME`; links are TLS then."""
+    patience: float = 60.0
+    """Seconds to wait for somebody to listen at the endpoint."""
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Run the coordinator until the run is finished or a signal comes; return 0."""
+    options = parse(EliteArguments, arguments, "elite")
+    check_name(options.run, "run")
+    check_name(options.name, "name")
+    endpoint = Endpoint.parse(options.connect, options.tls)
+    if endpoint.credentials is not None:
+        endpoint.credentials.require("elite", options.name)
+    serve(CoordinatorOptions(options.run, endpoint, options.name, options.patience))
+    return 0

@@ -1,0 +1,56 @@
+"""`eia-sec router`: a Zenoh router in a process of its own, with the run's access list when links are TLS."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from common.process import StopSignal, log
+from common.transport.bus import Bus
+from common.transport.endpoint import DEFAULT, Endpoint
+from common.transport.zenoh_config import document, routing
+from deploy.exit_codes import DONE
+from deploy.options import parse
+
+
+@dataclass(frozen=True)
+class RouterArguments:
+    """Start a router; learner, coordinator, workers and monitors connect to it, of any number of runs."""
+
+    listen: str = DEFAULT
+    """Endpoint to listen on (control lane; the bulk lane takes the next port)."""
+    tls: Path | None = None
+    """Folder with the router's certificate, made by `eia-sec keys issue router NAME`; links are TLS then."""
+    shared_memory: bool = False
+    """Pass transitions through this machine's memory between those that do so, too; for others they go as always."""
+    insecure: bool = False
+    """Listen on an address that other machines reach, without authentication."""
+    print_config: bool = False
+    """Print the configuration as JSON5, for Zenoh's own router (zenohd), and start nothing."""
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Route until a signal comes; return 0."""
+    options = parse(RouterArguments, arguments, "router")
+    # Whoever reads the printed configuration may do so in another folder.
+    folder = options.tls.resolve() if options.tls is not None else None
+    endpoint = Endpoint.parse(options.listen, folder, shared_memory=options.shared_memory)
+    endpoint.require_private(options.insecure)
+    if endpoint.credentials is not None:
+        endpoint.credentials.require("router")
+    if options.print_config:
+        sys.stdout.write(document(routing(endpoint)))
+        return DONE
+    stop = StopSignal()
+    stop.install()
+    with Bus.route(endpoint):
+        log(f"router: listening on {endpoint} and the port after it, {_admitted(endpoint)}.")
+        stop.event.wait()
+        log("router: told to stop.")
+    return DONE
+
+
+def _admitted(endpoint: Endpoint) -> str:
+    if endpoint.credentials is None:
+        return "for everybody who reaches it"
+    return f"for {len(endpoint.credentials.members)} certificates"

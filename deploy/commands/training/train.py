@@ -1,0 +1,234 @@
+"""`eia-sec train`: every process of a run on this machine, a live view, and the results at the end."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.live import Live
+
+from common.config import RunConfig
+from common.config.checks import within
+from common.config.presets import WRITTEN
+from common.errors import BusError, ConfigError, EiaSecError, EndpointError, UsageError
+from common.process import StopSignal
+from common.protocol import keys
+from common.protocol.messages import CommandMessage
+from common.transport.bus import Bus
+from common.transport.credentials import load
+from common.transport.endpoint import Endpoint, free_endpoint
+from deploy.exit_codes import USAGE
+from deploy.local.run_directory import CONFIG, HISTORY, RunDirectory
+from deploy.local.supervisor import Supervisor
+from deploy.monitor.live_view import render, summary
+from deploy.monitor.run_monitor import Fleet
+from deploy.options import base_configuration, parse
+from deploy.output import patient_output
+from deploy.reports.run_report import write_report
+from rollout.envs.base import team_of
+
+REFRESH_SECONDS = 0.5
+PLAIN_SECONDS = 10.0
+"""Pause between two lines where there is no terminal."""
+DRAIN_SECONDS = 8.0
+JOIN_SECONDS = 300.0
+"""Time that workers and coordinator wait for the learner to listen."""
+RUN = "train"
+LEARNER, COORDINATOR, OPERATOR = "learner.learner", "elite.coordinator", "operator.train"
+"""Certificates that `--tls` needs, besides rollout.0, rollout.1, ..."""
+
+
+@dataclass(frozen=True)
+class TrainArguments:
+    """Train on this machine: learner, elite coordinator and workers as processes of their own, over loopback."""
+
+    preset: str = "default"
+    """Configuration to begin from: default, quick, study or paper."""
+    config: Path | None = None
+    """TOML file with values that replace the preset's; what it leaves out is the preset's."""
+    farm_file: Path | None = None
+    """CSV or GeoJSON file with the sensors' places; the run keeps them in its configuration."""
+    workers: int = 1
+    """Rollout workers."""
+    run_dir: Path | None = None
+    """Folder of the run. Default: runs/ with preset and time."""
+    resume: bool = False
+    """Go on from the newest whole checkpoint in the folder."""
+    lockstep: bool = False
+    """One worker and the learner take turns; the weights are bit-equal to those of a run inside one process."""
+    endpoint: str | None = None
+    """Loopback endpoint of the learner. Default: free ports."""
+    tls: Path | None = None
+    """Folder of `eia-sec keys`; each process takes its own certificate from there, and links are TLS."""
+    shared_memory: bool = False
+    """Transitions go through this machine's memory instead of a TCP connection."""
+    report: bool = True
+    """Evaluate against the heuristics and draw the pictures at the end."""
+    settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Train; return 0 when the run is finished or was stopped by the user, 1 when it failed."""
+    options = parse(TrainArguments, arguments, "train", TrainArguments(settings=base_configuration(arguments)))
+    if options.lockstep and options.resume:
+        raise ConfigError("a lockstep run cannot be resumed: its one worker begins again with its first episode.")
+    within(1, 1024, workers=options.workers)
+    if options.lockstep and options.workers != 1:
+        raise ConfigError("--lockstep takes turns with exactly one worker; leave --workers at 1.")
+    team_of(options.settings)  # an environment that cannot be trained is a mistake to tell before anything is made
+    _require_device(options.settings.learner.device)
+    endpoint = _endpoint(options)
+    endpoint.require_private(insecure=False)
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    directory = RunDirectory(options.run_dir or Path("runs") / f"{options.preset}-{stamp}")
+    directory.prepare(options.settings, resume=options.resume)
+    directory.lock("train.lock")
+    directory.adopt(options.settings)
+    console = Console(file=patient_output())
+    console.print(f"run directory {directory.path}; watch from elsewhere with:", highlight=False)
+    own = "" if options.tls is None else f" --tls {options.tls / 'monitor.NAME'}"
+    console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}{own}", highlight=False)
+    _Training(options, directory, endpoint, console).run()
+    finished = directory.finished()
+    if finished and options.report:
+        write_report(directory, options.settings, ["eia-sec", "train", *arguments], console)
+    elif not finished:
+        more = f" --workers {options.workers}" if options.workers != 1 else ""
+        more += "" if options.settings.env.is_farm else f" --env {options.settings.env.name}"
+        console.print(f"stopped; go on with: eia-sec train --run-dir {directory.path} --resume{more}", highlight=False)
+    return 0
+
+
+def _require_device(name: str) -> None:
+    """Raise ConfigError unless the learner's device is there, before anything is made."""
+    if name != "cpu":
+        from learner.networks.device import usable_device  # noqa: PLC0415  (torch loads for seconds, and only this needs it)
+
+        usable_device(name)
+
+
+def _endpoint(options: TrainArguments) -> Endpoint:
+    """Return where the learner listens, with the operator's certificate; raise when a process has none."""
+    where = options.endpoint or str(free_endpoint())
+    if options.tls is None:
+        return Endpoint.parse(where)
+    for index in range(options.workers):
+        load(options.tls / f"rollout.{index}")
+    for process in (LEARNER, COORDINATOR):
+        load(options.tls / process)
+    return Endpoint.parse(where, options.tls / OPERATOR)
+
+
+class _Training:
+    def __init__(self, options: TrainArguments, directory: RunDirectory, endpoint: Endpoint, console: Console) -> None:
+        self._options, self._directory, self._endpoint, self._console = options, directory, endpoint, console
+        self._stop = StopSignal()
+        self._supervisor = Supervisor(directory.path / "logs")
+        self._told = 0.0
+
+    def run(self) -> None:
+        """Train until the learner is done or the user stops it; all processes are gone afterwards."""
+        self._stop.install()
+        try:
+            self._start()
+            bus = self._connect()
+            if bus is not None:
+                with bus:
+                    fleet = Fleet(bus, RUN)
+                    self._watch(fleet)
+                    if self._stop:
+                        self._drain(bus)
+        finally:
+            self._supervisor.stop()
+            self._stop.uninstall()
+        self._complain()
+
+    def _complain(self) -> None:
+        """Raise what the learner ended with, when it ended for good before the run was over."""
+        learner = self._supervisor.children["learner"]
+        if not learner.given_up:
+            return
+        last = self._supervisor.tail("learner")
+        if learner.code == USAGE:
+            raise UsageError(last.splitlines()[-1].removeprefix("eia-sec: "))
+        raise EiaSecError(f"the learner did not survive; its last lines were:\n{last}")
+
+    def _start(self) -> None:
+        options, where = self._options, str(self._endpoint)
+        learner = ["learner", "--run", RUN, "--listen", where, "--run-dir", str(self._directory.path)]
+        shared = ["--shared-memory"] if options.shared_memory else []
+        learner += [*shared, *self._tls(LEARNER)]
+        learner += ["--preset", WRITTEN, "--config", str(self._directory.path / CONFIG), "--await-elite"]
+        learner += ["--lockstep"] if options.lockstep else []
+        learner += ["--resume"] if options.resume else []
+        again = [] if options.resume or options.lockstep else ["--resume"]
+        self._supervisor.start("learner", learner, options.settings.learner.threads, again)
+        joining = ["--run", RUN, "--connect", where, "--patience", str(JOIN_SECONDS)]
+        self._supervisor.start("elite", ["elite", *joining, *self._tls(COORDINATOR)])
+        allowed = [] if options.settings.env.is_farm else ["--env", options.settings.env.name]
+        for index in range(options.workers):
+            rollout = ["rollout", *joining, "--name", str(index), *allowed, *shared, *self._tls(f"rollout.{index}")]
+            rollout += ["--history", str(self._directory.path / HISTORY / f"rollout-{index}.jsonl")]
+            self._supervisor.start(f"rollout-{index}", rollout, options.settings.rollout.threads)
+
+    def _tls(self, process: str) -> list[str]:
+        folder = self._options.tls
+        return [] if folder is None else ["--tls", str(folder / process)]
+
+    def _connect(self) -> Bus | None:
+        """Return a session with the learner, or None when it has ended or the user stops before there is one."""
+        learner = self._supervisor.children["learner"]
+        deadline = time.monotonic() + 60.0
+        while True:
+            # Once more after a stop: a learner that has just begun to listen is asked to drain.
+            stopping = bool(self._stop)
+            waiting = (lambda: True) if stopping else (lambda: not self._stop)
+            try:
+                return Bus.connect(self._endpoint, "control", wait=0.5, waiting=waiting)
+            except EndpointError:
+                self._supervisor.watch()
+                if learner.done or stopping:
+                    return None
+                if learner.given_up or time.monotonic() > deadline:
+                    self._complain()
+                    raise EndpointError("the learner did not start in time.") from None
+
+    def _watch(self, fleet: Fleet) -> None:
+        learner = self._supervisor.children["learner"]
+        if not self._console.is_terminal:
+            while not (self._stop or learner.done or learner.given_up):
+                self._tick(fleet)
+                if time.monotonic() - self._told >= PLAIN_SECONDS:
+                    self._told = time.monotonic()
+                    self._console.print(summary(fleet.snapshot()), highlight=False, markup=False, soft_wrap=True)
+            return
+        with Live(console=self._console, auto_refresh=False, transient=False) as live:
+            while not (self._stop or learner.done or learner.given_up):
+                self._tick(fleet)
+                snapshot = fleet.snapshot(tuple(self._supervisor.alarms))
+                live.update(render(snapshot, self._console.height - 1), refresh=True)
+
+    def _tick(self, fleet: Fleet) -> None:
+        self._supervisor.watch()
+        children = self._supervisor.children
+        if all(child.given_up for name, child in children.items() if name.startswith("rollout-")):
+            raise EiaSecError(f"no worker survived; the last lines of one were:\n{self._supervisor.tail('rollout-0')}")
+        if self._options.lockstep and children["elite"].given_up:
+            raise EiaSecError(f"the coordinator did not survive; it said:\n{self._supervisor.tail('elite')}")
+        fleet.update()
+        self._stop.event.wait(REFRESH_SECONDS)
+
+    def _drain(self, bus: Bus) -> None:
+        self._console.print("draining; a checkpoint is being written ...", highlight=False)
+        learner = self._supervisor.children["learner"]
+        try:
+            bus.ask(keys.COMMAND.key(RUN, verb="drain"), CommandMessage("train").encode(), timeout=3.0)
+        except BusError as error:
+            self._console.print(f"the learner refused to drain: {error}", highlight=False)
+        deadline = time.monotonic() + DRAIN_SECONDS
+        while not learner.done and time.monotonic() < deadline:
+            self._supervisor.watch()
+            time.sleep(0.05)

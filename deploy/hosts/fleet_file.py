@@ -1,0 +1,291 @@
+"""A fleet file: the hosts of a run, who does what on which, and how they meet; `deploy/fleet.toml` explains.
+
+    fleet = read(Path("fleet.toml"))
+    fleet.hosts["farm-2"].workers
+
+Everything is checked while it is read, so that nothing is started by half.
+"""
+
+import dataclasses
+import re
+import shlex
+import tomllib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import UnionType
+from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+from common.config import RunConfig
+from common.config.files import from_toml
+from common.errors import ConfigError, UsageError
+from common.protocol.keys import check_name
+from common.protocol.message_sizes import require_frames
+from common.team import farm_team
+from common.transport.endpoint import DEFAULT, Endpoint
+from deploy.options import base_configuration
+
+LOCAL: Final = "local"
+"""The host that is this machine, reached without SSH."""
+MAX_WORKERS: Final = 1024
+"""Most workers of one host."""
+
+_DESTINATION: Final = re.compile(r"[A-Za-z0-9_\[][A-Za-z0-9_.@:%\[\]\-]*")
+_NAMES: Final = {str: "a text in quotes", int: "a whole number", bool: "true or false"}
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Training:
+    """What is trained: the configuration that the learner gets."""
+
+    preset: str = "default"
+    """Preset to begin from."""
+    config: str = ""
+    """TOML file with values that replace the preset's; relative to the fleet file, like every path here."""
+    farm_file: str = ""
+    """CSV or GeoJSON file with the sensors' places."""
+    set: tuple[str, ...] = ()
+    """Single values, for instance "episodes = 400"; they come last."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """Where everybody meets."""
+
+    endpoint: str = DEFAULT
+    """Where the others reach the router, or the learner when there is no router."""
+    listen: str = ""
+    """Where that process listens. Default: every address of its host, at the endpoint's port."""
+    keys: str = ""
+    """Folder of `eia-sec keys`; links are TLS then."""
+    names: tuple[str, ...] = ()
+    """Further names and addresses under which the listener is reached, for its certificate."""
+    insecure: bool = False
+    """Listen on an address that other machines reach, without authentication."""
+    shared_memory: bool = False
+    """Transitions of workers on the learner's host (and the router's) go through that machine's memory."""
+
+
+@dataclass(frozen=True)
+class Router:
+    """The router; without this table the learner listens itself."""
+
+    host: str = ""
+    """Name of its host."""
+    name: str = "main"
+    """Its name, for its certificate."""
+
+
+@dataclass(frozen=True)
+class Learner:
+    """The learner."""
+
+    host: str = ""
+    """Name of its host."""
+    gpus: int = 0
+    """Accelerators that its container asks for."""
+
+
+@dataclass(frozen=True)
+class Coordinator:
+    """The elite coordinator."""
+
+    host: str = ""
+    """Name of its host. Default: the learner's."""
+    name: str = "coordinator"
+    """Its name."""
+
+
+@dataclass(frozen=True)
+class Host:
+    """One host."""
+
+    host: str = ""
+    """"local" for this machine, else what `ssh` is given: HOST, USER@HOST. Default: the table's name."""
+    ssh: tuple[str, ...] = ()
+    """Options for `ssh`, for instance ["-p", "2222"]."""
+    folder: str = ""
+    """Folder on that host, relative to the home directory there (locally: to this file). Default: runs/RUN/NAME."""
+    command: str = "eia-sec"
+    """How eia-sec is called there, for instance ".venv/bin/eia-sec"."""
+    start: Literal["detached", "systemd"] = "detached"
+    """detached: a session of its own; systemd: a transient unit of the user's systemd (needs lingering)."""
+    workers: int = 0
+    """Rollout workers."""
+
+    @property
+    def words(self) -> list[str]:
+        """Return the words of the command, by the shell's rules; raise ValueError for a quote that is left open."""
+        return shlex.split(self.command)
+
+
+@dataclass(frozen=True)
+class Containers:
+    """What Compose and Kubernetes need besides."""
+
+    image: str = "eia-sec:latest"
+    """The image, built from Dockerfile."""
+    storage: str = "10Gi"
+    """Size of the learner's volume."""
+    storage_class: str = ""
+    """Storage class of that volume. Default: the cluster's."""
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """A whole fleet.
+
+    Attributes:
+        path: the file.
+        config: the configuration that the training table names, resolved.
+    """
+
+    run: str = "farm"
+    training: Training = field(default_factory=Training)
+    network: Network = field(default_factory=Network)
+    router: Router | None = None
+    learner: Learner = field(default_factory=Learner)
+    coordinator: Coordinator = field(default_factory=Coordinator)
+    hosts: dict[str, Host] = field(default_factory=dict)
+    containers: Containers = field(default_factory=Containers)
+    path: Path = field(default_factory=Path)
+    config: RunConfig = field(default_factory=RunConfig)
+
+    @property
+    def folder(self) -> Path:
+        """Return the folder to which paths in the file are relative."""
+        return self.path.resolve().parent
+
+    @property
+    def keys(self) -> Path | None:
+        """Return the authority's folder, or None without TLS."""
+        return self.folder / self.network.keys if self.network.keys else None
+
+    @property
+    def listener(self) -> tuple[str, str]:
+        """Return role and name of the process that listens."""
+        return ("learner", "learner") if self.router is None else ("router", self.router.name)
+
+
+def read(path: Path) -> Fleet:
+    """Read a fleet file.
+
+    Raises:
+        ConfigError: the file cannot be read, is not TOML, or says something impossible; the place is named.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
+        raise ConfigError(f"the fleet file {path} cannot be read: {reason}.") from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path} is not valid TOML: {str(error).lower().rstrip('.')}.") from error
+    try:
+        fleet = _complete(replace(_table(Fleet, table, ""), path=path))
+        return replace(fleet, config=_configuration(fleet))
+    except UsageError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def _table(kind: type[T], table: dict[str, Any], place: str) -> T:
+    """Return a dataclass from a table of the file, each value checked against its field's type."""
+    hints = get_type_hints(kind)
+    inner = {"path", "config"} if kind is Fleet else set()
+    known = [f.name for f in dataclasses.fields(kind) if f.name not in inner]  # type: ignore[arg-type]  # T is one of ours
+    where = f"in [{place}]" if place else "at the top"
+    for key in table:
+        if key not in known:
+            raise ConfigError(f"{where} there is no key {key!r}; the keys are {', '.join(known)}.")
+    return kind(**{key: _value(hints[key], value, f"{place}.{key}".lstrip(".")) for key, value in table.items()})
+
+
+def _value(wanted: Any, value: Any, place: str) -> Any:
+    if get_origin(wanted) is UnionType:
+        wanted = get_args(wanted)[0]
+    if get_origin(wanted) is Literal:
+        choices = get_args(wanted)
+        if value not in choices:
+            raise ConfigError(f"{place} must be {' or '.join(map(repr, choices))}, not {value!r}.")
+        return value
+    if dataclasses.is_dataclass(wanted) or get_origin(wanted) is dict:
+        if not isinstance(value, dict):
+            raise ConfigError(f"{place} must be a section [{place}].")
+        if get_origin(wanted) is dict:
+            return {name: _value(Host, inner, f"{place}.{check_name(name, place)}") for name, inner in value.items()}
+        return _table(wanted, value, place)
+    if get_origin(wanted) is tuple:
+        if not isinstance(value, list) or any(type(item) is not str for item in value):
+            raise ConfigError(f"{place} must be a list of texts in quotes.")
+        return tuple(value)
+    if type(value) is not wanted:
+        raise ConfigError(f"{place} must be {_NAMES[wanted]}, not {value!r}.")
+    return value
+
+
+def _complete(fleet: Fleet) -> Fleet:
+    """Return the fleet with defaults that depend on other values, after what concerns several tables was checked."""
+    check_name(fleet.run, "run")
+    if not fleet.hosts:
+        raise ConfigError("there is no host; write a section [hosts.NAME] for each.")
+    placed = {"router.host": fleet.router.host if fleet.router else None, "learner.host": fleet.learner.host}
+    for place, name in (placed | {"coordinator.host": fleet.coordinator.host or fleet.learner.host}).items():
+        if name is not None and name not in fleet.hosts:
+            raise ConfigError(f"{place} must be one of the hosts {', '.join(fleet.hosts)}, not {name!r}.")
+    for name in (fleet.router.name if fleet.router else "main", fleet.coordinator.name):
+        check_name(name, "name")
+    if not 0 <= fleet.learner.gpus <= 64:
+        raise ConfigError(f"learner.gpus must be 0 to 64, not {fleet.learner.gpus}.")
+    hosts = {name: _host(fleet.run, name, host) for name, host in fleet.hosts.items()}
+    where = [(host.host, host.folder) for host in hosts.values()]
+    if len(set(where)) < len(where):
+        raise ConfigError("two hosts have the same folder on the same machine; give each its own.")
+    coordinator = replace(fleet.coordinator, host=fleet.coordinator.host or fleet.learner.host)
+    return replace(fleet, hosts=hosts, coordinator=coordinator, network=_network(fleet.network))
+
+
+def _host(run: str, name: str, host: Host) -> Host:
+    host = replace(host, host=host.host or name, folder=host.folder or f"runs/{run}/{name}")
+    if not _DESTINATION.fullmatch(host.host):
+        raise ConfigError(f"hosts.{name}.host {host.host!r} is neither {LOCAL!r} nor HOST or USER@HOST.")
+    if not 0 <= host.workers <= MAX_WORKERS:
+        raise ConfigError(f"hosts.{name}.workers must be 0 to {MAX_WORKERS}, not {host.workers}.")
+    try:
+        empty = not host.words
+    except ValueError as error:
+        raise ConfigError(f"hosts.{name}.command {host.command!r} leaves a quote open.") from error
+    if empty:
+        raise ConfigError(f"hosts.{name}.command is empty.")
+    return host
+
+
+def _network(network: Network) -> Network:
+    """Return the network with its protocol and the place to listen at, which must not let strangers in."""
+    protocol = "tls" if network.keys else "tcp"
+    if network.endpoint.startswith("tls/") and not network.keys:
+        raise ConfigError("network.endpoint asks for TLS; name the folder of `eia-sec keys` as network.keys.")
+    met = Endpoint.parse(re.sub(r"^tls/", "tcp/", network.endpoint))
+    everywhere = "[::]" if met.host.startswith("[") else "0.0.0.0"
+    default = str(met) if met.is_loopback else f"tcp/{everywhere}:{met.port}"
+    listens = Endpoint.parse(re.sub(r"^tls/", "tcp/", network.listen or default))
+    if not network.keys and not (listens.is_loopback or network.insecure):
+        raise ConfigError(
+            f"listening on {listens} would let anybody who reaches it join the run; name the folder of `eia-sec keys` "
+            "as network.keys, or say insecure = true if that is meant."
+        )
+    return replace(
+        network, endpoint=str(replace(met, protocol=protocol)), listen=str(replace(listens, protocol=protocol))
+    )
+
+
+def _configuration(fleet: Fleet) -> RunConfig:
+    training = fleet.training
+    arguments = ["--preset", training.preset]
+    arguments += ["--config", str(fleet.folder / training.config)] if training.config else []
+    arguments += ["--farm-file", str(fleet.folder / training.farm_file)] if training.farm_file else []
+    config = base_configuration(arguments)
+    for assignment in training.set:
+        config = from_toml(assignment, config)
+    if config.env.is_farm:  # other environments may be installed on the learner's host alone, which looks itself
+        require_frames(config, farm_team(config.farm))
+    return config

@@ -1,0 +1,165 @@
+"""The histories of all hosts in one folder: packed on each host, and unpacked here with nothing taken on trust.
+
+The archive is a plain compressed tar of regular files. A host gets to write what is its own to tell, and nothing else:
+its workers' histories, and the learner's files when the fleet file says that the learner is there.
+"""
+
+import gzip
+import os
+import re
+import tarfile
+import zlib
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Final
+
+from common.errors import ConfigError, HostError
+from deploy.hosts.fleet_file import Fleet
+from deploy.hosts.remote import Link, everywhere, links
+from deploy.local.run_directory import CONFIG, HISTORY, METRICS, POLICY
+
+OF_THE_LEARNER: Final = (f"{HISTORY}/learner.jsonl", CONFIG, METRICS, POLICY)
+"""What the learner's host tells besides its workers' histories."""
+MAX_ARCHIVE: Final = 2 * 1024**3
+"""Largest archive of one host, bytes."""
+MAX_UNPACKED: Final = 8 * 1024**3
+"""Most that is unpacked of one host, bytes."""
+MAX_FILES: Final = 10_000
+"""Most files of one host."""
+PIECE: Final = 2**20
+
+
+@dataclass
+class Collected:
+    """What came of it.
+
+    Attributes:
+        files: how many there are.
+        left_out: "HOST NAME" of files that are not their host's to tell, as a learner's that has moved elsewhere.
+        failed: why hosts failed.
+    """
+
+    files: int = 0
+    left_out: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+
+
+def pack(folder: Path, out: IO[bytes]) -> None:
+    """Write an archive of the run in a host's folder: histories, metrics, configuration and policy, as far as there.
+
+    Each file is read up to the size that it has when its turn comes: one that grows meanwhile does no harm.
+    """
+    run = folder / "run"
+    with tarfile.open(fileobj=out, mode="w|gz", format=tarfile.USTAR_FORMAT) as archive:
+        for path in [*sorted((run / HISTORY).glob("*.jsonl")), *(run / name for name in (CONFIG, METRICS, POLICY))]:
+            with suppress(FileNotFoundError), path.open("rb") as source:
+                known = os.fstat(source.fileno())
+                entry = tarfile.TarInfo(path.relative_to(run).as_posix())
+                entry.size, entry.mtime = known.st_size, int(known.st_mtime)
+                archive.addfile(entry, source)
+
+
+def collect(fleet: Fleet, target: Path) -> Collected:
+    """Bring the histories of all hosts, and the learner's metrics and policy, into one folder, for `eia-sec audit`.
+
+    Raises:
+        ConfigError: the folder cannot be made.
+    """
+    try:
+        (target / HISTORY).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{target} cannot be made: {error.strerror}.") from error
+    found = Collected()
+
+    def bring(link: Link) -> tuple[int, list[str]]:
+        with link.fetch("collect", most=MAX_ARCHIVE) as packed:
+            try:
+                return unpack(packed, target, own_names(fleet, link.name))
+            except HostError as error:
+                raise HostError(f"{link.name}: {error}") from error
+
+    with links(fleet) as ways:
+        done, found.failed = everywhere(ways, bring)
+    for host, (files, left_out) in done.items():
+        found.files += files
+        found.left_out += [f"{host} {name}" for name in left_out]
+    return found
+
+
+def own_names(fleet: Fleet, host: str) -> Callable[[str], bool]:
+    """Return which files are a host's to tell."""
+    workers = re.compile(rf"{HISTORY}/rollout-{re.escape(host)}-[0-9]+\.jsonl")
+    learner = OF_THE_LEARNER if host == fleet.learner.host else ()
+    return lambda name: name in learner or workers.fullmatch(name) is not None
+
+
+def unpack(packed: IO[bytes], target: Path, own: Callable[[str], bool]) -> tuple[int, list[str]]:
+    """Unpack an archive of `pack`.
+
+    Args:
+        packed: the archive.
+        target: the folder.
+        own: whether a name may be written.
+
+    Returns:
+        How many files there are, and the names of those that were left out.
+
+    Raises:
+        HostError: it is no such archive, it is too large, names a file twice, or cannot be written.
+    """
+    names: set[str] = set()
+    left_out: list[str] = []
+    try:
+        with gzip.GzipFile(fileobj=packed) as source:
+            room = MAX_UNPACKED
+            while (entry := _next(source)) is not None:
+                room -= entry.size
+                if room < 0 or len(names) >= MAX_FILES:
+                    raise HostError(f"it sent more than {MAX_UNPACKED} bytes or {MAX_FILES} files.")
+                if entry.name in names:
+                    raise HostError(f"it sent {entry.name!r} twice.")
+                names.add(entry.name)
+                if own(entry.name):
+                    _copy(source, entry.size, target / entry.name)
+                else:
+                    left_out.append(entry.name)
+                    _copy(source, entry.size, None)
+                _take(source, -entry.size % tarfile.BLOCKSIZE)
+    except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise HostError(f"what it sent is no whole archive: {error}.") from error
+    except OSError as error:
+        raise HostError(f"what it sent cannot be written: {error.strerror}.") from error
+    return len(names) - len(left_out), left_out
+
+
+def _next(source: gzip.GzipFile) -> tarfile.TarInfo | None:
+    """Return the next header, None at the archive's end; only plain files have headers without a size of their own."""
+    block = _take(source, tarfile.BLOCKSIZE)
+    if not block.strip(b"\0"):
+        return None
+    entry = tarfile.TarInfo.frombuf(block, "utf-8", "surrogateescape")
+    if entry.type not in (tarfile.REGTYPE, tarfile.AREGTYPE) or entry.size < 0:
+        raise HostError(f"it sent {entry.name!r}, which is no plain file.")
+    return entry
+
+
+def _take(source: gzip.GzipFile, size: int) -> bytes:
+    """Return so many bytes, which are few; raise EOFError when there are not as many."""
+    data = source.read(size)
+    if len(data) < size:
+        raise EOFError("it ends too early")
+    return data
+
+
+def _copy(source: gzip.GzipFile, size: int, path: Path | None) -> None:
+    """Copy so many bytes into a file, which is put in place when it is whole; without one they are passed over."""
+    beside = None if path is None else path.with_name(f".{path.name}.part")
+    with open(os.devnull if beside is None else beside, "wb") as file:
+        while size:
+            piece = _take(source, min(PIECE, size))
+            file.write(piece)
+            size -= len(piece)
+    if path is not None and beside is not None:
+        os.replace(beside, path)

@@ -1,0 +1,55 @@
+"""The same run inside one process, without Zenoh: the yardstick of `--lockstep`, and the quickest way to try a setting.
+
+One worker and the learner take turns as they do in lockstep, so the weights after N episodes are bit-equal to those
+of the distributed lockstep run.
+"""
+
+from collections.abc import Callable
+
+from common.config import RunConfig
+from common.imitation import ImitationSchedule
+from common.transitions import Chunk
+from elite.evaluation_plan import evaluation_plan
+from elite.scoring import decide
+from learner.trainer import Trainer
+from rollout.worker.collector import Collector, fly_noise_free
+
+WORKER = "0"
+"""Name of the one worker; the first worker of `eia-sec train` has the same."""
+
+
+def train_inprocess(
+    config: RunConfig, watch: Callable[[Trainer, Chunk], None] = lambda trainer, chunk: None
+) -> Trainer:
+    """Train until the run's episodes are done.
+
+    Args:
+        config: the run.
+        watch: called after each chunk's rounds, with the trainer and the chunk.
+
+    Returns:
+        The trainer with its final actors.
+    """
+    collector = Collector(config, WORKER, 0)
+    trainer = Trainer(config, collector.team)
+    schedule = ImitationSchedule.of(config)
+    version = trainer.next_version()
+    bank, seen_steps, progress, chunks = trainer.actors(), trainer.environment_steps, 0.0, 0
+    while trainer.episodes < config.episodes:
+        uniform = seen_steps < config.replay.warmup_steps
+        chunk = collector.collect(bank, config.exploration.deviation(progress), uniform)
+        chunks += 1
+        trainer.absorb(chunk, version, WORKER, chunks)
+        trainer.train(max(0, trainer.rounds_due()))
+        version = trainer.next_version()
+        while schedule.is_due(trainer.events, trainer.episodes):
+            number = trainer.events + 1
+            due = schedule.due_episode(number) or 0
+            reward, steps = fly_noise_free(config, trainer.actors(), *evaluation_plan(config, number))
+            rewards = [episode[:length] for episode, length in zip(reward, steps, strict=True)]
+            trainer.imitate(decide(trainer.team, config.elite, number, version, due, rewards))
+            version = trainer.next_version()
+        bank, seen_steps = trainer.actors(), trainer.environment_steps
+        progress = min(1.0, trainer.episodes / config.episodes)
+        watch(trainer, chunk)
+    return trainer

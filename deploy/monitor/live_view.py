@@ -1,0 +1,176 @@
+"""The live view of a run, the same for `eia-sec train` and `eia-sec monitor`: a pure function of a snapshot.
+
+`deploy.monitor.run_monitor` assembles a `Snapshot` from metric messages; `render` draws it at any width from 80 columns
+and any height from 24 lines on, and `summary` says the essence in one line where there is no terminal. What is not
+known yet is drawn as "-".
+"""
+
+from typing import Final
+
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from deploy.monitor.snapshot import Imitation, Ledger, Snapshot
+from deploy.monitor.sparkline import Sparkline
+from deploy.monitor.tables import EventTable, FleetTable, duration, number
+
+HEIGHT: Final = 30
+"""Lines that the view takes at most where nobody says how many there are."""
+MOST_ALARMS: Final = 8
+"""Most alarms that are shown, however high the terminal is."""
+EVENTS_FROM: Final = 18
+"""Lines that must be left for imitation events to be listed; the processes come first."""
+_STATE_STYLES: Final = {"training": "green", "draining": "yellow", "finished": "green"}
+
+
+def render(snapshot: Snapshot, height: int = HEIGHT) -> RenderableType:
+    """Return the whole view as a rich renderable.
+
+    Args:
+        snapshot: what to show.
+        height: lines that it may take; the more, the more processes, imitation events and alarms are shown. From 24
+            lines on it keeps to them.
+    """
+    learning = _learning(snapshot)
+    used = 2 + max(8, 2 + len(snapshot.reward) + len(snapshot.freshness)) + 5
+    alarms = min(len(snapshot.alarms), max(1, min(MOST_ALARMS, (height - used - 7) // 4)))
+    used += alarms + 2 if alarms else 0
+    events = snapshot.imitation.newest if height - used >= EVENTS_FROM else ()
+    used += len(events) + 3 if events else 0
+    parts: list[RenderableType] = [
+        _header(snapshot),
+        _beside(learning, _flow(snapshot), (1, 1)),
+        _beside(_ledger(snapshot.ledger), _imitation(snapshot.imitation), (3, 2)),
+        *([_panel("imitation events", EventTable(events))] if events else []),
+        _panel(f"processes ({len(snapshot.processes)})", FleetTable(snapshot, max(2, height - used - 3))),
+    ]
+    if alarms:
+        parts.append(_alarms(snapshot.alarms, alarms))
+    return Group(*parts)
+
+
+def summary(snapshot: Snapshot) -> str:
+    """Return the essence in one line of plain text."""
+    if not snapshot.episodes_total:
+        waiting = f"{snapshot.state}: nothing heard of the learner yet"
+        return "; ".join(filter(None, (waiting, _alarm_count(len(snapshot.alarms)))))
+    rewards = ", ".join(f"{series.name} {number(series.latest, series.digits)}" for series in snapshot.reward)
+    parts = [
+        f"{snapshot.state}: episode {snapshot.episodes:,} of {snapshot.episodes_total:,}",
+        f"reward {rewards}" if rewards else "",
+        f"{number(snapshot.steps_rate)} steps/s",
+        f"{number(snapshot.updates_rate)} updates/s",
+        f"{duration(snapshot.left)} left" if snapshot.left is not None else "",
+        _alarm_count(len(snapshot.alarms)),
+    ]
+    return "; ".join(part for part in parts if part)
+
+
+def _beside(left: RenderableType, right: RenderableType, shares: tuple[int, int]) -> Table:
+    grid = Table.grid(expand=True)
+    for share in shares:
+        grid.add_column(ratio=share)
+    grid.add_row(left, right)
+    return grid
+
+
+def _header(snapshot: Snapshot) -> RenderableType:
+    title = Text.assemble(
+        ("EIA-SEC ", "bold"),
+        f"{snapshot.run}  ",
+        (snapshot.state, _STATE_STYLES.get(snapshot.state, "yellow")),
+    )
+    times = f"{duration(snapshot.elapsed)} elapsed, {duration(snapshot.left)} left"
+    bar = ProgressBar(total=max(1, snapshot.episodes_total), completed=snapshot.episodes)
+    count = Text.assemble((f"{snapshot.episodes:,}", "bold"), f" of {snapshot.episodes_total:,} episodes")
+    grid = Table.grid(expand=True, padding=(0, 1))
+    grid.add_column(ratio=1, no_wrap=True)
+    grid.add_column(justify="right", no_wrap=True)
+    grid.add_row(title, times)
+    grid.add_row(bar, count)
+    return grid
+
+
+def _learning(snapshot: Snapshot) -> Panel:
+    grid = Table.grid(expand=True, padding=(0, 1))
+    grid.add_column(no_wrap=True)
+    grid.add_column(justify="right", no_wrap=True, min_width=7)
+    grid.add_column(ratio=1, no_wrap=True)
+    for index, series in enumerate(snapshot.reward):
+        value = Text(number(series.latest, series.digits), style="bold" if index == 0 else "")
+        grid.add_row(Text(series.name), value, Sparkline(series.values, "green", 120))
+    for series in snapshot.freshness:
+        grid.add_row(series.name, number(series.latest, series.digits), Sparkline(series.values, "blue", 120))
+    waiting = Text("No episode has ended yet.", style="dim")
+    title = " and ".join(["reward per agent", *(series.name for series in snapshot.freshness)])
+    return _panel(title, grid if grid.row_count else waiting)
+
+
+def _flow(snapshot: Snapshot) -> Panel:
+    grid = Table.grid(expand=True, padding=(0, 1))
+    grid.add_column(ratio=1, no_wrap=True)
+    grid.add_column(justify="right", no_wrap=True)
+    grid.add_column(justify="right", no_wrap=True)
+    grid.add_row("steps", f"{snapshot.steps:,}", f"{number(snapshot.steps_rate)}/s")
+    grid.add_row("updates", f"{snapshot.updates:,}", f"{number(snapshot.updates_rate)}/s")
+    ratio = snapshot.updates / snapshot.steps if snapshot.steps else None
+    grid.add_row("updates/step", number(ratio, 2), "")
+    grid.add_row("staleness", number(snapshot.staleness, 1), "versions")
+    grid.add_row("learner waits", _percent(snapshot.learner_wait), "for data")
+    grid.add_row("workers wait", _percent(snapshot.worker_wait), "for learner")
+    return _panel("flow", grid)
+
+
+def _ledger(ledger: Ledger) -> Panel:
+    rows = (
+        (("produced", ledger.produced, ""), ("rejected", ledger.rejected, "yellow")),
+        (("accepted", ledger.accepted, ""), ("lost", ledger.lost or 0, "yellow")),
+        (("in flight", ledger.in_flight, ""), ("unexplained", ledger.unexplained, "bold red")),
+    )
+    grid = Table.grid(expand=True, padding=(0, 1))
+    for _ in range(2):
+        grid.add_column(ratio=1, no_wrap=True)
+        grid.add_column(justify="right", no_wrap=True)
+    for pair in rows:
+        # A style stands for trouble, so it shows only on a count that is not zero.
+        grid.add_row(
+            *(Text(text, style if count else "") for name, count, style in pair for text in (name, f"{count:,}"))
+        )
+    return _panel(f"ledger, steps ({ledger.duplicates:,} duplicate chunks)", grid)
+
+
+def _imitation(imitation: Imitation) -> Panel:
+    grid = Table.grid(expand=True, padding=(0, 1))
+    grid.add_column(no_wrap=True)
+    grid.add_column(justify="right", ratio=1, no_wrap=True)
+    grid.add_row("events", f"{imitation.events}, rate {_rate(imitation.rate)}")
+    due = "-" if imitation.next_episode is None else f"episode {imitation.next_episode:,}"
+    grid.add_row("next at", due)
+    grid.add_row("elites", Text(" ".join(f"{name} {index}" for name, index in imitation.elites) or "-"))
+    return _panel("elite imitation", grid)
+
+
+def _alarms(alarms: tuple[str, ...], shown: int) -> Panel:
+    hidden = len(alarms) - shown
+    title = f"alarms ({hidden} more)" if hidden > 0 else "alarms"
+    lines = Text("\n".join(alarms[-shown:]), overflow="ellipsis", no_wrap=True)
+    return Panel(lines, title=title, title_align="left", border_style="red", padding=(0, 1))
+
+
+def _panel(title: str, content: RenderableType) -> Panel:
+    return Panel(content, title=title, title_align="left", border_style="dim", padding=(0, 1))
+
+
+def _rate(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:.0%}"
+
+
+def _alarm_count(number: int) -> str:
+    return {0: "", 1: "1 alarm"}.get(number, f"{number} alarms")

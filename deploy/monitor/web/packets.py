@@ -1,0 +1,116 @@
+"""What goes to the browser: binary packets of one JSON header and the arrays that it lists.
+
+    header bytes u32 little-endian | header, padded with spaces to a multiple of four | arrays
+
+The header's "arrays" gives for each array its name, dtype (f4 or u1), shape and place behind the header, bytes; each
+begins at a multiple of four, so that the browser looks at them without copying.
+"""
+
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig
+from common.protocol.messages import ViewMessage, WatchTerms
+from common.team import farm_team
+from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, PART_COLOURS, SENSOR_MARKERS, SOIL_STOPS, TYPES
+from rollout.rendering.scene import TRAIL_STEPS, camera_radius, radio_radius
+from rollout.sim.layout import Layout
+
+_LENGTH: Final = struct.Struct("<I")
+_DTYPES: Final = {"<f4": "f4", "|u1": "u1"}
+
+Array = NDArray[np.float32] | NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Packet:
+    """One message to the browser.
+
+    Attributes:
+        data: its bytes.
+        frames: frames in it; 0 for what is no picture.
+    """
+
+    data: bytes
+    frames: int = 0
+
+
+def pack(kind: str, fields: Mapping[str, Any], arrays: Mapping[str, Array], frames: int = 0) -> Packet:
+    """Return a packet.
+
+    Args:
+        kind: scene, frames or state.
+        fields: what else stands in the header.
+        arrays: float32 and uint8 arrays by name.
+        frames: frames in it.
+    """
+    listing, parts, place = [], [], 0
+    for name, array in arrays.items():
+        data = array.tobytes()
+        listing.append([name, _DTYPES[array.dtype.str], list(array.shape), place])
+        parts.append(data + bytes(-len(data) % 4))
+        place += len(parts[-1])
+    header = json.dumps({"kind": kind, **fields, "arrays": listing}).encode()
+    header += b" " * (-len(header) % 4)
+    return Packet(b"".join((_LENGTH.pack(len(header)), header, *parts)), frames)
+
+
+def scene(run: str, worker: str, farm: FarmConfig, terms: WatchTerms) -> Packet:
+    """Return what the page needs once: the farm's measures, and the project's colours, marks and names."""
+    world = farm.world
+    counts = {group.name: group.count for group in farm_team(farm).groups}
+    types = [{"name": name, "label": LABELS[name], "colour": COLOURS[name], "count": counts[name]} for name in TYPES]
+    fields = {
+        "run": run,
+        "worker": worker,
+        "field": [world.field_x, world.field_y],
+        "plots": [world.plots_x, world.plots_y],
+        "sensors": world.sensors,
+        "cycles": list(world.sensor_cycles),
+        "markers": [SENSOR_MARKERS[kind % len(SENSOR_MARKERS)] for kind in range(len(world.sensor_cycles))],
+        "most": [world.aoi_max, world.vdf_max],
+        "steps": world.steps,
+        "step_seconds": world.step_seconds,
+        "reach": {"monitoring": camera_radius(farm), "collection": radio_radius(farm)},
+        "types": types,
+        "parts": [
+            {"name": name, "colour": PART_COLOURS[place % len(PART_COLOURS)]}
+            for place, name in enumerate(terms.part_names)
+        ],
+        "age": list(AGE_STOPS),
+        "soil": list(SOIL_STOPS),
+        "trail": TRAIL_STEPS,
+        "pace": terms.steps_per_second,
+    }
+    return pack("scene", fields, {})
+
+
+def frames(message: ViewMessage, layout: Layout, version: int) -> Packet:
+    """Return frames of an episode, with the sensors of its farm."""
+    fields = {
+        "farm": message.farm,
+        # Seeds have up to 63 bits, of which a number of the browser's keeps 53.
+        "episode": str(message.episode),
+        "first": message.first,
+        "skipped": message.skipped,
+        "deviation": message.deviation,
+        "uniform": message.uniform,
+        "version": version,
+    }
+    arrays: dict[str, Array] = {
+        name: getattr(message, name) for name in ("position", "assignment", "quality", "aoi", "vdf", "level", "parts")
+    }
+    arrays["sensor"] = layout.sensor_xy.astype(np.float32)
+    arrays["kind"] = layout.sensor_type.astype(np.uint8)
+    return pack("frames", fields, arrays, len(message.position))
+
+
+def state(sentence: str, counts: Mapping[str, int]) -> Packet:
+    """Return how things stand: a sentence, empty when frames are coming, and what was lost where."""
+    return pack("state", {"sentence": sentence, **counts}, {})

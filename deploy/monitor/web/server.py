@@ -1,0 +1,135 @@
+"""The small web server of `eia-sec watch`: the page's files, and one WebSocket for each browser.
+
+Only this machine reaches it unless somebody asks for more. A browser that shows another site may well run on this
+machine, so requests whose Host is not one of ours, and WebSockets that another site's page opens, are refused.
+"""
+
+import http
+import threading
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.sync.server import Server, ServerConnection, serve
+
+from common.errors import EndpointError
+from deploy.monitor.web.hub import Hub
+
+PAGE: Final = Path(__file__).parent / "page"
+FILES: Final = {
+    "/": ("index.html", "text/html"),
+    "/watch.css": ("watch.css", "text/css"),
+    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in ("main", "stream", "past", "field", "charts")},
+}
+"""What may be asked for, and of which type it is."""
+STREAM: Final = "/stream"
+MAX_BROWSERS: Final = 16
+LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
+SECONDS: Final = 3.0
+"""Time that a browser has to say what it wants, or to say farewell."""
+LOOK_SECONDS: Final = 0.5
+"""Pause between two looks whether a browser for which there is nothing to send is still there."""
+POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:"
+
+
+class WebServer:
+    """Serves the page; use it as a context manager.
+
+    Args:
+        hub: what browsers get.
+        host: address to listen on.
+        port: port to listen on; 0 for any that is free.
+        strangers: whether requests by other names than those of this machine's loopback are answered.
+
+    Attributes:
+        port: the port that it listens on.
+        refused: requests that were refused.
+
+    Raises:
+        EndpointError: the address is taken or not of this machine.
+    """
+
+    def __init__(self, hub: Hub, host: str, port: int, *, strangers: bool = False) -> None:
+        self._hub, self._strangers = hub, strangers
+        self._names = (*LOOPBACK, host)
+        self.refused = 0
+        try:
+            self._server: Server = serve(
+                self._feed,
+                host.strip("[]"),
+                port,
+                process_request=self._answer,
+                compression=None,
+                open_timeout=SECONDS,
+                close_timeout=SECONDS,
+                max_size=1024,
+            )
+        except OSError as error:
+            raise EndpointError(
+                f"cannot listen on {host}:{port}: the address is taken or not of this machine."
+            ) from error
+        self.port: int = self._server.socket.getsockname()[1]
+        self._thread = threading.Thread(target=self._server.serve_forever, name="web")
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.shutdown()
+        self._thread.join()
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Return a file or a refusal, or None for the stream."""
+        host, path = request.headers.get("Host", ""), request.path.partition("?")[0]
+        if not (self._strangers or host in {f"{name}:{self.port}" for name in self._names}):
+            return self._refuse(http.HTTPStatus.MISDIRECTED_REQUEST, "This is a server for its own machine.")
+        if path == STREAM:
+            if request.headers.get("Origin") != f"http://{host}":
+                return self._refuse(http.HTTPStatus.FORBIDDEN, "The stream is for this server's own page.")
+            if self._hub.seats >= MAX_BROWSERS:
+                return self._refuse(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{MAX_BROWSERS} browsers look already.")
+            return None
+        if path not in FILES:
+            return self._refuse(http.HTTPStatus.NOT_FOUND, "There is no such page.")
+        name, kind = FILES[path]
+        return _response(http.HTTPStatus.OK, kind, (PAGE / name).read_bytes())
+
+    def _refuse(self, status: http.HTTPStatus, sentence: str) -> Response:
+        self.refused += 1
+        return _response(status, "text/plain", sentence.encode())
+
+    def _feed(self, connection: ServerConnection) -> None:
+        """Send one browser what there is, until it goes."""
+        seat = self._hub.enter(MAX_BROWSERS)
+        if seat is None:
+            return
+        try:
+            told = 0
+            while connection.close_code is None:
+                packet = seat.take(LOOK_SECONDS)
+                if packet is not None:
+                    connection.send(packet.data)
+                if seat.dropped != told:
+                    told = seat.dropped
+                    connection.send(f'{{"dropped": {told}}}')
+        except ConnectionClosed:
+            return
+        finally:
+            self._hub.leave(seat)
+
+
+def _response(status: http.HTTPStatus, kind: str, body: bytes) -> Response:
+    headers = Headers()
+    headers["Content-Type"] = f"{kind}; charset=utf-8"
+    headers["Content-Length"] = str(len(body))
+    headers["Content-Security-Policy"] = POLICY
+    headers["X-Content-Type-Options"] = "nosniff"
+    headers["Cache-Control"] = "no-store"
+    headers["Connection"] = "close"
+    return Response(status.value, status.phrase, headers, body)

@@ -1,0 +1,164 @@
+"""The Zenoh side of `eia-sec watch`: asks a worker to be shown its farm, and checks what comes."""
+
+import os
+import time
+from typing import Final
+
+from common.config import FarmConfig, RunConfig
+from common.config.files import from_toml
+from common.errors import BusClosedError, BusError, ConfigError, ProtocolError, SchemaError, UsageError
+from common.process import denial
+from common.protocol import keys
+from common.protocol.messages import Envelope, ViewMessage, WatchRequest, WatchTerms
+from common.protocol.view_checks import MAX_PARTS, check_view
+from common.transport.bus import Bus, Sample, Subscription
+from deploy.monitor.web import packets
+from deploy.monitor.web.hub import Hub
+from rollout.sim.layout import make_layout
+
+CAPACITY: Final = 128
+"""Messages that may wait; a worker sends some thirty for an episode, all at once if it flies fast."""
+RENEWALS: Final = 4
+"""Requests in the time of one lease."""
+ANSWER_SECONDS: Final = 2.0
+STATE_SECONDS: Final = 1.0
+"""Time between two packets that say how things stand."""
+
+
+class Source:
+    """Watches one worker on behalf of all browsers.
+
+    Args:
+        bus: the control lane.
+        run: the run's name.
+        worker: the worker's name, or None for the first that lives.
+        hub: where packets go.
+
+    Attributes:
+        worker: who is watched, or would be, or None.
+        lost: messages that did not arrive.
+        malformed: messages that were not what the protocol declares.
+        skipped: steps that the worker flew and did not show, as it says.
+    """
+
+    def __init__(self, bus: Bus, run: str, worker: str | None, hub: Hub) -> None:
+        self._bus, self._run, self._wanted, self._hub = bus, run, worker, hub
+        self._name = f"watch-{os.getpid()}-{time.time_ns() % 10**9}"
+        self._alive = bus.watch(keys.LIVE.pattern(run, role="rollout"), 256)
+        self._living: set[str] = set()
+        self._views: Subscription | None = None
+        self._known: tuple[str, str] | None = None
+        self._farm = FarmConfig()
+        self._parts = 0
+        self._lease = 0.0
+        self._asked = self._told = float("-inf")
+        self._newest = (0, 0)
+        self._sentence = ""
+        self.worker: str | None = None
+        self.lost = self.malformed = self.skipped = 0
+
+    def tend(self, wanted: bool) -> None:
+        """Do what is due: choose a worker, ask again before the lease ends, hand on what has come.
+
+        Args:
+            wanted: whether anybody looks; if not, the worker is told so once.
+        """
+        self._look_around()
+        now = time.monotonic()
+        if not wanted:
+            self.leave()
+            return
+        self._choose()
+        if self.worker is not None and now - self._asked >= max(self._lease, ANSWER_SECONDS) / RENEWALS:
+            self._asked = now
+            self._ask(self.worker)
+        if self._views is not None:
+            for sample in self._views.drain():
+                self._take(sample)
+        if now - self._told >= STATE_SECONDS:
+            self._tell(now)
+
+    def leave(self) -> None:
+        """Tell the worker that nobody looks any more; its lease would end by itself."""
+        if self.worker is not None and self._lease:
+            self._lease = 0.0
+            self._asked = float("-inf")
+            try:
+                key = keys.WATCH.key(self._run, worker=self.worker)
+                self._bus.ask(key, WatchRequest(self._name, False).encode(), ANSWER_SECONDS)
+            except BusError:
+                return
+
+    def _look_around(self) -> None:
+        for sample in self._alive.drain():
+            name = sample.key.rsplit("/", 1)[-1]
+            (self._living.add if sample.present else self._living.discard)(name)
+
+    def _choose(self) -> None:
+        """Stay with a worker that lives, else take the one that was named or the first."""
+        if self.worker in self._living:
+            return
+        name = self._wanted or min(self._living, default=None)
+        if name != self.worker and name is not None:
+            self.worker, self._asked, self._lease = name, float("-inf"), 0.0
+            self._views = self._bus.subscribe(keys.VIEW.key(self._run, worker=name), CAPACITY)
+            self._newest = (0, 0)
+        if name is None or name not in self._living:
+            which = f"worker {name}" if name else "a worker"
+            self._sentence = f"Waiting for {which} of run {self._run}."
+            self._asked = float("-inf")
+
+    def _ask(self, worker: str) -> None:
+        if worker not in self._living:
+            return
+        key = keys.WATCH.key(self._run, worker=worker)
+        try:
+            answer = self._bus.ask(key, WatchRequest(self._name, True).encode(), ANSWER_SECONDS)
+            if answer is None:
+                self._sentence = denial(self._bus, self._run, key) or f"Worker {worker} does not answer."
+                return
+            self._agree(worker, WatchTerms.decode(answer))
+            self._sentence = ""
+        except BusClosedError:
+            raise
+        except (BusError, ProtocolError, UsageError, ArithmeticError, ValueError) as error:
+            self._sentence = f"Worker {worker}: {error}"
+
+    def _agree(self, worker: str, terms: WatchTerms) -> None:
+        """Take the worker's answer; a farm that was not known begins the picture anew."""
+        if not (0.5 <= terms.lease_seconds <= 3600.0 and 0.0 < terms.steps_per_second <= 1e4):
+            raise SchemaError("the terms of watching are out of range.")
+        if len(terms.part_names) > MAX_PARTS or any(len(name) > 32 for name in terms.part_names):
+            raise SchemaError("the parts of the reward are too many or too long.")
+        self._lease = terms.lease_seconds
+        if self._known != (worker, terms.toml):
+            self._farm = from_toml(terms.toml, RunConfig()).farm
+            self._parts = len(terms.part_names)
+            self._hub.begin(packets.scene(self._run, worker, self._farm, terms))
+            self._known = (worker, terms.toml)
+
+    def _take(self, sample: Sample) -> None:
+        if self._known is None or self._known[0] != self.worker:
+            return
+        try:
+            envelope = Envelope.decode(sample.attachment)
+            if (envelope.role, envelope.name) != ("rollout", self.worker):
+                raise SchemaError("the envelope names another sender than the key.")
+            message = ViewMessage.decode(sample.payload)
+            check_view(message, self._farm, self._parts)
+            layout = make_layout(self._farm, message.farm)
+        except (ProtocolError, ConfigError):
+            self.malformed += 1
+            return
+        start, sequence = self._newest
+        if envelope.incarnation == start:
+            self.lost += max(0, envelope.sequence - sequence - 1)
+        self._newest = (envelope.incarnation, envelope.sequence)
+        self.skipped = message.skipped
+        self._hub.show(packets.frames(message, layout, envelope.version))
+
+    def _tell(self, now: float) -> None:
+        self._told = now
+        missed = self._views.missed if self._views is not None else 0
+        counts = {"lost": self.lost + missed, "malformed": self.malformed, "skipped": self.skipped}
+        self._hub.tell(packets.state(self._sentence, counts))

@@ -1,0 +1,138 @@
+"""What `eia-sec evaluate` does: fly a policy without noise over farms and print what it came to."""
+
+import json
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+
+from common.config import RunConfig
+from common.config.files import from_toml
+from common.config.presets import PRESETS
+from common.errors import PolicyError, RunDirError, UsageError
+from common.policy_file import load_policy
+from deploy.exit_codes import DONE
+from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
+from deploy.options import require_env, with_farm_file
+from deploy.reports.comparison_tables import comparison_table
+from rollout.envs.base import Environments
+from rollout.evaluation import Evaluation, evaluate, evaluate_run
+from rollout.heuristics.random import RandomPolicy
+from rollout.policies import ActorPolicy, Decider, policy_of
+
+MAX_FARMS: Final = 100_000
+
+
+@dataclass(frozen=True)
+class EvaluateArguments:
+    """Fly a policy without noise over farms that are named by their seeds."""
+
+    run_dir: Path | None = None
+    """A run's directory: its configuration and its newest policy."""
+    policy: str | None = None
+    """static, random, lawnmower, greedy, tour, hungarian, horizon, trained, or a policy file; with --run-dir, instead
+    of the run's policy. horizon+centroid, for instance, names the relays too (docs/heuristics.md)."""
+    farms: str = "1000:1020"
+    """Farm seeds A:B, from A to B - 1; for other environments scenario seeds."""
+    episodes: int = 1
+    """Episodes on each farm."""
+    env: str | None = None
+    """Environment besides the farm, module:name; a run that is about one needs it, because loading it runs its code."""
+    json: bool = False
+    """Print JSON instead of a table."""
+    config: Path | None = None
+    """TOML file whose values replace those of the run or of the default preset."""
+    farm_file: Path | None = None
+    """CSV or GeoJSON file with the sensors' places; the seeds then decide starts, packets and phases."""
+    set: tuple[str, ...] = ()
+    """Single values, for instance farm.world.steps=100; they come last."""
+
+
+def main(arguments: EvaluateArguments) -> int:
+    """Evaluate and print; return the exit code.
+
+    Raises:
+        UsageError: something that was asked for does not exist or cannot be.
+    """
+    evaluation = run(arguments)
+    if arguments.json:
+        sys.stdout.write(json.dumps(evaluation.to_dict(), indent=2) + "\n")
+    else:
+        Console().print(comparison_table([evaluation]))
+    return DONE
+
+
+def run(arguments: EvaluateArguments) -> Evaluation:
+    """Return the evaluation that the arguments ask for.
+
+    Raises:
+        UsageError: something that was asked for does not exist or cannot be.
+    """
+    farms = parse_farms(arguments.farms)
+    if arguments.episodes < 1:
+        raise UsageError(f"--episodes must be 1 or more, not {arguments.episodes}.")
+    config = configuration_of(arguments)
+    name = policy_name(arguments)
+    shown = arguments.run_dir.name if arguments.run_dir and not arguments.policy else name
+    if config.env.is_farm:
+        policy = policy_of(name, config.farm)
+        return evaluate(config.farm, policy, farms, arguments.episodes, name=shown)
+    return evaluate_run(config, _decider(name), farms, arguments.episodes, name=shown)
+
+
+def policy_name(arguments: EvaluateArguments) -> str:
+    """Return the policy's name or the path of its file."""
+    if arguments.policy is not None:
+        return arguments.policy
+    if arguments.run_dir is None:
+        raise PolicyError("nothing to evaluate: give --run-dir DIR or --policy NAME.")
+    path = arguments.run_dir / POLICY
+    if not path.is_file():
+        raise RunDirError(f"{arguments.run_dir} holds no {POLICY}: the run has not saved a policy yet.")
+    return str(path)
+
+
+def _decider(name: str) -> Decider[Environments]:
+    """Return a policy for an environment other than the farm."""
+    if name == "random":
+        return RandomPolicy()
+    if not Path(name).is_file():
+        raise PolicyError(f"outside the farm there is no policy {name!r}: give random, or a policy file.")
+    return ActorPolicy(load_policy(Path(name))[0])
+
+
+def parse_farms(text: str) -> range:
+    """Return the farm seeds that A:B names.
+
+    Raises:
+        UsageError: it is not A:B with 0 <= A < B, or names more farms than anybody would fly.
+    """
+    first, colon, end = text.partition(":")
+    if not (colon and first.strip().isdecimal() and end.strip().isdecimal()):
+        raise UsageError(f"--farms must be A:B with whole numbers, 1000:1020 for instance, not {text!r}.")
+    farms = range(int(first), int(end))
+    if not farms:
+        raise UsageError(f"--farms {text} names no farm: B must be larger than A.")
+    if farms.stop - farms.start > MAX_FARMS or farms.stop > 2**63:
+        raise UsageError(f"--farms {text} is out of range: at most {MAX_FARMS:,} farms, seeds below 2^63.")
+    return farms
+
+
+def configuration_of(arguments: EvaluateArguments) -> RunConfig:
+    """Return the run's or the default configuration with the file's and the single values in it."""
+    config = PRESETS["default"]
+    if arguments.run_dir is not None:
+        path = arguments.run_dir / CONFIG
+        if not path.is_file():
+            raise RunDirError(f"{arguments.run_dir} is no run directory: it holds no {CONFIG}.")
+        config = RunDirectory(arguments.run_dir).configuration()
+    if arguments.config is not None:
+        config = from_toml(arguments.config, config)
+    require_env(config, arguments.env)
+    if arguments.env is not None:
+        config = replace(config, env=replace(config.env, name=arguments.env))
+    for assignment in arguments.set:
+        config = from_toml(assignment, config)
+    return with_farm_file(config, arguments.farm_file) if arguments.farm_file is not None else config

@@ -1,0 +1,172 @@
+"""A policy's actors as files that need nothing of this project: ONNX, or plain tensors with a description."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from safetensors import SafetensorError
+from safetensors.numpy import save_file
+
+from common.actors import ActorBank, parameter_views
+from common.config import RunConfig
+from common.config.files import digest
+from common.errors import PolicyError
+from common.lattice import EDGE, GAIN
+from common.team import Float32, GroupSpec
+from deploy.policies.onnx_actions import steering
+from deploy.policies.tensor_names import action_names, action_scale, observation_names
+
+if TYPE_CHECKING:
+    from onnx import ModelProto
+
+FORMAT: Final = "eia-sec actors 1"
+LAYERS: Final = ("w1", "b1", "w2", "b2", "w3", "b3")
+OPSET: Final = 13
+"""Operator set of the models; every onnxruntime since 2020 knows it."""
+IR_VERSION: Final = 7
+"""File version that goes with it."""
+
+
+def agent_names(bank: ActorBank) -> list[str]:
+    """Return a name for each agent in row order: its type and its number inside the type."""
+    return [f"{group.name}-{index}" for group in bank.team.groups for index in range(group.count)]
+
+
+def agent_layers(bank: ActorBank) -> list[dict[str, Float32]]:
+    """Return each agent's W1 [o, h], b1 [h], W2 [h, h], b2 [h], W3 [h, a], b3 [a] by their names in the files."""
+    agents = []
+    for group, flat in zip(bank.team.groups, bank.noise_free().flat, strict=True):
+        views = parameter_views(flat, group.observation_size, bank.hidden, group.action_size)
+        agents += [
+            {name: view[index].copy() for name, view in zip(LAYERS, views, strict=True)} for index in range(group.count)
+        ]
+    return agents
+
+
+def kinds_of(bank: ActorBank) -> list[GroupSpec]:
+    """Return each agent's group in row order."""
+    return [group for group in bank.team.groups for _ in range(group.count)]
+
+
+def description(config: RunConfig, bank: ActorBank, metadata: Mapping[str, str]) -> dict[str, Any]:
+    """Return what somebody needs to know to use the actors, as plain values.
+
+    Args:
+        config: the run that trained them.
+        bank: the actors.
+        metadata: where they come from, as the policy file says.
+    """
+    kinds = kinds_of(bank)
+    return {
+        "format": FORMAT,
+        "network": "a = tanh(relu(relu(o w1 + b1) w2 + b2) w3 + b3)",
+        "steering": "where lattice is not null: p = (o[:2] + 1) / 2, cell = clip(floor(p count + edge), 0, count - 1), "
+        "goal = (clip(cell + clip(rint(gain a), -1, 1), 0, count - 1) + 0.5) / count, "
+        "action = clip((goal - p) / reach, -1, 1); elsewhere action = a; where mirrored -action where o[2:4] < 0",
+        "origin": {**metadata, "configuration": digest(config), "environment": config.env.name},
+        "sha256": bank.digest(),
+        "hidden": bank.hidden,
+        "agents": {
+            name: {
+                "type": group.name,
+                "observation": observation_names(config, group),
+                "action": action_names(config, group),
+                "action_scale": action_scale(config, group),
+                "lattice": _lattice(group),
+                "mirrored": group.mirrored,
+            }
+            for name, group in zip(agent_names(bank), kinds, strict=True)
+        },
+    }
+
+
+def export_safetensors(folder: Path, config: RunConfig, bank: ActorBank, metadata: Mapping[str, str]) -> list[Path]:
+    """Write actors.safetensors with tensors AGENT.w1 to AGENT.b3, and actors.json; return the files.
+
+    Raises:
+        PolicyError: when a file cannot be written.
+    """
+    text = json.dumps(description(config, bank, metadata), indent=2)
+    tensors = {
+        f"{name}.{layer}": array
+        for name, layers in zip(agent_names(bank), agent_layers(bank), strict=True)
+        for layer, array in layers.items()
+    }
+    path = folder / "actors.safetensors"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        save_file(tensors, path, metadata={"description": text})
+    except (OSError, SafetensorError) as error:
+        raise PolicyError(f"{path} cannot be written: {getattr(error, 'strerror', None) or error}.") from error
+    return [path, _describe(folder, text)]
+
+
+def export_onnx(folder: Path, config: RunConfig, bank: ActorBank, metadata: Mapping[str, str]) -> list[Path]:
+    """Write one model for each agent, AGENT.onnx, and actors.json; return the files.
+
+    A model takes `observation` [batch, o] and returns `action` [batch, a], both float32; steering is part of it.
+
+    Raises:
+        PolicyError: when the package onnx is missing or a file cannot be written.
+    """
+    told = description(config, bank, metadata)
+    paths = []
+    for name, layers, group in zip(agent_names(bank), agent_layers(bank), kinds_of(bank), strict=True):
+        shared = {key: value for key, value in told.items() if key != "agents"}
+        model = _model(name, layers, group, {**shared, **told["agents"][name]})
+        path = folder / f"{name}.onnx"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(model.SerializeToString())
+        except OSError as error:
+            raise PolicyError(f"{path} cannot be written: {error.strerror}.") from error
+        paths.append(path)
+    return [*paths, _describe(folder, json.dumps(told, indent=2))]
+
+
+def _describe(folder: Path, text: str) -> Path:
+    path = folder / "actors.json"
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise PolicyError(f"{path} cannot be written: {error.strerror}.") from error
+    return path
+
+
+def _lattice(group: GroupSpec) -> dict[str, Any] | None:
+    lattice = group.lattice
+    if lattice is None:
+        return None
+    count, reach = [lattice.columns, lattice.rows], [lattice.reach_x, lattice.reach_y]
+    return {"count": count, "reach": reach, "gain": GAIN, "edge": EDGE}
+
+
+def _model(name: str, layers: Mapping[str, Float32], group: GroupSpec, told: Mapping[str, Any]) -> "ModelProto":
+    try:
+        from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415 - an extra that few users need
+    except ImportError:
+        raise PolicyError("ONNX export needs the package onnx: pip install 'eia-sec[export]'.") from None
+    seen, done = layers["w1"].shape[0], layers["w3"].shape[1]
+    nodes, flow = [], "observation"
+    steered, constants = steering(group)
+    for index, activation in (("1", "Relu"), ("2", "Relu"), ("3", "Tanh")):
+        out = f"h{index}" if index != "3" else "output" if steered else "action"
+        nodes.append(helper.make_node("Gemm", [flow, f"w{index}", f"b{index}"], [f"z{index}"]))
+        nodes.append(helper.make_node(activation, [f"z{index}"], [out]))
+        flow = out
+    numbers = {layer: layers[layer] for layer in LAYERS} | constants
+    nodes += [helper.make_node(kind, taken, [given]) for kind, taken, given in steered]
+    graph = helper.make_graph(
+        nodes,
+        name,
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", seen])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", done])],
+        [numpy_helper.from_array(array, name) for name, array in numbers.items()],
+    )
+    model = helper.make_model(
+        graph, producer_name="eia-sec", opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
+    )
+    helper.set_model_props(model, {k: v if isinstance(v, str) else json.dumps(v) for k, v in told.items()})
+    checker.check_model(model, full_check=True)
+    return model

@@ -1,0 +1,99 @@
+"""Flies two policies through the same episode and makes a film and pictures of it."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from common.config import FarmConfig
+from common.errors import UsageError
+from deploy.reports.film import Film
+from deploy.reports.plots import save_contest
+from rollout.evaluation import episode_seed, record
+from rollout.policies import policy_of
+from rollout.rendering.scene import Observer, Scene
+from rollout.rendering.side_by_side import ContestPicture
+from rollout.sim.batch import FarmBatch
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Two policies and the episode that both fly.
+
+    Attributes:
+        config: the farm.
+        policies: names or files, as `rollout.policies.policy_of` takes them.
+        names: what they are called in the pictures.
+        farm: the farm's seed.
+        episode: number of the episode on it, that of `eia-sec evaluate`.
+    """
+
+    config: FarmConfig
+    policies: tuple[str, str]
+    names: tuple[str, str]
+    farm: int
+    episode: int
+
+
+def scenes_of(contest: Contest) -> Iterator[tuple[Scene, Scene]]:
+    """Yield both farms after the reset and after each step; nothing is kept but what a scene shows."""
+    own, other = (_flight(contest, policy) for policy in contest.policies)
+    yield from zip(own, other, strict=True)
+
+
+def film(contest: Contest, path: Path, rate: float, every: int, told: Callable[[int], None] = lambda _: None) -> None:
+    """Write a film of every so many steps; the last one is always shown.
+
+    Args:
+        contest: who flies where.
+        path: the file, .mp4 or .gif.
+        rate: pictures a second.
+        every: steps between two pictures.
+        told: called with every step that is done.
+
+    Raises:
+        PolicyError: a policy does not exist or does not fit the farm.
+        UsageError: there is no ffmpeg, or the file cannot be written.
+    """
+    last, picture = contest.config.world.steps, None
+    with ExitStack() as stack:
+        for scenes in scenes_of(contest):
+            if picture is None:
+                picture = ContestPicture(contest.names, scenes)
+                reel = stack.enter_context(Film(path, picture.size, rate))
+            picture.note(scenes)
+            if scenes[0].step % every == 0 or scenes[0].step == last:
+                reel.add(picture.draw(scenes))
+            told(scenes[0].step)
+
+
+def paper_pictures(contest: Contest, paths: list[Path]) -> None:
+    """Save the final state with all paths, both policies side by side, PNG or PDF by the files' endings.
+
+    Raises:
+        PolicyError: a policy does not exist or does not fit the farm.
+        UsageError: a file cannot be written.
+    """
+    flown = [
+        record(contest.config, policy_of(policy, contest.config), contest.farm, contest.episode)
+        for policy in contest.policies
+    ]
+    try:
+        for path in paths:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            save_contest(dict(zip(contest.names, flown, strict=True)), path)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written: {error.strerror}.") from error
+
+
+def _flight(contest: Contest, name: str) -> Iterator[Scene]:
+    batch, policy = FarmBatch(contest.config, 1), policy_of(name, contest.config)
+    observer = Observer(batch, 0)
+    batch.reset(0, contest.farm, episode_seed(contest.farm, contest.episode))
+    policy.reset(batch, 0)
+    observer.observe()
+    yield observer.scene()
+    while not batch.ended.all():
+        batch.step(policy.act(batch))
+        observer.observe()
+        yield observer.scene()

@@ -1,0 +1,1 @@
+"""What a run leaves behind: plots, tables, films and provenance."""

@@ -1,0 +1,93 @@
+"""Pictures of farms as they are made: one farm, and every density side by side."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from common.config import FarmConfig, WorldConfig
+from common.config.farm import Density
+from common.errors import UsageError
+from deploy.reports.plots import DPI, TEXT
+from rollout.rendering.palette import SENSOR_MARKERS
+from rollout.sim.layout import GIVEN, Layout, make_layout
+
+DENSITIES: Final[tuple[Density, ...]] = ("uniform", "irregular", "clustered", "banded", "patchy")
+"""Every density that is one, in the order of the picture."""
+SEEDS: Final = (0, 1, 2)
+"""Farms of each density in the picture."""
+TYPE_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
+"""Okabe and Ito's; the marker differs as well."""
+
+
+def draw_farm(config: FarmConfig, seed: int, path: Path) -> None:
+    """Draw one farm: its sensors by type, and its plots.
+
+    Args:
+        config: the farm.
+        seed: its seed.
+        path: the picture, PNG.
+
+    Raises:
+        UsageError: the picture cannot be written.
+    """
+    layout, world = make_layout(config, seed), config.world
+    figure = Figure(figsize=(8.0, 6.4), layout="constrained")
+    axes = figure.subplots()
+    for x in range(1, world.plots_x):
+        axes.axvline(x * world.field_x / world.plots_x, color="0.92", linewidth=0.6, zorder=0)
+    for y in range(1, world.plots_y):
+        axes.axhline(y * world.field_y / world.plots_y, color="0.92", linewidth=0.6, zorder=0)
+    _scatter(axes, layout, world, 16.0)
+    axes.set(xlabel="x, m", ylabel="y, m")
+    what = "given places" if layout.density == GIVEN else layout.density
+    axes.set_title(f"{what}, farm {seed}: {world.sensors} sensors", loc="left", fontsize=10)
+    figure.legend(loc="outside right upper", frameon=False, **TEXT)
+    _save(figure, path)
+
+
+def draw_densities(path: Path) -> None:
+    """Draw every density, a column each, with the farms SEEDS of the default world.
+
+    Args:
+        path: the picture, PNG.
+    """
+    figure = Figure(figsize=(12.0, 7.6), layout="constrained")
+    rows = figure.subplots(len(SEEDS), len(DENSITIES), sharex=True, sharey=True)
+    for row, seed in zip(rows, SEEDS, strict=True):
+        for axes, density in zip(row, DENSITIES, strict=True):
+            config = FarmConfig(world=replace(WorldConfig(), density=density))
+            _scatter(axes, make_layout(config, seed), config.world, 4.0)
+            axes.tick_params(labelsize=7)
+            axes.set_title(f"{density}, farm {seed}", loc="left", **TEXT)
+        row[0].set_ylabel("y, m", **TEXT)
+    for axes in rows[-1]:
+        axes.set_xlabel("x, m", **TEXT)
+    _save(figure, path)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    try:
+        figure.savefig(path, dpi=DPI, format="png", bbox_inches="tight")
+    except OSError as error:
+        raise UsageError(f"the picture {path} cannot be written: {error.strerror}.") from error
+
+
+def _scatter(axes: Axes, layout: Layout, world: WorldConfig, size: float) -> None:
+    """Draw the sensors of each type with a colour and a marker of its own, in the field's bounds."""
+    for kind, cycle in enumerate(world.sensor_cycles):
+        chosen = layout.sensor_type == kind
+        axes.scatter(
+            layout.sensor_xy[chosen, 0],
+            layout.sensor_xy[chosen, 1],
+            s=size,
+            color=TYPE_COLOURS[kind % len(TYPE_COLOURS)],
+            marker=SENSOR_MARKERS[kind % len(SENSOR_MARKERS)],
+            linewidths=0.0,
+            clip_on=False,
+            label=f"every {cycle} s",
+            zorder=2,
+        )
+    axes.set(xlim=(0.0, world.field_x), ylim=(0.0, world.field_y), aspect="equal")

@@ -1,0 +1,313 @@
+"""The pictures of a run: how it learned, and where its UAVs flew, alone or beside those of another policy.
+
+Colours and marks are those of `rollout/rendering/palette.py`. Nothing here opens a window.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
+from matplotlib.image import AxesImage
+from matplotlib.legend_handler import HandlerTuple
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from common.team import COLLECTION, MONITORING, farm_team
+from rollout.evaluation import Trajectory
+from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, LABELS, SENSOR_MARKERS, STYLES, TYPES, LineStyle
+
+DPI: Final = 150
+OTHER_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+PIECE_STEPS: Final = 25
+"""Steps of a fading path that share one opacity."""
+OLDEST: Final = 0.1
+"""Opacity of a fading path where it begins."""
+CONTEST_DPI: Final = 220
+"""Finer than DPI, because maps side by side are small for all that they show."""
+SMALL: Final = 0.7
+"""Size of the marks and lines on such a map beside those on a map of its own."""
+SMOOTH_SHARE: Final = 0.05
+"""Width of the smoothing window as a share of the curve."""
+TEXT: Final[dict[str, Any]] = {"fontsize": 9}
+FADING: Final = "path: faint at first, full at the end"
+SCALE_LABELS: Final = ("AoI of a sensor, end", "VDF of a plot, end")
+_SHADES: Final = LinearSegmentedColormap.from_list("plots", ["#FFFFFF", "#B5B5B5"])
+
+Numbers = NDArray[np.float64]
+
+
+def curves(metrics: Sequence[Mapping[str, Any]], path: Path, levels: Mapping[str, float] | None = None) -> None:
+    """Draw reward, and AoI and VDF or where there are none the length of episodes, against episodes.
+
+    Args:
+        metrics: the run's records; those of kind "episodes" are drawn, those of kind "imitation" become ticks, all
+            others are left out.
+        path: the picture, PNG.
+        levels: mean reward per agent of other policies by name, drawn as labelled lines.
+    """
+    curves_figure(metrics, levels).savefig(path, dpi=DPI)
+
+
+def curves_figure(metrics: Sequence[Mapping[str, Any]], levels: Mapping[str, float] | None = None) -> Figure:
+    """Return the picture that `curves` saves."""
+    records = [record for record in metrics if record.get("kind") == "episodes"]
+    events = [int(record["episodes"]) for record in metrics if record.get("kind") == "imitation"]
+    episodes = np.array([record["episodes"] for record in records], np.float64)
+    figure = Figure(figsize=(8.0, 6.4), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
+    kinds = [name for name in (records[0]["reward"] if records else {}) if name != "mean"]
+    for index, name in enumerate([*kinds, "mean"] if len(kinds) != 1 else ["mean"]):
+        values = np.array([record["reward"][name] for record in records], np.float64)
+        colour = COLOURS.get(name, OTHER_COLOURS[index % len(OTHER_COLOURS)])
+        style: LineStyle = STYLES.get(name, "--")
+        _curve(upper, episodes, values, colour, LABELS.get(name, name), style, 2.2 if name == "mean" else 1.5)
+    _levels(upper, levels or {})
+    _events(upper, events)
+    upper.set_ylabel("reward of an episode, per agent")
+    farm = bool(records) and all(key in records[0] for key in ("aoi", "vdf"))
+    shown = (
+        (("aoi", COLLECTION, "mean AoI"), ("vdf", MONITORING, "mean VDF")) if farm else (("steps", "mean", "steps"),)
+    )
+    for key, name, label in shown:
+        values = np.array([record[key] for record in records], np.float64)
+        _curve(lower, episodes, values, COLOURS[name], label, STYLES[name])
+    lower.set_ylim(bottom=0.0)
+    lower.set_xlabel("training episodes")
+    lower.set_ylabel("units (lower is fresher)" if farm else "steps of an episode")
+    for axes in (upper, lower):
+        axes.grid(True, color="0.9")
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.02), ncols=5, frameon=False, **TEXT)
+    return figure
+
+
+def trajectories(trajectory: Trajectory, path: Path) -> None:
+    """Draw the farm and the paths of all UAVs over it.
+
+    Args:
+        trajectory: a recorded episode.
+        path: the picture, PNG.
+    """
+    trajectories_figure(trajectory).savefig(path, dpi=DPI)
+
+
+def trajectories_figure(trajectory: Trajectory) -> Figure:
+    """Return the picture that `trajectories` saves."""
+    figure = Figure(figsize=(9.6, 7.2), layout="constrained")
+    grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 0.26), height_ratios=(1.0, 0.04, 0.04))
+    axes = figure.add_subplot(grid[:, 0])
+    scales = _map(axes, trajectory, fading=False)
+    axes.set_title(_headline(trajectory), loc="left", fontsize=10)
+    _key(figure, grid, trajectory, scales)
+    return figure
+
+
+def save_contest(trajectories: Mapping[str, Trajectory], path: Path) -> None:
+    """Draw the same episode under several policies side by side: final state, and paths that fade with age.
+
+    Args:
+        trajectories: recorded episodes of one farm by the policies' names.
+        path: the picture; its ending says the format, PNG or PDF for instance.
+    """
+    contest_figure(trajectories).savefig(path, dpi=CONTEST_DPI)
+
+
+def contest_figure(trajectories: Mapping[str, Trajectory]) -> Figure:
+    """Return the picture that `save_contest` saves."""
+    flown = list(trajectories.values())
+    figure = Figure(figsize=(4.7 * len(flown), 6.6), layout="constrained")
+    grid = figure.add_gridspec(2, 2 * len(flown), height_ratios=(1.0, 0.03))
+    for column, (name, trajectory) in enumerate(trajectories.items()):
+        axes = figure.add_subplot(grid[0, 2 * column : 2 * column + 2])
+        scales = _map(axes, trajectory, fading=True, size=SMALL)
+        # In two lines the headline ends before the scale bar, also above a small map.
+        axes.set_title(f"{name}, {_headline(trajectory).replace(': ', chr(10), 1)}", loc="left", fontsize=9, pad=12)
+    halves = (grid[1, : len(flown)], grid[1, len(flown) :])
+    for artist, label, half in zip(scales, SCALE_LABELS, halves, strict=True):
+        figure.colorbar(artist, cax=figure.add_subplot(half), orientation="horizontal", label=label)
+    handles: list[Any] = [*_legend(flown[0]), _fading()]
+    figure.legend(
+        handles,
+        [*(handle.get_label() for handle in handles[:-1]), FADING],
+        handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)},
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        **TEXT,
+    )
+    return figure
+
+
+def _map(axes: Axes, trajectory: Trajectory, *, fading: bool, size: float = 1.0) -> tuple[PathCollection, AxesImage]:
+    """Draw plots, sensors and paths, marks of such a size; return the artists that carry the scales of AoI and VDF."""
+    world = trajectory.config.world
+    plots = axes.imshow(
+        trajectory.final_vdf.T,
+        origin="lower",
+        extent=(0.0, world.field_x, 0.0, world.field_y),
+        cmap=_SHADES,
+        vmin=0.0,
+        vmax=world.vdf_max,
+        zorder=0,
+    )
+    sensors = _sensors(axes, trajectory, size)
+    _paths(axes, trajectory, fading, size)
+    margin = 0.025 * max(world.field_x, world.field_y)
+    axes.set(xlim=(-margin, world.field_x + margin), ylim=(-margin, world.field_y + margin))
+    axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
+    _scale_bar(axes, world.field_x, world.field_y + margin)
+    return sensors, plots
+
+
+def _key(figure: Figure, grid: GridSpec, trajectory: Trajectory, scales: tuple[PathCollection, AxesImage]) -> None:
+    """Draw the legend and both scales into the grid's last column."""
+    key = figure.add_subplot(grid[0, -1])
+    key.set_axis_off()
+    key.legend(handles=_legend(trajectory), loc="upper left", borderaxespad=0.0, frameon=False, **TEXT)
+    for row, (artist, label) in enumerate(zip(scales, SCALE_LABELS, strict=True)):
+        figure.colorbar(artist, cax=figure.add_subplot(grid[1 + row, -1]), orientation="horizontal", label=label)
+
+
+def _curve(axes: Axes, x: Numbers, y: Numbers, colour: str, label: str, style: LineStyle, width: float = 1.5) -> None:
+    """Draw a curve faintly as it is and strongly as its moving mean."""
+    axes.plot(x, y, color=colour, alpha=0.2, linewidth=0.8)
+    marker = "o" if len(x) == 1 else ""
+    axes.plot(x, smooth(y), color=colour, label=label, linestyle=style, linewidth=width, marker=marker)
+
+
+def smooth(values: Numbers) -> Numbers:
+    """Return the centred moving mean over SMOOTH_SHARE of the values; the window shrinks at both ends."""
+    half = int(len(values) * SMOOTH_SHARE / 2)
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    index = np.arange(len(values))
+    low, high = np.maximum(index - half, 0), np.minimum(index + half + 1, len(values))
+    means: Numbers = (total[high] - total[low]) / (high - low)
+    return means
+
+
+def _levels(axes: Axes, levels: Mapping[str, float]) -> None:
+    """Draw each level as a dashed line with its name at the right end, names moved apart where levels are close."""
+    if not levels:
+        return
+    low, high = axes.get_ylim()
+    low, high = min(low, *levels.values()), max(high, *levels.values())
+    axes.set_ylim(low - 0.02 * (high - low), high + 0.04 * (high - low))
+    least, text_y = 0.045 * (high - low), -np.inf
+    for name, level in sorted(levels.items(), key=lambda item: item[1]):
+        axes.axhline(level, color="0.4", linestyle=(0, (5, 3)), linewidth=1.0, zorder=1)
+        text_y = max(level, text_y + least)
+        axes.annotate(
+            f"{name} {level:.{0 if abs(level) >= 20.0 else 1}f}",
+            (1.0, level),
+            (1.01, text_y),
+            xycoords=axes.get_yaxis_transform(),
+            textcoords=axes.get_yaxis_transform(),
+            va="center",
+            color="0.25",
+            **TEXT,
+        )
+
+
+def _events(axes: Axes, events: Sequence[int]) -> None:
+    """Mark each imitation event by a tick on the upper edge."""
+    if events:
+        transform = axes.get_xaxis_transform()
+        axes.plot(
+            events, np.ones(len(events)), "v", color="#CC79A7", transform=transform, clip_on=False, label="imitation"
+        )
+
+
+def _sensors(axes: Axes, trajectory: Trajectory, size: float) -> PathCollection:
+    """Draw the sensors, a marker for each type, and return the artist that carries the colour scale."""
+    artist: PathCollection | None = None
+    for kind in range(len(trajectory.config.world.sensor_cycles)):
+        chosen = trajectory.sensor_type == kind
+        artist = axes.scatter(
+            trajectory.sensor_xy[chosen, 0],
+            trajectory.sensor_xy[chosen, 1],
+            c=trajectory.final_aoi[chosen],
+            cmap=AGE_MAP,
+            vmin=0.0,
+            vmax=trajectory.config.world.aoi_max,
+            marker=SENSOR_MARKERS[kind % len(SENSOR_MARKERS)],
+            s=20 * size**2,
+            linewidths=0.4 * size,
+            edgecolors="white",
+            zorder=2,
+        )
+    assert artist is not None, "a farm has at least one sensor type"
+    return artist
+
+
+def _paths(axes: Axes, trajectory: Trajectory, fading: bool, size: float) -> None:
+    """Draw every UAV's path with its start and end, and the links between relays and those they serve at the end."""
+    ends = trajectory.position[-1]
+    relays = trajectory.config.world.communication_uavs
+    for served, relay in enumerate(trajectory.assignment):
+        axes.plot(*ends[[relay, relays + served]].T, color="0.15", linewidth=1.0, linestyle=":", zorder=4)
+    for name, agents in zip(TYPES, farm_team(trajectory.config).agent_slices(), strict=True):
+        for agent in range(agents.start, agents.stop):
+            path, colour = trajectory.position[:, agent], COLOURS[name]
+            piece = PIECE_STEPS if fading else len(path)
+            for first in range(0, len(path), piece):
+                share = (first + piece) / len(path) if fading else 1.0
+                alpha = OLDEST + (0.9 - OLDEST) * min(share, 1.0) ** 2 if fading else 0.8
+                shown = path[first : first + piece + 1].T
+                axes.plot(*shown, color=colour, linestyle=STYLES[name], linewidth=1.1 * size, alpha=alpha, zorder=3)
+            axes.plot(*path[0], "o", color=colour, markerfacecolor="white", markersize=6 * size, zorder=5)
+            axes.plot(
+                *path[-1], END_MARKERS[name], color=colour, markeredgecolor="white", markersize=10 * size, zorder=6
+            )
+
+
+def _scale_bar(axes: Axes, field_x: float, top: float) -> None:
+    """Draw a bar of a round length over the right end of the map's upper edge."""
+    power = 10.0 ** np.floor(np.log10(field_x / 4))
+    length = max(step * power for step in (1, 2, 5) if step * power <= field_x / 4)
+    y = top + field_x * 0.015
+    axes.plot([field_x - length, field_x], [y, y], color="black", linewidth=2.0, clip_on=False)
+    axes.text(field_x - length / 2, y + field_x * 0.008, f"{length:g} m", ha="center", va="bottom", **TEXT)
+
+
+def _headline(trajectory: Trajectory) -> str:
+    summary = trajectory.summary
+    return (
+        f"farm {trajectory.farm}, {summary.steps} steps: reward {np.mean(summary.reward):.0f} per agent, "
+        f"AoI {summary.figures['aoi']:.2f}, VDF {summary.figures['vdf']:.2f}"
+    )
+
+
+def _fading() -> tuple[Line2D, ...]:
+    """Return the pieces of a line that grows stronger, as a fading path does."""
+    return tuple(Line2D([], [], color="0.2", alpha=alpha, linewidth=2.0) for alpha in (OLDEST, 0.35, 0.9))
+
+
+def _legend(trajectory: Trajectory) -> list[Line2D]:
+    """Return what the map's signs mean."""
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=COLOURS[name],
+            linestyle=STYLES[name],
+            marker=END_MARKERS[name],
+            markeredgecolor="white",
+            markersize=9,
+            label=f"{LABELS[name]} UAV, end",
+        )
+        for name in TYPES
+    ]
+    handles.append(
+        Line2D([], [], color="0.3", marker="o", markerfacecolor="white", linestyle="", label="start of a UAV")
+    )
+    handles.append(Line2D([], [], color="0.15", linestyle=":", label="relay link, end"))
+    for kind, cycle in enumerate(trajectory.config.world.sensor_cycles):
+        marker = SENSOR_MARKERS[kind % len(SENSOR_MARKERS)]
+        handles.append(Line2D([], [], color="0.5", marker=marker, linestyle="", label=f"sensor, every {cycle} s"))
+    return handles

@@ -1,0 +1,243 @@
+"""The certificate authority of an installation: made once, kept offline, and asked for one certificate per process."""
+
+import datetime
+import ipaddress
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    load_pem_private_key,
+)
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from common.config.checks import within
+from common.errors import CredentialsError
+from common.transport import credentials
+from common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
+
+CA_KEY: Final = "ca.key"
+CA_DAYS: Final = 3650
+BACKDATED: Final = datetime.timedelta(minutes=5)
+"""Certificates begin this long ago, for machines whose clocks are a little behind."""
+
+
+def lasting(days: int) -> datetime.timedelta:
+    """Return how long a certificate of so many days is valid; raise ConfigError when its authority ends before."""
+    within(1, CA_DAYS, days=days)
+    return datetime.timedelta(days=days)
+
+
+def create(folder: Path, days: int = CA_DAYS) -> None:
+    """Make an authority: its certificate, its key and an empty list of members.
+
+    Raises:
+        CredentialsError: when the folder already holds one, or cannot be written.
+    """
+    _make_folder(folder)
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"eia-sec authority {os.urandom(4).hex()}")])
+    usage = x509.KeyUsage(
+        digital_signature=False,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=True,
+        crl_sign=True,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    certificate = (
+        _builder(name, key.public_key(), name, _now(), datetime.timedelta(days=days))
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(usage, critical=True)
+        .sign(key, hashes.SHA256())
+    )
+    write_new(folder / CA_KEY, _pem(key))
+    write_new(folder / CA, certificate.public_bytes(Encoding.PEM))
+    write_new(folder / MEMBERS, b"")
+
+
+def issue(folder: Path, identity: Identity, hosts: Sequence[str], lifetime: datetime.timedelta) -> Path:
+    """Make a key and a certificate for one process, and put its name on the list of members.
+
+    Args:
+        folder: the authority's folder; the process's folder is made inside it.
+        identity: whom the certificate names.
+        hosts: names and addresses under which it listens; only for roles that listen, and then at least one.
+        lifetime: how long it is valid.
+
+    Returns:
+        The process's folder.
+
+    Raises:
+        CredentialsError: when there is no authority, a host is malformed, or there is such a certificate already.
+    """
+    issuer = _Authority(folder)
+    if bool(hosts) != (identity.role in LISTENING):
+        raise CredentialsError(
+            f"a {identity.role} needs --host, the name or address under which the others reach it."
+            if not hosts
+            else f"--host is for {' and '.join(LISTENING)}; a {identity.role} only connects."
+        )
+    names = [_general_name(host) for host in hosts]
+    target = folder / str(identity)
+    if (target / CERTIFICATE).exists():
+        raise CredentialsError(f"{target} holds a certificate already; `eia-sec keys renew` replaces it.")
+    _make_folder(target)
+    key = ec.generate_private_key(ec.SECP256R1())
+    certificate = issuer.certify(identity, key.public_key(), names, lifetime)
+    write_new(target / CA, (folder / CA).read_bytes())
+    write_new(target / KEY, _pem(key))
+    write_new(target / CERTIFICATE, certificate.public_bytes(Encoding.PEM))
+    _admit(folder, {*credentials.read_members(folder / MEMBERS), identity})
+    return target
+
+
+def renew(folder: Path, identity: Identity, lifetime: datetime.timedelta) -> Path:
+    """Replace a process's key and certificate by new ones for the same name and hosts; return its folder."""
+    target = folder / str(identity)
+    old = credentials.read_certificate(target / CERTIFICATE)
+    key = ec.generate_private_key(ec.SECP256R1())
+    names = [_general_name(host) for host in credentials.hosts_of(old)]
+    certificate = _Authority(folder).certify(identity, key.public_key(), names, lifetime)
+    replace(target / KEY, _pem(key))
+    replace(target / CERTIFICATE, certificate.public_bytes(Encoding.PEM))
+    return target
+
+
+def revoke(folder: Path, identity: Identity) -> None:
+    """Strike a process from the list of members; raise CredentialsError when it is not on it."""
+    members = set(credentials.read_members(folder / MEMBERS))
+    if identity not in members:
+        raise CredentialsError(f"{identity} is not on the list of members of {folder}.")
+    _admit(folder, members - {identity})
+
+
+def _admit(folder: Path, members: Iterable[Identity]) -> None:
+    """Write the list of members, for the authority and into the folder of each process that listens."""
+    text = "".join(f"{member}\n" for member in sorted(members)).encode()
+    replace(folder / MEMBERS, text)
+    for role in LISTENING:
+        for listening in folder.glob(f"{role}.*"):
+            replace(listening / MEMBERS, text)
+
+
+class _Authority:
+    def __init__(self, folder: Path) -> None:
+        if not (folder / CA_KEY).exists():
+            raise CredentialsError(f"{folder} holds no authority; `eia-sec keys init --dir {folder}` makes one.")
+        credentials.require_secret(folder / CA_KEY)
+        self._certificate = credentials.read_certificate(folder / CA)
+        credentials.require_valid(self._certificate, folder / CA)
+        try:
+            key = load_pem_private_key(credentials.read_bounded(folder / CA_KEY), None)
+        except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+            raise CredentialsError(f"{folder / CA_KEY} is not a private key without a password.") from error
+        if not isinstance(key, ec.EllipticCurvePrivateKey):
+            raise CredentialsError(f"{folder / CA_KEY} is not a key that `eia-sec keys init` made.")
+        self._key = key
+
+    def certify(
+        self,
+        identity: Identity,
+        key: ec.EllipticCurvePublicKey,
+        names: list[x509.GeneralName],
+        lifetime: datetime.timedelta,
+    ) -> x509.Certificate:
+        """Sign a certificate; it serves only when it names hosts, so that a worker cannot pass for a learner."""
+        begin = _now()
+        lifetime = min(lifetime, self._certificate.not_valid_after_utc - begin)
+        subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, str(identity))])
+        usages = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if names else [])]
+        builder = _builder(subject, key, self._certificate.subject, begin, lifetime)
+        builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        builder = builder.add_extension(x509.ExtendedKeyUsage(usages), critical=False)
+        if names:
+            builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
+        return builder.sign(self._key, hashes.SHA256())
+
+
+def _builder(
+    subject: x509.Name,
+    key: ec.EllipticCurvePublicKey,
+    issuer: x509.Name,
+    begin: datetime.datetime,
+    lifetime: datetime.timedelta,
+) -> x509.CertificateBuilder:
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(min(begin, begin + lifetime) - BACKDATED)
+        .not_valid_after(begin + lifetime)
+    )
+
+
+def _now() -> datetime.datetime:
+    return datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+
+
+def _general_name(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host.strip("[]")))
+    except ValueError:
+        pass
+    labels = host.split(".")
+    if not host.isascii() or not all(label and label.replace("-", "").isalnum() for label in labels):
+        raise CredentialsError(f"{host!r} is neither a host name nor an address.")
+    return x509.DNSName(host)
+
+
+def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
+    return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        folder.chmod(0o700)
+    except OSError as error:
+        raise CredentialsError(f"{folder} cannot be made: {error.strerror}.") from error
+
+
+def write_new(path: Path, data: bytes) -> None:
+    """Write a file that only its owner may read, whole or not at all; raise CredentialsError when there is one."""
+    temporary = _write_beside(path, data)
+    try:
+        os.link(temporary, path)
+    except FileExistsError as error:
+        raise CredentialsError(f"{path} is there already, and keys are never overwritten.") from error
+    except OSError as error:
+        raise CredentialsError(f"{path} cannot be written: {error.strerror}.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def replace(path: Path, data: bytes) -> None:
+    """Replace a file by one that only its owner may read, whole or not at all."""
+    os.replace(_write_beside(path, data), path)
+
+
+def _write_beside(path: Path, data: bytes) -> Path:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.{os.urandom(4).hex()}")
+    try:
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with os.fdopen(descriptor, "wb") as target:
+            target.write(data)
+            target.flush()
+            os.fsync(target.fileno())
+    except OSError as error:
+        raise CredentialsError(f"{path} cannot be written: {error.strerror}.") from error
+    return temporary

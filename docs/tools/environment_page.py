@@ -1,0 +1,108 @@
+"""The picture and the generated tables of docs/environment.md, made by `python -m docs.tools.environment_page`."""
+
+import itertools
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib.image
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig
+from common.config.presets import PRESETS
+from common.team import farm_team
+from rollout.envs.spaces import Part, observation_parts
+from rollout.policies import policy_of
+from rollout.rendering.render import Renderer
+from rollout.sim.batch import FarmBatch
+
+PAGE: Final = Path("docs/environment.md")
+PICTURE: Final = Path("docs/images/farm.png")
+TIMINGS: Final = Path("docs/results/environment.json")
+POLICY: Final = "trained"
+FARM: Final = 1000
+EPISODE: Final = 0
+STEP: Final = 205
+"""The step that the picture shows; VDF has risen a few times by then."""
+
+
+def picture() -> NDArray[np.uint8]:
+    """Return the policy POLICY on farm FARM after STEP steps, [H, W, 3]."""
+    batch = FarmBatch(PRESETS["default"].farm, 1)
+    policy, renderer = policy_of(POLICY, batch.config), Renderer(batch, 0)
+    batch.reset(0, FARM, EPISODE)
+    policy.reset(batch, 0)
+    renderer.observe()
+    for _ in range(STEP):
+        batch.step(policy.act(batch))
+        renderer.observe()
+    pixels: NDArray[np.uint8] = renderer.render("rgb_array")
+    return pixels
+
+
+def refreshed(text: str, root: Path = Path()) -> str:
+    """Return the page with its tables written anew."""
+    blocks = {
+        "spaces": spaces_table(FarmConfig()),
+        "timings": timings(json.loads((root / TIMINGS).read_text(encoding="utf-8"))),
+    }
+    for name, block in blocks.items():
+        begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+        head, _, rest = text.partition(begin)
+        _, _, tail = rest.partition(end)
+        text = f"{head}{begin}\n{block}{end}{tail}"
+    return text
+
+
+def spaces_table(config: FarmConfig) -> str:
+    """Return one table row for each part of each type's observation."""
+    lines = ["| agents | observation | numbers | from | to | meaning |", "|---|---|---:|---:|---:|---|"]
+    parts = observation_parts(config)
+    for group in farm_team(config).groups:
+        name = f"`{group.name}_0` .. `_{group.count - 1}`, {group.observation_size} numbers"
+        for times, part in _runs(parts[group.name]):
+            numbers = f"{times} x {part.size}" if times > 1 else str(part.size)
+            lines.append(f"| {name} | {part.name} | {numbers} | {part.low:.7g} | {part.high:.7g} | {part.meaning} |")
+            name = ""
+    return "\n".join(lines) + "\n"
+
+
+def timings(data: dict[str, Any]) -> str:
+    """Return what the interfaces cost, as measured."""
+    lines = [
+        "| interface | farms | simulator alone, µs | through the interface, µs | ratio |",
+        "|---|---:|---:|---:|---:|",
+    ]
+    rows = [("FarmVectorEnv", row["environments"], row) for row in data["vector"]]
+    rows.append(("ParallelEnv, infos included", 1, data["parallel"]))
+    for name, farms, row in rows:
+        lines.append(
+            f"| {name} | {farms} | {row['simulator_us']:,.0f} | {row['interface_us']:,.0f} | {row['ratio']:.2f} |"
+        )
+    return (
+        f"`{data['command']}`, one core that other work shared:\n\n" + "\n".join(lines) + "\n\n"
+        f"Pictures: {data['pictures_per_second']:.0f} a second.\n"
+    )
+
+
+def _runs(parts: tuple[Part, ...]) -> Iterator[tuple[int, Part]]:
+    """Yield parts in their order, those of a block that repeats (one for each sensor) once with their number."""
+    for name, group in itertools.groupby(parts, key=lambda part: part.name):
+        block = list(group)
+        kinds = list(dict.fromkeys(block))
+        times = len(block) // len(kinds) if block == kinds * (len(block) // len(kinds)) else 1
+        for part in kinds:
+            yield times, part._replace(name=name if times == 1 else f"each {name}")
+
+
+def main() -> None:
+    """Write the picture and the page's tables anew."""
+    PICTURE.parent.mkdir(parents=True, exist_ok=True)
+    matplotlib.image.imsave(PICTURE, picture())
+    PAGE.write_text(refreshed(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

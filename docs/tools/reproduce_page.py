@@ -1,0 +1,100 @@
+"""The blocks of docs/reproduce.md: written by `python -m docs.tools.reproduce_page` from the committed results."""
+
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from experiments.studies.analysis import coverage, targets
+from experiments.studies.analysis.claims import CLAIMS, heuristics, training
+from experiments.studies.analysis.evidence import early_farms
+from experiments.studies.analysis.verdicts import NOT_RUN, Row, full, rows_table
+from experiments.studies.catalogue import STUDIES
+from experiments.studies.pages.tables import page
+from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
+
+PAGE: Final = Path("docs/reproduce.md")
+RESULTS: Final = Path("docs/results/reproduce")
+HEURISTICS: Final = Path("docs/results/heuristics/results.json")
+REACH: Final = Path("docs/results/reach/results.json")
+COVERAGE: Final = RESULTS / "coverage.json"
+
+
+def comparison(root: Path) -> str:
+    """Return the comparison with the paper that the results in a repository allow."""
+    held = {name: full(_read(root / RESULTS / name / "results.json")) for name in CLAIMS}
+    groups: dict[str, list[Row]] = {name: claims(held[name]) for name, claims in CLAIMS.items()}
+    groups["training"] = training(held["training"], held["ablation"])
+    groups["training"] += heuristics(held["training"], _read(root / HEURISTICS))
+    count = Counter(row.verdict for rows in groups.values() for row in rows)
+    parts = [", ".join(f"{number} {verdict}" for verdict, number in sorted(count.items())) + ".\n"]
+    for name, rows in groups.items():
+        parts += [f"### {STUDIES[name].title}\n", _origin(name, held[name], root), rows_table(rows)]
+    return "\n".join(parts)
+
+
+def beaten(root: Path) -> str:
+    """Return the targets of the project beside what the results in a repository came to."""
+    study = full(_read(root / RESULTS / "default" / "results.json"))
+    return targets.block(_read(root / HEURISTICS), study, _read(root / REACH))
+
+
+def counted(root: Path) -> str:
+    """Return how often the statistics are right."""
+    return coverage.block(_read(root / COVERAGE))
+
+
+SHOWN: Final = re.compile(r"!\[.*?\]\((.*?)\)")
+"""Pictures on a page."""
+BLOCKS: Final[Mapping[str, Callable[[Path], str]]] = {
+    "statistics": counted,
+    "targets": beaten,
+    "comparison": comparison,
+}
+"""Every block by the word in its two marks."""
+
+
+def refreshed(text: str, root: Path) -> str:
+    """Return the page with its blocks written anew."""
+    for name, block in BLOCKS.items():
+        begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+        head, found, rest = text.partition(begin)
+        _, _, tail = rest.partition(end)
+        text = f"{head}{begin}\n{block(root)}{end}{tail}" if found else text
+    return text
+
+
+def _origin(name: str, data: Any, root: Path) -> str:
+    """Return where a study's numbers come from."""
+    if data is not None:
+        made = f"[{name}](results/reproduce/{name}/README.md): `{data['command']}`, commit {data['commit']}."
+        farms = f"{FIRST_FARM}..{FIRST_REPORTED - 1}"
+        early = f" Its numbers include farms {farms}, on which the preset was chosen." if early_farms(data) else ""
+        return f"{made}{early}\n"
+    smoke = f"results/reproduce/smoke/{name}/README.md"
+    seen = f"; [a smoke run]({smoke}) shows that it works" if (root / "docs" / smoke).is_file() else ""
+    return f"`eia-sec reproduce {name}`: {NOT_RUN}{seen}.\n"
+
+
+def _read(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+
+
+def written(folder: Path) -> str:
+    """Return a study's page from the results in its folder, with the pictures that it shows today."""
+    data = _read(folder / "results.json")
+    pictures = SHOWN.findall((folder / "README.md").read_text(encoding="utf-8"))
+    return page(STUDIES[data["study"]].title, data, pictures)
+
+
+def main() -> None:
+    """Write the blocks anew, and the words of each study's page; its data and pictures are `--redraw`'s."""
+    for results in RESULTS.rglob("results.json"):
+        (results.parent / "README.md").write_text(written(results.parent), encoding="utf-8")
+    PAGE.write_text(refreshed(PAGE.read_text(encoding="utf-8"), Path()), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

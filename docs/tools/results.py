@@ -1,0 +1,304 @@
+"""Result blocks of README and docs, written from committed data by `python -m docs.tools.results`."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+from deploy.reports.intervals import interval_table
+from docs.tools import capacity
+from docs.tools.readme_results import policies_table, run_block
+
+TRAINING: Final = "docs/results/reproduce/training/results.json"
+PRESET: Final = "docs/results/reproduce/default/results.json"
+HEURISTICS: Final = "docs/results/heuristics/results.json"
+NOT_MEASURED: Final = "Not measured yet.\n"
+"""A block whose data is not there."""
+PAUSE_AIM: Final = 50.0
+"""Milliseconds for which a checkpoint may stop the training at the default sizes."""
+TAIL_EPISODES: Final = 40
+"""Episodes at the end of a training curve whose mean is its final value."""
+
+
+def refreshed(document: str, text: str, root: Path) -> str:
+    """Return a document with its block written anew.
+
+    Args:
+        document: its path in the repository, a key of BLOCKS.
+        text: its present text, with the block's two marks in it.
+        root: the repository.
+    """
+    name, sources, block = BLOCKS[document]
+    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+    head, _, rest = text.partition(begin)
+    _, _, tail = rest.partition(end)
+    paths = [root / source for source in sources]
+    if not all(path.is_file() for path in paths):
+        return f"{head}{begin}\n{NOT_MEASURED}{end}{tail}"
+    data = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+    return f"{head}{begin}\n{block(*data)}{end}{tail}"
+
+
+def _paper_block(run: dict[str, Any]) -> str:
+    rounds, minutes = run["updates"], run["seconds"] / 60
+    return "\n".join(
+        [
+            f"`{run['command']}`, commit {run['commit']}, seed {run['seed']}: {run['episodes']} episodes,",
+            f"{run['environment_steps']:,} environment steps, {rounds:,} update rounds, {minutes:.0f} minutes.",
+            "",
+            *policies_table(run, "EIA-SEC, paper preset"),
+            "",
+        ]
+    )
+
+
+def _second_worker_block(data: dict[str, Any]) -> str:
+    steps, ledger = data["environment_steps_per_second"], data["ledger"]
+    # Results made before the number was written down are of a machine with two.
+    cores = data.get("cores", 2)
+    one, two, after = (f"{steps[name]:,.0f}" for name in ("one_worker", "two_workers", "after_kill"))
+    names = ("produced", "accepted", "lost", "in_flight", "unexplained")
+    produced, accepted, lost, in_flight, unexplained = (f"{ledger[name]:,}" for name in names)
+    return "\n".join(
+        [
+            f"`{data['command']}` (commit {data['commit']}): the learner stores what it",
+            f"gets and does not train. One worker delivers {one} environment steps a second into replay, two",
+            f"{two} ({data['gain']:.2f} times as many, on {cores} cores that the learner shares), and after kill -9",
+            f"of the second one goes on with {after}. Of {produced} steps {accepted} were accepted, {lost} lost,",
+            f"{in_flight} in flight at the end, {unexplained} unexplained.",
+            "",
+            *_sweep_rows(data.get("sweep", [])),
+        ]
+    )
+
+
+def _sweep_rows(sweep: list[dict[str, Any]]) -> list[str]:
+    """Return the table by number of workers; nothing for results that were made before there was one."""
+    if not sweep:
+        return []
+    rows = [
+        "| workers | environment steps a second | update rounds a second | learner, MiB | all workers, MiB |",
+        "|---:|---:|---:|---:|---:|",
+    ]
+    for line in sweep:
+        used = [
+            f"{line[who]['pss_mib']:,.0f} ({line[who]['rss_mib']:,.0f})" if line[who] else "-"
+            for who in ("learner", "all_workers")
+        ]
+        pace = (f"{line['environment_steps_per_second']:,.0f}", f"{line['updates_per_second']:,.0f}")
+        rows.append("| " + " | ".join((f"{line['workers']}", *pace, *used)) + " |")
+    return [*rows, "", "Memory is PSS, pages that processes share divided among them, and in brackets RSS.", ""]
+
+
+def _forms_block(data: dict[str, Any]) -> str:
+    rows = ["| form | reward per agent, last episodes | largest critic loss | |", "|---|---:|---:|---|"]
+    for result in data["results"]:
+        curve = result["curve"]
+        last = [p["reward"] for p in curve if p["episodes"] > curve[-1]["episodes"] - TAIL_EPISODES]
+        final = f"{sum(last) / len(last):.0f}"
+        note = f"diverged after {curve[-1]['episodes']} episodes" if result["diverged"] else ""
+        rows.append(f"| {result['form']} | {final} | {max(p['loss'] for p in curve):.2g} | {note} |")
+    episodes = max(p["episodes"] for result in data["results"] for p in result["curve"])
+    seeds = sorted({result["seed"] for result in data["results"]})
+    return "\n".join(
+        [
+            f"`{data['command']}`, commit {data['commit']}, seed {', '.join(map(str, seeds))}; training reward with",
+            f"exploration noise, mean of the last {TAIL_EPISODES} of {episodes} episodes:",
+            "",
+            *rows,
+            "",
+        ]
+    )
+
+
+def _tasks_block(*tasks: dict[str, Any]) -> str:
+    rows = [
+        "| task | trained | random actions | seeds | environment steps | minutes a seed |",
+        "|---|---:|---:|---:|---:|---:|",
+    ]
+    for task in tasks:
+        results = task["results"]
+        scores = [[evaluation["reward"]["mean"] for evaluation in result["evaluations"]] for result in results]
+        trained, chance = zip(*scores, strict=True)
+        steps = results[0]["curve"]["environment_steps"][-1]
+        minutes = sum(result["seconds"] for result in results) / len(results) / 60
+        spread = f"{sum(trained) / len(trained):.1f} ({min(trained):.1f} to {max(trained):.1f})"
+        random = f"{sum(chance) / len(chance):.1f}"
+        cells = (task["task"], spread, random, str(len(results)), f"{steps:,}", f"{minutes:.0f}")
+        rows.append("| " + " | ".join(cells) + " |")
+    commands = ", ".join(f"`{task['command']}` (commit {task['commit']})" for task in tasks)
+    pictures = [f"![{task['task']}](results/tasks/{task['task']}/curves.png)" for task in tasks]
+    return "\n".join(
+        [
+            "Reward of an episode per agent without noise, on scenarios that training never saw; mean over the seeds",
+            f"and their range. Made by {commands}, on cores shared with other work.",
+            "",
+            *rows,
+            "",
+            *pictures,
+            "",
+        ]
+    )
+
+
+def _heuristics_block(data: dict[str, Any]) -> str:
+    return "\n".join(
+        [
+            f"`{data['command']}`, commit {data['commit']}: farms {data['first_farm']}..{data['last_farm']}, one",
+            f"episode each; mean over the farms and, in brackets, its {data['level']:.0%} bootstrap interval.",
+            "",
+            interval_table(data),
+        ]
+    )
+
+
+def _hosts_block(data: dict[str, Any]) -> str:
+    ledger, reward = data["ledger"], data["reward_per_agent"]
+    workers = ", ".join(f"{name} {steps:,}" for name, steps in data["accepted_by_worker"].items())
+    rows = [
+        ("`eia-sec up` on five hosts, until every keeper has its plan", f"{data['seconds_to_start']} s"),
+        (
+            "until the learner has the first chunk; with an empty cache the simulator is compiled first",
+            f"{data['seconds_to_first_chunk']} s",
+        ),
+        ("`eia-sec up` with a sixth host, until its first chunk", f"{data['seconds_to_join']} s"),
+        (
+            f"a host cut off for {data['seconds_cut_off']:.0f} s (link down), after healing until its next chunk",
+            f"{data['seconds_to_recover']} s",
+        ),
+        ("chunks of that host while it was cut off", f"{data['chunks_while_cut_off']}"),
+        ("environment steps made", f"{ledger['produced']:,}"),
+        ("accepted, by worker", workers),
+        ("lost with workers that held them at the end", f"{ledger['lost']:,}"),
+        ("unexplained, counted twice", f"{ledger['unexplained']}, {ledger['counted_twice']}"),
+        ("reward per agent, trained", f"{reward['trained']}"),
+        ("reward per agent, not moving, random", f"{reward['static']}, {reward['random']}"),
+    ]
+    return "\n".join(
+        [
+            f"`{data['command']}`, commit {data['commit']}, seed {data['seed']}: the {data['preset']} preset with",
+            f"{data['episodes']} episodes ({data['environment_steps']:,} environment steps, {data['updates']:,} update",
+            f"rounds, {data['minutes']} minutes), evaluated without noise on farms {data['farms']}, which training",
+            f"never saw. {data['hosts']} hosts are network namespaces of one machine with two cores, shared with other",
+            f"work; links are mutual TLS through a router, {1000 * data['delay_seconds']:.0f} ms from each host",
+            "to the router, each way.",
+            "",
+            "| | |",
+            "|---|---:|",
+            *(f"| {what} | {value} |" for what, value in rows),
+            "",
+        ]
+    )
+
+
+def _watch_block(data: dict[str, Any]) -> str:
+    bare, *others = data["watchers"]
+    rows = [
+        "| watchers | watching, of its processor time | frames a second | a whole step, more than without | it had |",
+        "|---:|---:|---:|---:|---:|",
+        f"| {bare['watchers']} | {bare['watching_percent']:.2f} % | - | - | {bare['processor_share']:.2f} cores |",
+    ]
+    control = [data["control"]] if "control" in data else []
+    for line in (*others, *control):
+        extra = (
+            f"{line['extra_percent']:+.1f} % ({line['extra_percent_least']:+.1f} to {line['extra_percent_most']:+.1f})"
+        )
+        share, frames = f"{line['watching_percent']:.2f} %", f"{line['frames_per_second']:.0f}"
+        busy = f"0, and the other process busy with nothing for {100 * line.get('other_share', 0.0):.0f} % of its time"
+        who = busy if line in control else str(line["watchers"])
+        rows.append(f"| {who} | {share} | {frames} | {extra} | {line['processor_share']:.2f} cores |")
+    # The kept file may be older than the note of its commit.
+    commit = f", commit {data['commit']}" if "commit" in data else ""
+    numbers = ", ".join(str(line["watchers"]) for line in data["watchers"])
+    return "\n".join(
+        [
+            f"`{data['command']}`{commit} ([results/watch.json](results/watch.json)):",
+            f"{numbers} watchers take turns of {data['seconds']:.0f} s, {data['rounds']} rounds, with one worker that",
+            "flies as fast as it can.",
+            "",
+            *rows,
+            "",
+        ]
+    )
+
+
+def _fly_block(data: dict[str, Any]) -> str:
+    rows = [
+        "| rate | decisions | latency, ms: median, 99 %, most | round trip, ms: median, 99 %, most | left out |",
+        "|---:|---:|---:|---:|---:|",
+    ]
+    for line in data["flights"]:
+        node, flown = line["node"], line["flight"]
+        latency, trip = (
+            ", ".join(f"{spread[name]:.{digits}f}" for name, digits in (("median", 2), ("p99", 1), ("most", 1)))
+            for spread in (node["latency"], flown["round_trip_ms"])
+        )
+        left_out = f"{node['overruns']:,} of {node['periods'] + node['overruns']:,} periods"
+        rows.append(f"| {line['rate']:g} | {node['decisions']:,} | {latency} | {trip} | {left_out} |")
+    return "\n".join(
+        [
+            f"`{data['command']}`, commit {data['commit']} ([results/fly.json](results/fly.json)):",
+            f"{data['vehicles']} UAVs, `eia-sec fly --policy trained --rate R` and `eia-sec simulator` on one machine",
+            f"with {data['cores']} cores. Latencies are of the newest 1,000 decisions, round trips of all.",
+            "",
+            *rows,
+            "",
+        ]
+    )
+
+
+def _checkpoint_block(data: dict[str, Any]) -> str:
+    longest, size = data["pause_ms_most"], data["bytes"] / 2**20
+    verdict = "met" if longest <= PAUSE_AIM else "not met"
+    rows = [
+        ("training stopped", f"{data['pause_ms_median']:.1f}", f"{longest:.1f}"),
+        ("a turn while one is written", f"{data['turn_ms_median_writing']:.1f}", f"{data['turn_ms_most_writing']:.1f}"),
+        ("a turn otherwise", f"{data['turn_ms_median_else']:.1f}", f"{data['turn_ms_most_else']:.1f}"),
+    ]
+    return "\n".join(
+        [
+            f"`{data['command']}`, commit {data['commit']} ([results/checkpoint.json](results/checkpoint.json)):",
+            f"{data['checkpoints']} checkpoints of {size:.0f} MiB, {data['agents']} agents of width {data['width']}",
+            f"and {data['rows']:,} rows of replay; one thread trains, on a machine with {data['cores']} cores.",
+            f"Another writes, for {data['write_seconds_median']:.1f} s (median). A turn takes one chunk in and does",
+            f"one round. To copy the rows at once would take {data['copy_ms']:.0f} ms.",
+            "",
+            "| milliseconds | median | most |",
+            "|---|---:|---:|",
+            *(f"| {' | '.join(row)} |" for row in rows),
+            "",
+            f"Aim: at the default sizes training stops for {PAUSE_AIM:.0f} ms at most; {verdict}: {longest:.1f} ms.",
+            "",
+        ]
+    )
+
+
+BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
+    "README.md": ("results", ("docs/results/default/evaluation.json", TRAINING, HEURISTICS, PRESET), run_block),
+    "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
+    "docs/architecture.md": ("second-worker", ("docs/results/second_worker.json",), _second_worker_block),
+    "docs/capacity.md": ("capacity", capacity.SOURCES, capacity.block),
+    "docs/fly.md": ("latency", ("docs/results/fly.json",), _fly_block),
+    "docs/heuristics.md": ("heuristics", (HEURISTICS,), _heuristics_block),
+    "docs/hosts.md": ("hosts", ("docs/results/hosts/results.json",), _hosts_block),
+    "docs/method.md": ("forms", ("docs/results/critic_forms/forms.json",), _forms_block),
+    "docs/other_environments.md": (
+        "tasks",
+        ("docs/results/tasks/simple_spread/results.json", "docs/results/tasks/half_cheetah/results.json"),
+        _tasks_block,
+    ),
+    "docs/understanding.md": ("checkpoint", ("docs/results/checkpoint.json",), _checkpoint_block),
+    "docs/watch.md": ("cost", ("docs/results/watch.json",), _watch_block),
+}
+"""For each document: the block's name, the data that it shows, and the function that writes it."""
+
+
+def main() -> None:
+    """Write every block anew."""
+    for document in BLOCKS:
+        path = Path(document)
+        path.write_text(refreshed(document, path.read_text(encoding="utf-8"), Path()), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

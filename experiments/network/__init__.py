@@ -1,0 +1,1 @@
+"""Experiments with many hosts, as network namespaces."""

@@ -1,0 +1,175 @@
+"""What the runs of one method came to, as the results of a study keep it."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from experiments.studies.analysis.evidence import FIGURES
+from experiments.studies.analysis.statistics import (
+    Interval,
+    Numbers,
+    convergence,
+    final_value,
+    improvement_interval,
+    interquartile_mean,
+    interval,
+    mean,
+    normalised,
+    spread,
+    unrest,
+)
+from experiments.studies.bench import TWELVE, Bench
+from experiments.studies.jobs import Job
+from experiments.studies.methods import CANDIDATES, Method
+from experiments.studies.scales import TRIAL_SEED
+
+DIGITS: Final = 4
+
+
+def method_summary(bench: Bench, runs: Sequence[Job], uavs: int = TWELVE) -> dict[str, Any]:
+    """Return the statistics of a method's runs over seeds and unseen farms, its curves, and every run's origin."""
+    records = [bench.records.get(run) for run in runs]
+    evaluations = bench.evaluations(runs)
+    random, best, _ = bench.ends(uavs)
+    reward = bench.scores(runs)
+    types, figures = evaluations[0]["types"], evaluations[0]["figures"]
+    return {
+        "normalised": told(interval(normalised(reward, random, best))),
+        "reward": told(interval(reward)),
+        "mean_reward": told(interval(reward, mean)),
+        "types": {name: told(interval(_stacked(evaluations, "types", name))) for name in types},
+        "figures": {name: told(interval(_stacked(evaluations, "figures", name))) for name in figures},
+        "farm_spread": round(spread(reward), DIGITS),
+        "runs": [
+            _run(run, record, evaluation)
+            for run, record, evaluation in zip(runs, records, evaluations, strict=True)
+            if record is not None
+        ],
+    }
+
+
+def reference_summary(bench: Bench, uavs: int = TWELVE) -> dict[str, Any]:
+    """Return interquartile means over the farms of every policy that learns nothing, and which heuristic is the best.
+
+    The statistic is that of the methods, which have several seeds; such a policy has one row of farms. Its plain mean
+    stands beside.
+    """
+    random, best, name = bench.ends(uavs)
+    policies, jobs = {}, bench.references(uavs)
+    for job, evaluation in zip(jobs, bench.evaluations(jobs), strict=True):
+        record, reward = bench.records.get(job), np.array(evaluation["reward"])
+        assert record is not None, "asked for before it was done"
+        policies[str(job.options["policy"])] = {
+            "reward": _middle(reward),
+            "mean_reward": round(float(reward.mean()), DIGITS),
+            "normalised": _middle(normalised(reward, random, best)),
+            "types": {kind: _middle(values) for kind, values in evaluation["types"].items()},
+            "figures": {kind: _middle(values) for kind, values in evaluation["figures"].items()},
+            "job": job.digest,
+            "commit": record["commit"],
+        }
+    return {"best": name, "policies": policies}
+
+
+def choice_summary(bench: Bench, methods: Sequence[Method]) -> dict[str, Any]:
+    """Return what each trial of each method came to, which settings were chosen, and what made the trials."""
+    names = list(CANDIDATES)[: bench.scale.candidates]
+    found: dict[str, Any] = {}
+    for method in methods:
+        rewards = bench.trial_rewards(method)
+        trials = {name: round(reward, DIGITS) for name, reward in zip(names, rewards, strict=True)}
+        records = [bench.records.get(job) for job in bench.trials(method)]
+        commits = sorted({str(record["commit"]) for record in records if record is not None})
+        found[method.name] = {"chosen": bench.choice(method), "trials": trials, "seed": TRIAL_SEED, "commits": commits}
+    return found
+
+
+def comparisons(bench: Bench, runs: Mapping[str, Sequence[Job]]) -> dict[str, Any]:
+    """Return the probability that a run of one method is better than one of another on the same farm.
+
+    Args:
+        bench: the records.
+        runs: the runs of each method, by its name.
+
+    Returns:
+        `improvement`: of the first method over each other, by reward. `pairs`: by each of FIGURES, of each method over
+        every one that comes after it; less AoI and less VDF are better.
+    """
+    evaluations = {name: bench.evaluations(own) for name, own in runs.items()}
+    pairs: dict[str, dict[str, dict[str, list[float]]]] = {}
+    for figure, sign in FIGURES.items():
+        scores = {name: sign * _figure(own, figure) for name, own in evaluations.items()}
+        found: dict[str, dict[str, list[float]]] = {}
+        for one, other in itertools.combinations(scores, 2):
+            found.setdefault(one, {})[other] = told(improvement_interval(scores[one], scores[other]))
+        pairs[figure] = found
+    first = next(iter(runs))
+    return {"improvement": pairs["reward"].get(first, {}), "pairs": pairs}
+
+
+def times_summary(seeds: Sequence[Mapping[str, Any]], commits: Sequence[str]) -> dict[str, Any]:
+    """Return what the timings of several seeds come to, ms.
+
+    Args:
+        seeds: for each seed what `timing.time_decisions` found.
+        commits: what made them.
+
+    Returns:
+        For each piece the median of the seeds' medians, under its own name; under `q95` the largest of the seeds' 95 %
+        quantiles; and every seed's times.
+    """
+    pieces = ("decide", "separate", "simulate")
+    return {
+        **{piece: round(float(np.median([seed[piece]["median"] for seed in seeds])), 5) for piece in pieces},
+        "q95": {piece: max(seed[piece]["q95"] for seed in seeds) for piece in pieces},
+        "seeds": list(seeds),
+        "commits": sorted(commits),
+    }
+
+
+def told(found: Interval) -> list[float]:
+    """Return an interval as JSON keeps it."""
+    return [round(number, DIGITS) for number in found]
+
+
+def _stacked(evaluations: Sequence[Mapping[str, Any]], section: str, name: str) -> Numbers:
+    return np.array([evaluation[section][name] for evaluation in evaluations], np.float64)
+
+
+def _figure(evaluations: Sequence[Mapping[str, Any]], name: str) -> Numbers:
+    """Return [runs, farms] of one of FIGURES."""
+    if name == "reward":
+        return np.array([evaluation["reward"] for evaluation in evaluations], np.float64)
+    return _stacked(evaluations, "figures", name)
+
+
+def _middle(values: Any) -> float:
+    """Return the interquartile mean over the farms of what one policy came to on each."""
+    return round(float(interquartile_mean(np.array(values, np.float64)[None])), DIGITS)
+
+
+def _run(job: Job, record: dict[str, Any], evaluation: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a run as it stands in the results: origin, counters, end, curve, convergence and unrest."""
+    result = record["result"]
+    curve = result["curve"]
+    reward = curve["reward"]["mean"]  # empty when it diverged before its first episode was over
+    return {
+        "label": job.label,
+        **{name: record[name] for name in ("job", "config", "seed", "commit", "command", "seconds")},
+        **{name: result[name] for name in ("episodes", "environment_steps", "evaluation_steps", "updates", "events")},
+        "diverged": result["diverged"],
+        "reward": round(float(np.mean(evaluation["reward"])), DIGITS),
+        "figures": {name: round(float(np.mean(values)), DIGITS) for name, values in evaluation["figures"].items()},
+        "farm_spread": round(spread(np.array(evaluation["reward"])), DIGITS),
+        "training_reward": round(final_value(reward), DIGITS) if reward else None,
+        "converged": convergence(curve["episodes"], reward) if reward else None,
+        "unrest": round(unrest(reward), DIGITS) if reward else None,
+        "overestimation": result.get("overestimation", {}),
+        "reward_scale": job.config.algorithm.reward_scale,
+        "realised_return": result.get("realised_return", {}),
+        "compared_value": result.get("compared_value"),
+        "curve": curve,
+        "checks": result["checks"],
+    }

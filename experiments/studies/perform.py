@@ -1,0 +1,268 @@
+"""Does one job of a study inside this process.
+
+Training runs without Zenoh: `deploy.local.in_process.train_inprocess` has the mathematics of the distributed run, bit
+for bit (tests/system/test_lockstep.py), and needs one process where that needs three.
+"""
+
+import errno
+import math
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from common.actors import ActorBank
+from common.config import RunConfig
+from common.errors import EiaSecError, PolicyError, RunDirError, SchemaError
+from common.policy_file import save_policy
+from common.process import StopSignal, log
+from common.team import TeamSpec
+from common.transitions import Chunk, EpisodeSummary
+from deploy.local.in_process import train_inprocess
+from deploy.reports.provenance import commit
+from experiments.studies.jobs import POLICY_SUFFIX, Job, Records
+from experiments.studies.methods import MIXTURE
+from experiments.studies.record_checks import COUNTERS
+from experiments.studies.timing import time_decisions
+from learner.trainer import Trainer
+from rollout.envs.base import team_of
+from rollout.evaluation import Evaluation, evaluate
+from rollout.policies import ActorPolicy, policy_of
+
+NO_ROOM: Final = frozenset((errno.ENOSPC, errno.EDQUOT))
+"""What a disk says on which there may be room later."""
+ROOM_SECONDS: Final = 1.0
+"""Pause before it is tried again to write onto a disk that was full."""
+DIVERGED: Final = 1e6
+"""A critic loss beyond this, in units of scaled reward squared, counts as diverged; such a run is cut short."""
+PROGRESS: Final = "progress"
+"""First word of the lines that tell how far a run is."""
+DIGITS: Final = 4
+"""Decimals that records keep."""
+
+
+class StoppedError(EiaSecError):
+    """The run was told to stop; it leaves no record."""
+
+
+class _DivergedError(Exception):
+    """Ends a run whose critics have left all bounds."""
+
+
+def perform(job: Job, records: Records, command: str, told: Callable[[float], None] = lambda share: None) -> None:
+    """Do a job and write its record.
+
+    Args:
+        job: what to do.
+        records: where the record goes.
+        command: the command line, for the record.
+        told: called with the share that is done; what it raises ends the job.
+
+    Raises:
+        StoppedError: `told` raised it.
+        EiaSecError: the job cannot be done.
+    """
+    torch.set_num_threads(job.config.learner.threads)
+    made = {"command": command, "commit": commit()}
+    bank: ActorBank | None = None
+    start = time.monotonic()
+    if job.kind == "train":
+        result, bank = train(job.config, job.options, told)
+    elif job.kind == "fly":
+        result = fly(job.config, job.options)
+    else:
+        result = time_decisions(job.config, int(job.options["steps"]))
+    seconds = time.monotonic() - start
+    if bank is not None:
+        metadata = {**made, "seed": str(job.config.seed), "job": job.digest}
+        kept(partial(save_policy, records.path(job, POLICY_SUFFIX), bank, metadata), told)
+    kept(lambda: records.put(job, made, seconds, result), told)
+
+
+def kept(write: Callable[[], object], told: Callable[[float], None]) -> None:
+    """Write what may not be lost; on a full disk wait until there is room, or until `told` raises."""
+    waiting = False
+    while True:
+        try:
+            write()
+        except (PolicyError, RunDirError) as error:
+            if not isinstance(error.__cause__, OSError) or error.__cause__.errno not in NO_ROOM:
+                raise
+            if not waiting:
+                log(f"{error} It waits for room.")
+            waiting = True
+            told(1.0)
+            time.sleep(ROOM_SECONDS)
+        else:
+            return
+
+
+def perform_all(jobs: Sequence[Job], records: Records, command: str) -> None:
+    """Do jobs one after another in a process of their own, telling on standard output how far they are.
+
+    Jobs that have a record are left out, so that a process that is started again goes on.
+
+    Raises:
+        StoppedError: a signal came, or the process that started this one is gone.
+    """
+    stop = StopSignal()
+    stop.install()
+    try:
+        for number, job in enumerate(jobs):
+
+            def told(share: float, number: int = number) -> None:
+                if stop:
+                    raise StoppedError("stopped before it was done.")
+                with suppress(OSError):  # a full disk costs the line, and not the training
+                    sys.stdout.write(f"{PROGRESS} {(number + share) / len(jobs):.4f}\n")
+                    sys.stdout.flush()
+
+            told(0.0)
+            if records.get(job) is None:
+                perform(job, records, command, told)
+    finally:
+        stop.uninstall()
+
+
+def fly(config: RunConfig, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the evaluation of a policy that learns nothing; `options`: policy, farms."""
+    name = str(options["policy"])
+    return compact(evaluate(config.farm, policy_of(name, config.farm), farms_of(options["farms"]), 1, name=name))
+
+
+def train(
+    config: RunConfig, options: Mapping[str, Any], told: Callable[[float], None]
+) -> tuple[dict[str, Any], ActorBank]:
+    """Train a run; return its result and its actors without noise.
+
+    Args:
+        config: the run.
+        options: `farms` and `choice_farms` as first and number, `points` of the curve, `evaluations` on the way.
+        told: called after each chunk with the share that is done.
+    """
+    log = _Log(config, farms_of(options["choice_farms"]), int(options["evaluations"]), told)
+    diverged = False
+    try:
+        trainer = train_inprocess(config, log.watch)
+        log.note(trainer)
+    except (_DivergedError, SchemaError) as error:
+        # Actors that are not finite are refused as SchemaError; where no loss had grown, it is another fault.
+        if isinstance(error, SchemaError) and "finite" not in str(error):
+            raise
+        diverged = True
+    farms = farms_of(options["farms"])
+    final = evaluate(config.farm, ActorPolicy(log.bank), farms, 1, name=config.algorithm.name)
+    result = {
+        "diverged": diverged,
+        "compared_value": MIXTURE,
+        "curve": curve(team_of(config), log.episodes, int(options["points"])),
+        "checks": log.checks,
+        "evaluation": compact(final),
+        **log.counts,
+    }
+    return result, log.bank
+
+
+@dataclass
+class _Log:
+    """What is noted while a run trains.
+
+    Attributes:
+        config: the run.
+        farms: farms of the noise-free evaluations on the way.
+        wanted: how many of them.
+        told: called with the share that is done.
+        bank: the newest noise-free actors whose numbers were finite; at first those that nothing has trained.
+    """
+
+    config: RunConfig
+    farms: range
+    wanted: int
+    told: Callable[[float], None]
+    episodes: list[EpisodeSummary] = field(default_factory=list)
+    checks: list[dict[str, float]] = field(default_factory=list)
+    counts: dict[str, Any] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
+
+    def __post_init__(self) -> None:
+        """Begin with fresh actors, so that a run that diverges at once has some."""
+        self.bank = ActorBank.initial(team_of(self.config), self.config.algorithm.hidden, self.config.seed)
+
+    def watch(self, trainer: Trainer, chunk: Chunk) -> None:
+        """Note a chunk's episodes; evaluate when it is time; raise when the critics have left all bounds."""
+        self.told(min(1.0, trainer.environment_steps / (self.config.episodes * self.config.farm.world.steps)))
+        self.counts |= {name: getattr(trainer, name) for name in COUNTERS}
+        self.bank = trainer.actors().noise_free()
+        if not chunk.episodes:
+            return
+        self.episodes += chunk.episodes
+        self.counts |= compared(trainer)
+        losses = [value for key, value in trainer.statistics().items() if key.startswith("critic_loss")]
+        if any(not loss <= DIVERGED for loss in losses):
+            raise _DivergedError
+        if trainer.episodes * self.wanted >= (len(self.checks) + 1) * self.config.episodes:
+            self.note(trainer)
+
+    def note(self, trainer: Trainer) -> None:
+        """Evaluate the present actors without noise, unless that was just done."""
+        if self.checks and self.checks[-1]["episodes"] == trainer.episodes:
+            return
+        score = evaluate(self.config.farm, ActorPolicy(self.bank), self.farms, 1, name="").total
+        named = {"reward": score.reward, "aoi": score.figures["aoi"], "vdf": score.figures["vdf"]}
+        self.checks.append({"episodes": trainer.episodes, **{name: round(v, DIGITS) for name, v in named.items()}})
+
+
+def compared(trainer: Trainer) -> dict[str, dict[str, float]]:
+    """Return for each type the realised returns and how far the critics stand above them, units of the targets."""
+    told = {key: value for key, value in trainer.statistics().items() if math.isfinite(value)}
+    return {
+        name: {key.partition("/")[2]: round(value, DIGITS) for key, value in told.items() if key.startswith(name)}
+        for name in ("overestimation", "realised_return")
+    }
+
+
+def curve(team: TeamSpec, episodes: Sequence[EpisodeSummary], points: int) -> dict[str, Any]:
+    """Return a training curve: means over equal shares of the finished episodes.
+
+    Returns:
+        `episodes` finished at the end of each share; `reward` of all agents under mean and of each type; aoi, vdf.
+    """
+    shares = np.array_split(np.arange(len(episodes)), max(1, min(points, len(episodes))))
+    reward = np.array([episode.reward for episode in episodes], np.float64).reshape(len(episodes), team.agents)
+    columns = {"mean": reward.mean(axis=1)} | {
+        group.name: reward[:, agents].mean(axis=1)
+        for group, agents in zip(team.groups, team.agent_slices(), strict=True)
+    }
+    figures = {name: np.array([episode.figures[name] for episode in episodes]) for name in ("aoi", "vdf")}
+
+    def binned(values: Any) -> list[float]:
+        return [round(float(values[share].mean()), DIGITS) for share in shares if share.size]
+
+    return {
+        "episodes": [int(share[-1]) + 1 for share in shares if share.size],
+        "reward": {name: binned(values) for name, values in columns.items()},
+        **{name: binned(values) for name, values in figures.items()},
+    }
+
+
+def compact(evaluation: Evaluation) -> dict[str, Any]:
+    """Return an evaluation as a record keeps it: one list over the farms for each figure."""
+    scores = evaluation.per_farm
+    return {
+        "first_farm": evaluation.farms[0],
+        "farms": len(evaluation.farms),
+        "reward": [round(score.reward, DIGITS) for score in scores],
+        "types": {name: [round(score.types[name], DIGITS) for score in scores] for name in scores[0].types},
+        "figures": {name: [round(score.figures[name], DIGITS) for score in scores] for name in scores[0].figures},
+    }
+
+
+def farms_of(pair: Any) -> range:
+    """Return the farms that a pair of first and number names."""
+    first, count = (int(number) for number in pair)
+    return range(first, first + count)

@@ -1,0 +1,97 @@
+"""Milliseconds that the UAVs' decisions take at each time step, M4 and M5, with one thread."""
+
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from common.actors import ActorBank, head_outputs, parameter_views
+from common.config import RunConfig
+from common.team import Float32
+from learner.algorithms import ALGORITHMS
+from rollout.sim.batch import FarmBatch
+
+WARM_STEPS: Final = 50
+"""Steps before the clock counts."""
+
+
+def time_decisions(config: RunConfig, steps: int) -> dict[str, Any]:
+    """Time the decisions of a team on farms, with actors that nothing has trained.
+
+    What an actor computes does not depend on the values of its weights, and execution needs no critic, no ensemble and
+    no imitation; so neither training nor these parts change the time.
+
+    Args:
+        config: the run; its seed gives the weights, its algorithm the actors' last layer.
+        steps: time steps.
+
+    Returns:
+        For each of three pieces of a time step 5 % quantile, median, mean and 95 % quantile, ms: `decide`, all UAVs
+        from observation to action, stacked as this project flies them; `separate`, the same actions from one torch
+        network after another, as most implementations do; `simulate`, the simulator's step with assignment, rewards
+        and observations.
+    """
+    batch = FarmBatch(config.farm, 1)
+    bank = ActorBank.initial(
+        batch.team, config.algorithm.hidden, config.seed, head=ALGORITHMS[config.algorithm.name].head
+    )
+    separate, flat = separate_actors(bank), np.empty((1, batch.team.action_size), np.float32)
+    pieces: dict[str, list[float]] = {"decide": [], "separate": [], "simulate": []}
+    for step in range(steps + WARM_STEPS):
+        if step % config.farm.world.steps == 0:
+            batch.reset(0, step // config.farm.world.steps, config.seed)
+        counts = step >= WARM_STEPS
+        flat[...] = _clocked(lambda: bank.command(batch.observation), pieces["decide"], counts)
+        _clocked(lambda: separate(batch.observation), pieces["separate"], counts)
+        _clocked(lambda: batch.step(flat), pieces["simulate"], counts)
+    return {name: _summary(np.array(milliseconds)) for name, milliseconds in pieces.items()}
+
+
+def separate_actors(bank: ActorBank) -> Callable[[Float32], Float32]:
+    """Return a function that computes the noise-free actions [1, A] with one torch network after another."""
+    networks: list[nn.Sequential] = []
+    for group, flat in zip(bank.team.groups, bank.flat, strict=True):
+        outputs = head_outputs(group.action_size, bank.head)
+        views = parameter_views(flat, group.observation_size, bank.hidden, outputs)
+        for agent in range(group.count):
+            layers: list[nn.Module] = []
+            for weight, bias in zip(views[::2], views[1::2], strict=True):
+                layer = nn.Linear(weight.shape[1], weight.shape[2])
+                layer.weight.data = torch.from_numpy(np.ascontiguousarray(weight[agent].T))
+                layer.bias.data = torch.from_numpy(bias[agent].copy())
+                layers += [layer, nn.ReLU()]
+            networks.append(nn.Sequential(*layers[:-1]))
+
+    def act(observation: Float32) -> Float32:
+        parts = bank.team.split_observations(observation)
+        rows = [group_rows[0, agent] for group_rows in parts for agent in range(group_rows.shape[1])]
+        sizes = [group.action_size for group in bank.team.groups for _ in range(group.count)]
+        with torch.no_grad():
+            actions = [
+                torch.tanh(network(torch.from_numpy(row))[:size]).numpy()
+                for network, row, size in zip(networks, rows, sizes, strict=True)
+            ]
+        return bank.team.steer(observation, np.concatenate(actions)[None])
+
+    return act
+
+
+def _clocked(work: Callable[[], Any], milliseconds: list[float], counts: bool) -> Any:
+    start = time.perf_counter()
+    found = work()
+    if counts:
+        milliseconds.append(1e3 * (time.perf_counter() - start))
+    return found
+
+
+def _summary(milliseconds: NDArray[np.float64]) -> dict[str, float]:
+    return {
+        "q05": round(float(np.quantile(milliseconds, 0.05)), 5),
+        "median": round(float(np.median(milliseconds)), 5),
+        "mean": round(float(milliseconds.mean()), 5),
+        "q95": round(float(np.quantile(milliseconds, 0.95)), 5),
+    }

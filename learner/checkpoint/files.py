@@ -1,0 +1,248 @@
+"""Checkpoints on disk: tensors as safetensors beside a manifest, written whole or not at all.
+
+    DIRECTORY/checkpoint-00000007/tensors.safetensors
+    DIRECTORY/checkpoint-00000007/manifest.json         {"body", "bytes", "format", "sha256", "tensors"}
+
+`tensors` is the SHA-256 of the tensors' file and `sha256` that of the manifest without this entry, so a flipped bit is
+noticed wherever it is. A checkpoint is written under a temporary name, flushed to the disk, renamed, and the rename is
+flushed too: what bears a checkpoint's name is complete, unless the disk itself damages it later. One that is found to
+be damaged loses its name, so that it does not count among those that are kept, and stays until the next is found.
+
+Tensors are hashed and written piece by piece. The library's own `save` would first copy all of them twice into memory,
+and hold the interpreter's lock meanwhile, under which no other thread trains.
+"""
+
+import hashlib
+import json
+import math
+import os
+import re
+import shutil
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import safetensors.torch
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from torch import Tensor
+
+from common.errors import CheckpointError
+from learner.data.tensor_snapshot import Frozen
+
+FORMAT: Final = 1
+MAX_MANIFEST: Final = 64 * 2**20
+"""Largest manifest that is read, bytes."""
+MAX_TENSORS: Final = 64 * 2**30
+"""Largest tensors' file that is read, bytes."""
+_NAME = re.compile(r"checkpoint-(\d{8,12})")
+_PARTIAL = "partial-"
+_DAMAGED = "damaged-"
+_DTYPES: Final = {torch.float64: "F64", torch.int64: "I64", torch.float32: "F32", torch.int32: "I32", torch.uint8: "U8"}
+_PIECE_BYTES: Final = 2**20
+
+
+@dataclass(frozen=True)
+class Found:
+    """A checkpoint that was read and verified.
+
+    Attributes:
+        tensors: by name.
+        manifest: the body that was saved with them.
+        skipped: each newer checkpoint that is damaged, and a sentence that says so.
+    """
+
+    tensors: dict[str, Tensor]
+    manifest: dict[str, Any]
+    skipped: tuple[tuple[Path, str], ...]
+
+
+def save(
+    directory: Path, tensors: Mapping[str, Tensor | Frozen], manifest: dict[str, Any], keep: int, rest: float = 0.0
+) -> Path:
+    """Write a checkpoint and remove all but the newest `keep`.
+
+    Args:
+        directory: where checkpoints live; made if missing.
+        tensors: contiguous tensors by name; frozen ones are read here.
+        manifest: what JSON can hold.
+        keep: how many checkpoints stay.
+        rest: seconds to rest after each piece, which leave the processor to other threads.
+
+    Returns:
+        the checkpoint's folder.
+
+    Raises:
+        CheckpointError: when it is larger than `load` reads, or a number is not finite; the checkpoints before it are
+            untouched.
+        OSError: when the disk does not take it; likewise.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    for leftover in directory.glob(f"{_PARTIAL}*"):
+        shutil.rmtree(leftover, ignore_errors=True)
+    existing = _checkpoints(directory)
+    number = existing[-1][0] + 1 if existing else 1
+    final = directory / f"checkpoint-{number:08d}"
+    partial = directory / f"{_PARTIAL}{number:08d}"
+    try:
+        partial.mkdir()
+        size, digest = _write_tensors(partial / "tensors.safetensors", tensors, rest)
+        described = _manifest(manifest, size, digest)
+        if size > MAX_TENSORS or len(described) > MAX_MANIFEST:
+            raise CheckpointError(f"{size} and {len(described)} bytes are more than a checkpoint holds.")
+        _write(partial / "manifest.json", described)
+        _flush_folder(partial)
+        partial.rename(final)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    _flush_folder(directory)
+    for _, path in _checkpoints(directory)[:-keep]:
+        shutil.rmtree(path, ignore_errors=True)
+    return final
+
+
+def load_latest(directory: Path) -> Found | None:
+    """Read the newest checkpoint that is whole.
+
+    Returns:
+        the checkpoint, or None when there is none at all.
+
+    Raises:
+        CheckpointError: when there are checkpoints and every one is damaged.
+    """
+    skipped: list[tuple[Path, str]] = []
+    for _, path in reversed(_checkpoints(directory)):
+        try:
+            tensors, manifest = load(path)
+        except CheckpointError as error:
+            skipped.append((path, str(error)))
+        else:
+            return Found(tensors, manifest, tuple(skipped))
+    if skipped:
+        raise CheckpointError(f"no checkpoint in {directory} is whole: {' '.join(text for _, text in skipped)}")
+    return None
+
+
+def set_aside(paths: Sequence[Path]) -> None:
+    """Take the names of damaged checkpoints, and remove what was set aside before.
+
+    Raises:
+        OSError: when the disk does not let it.
+    """
+    for leftover in {old for path in paths for old in path.parent.glob(f"{_DAMAGED}*")}:
+        shutil.rmtree(leftover)
+    for path in paths:
+        path.rename(path.with_name(_DAMAGED + path.name))
+
+
+def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Read and verify one checkpoint folder; return its tensors and its manifest's body.
+
+    Raises:
+        CheckpointError: when it cannot be read, or anything in it differs from what was written.
+    """
+    try:
+        text = _read(path / "manifest.json", MAX_MANIFEST)
+        data = _read(path / "tensors.safetensors", MAX_TENSORS)
+        manifest = json.loads(text)
+        body = _verified(manifest, text, data)
+        return safetensors.torch.load(data), body
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, SafetensorError) as error:
+        raise CheckpointError(f"checkpoint {path.name} is damaged: {error}.") from error
+
+
+def _verified(manifest: Any, text: bytes, data: bytes) -> dict[str, Any]:
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or not isinstance(manifest["body"], dict):
+        raise ValueError("its manifest is of another format")
+    if _manifest(manifest["body"], len(data), hashlib.sha256(data).hexdigest()) != text:
+        raise ValueError("its contents do not have the checksums in its manifest")
+    body: dict[str, Any] = manifest["body"]
+    return body
+
+
+def _manifest(body: dict[str, Any], size: int, digest: str) -> bytes:
+    content = {"format": FORMAT, "body": body, "bytes": size, "tensors": digest}
+    content["sha256"] = hashlib.sha256(_canonical(content)).hexdigest()
+    return _canonical(content)
+
+
+def _canonical(content: dict[str, Any]) -> bytes:
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _checkpoints(directory: Path) -> list[tuple[int, Path]]:
+    if not directory.is_dir():
+        return []
+    matches = [(match, path) for path in directory.iterdir() if (match := _NAME.fullmatch(path.name))]
+    return sorted((int(match[1]), path) for match, path in matches)
+
+
+def _read(path: Path, limit: int) -> bytes:
+    if path.stat().st_size > limit:
+        raise ValueError(f"{path.name} is larger than {limit} bytes")
+    return path.read_bytes()
+
+
+def _header(tensors: Mapping[str, Tensor | Frozen]) -> tuple[list[str], bytes]:
+    """Return the names in the order of the file, the widest types first as the format wishes, and the file's header."""
+    types = list(_DTYPES)
+    names = sorted(tensors, key=lambda name: (types.index(tensors[name].dtype), name))
+    header, start = {}, 0
+    for name in names:
+        shape, dtype = list(tensors[name].shape), tensors[name].dtype
+        end = start + math.prod(shape) * dtype.itemsize
+        header[name] = {"dtype": _DTYPES[dtype], "shape": shape, "data_offsets": [start, end]}
+        start = end
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return names, len(text).to_bytes(8, "little") + text
+
+
+def _pieces(name: str, tensor: Tensor | Frozen) -> Iterator[NDArray[np.uint8]]:
+    """Yield a tensor's bytes; raise CheckpointError when a number is not finite."""
+    parts = tensor.pieces() if isinstance(tensor, Frozen) else [tensor.detach().cpu()]
+    for part in parts:
+        array = part.numpy().reshape(-1)
+        step = _PIECE_BYTES // array.itemsize
+        for start in range(0, array.size, step):
+            piece = array[start : start + step]
+            if piece.dtype.kind == "f" and not np.isfinite(piece).all():
+                raise CheckpointError(f"{name} holds a number that is not finite.")
+            yield piece.view(np.uint8)
+
+
+def _write_tensors(path: Path, tensors: Mapping[str, Tensor | Frozen], rest: float) -> tuple[int, str]:
+    """Write a safetensors file; return its size in bytes and its SHA-256."""
+    names, header = _header(tensors)
+    state, size = hashlib.sha256(header), len(header)
+    with path.open("xb") as file:
+        file.write(header)
+        for name in names:
+            for piece in _pieces(name, tensors[name]):
+                state.update(piece.data)
+                file.write(piece.data)
+                size += piece.nbytes
+                time.sleep(rest)
+        file.flush()
+        os.fsync(file.fileno())
+    return size, state.hexdigest()
+
+
+def _write(path: Path, data: bytes) -> None:
+    with path.open("xb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _flush_folder(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

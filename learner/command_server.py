@@ -1,0 +1,68 @@
+"""The learner's desk: what other processes may ask of it, and its answers."""
+
+import time
+from collections.abc import Callable
+
+from common.errors import ProtocolError
+from common.process import log
+from common.protocol import keys
+from common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, ReceiptMessage
+from common.transport.bus import Incoming, Server
+from learner.lease import Lease
+
+
+class Desk:
+    """Answers commands.
+
+    Args:
+        server: where they come in.
+        configuration: what whoever joins is told of the run.
+
+    Attributes:
+        lease: which coordinator leads.
+        draining: whether somebody asked the learner to drain.
+        malformed: requests that were no commands.
+    """
+
+    def __init__(self, server: Server, configuration: ConfigurationMessage) -> None:
+        self._server, self._configuration = server, configuration.encode()
+        self.lease, self.draining, self.malformed = Lease(), False, 0
+        self._verbs: dict[str, Callable[[Incoming, str], None]] = {
+            "configuration": self._tell,
+            "lead": self._grant,
+            "drain": self._drain,
+        }
+
+    def answer(self) -> None:
+        """Answer every command that waits."""
+        for incoming in self._server.waiting():
+            try:
+                sender = CommandMessage.decode(incoming.payload).sender
+                verb = keys.parse(incoming.key).variables.get("verb", "")
+            except ProtocolError as error:
+                self.malformed += 1
+                incoming.refuse(str(error))
+                continue
+            if verb in self._verbs:
+                self._verbs[verb](incoming, sender)
+            else:
+                incoming.refuse(f"the learner knows no command {verb}.")
+
+    def _tell(self, incoming: Incoming, sender: str) -> None:
+        incoming.reply(self._configuration)
+
+    def _drain(self, incoming: Incoming, sender: str) -> None:
+        log(f"draining, as {sender[:64]} asked.")
+        self.draining = True
+        incoming.reply(ReceiptMessage(True, "").encode())
+
+    def _grant(self, incoming: Incoming, sender: str) -> None:
+        try:
+            claimant = Envelope.decode(incoming.attachment)
+        except ProtocolError as error:
+            self.malformed += 1
+            incoming.refuse(str(error))
+            return
+        granted = self.lease.claim(claimant.name, claimant.incarnation, time.monotonic())
+        holder = self.lease.holder[0] if self.lease.holder else ""
+        incoming.reply(ReceiptMessage(granted, "" if granted else f"coordinator {holder[:64]} leads.").encode())

@@ -1,0 +1,1 @@
+"""Experience at rest: the replay buffer and what its rows need."""

@@ -1,0 +1,216 @@
+"""Running means of what update rounds tell, for each agent, and how the critics compare with what came of it.
+
+    critic_loss         mean of the squared errors that the local critic descends, of two critics the first
+    critic_error        mean of their sizes
+    q_mean              mean Q of the batch's own actions, before the round's step; see below
+    target_mean         mean Y
+    actor_objective     mean of what the actor climbs
+    critic_gradient     Euclidean norm of the gradient of the agent's critic, of two critics the mean, before any clip
+    actor_gradient      the same of its actor
+    member_loss         mean of (Q_s,k - Y)^2 over the members and the agent's rows
+    member_gradient     Euclidean norm of the gradient of a member of the agent's type, mean over them, before any clip
+    member_spread       standard deviation over the members of Q_s,k at the actor's own action, mean over the batch
+    temperature         alpha, the weight of entropy
+    log_probability     mean log pi of the actions that the actor drew for the batch's observations
+    realised_return     discounted, scaled rewards of the rows that followed those of the batch (see `newest_returns`)
+    overestimation      mean Q of these rows' actions less their realised return
+
+Q is the mixture Q_P with an ensemble, whatever its losses, and the agent's (first) critic without one. Where it counts
+entropy as well (MASAC), there is no `overestimation`: which entropy would have followed a row is not in replay.
+All but norms, temperature and log_probability are in the units of the targets, rewards times `reward_scale`, or their
+squares.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from common.team import TeamSpec
+from common.transitions import TERMINATED, TRANSITION
+from learner.checkpoint.trainer_state import checked_tensors
+from learner.data.index_set import Places
+from learner.data.replay import Replay
+from learner.engine import Figures
+
+NAMES: Final = (
+    "critic_loss",
+    "actor_objective",
+    "target_mean",
+    "critic_error",
+    "q_mean",
+    "critic_gradient",
+    "actor_gradient",
+    "member_loss",
+    "member_gradient",
+    "member_spread",
+    "temperature",
+    "log_probability",
+    "realised_return",
+    "overestimation",
+)
+PREFIX: Final = "figures."
+"""What the names of the running means begin with in a checkpoint."""
+SHARE: Final = 0.05
+"""Share of the newest figures in the running means."""
+RETURN_SHARE: Final = 0.2
+"""The same for what is compared with realised returns, which is done more rarely."""
+RETURN_ROUNDS: Final = 128
+"""Every this many rounds Q is compared with realised returns."""
+RETURN_ROWS: Final = 0.25
+"""Share of the rows with a realised return that are compared, those of the newest policies."""
+REMAINDER: Final = 0.01
+"""Weight gamma^H below which later rewards are left out of a realised return."""
+MAX_HORIZON: Final = 1000
+
+
+def horizon(discount: float) -> int:
+    """Return H, the steps after which gamma^H is below `REMAINDER`, at most `MAX_HORIZON`."""
+    if discount <= REMAINDER:
+        return 1
+    return MAX_HORIZON if discount >= 1.0 else min(MAX_HORIZON, math.ceil(math.log(REMAINDER) / math.log(discount)))
+
+
+def realised_returns(replay: Replay, places: Places, discount: float) -> tuple[Tensor, NDArray[np.bool_]]:
+    """Return what followed rows of replay: sum_{k < H} gamma^k r_{t+k}, under the policies that acted then.
+
+    A return counts only where all its rewards are in the ring: H steps follow, or fewer that end in a terminal state.
+    Where a time limit, or the newest row, comes before, nobody knows how it would have gone on.
+
+    Args:
+        replay: the ring.
+        places: [R] rows from which a step follows.
+        discount: gamma.
+
+    Returns:
+        [R, agents] returns, and [R] whether they count.
+    """
+    last, going = places, np.ones(places.shape[0], np.bool_)
+    total = torch.zeros(places.shape[0], replay.reward.shape[1], device=replay.reward.device)
+    for k in range(horizon(discount)):
+        share = torch.from_numpy(going.astype(np.float32)).to(total.device)[:, None] * discount**k
+        total.addcmul_(share, replay.reward.index_select(0, torch.from_numpy(last).to(total.device)))
+        following = replay.successor[last]
+        beyond = going & ((replay.flag[following] & TRANSITION) != 0)
+        last, stopped = np.where(beyond, following, last), going & ~beyond
+        going = beyond
+        if k == 0:
+            cut = np.zeros_like(going)
+        cut |= stopped & ((replay.flag[last] & TERMINATED) == 0) & (k + 1 < horizon(discount))
+    return total, ~cut
+
+
+def newest_returns(replay: Replay, places: Places, discount: float) -> tuple[Tensor, Places]:
+    """Return realised returns of rows of replay, and which rows of these to compare.
+
+    The more the policy has changed since a row, the less its return says about the present critics; so of the rows
+    that have a return, the quarter of the newest policy versions is chosen.
+
+    Returns:
+        [R, agents] returns, and the chosen indices into R, none where no return is known.
+    """
+    returns, counted = realised_returns(replay, places, discount)
+    rows = np.flatnonzero(counted)
+    age = np.argsort(-replay.version[places[rows]], kind="stable")
+    return returns, rows[age[: math.ceil(RETURN_ROWS * rows.size)]]
+
+
+class RunningFigures:
+    """The running means of a trainer.
+
+    Args:
+        team: the layout of the team.
+        device: torch device.
+
+    Attributes:
+        means: those of every name that was told [agents].
+        rounds: rounds that told their figures.
+        comparisons: comparisons with realised returns.
+    """
+
+    def __init__(self, team: TeamSpec, device: str) -> None:
+        self._team, self._device = team, device
+        self.means: dict[str, Tensor] = {}
+        self.rounds = self.comparisons = 0
+
+    def note(self, figures: Figures) -> None:
+        """Take in the figures of one round."""
+        rows = {
+            "critic_loss": figures.error.square().mean(dim=1),
+            "actor_objective": figures.value.mean(dim=1),
+            "target_mean": figures.target.mean(dim=1),
+            "critic_error": figures.error.abs().mean(dim=1),
+            "q_mean": figures.prediction.mean(dim=1),
+            "critic_gradient": figures.critic_gradient,
+            "actor_gradient": figures.actor_gradient,
+            "member_loss": figures.member_loss,
+            "member_gradient": figures.member_gradient,
+            "member_spread": None if figures.spread is None else figures.spread.mean(dim=1),
+            "temperature": figures.temperature,
+            "log_probability": figures.log_probability,
+        }
+        self._take(rows, SHARE)
+        self.rounds += 1
+
+    def compare(self, figures: Figures, returns: Tensor, chosen: Places) -> None:
+        """Take in how Q of a round's batch compares with the realised returns [B, agents] of the chosen rows."""
+        if chosen.size == 0:
+            return
+        rows = torch.from_numpy(chosen).to(returns.device)
+        realised = returns.index_select(0, rows).mean(dim=0)
+        value = figures.prediction.float().index_select(1, rows).mean(dim=1)
+        over = None if figures.soft else value - realised
+        self._take({"realised_return": realised, "overestimation": over}, RETURN_SHARE)
+        self.comparisons += 1
+
+    def _take(self, rows: Mapping[str, Tensor | None], share: float) -> None:
+        """Move the means [agents] to newer figures; a figure that is told for the first time is its mean."""
+        for name, row in rows.items():
+            if row is None:
+                continue
+            newest = row.float()
+            if name in self.means:
+                self.means[name].lerp_(newest, share)
+            else:
+                self.means[name] = newest.clone()
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return a copy of the means by their names in a checkpoint."""
+        return {f"{PREFIX}{name}": mean.clone().cpu() for name, mean in self.means.items()}
+
+    def kept(self, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return the means [agents] that a checkpoint holds, by name; those that it lacks begin anew.
+
+        So does everything in a checkpoint from when they were one tensor, `figures`: some meant something else.
+
+        Raises:
+            CheckpointError: when one does not fit the team, or is not finite.
+        """
+        like = torch.zeros(self._team.agents)
+        names = [name for name in NAMES if f"{PREFIX}{name}" in tensors]
+        found = checked_tensors({f"{PREFIX}{name}": like for name in names}, tensors)
+        return {name: found[f"{PREFIX}{name}"].to(self._device, copy=True) for name in names}
+
+    def by_type(self) -> dict[str, float]:
+        """Return NAME/TYPE: means over the type's agents; without figures that the algorithm does not tell."""
+        parts = list(zip(self._team.groups, self._team.agent_slices(), strict=True))
+        return {f"{name}/{group.name}": float(row[part].mean()) for name, row in self._told() for group, part in parts}
+
+    def by_agent(self) -> dict[str, float]:
+        """Return NAME/AGENT for each agent, named by its type and its number inside the type; likewise."""
+        agents = [f"{group.name}-{index}" for group in self._team.groups for index in range(group.count)]
+        return {
+            f"{name}/{agent}": value
+            for name, row in self._told()
+            for agent, value in zip(agents, row.tolist(), strict=True)
+        }
+
+    def _told(self) -> list[tuple[str, Tensor]]:
+        names = [name for name in NAMES if name in self.means]
+        if not names:
+            return []
+        return list(zip(names, torch.stack([self.means[name] for name in names]).cpu(), strict=True))

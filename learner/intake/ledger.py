@@ -1,0 +1,257 @@
+"""What the learner takes in: each chunk once, in order, and a ledger that accounts for every environment step."""
+
+import heapq
+import threading
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final, Literal
+
+from common.errors import CheckpointError
+from common.protocol.messages import Envelope
+
+Status = Literal["accepted", "duplicate", "gap"]
+ROWS: Final = 16
+"""Workers whose accounts are told one by one; those of all others are summed."""
+OTHERS: Final = "(others)"
+"""What the sum is called, which no worker can be."""
+_TOLD: Final = ("accepted", "lost", "rejected", "in_flight", "unexplained", "duplicates", "refused", "aged", "damaged")
+
+
+@dataclass(frozen=True)
+class WorkerLedger:
+    """The account of one worker's present start (incarnation), in environment steps and chunks.
+
+    `flown` and `produced` are what the worker says, and are never computed from what was booked, so that either side
+    can be held against the other.
+
+    Attributes:
+        incarnation: which start of the worker.
+        expected: next sequence number.
+        flown: the most steps that the worker ever said it had flown.
+        produced: steps up to and with the last chunk that was taken, by the worker's count; all that it flew, once the
+            start has ended.
+        accepted: steps that entered replay.
+        lost: steps that were produced and can no longer arrive.
+        rejected: steps in chunks that were refused.
+        duplicates: chunks that came again.
+        refused: chunks that were refused.
+        aged: those of them that were refused because their policy was too old.
+        damaged: frames that could not be read; they are sent again.
+        pending_rejected: whether the next gap in `produced` is a refused chunk's.
+        pending_gap: whether numbers were left out since the last chunk that was taken.
+        earlier: the sums of all earlier starts of the worker, or None before there was one.
+    """
+
+    incarnation: int
+    expected: int = 1
+    flown: int = 0
+    produced: int = 0
+    accepted: int = 0
+    lost: int = 0
+    rejected: int = 0
+    duplicates: int = 0
+    refused: int = 0
+    aged: int = 0
+    damaged: int = 0
+    pending_rejected: bool = False
+    pending_gap: bool = False
+    earlier: "WorkerLedger | None" = None
+
+    @property
+    def in_flight(self) -> int:
+        """Return the steps that the worker says it flew after those of the last chunk that was taken."""
+        return self.flown - self.produced
+
+    @property
+    def unexplained(self) -> int:
+        """Return the steps up to the last chunk that nothing was booked for; below 0 when too much was booked."""
+        return self.produced - self.accepted - self.lost - self.rejected
+
+    def given_up(self) -> "WorkerLedger":
+        """Return the account of a start that has ended: what has not arrived by now is lost."""
+        return replace(self, lost=self.lost + self.in_flight, produced=self.flown)
+
+    def figures(self) -> dict[str, int]:
+        """Return the account over all starts; see `Intake.totals`."""
+        return _summed([self] if self.earlier is None else [self, self.earlier])
+
+
+class Intake:
+    """Deduplication by (worker, incarnation, sequence), and the ledger of all workers.
+
+    A worker sends its chunks in sequence and repeats one until it is answered. So a number below the expected one is a
+    duplicate; one above it is a gap, which the worker closes by sending again, unless it no longer holds what is
+    missing: then those steps are declared lost and counted. What a start of a worker had flown when it last sent, and
+    never delivered before the next start of that name appeared, is lost as well.
+    """
+
+    def __init__(self) -> None:
+        self.workers: dict[str, WorkerLedger] = {}
+        self.closed = WorkerLedger(0)
+        self._switch = threading.Lock()
+
+    def judge(self, sender: Envelope, oldest: int) -> Status:
+        """Return what a chunk is, without accepting it."""
+        ledger = self._ledger(sender)
+        if sender.sequence < ledger.expected:
+            self.workers[sender.name] = replace(ledger, duplicates=ledger.duplicates + 1)
+            return "duplicate"
+        if sender.sequence > ledger.expected and oldest < sender.sequence:
+            return "gap"
+        return "accepted"
+
+    def accept(self, sender: Envelope, steps: int, produced: int, flown: int) -> int:
+        """Book an accepted chunk of `steps` environment steps; for the rest see `ChunkMessage`.
+
+        Returns:
+            the steps before it that are lost, as became known only now.
+        """
+        return self._spend(sender, steps, produced, flown, accepted=steps)
+
+    def lose(self, sender: Envelope, steps: int, produced: int, flown: int) -> None:
+        """Book a chunk as lost that an earlier start of the learner had accepted, after its last checkpoint."""
+        self._spend(sender, steps, produced, flown, lost=steps)
+
+    def refuse(self, sender: Envelope) -> None:
+        """Book a refused chunk of which only the sender is known; its number is spent."""
+        ledger = self._ledger(sender)
+        self.workers[sender.name] = replace(
+            ledger,
+            expected=max(ledger.expected, sender.sequence + 1),
+            refused=ledger.refused + 1,
+            # Behind a gap nobody knows which of the missing steps were in refused chunks: all of them are lost.
+            pending_gap=(gap := ledger.pending_gap or sender.sequence > ledger.expected),
+            pending_rejected=not gap,
+        )
+
+    def refuse_aged(self, sender: Envelope, steps: int, produced: int, flown: int) -> int:
+        """Book a chunk that is refused because its policy is too old; return the steps before it that are lost."""
+        return self._spend(sender, steps, produced, flown, rejected=steps, refused=1, aged=1)
+
+    def note_damaged(self, sender: Envelope) -> None:
+        """Count a damaged frame; its number is not spent, so the chunk can come again."""
+        ledger = self._ledger(sender)
+        self.workers[sender.name] = replace(ledger, damaged=ledger.damaged + 1)
+
+    def expected(self, sender: Envelope) -> int:
+        """Return the next sequence number that this sender should use."""
+        return self._ledger(sender).expected
+
+    def totals(self) -> dict[str, int]:
+        """Return the sums over all workers and all their starts.
+
+        produced (flown, by the workers' own count) = accepted + lost + rejected + in_flight + unexplained, each in
+        environment steps; duplicates, refused, aged and damaged in chunks.
+        """
+        return self.accounts(0)[0]
+
+    def unexplained(self) -> int:
+        """Return by how many steps accounts fail to close; what is forgotten in one does not make up for another."""
+        closed, workers = self.now()
+        return sum(abs(part.unexplained) for part in (closed, *workers.values()))
+
+    def accounts(self, rows: int = ROWS) -> tuple[dict[str, int], dict[str, dict[str, int]]]:
+        """Return the totals, and what they are made of: the accounts of single workers and the sum of the others.
+
+        First come the workers that lost most or had most rejected, then those that produced most. The sum bears the
+        name OTHERS and says how many `workers` it holds. Columns add up to the totals exactly.
+
+        Args:
+            rows: most workers that are told one by one.
+        """
+        closed, workers = self.now()
+        totals = _summed([closed, *workers.values()])
+        every = ((name, ledger.figures()) for name, ledger in workers.items())
+        chosen = dict(heapq.nsmallest(rows, every, key=_trouble_first)) if rows else {}
+        rest = {name: total - sum(part[name] for part in chosen.values()) for name, total in totals.items()}
+        hidden = len(workers) - len(chosen)
+        if hidden or any(rest.values()):
+            chosen[OTHERS] = {"workers": hidden, **rest}
+        return totals, chosen
+
+    def state(self) -> dict[str, Any]:
+        """Return what a checkpoint needs."""
+        return {"closed": asdict(self.closed), "workers": {name: asdict(w) for name, w in self.workers.items()}}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take up a checkpoint's ledger; raise CheckpointError when it is none."""
+        try:
+            self.closed = _ended(state["closed"])
+            self.workers = {str(name): _rebuilt(entry) for name, entry in state["workers"].items()}
+        except (KeyError, TypeError, AttributeError) as error:
+            raise CheckpointError(f"the checkpoint's ledger is not readable: {error}") from error
+
+    def _spend(self, sender: Envelope, steps: int, produced: int, flown: int, **booked: int) -> int:
+        """Spend a chunk's number; book what was missing before it, and the counts in `booked` for the chunk itself.
+
+        Returns:
+            the steps before it that are lost.
+        """
+        ledger = self._ledger(sender)
+        missing = max(0, produced - steps - ledger.produced)
+        rejected = missing if ledger.pending_rejected and sender.sequence == ledger.expected else 0
+        booked["lost"] = booked.get("lost", 0) + missing - rejected
+        booked["rejected"] = booked.get("rejected", 0) + rejected
+        self.workers[sender.name] = replace(
+            ledger,
+            expected=sender.sequence + 1,
+            flown=max(ledger.flown, flown, produced),
+            produced=max(ledger.produced, produced),
+            pending_rejected=False,
+            pending_gap=False,
+            **{name: getattr(ledger, name) + count for name, count in booked.items()},
+        )
+        return missing - rejected
+
+    def now(self) -> tuple[WorkerLedger, dict[str, WorkerLedger]]:
+        """Return the accounts of this moment: the sum of all ended starts, and those of the present ones."""
+        with self._switch:
+            return self.closed, dict(self.workers)
+
+    def _ledger(self, sender: Envelope) -> WorkerLedger:
+        ledger = self.workers.get(sender.name)
+        if ledger is not None and sender.incarnation <= ledger.incarnation:
+            return ledger
+        fresh = WorkerLedger(sender.incarnation)
+        with self._switch:  # whoever adds up meanwhile must find the old start in exactly one place
+            if ledger is not None:
+                ended = replace(ledger.given_up(), earlier=None)
+                self.closed = _add(self.closed, ended)
+                fresh = replace(fresh, earlier=_add(ledger.earlier or WorkerLedger(0), ended))
+            self.workers[sender.name] = fresh
+        return fresh
+
+
+def _trouble_first(row: tuple[str, dict[str, int]]) -> tuple[int, int, str]:
+    name, figures = row
+    return -(figures["lost"] + figures["rejected"]), -figures["produced"], name
+
+
+def _summed(parts: list[WorkerLedger]) -> dict[str, int]:
+    """Return what is told of some accounts together."""
+    sums = {name: sum(getattr(part, name) for part in parts) for name in _TOLD}
+    return {"produced": sum(part.flown for part in parts), **sums}
+
+
+def _ended(entry: dict[str, Any]) -> WorkerLedger:
+    """Return a checkpoint's sum of ended starts; an older form says too little in `produced`."""
+    return replace(WorkerLedger(**entry), produced=entry["flown"])
+
+
+def _rebuilt(entry: dict[str, Any]) -> WorkerLedger:
+    earlier = entry.get("earlier")
+    return WorkerLedger(**{**entry, "earlier": None if earlier is None else _ended(earlier)})
+
+
+def _add(total: WorkerLedger, part: WorkerLedger) -> WorkerLedger:
+    return replace(
+        total,
+        flown=total.flown + part.flown,
+        produced=total.produced + part.produced,
+        accepted=total.accepted + part.accepted,
+        lost=total.lost + part.lost,
+        rejected=total.rejected + part.rejected,
+        duplicates=total.duplicates + part.duplicates,
+        refused=total.refused + part.refused,
+        aged=total.aged + part.aged,
+        damaged=total.damaged + part.damaged,
+    )

@@ -1,0 +1,335 @@
+"""The learner's front door: every chunk is checked, judged once, queued, and only then acknowledged."""
+
+import queue
+import threading
+from collections.abc import Collection
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from common.config import ReplayConfig
+from common.errors import ProtocolError, SchemaError
+from common.history import Entry, History
+from common.process import log
+from common.protocol import keys
+from common.protocol.chunk_messages import MOST_COUNT, from_message, from_request
+from common.protocol.frame import Data
+from common.protocol.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
+from common.team import TeamSpec
+from common.transitions import FARM_FIGURES, Chunk
+from common.transport.bus import Incoming, Server
+from learner.intake.ledger import Intake, WorkerLedger
+from learner.intake.peer_penalties import CUT_SECONDS, Offenders
+from learner.intake.throttle import Tarpit
+
+FULL_SECONDS: Final = 0.001
+"""Pause between two looks at a full queue."""
+DAMAGED_TRIES: Final = 8
+"""Times that one chunk may arrive damaged before it is refused for good: its worker makes it so."""
+MOST_WORKERS: Final = 65_536
+"""Most workers that have accounts, whoever they were; all accounts stand in each checkpoint."""
+LOGGED_REFUSALS: Final = 20
+"""Refusals that are logged one by one; all are counted."""
+REASON: Final = 400
+"""Most characters of a reason in an answer."""
+Verdict = tuple[str, str]
+"""What becomes of a chunk, see `ChunkAck`, and why it was not taken."""
+TAKEN: Final[Verdict] = ("accepted", "")
+WORTH_LOOKING: Final = frozenset(("accepted", "closed", "refused", "damaged"))
+"""A request without any of these brought nothing, and counts against its sender; bad chunks are counted one by one."""
+
+
+class Owed:
+    """An answer that comes after training (lockstep), to the newest copy of its request."""
+
+    def __init__(self, incoming: Incoming) -> None:
+        self._incoming: Incoming | None = incoming
+        self._lock = threading.Lock()
+
+    def renew(self, incoming: Incoming) -> bool:
+        """Owe the answer to a later copy, whose predecessor may have gone with a link; False when it was given."""
+        with self._lock:
+            if self._incoming is None:
+                return False
+            self._incoming = incoming
+            return True
+
+    def answer(self, payload: bytes) -> None:
+        """Answer."""
+        with self._lock:
+            incoming, self._incoming = self._incoming, None
+        if incoming is not None:
+            incoming.reply(payload)
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """An accepted chunk on its way into replay.
+
+    Attributes:
+        chunk: the experience.
+        sender: who sent it, with which parameter version.
+        closed: the account of all ended starts once this chunk is in.
+        workers: those of the present starts then. What was accepted before this chunk is ahead of it in the queue.
+        owed: the answer that the learner owes for it (lockstep), else None.
+    """
+
+    chunk: Chunk
+    sender: Envelope
+    closed: WorkerLedger
+    workers: dict[str, WorkerLedger]
+    owed: "Owed | None"
+
+
+class Receiver:
+    """Takes chunks from a server in a thread of its own and puts them into a bounded queue.
+
+    The queue is the backpressure: while it is full, answers are late, and workers wait for them.
+
+    Attributes:
+        arrivals: the queue.
+        intake: deduplication and ledger.
+        malformed: requests that could not even be attributed to a worker.
+        offenders: who sends what brings nothing.
+        tarpit: requests of those who are cut off; whoever owns the receiver calls its `release` now and then.
+        server: where chunks come in.
+        gate: held while a chunk is booked and queued, so that ledger and queue can be seen together.
+        required_version: parameter version that a worker must hold before it flies on (lockstep), else 0.
+        version: the newest parameter version; `replay.max_lag_versions` counts from it.
+
+    Args:
+        server: where chunks come in.
+        team: what they must fit.
+        intake: deduplication and ledger; it is the receiver's from now on.
+        replay: bounds.
+        lockstep: whether the learner answers itself, when it has trained; a request then holds one chunk.
+        history: where each verdict is written before it is told.
+        figures: names of what a finished episode comes to.
+    """
+
+    def __init__(
+        self,
+        server: Server,
+        team: TeamSpec,
+        intake: Intake,
+        replay: ReplayConfig,
+        lockstep: bool,
+        history: History | None = None,
+        figures: Collection[str] = FARM_FIGURES,
+    ) -> None:
+        self.arrivals: queue.Queue[Arrival] = queue.Queue(replay.intake_chunks)
+        self.intake = intake
+        self.malformed = 0
+        self.offenders, self.tarpit = Offenders(), Tarpit()
+        self.required_version = self.version = 0
+        self._history = history or History(None)
+        self._damaged: dict[str, tuple[int, int, int]] = {}
+        self._most_lag = replay.max_lag_versions
+        self.server, self._team, self._lockstep, self._figures = server, team, lockstep, figures
+        self._most_rows = replay.capacity
+        self._closing, self._dealt_with = threading.Event(), threading.Event()
+        self.gate = threading.Lock()
+        self._logged = 0
+        self._owed: Owed | None = None
+        self._thread = threading.Thread(target=self._run, name="receiver", daemon=True)
+        self._thread.start()
+
+    def next_arrival(self, seconds: float) -> Arrival | None:
+        """Return the next chunk, or None when none has come after so long, or a little sooner.
+
+        Only one thread may call it. It is woken by a whole request or a full queue, not by each chunk: two threads that
+        hand Python's lock to and fro for every chunk spend more time on that than on chunks.
+        """
+        with suppress(queue.Empty):
+            return self.arrivals.get_nowait()
+        self._dealt_with.wait(seconds)
+        self._dealt_with.clear()
+        with suppress(queue.Empty):
+            return self.arrivals.get_nowait()
+        return None
+
+    def close(self) -> None:
+        """Take no more chunks; every accepted one is in the queue when this returns."""
+        with self.gate:
+            self._closing.set()
+
+    @property
+    def alive(self) -> bool:
+        """Whether chunks are still taken."""
+        return self._thread.is_alive()
+
+    def figures(self) -> dict[str, Any]:
+        """Return what a report says of the front door."""
+        return {
+            "queue": self.arrivals.qsize(),
+            "malformed": self.malformed + self.server.wild,
+            "malformed_by": self.offenders.counts(),
+            "turned_away": self.tarpit.turned_away,
+        }
+
+    def join(self) -> None:
+        """Take no more chunks and wait for the thread to end; the bus must be closed.
+
+        Whoever joins has stopped emptying the queue, so a thread that waits for room there would wait for ever.
+        """
+        self.close()
+        self._thread.join()
+
+    def _run(self) -> None:
+        for incoming in self.server:
+            try:
+                self._receive(incoming)
+            except ProtocolError as error:
+                self.malformed += 1
+                self._log(f"dropped a request on {incoming.key}: {error}")
+                incoming.refuse(str(error))
+            if not self.arrivals.empty():
+                self._dealt_with.set()
+
+    def _receive(self, incoming: Incoming) -> None:
+        worker = keys.parse(incoming.key).variables.get("worker", "")
+        if (refusal := self.offenders.refusal(worker)) is not None:
+            self.tarpit.hold(incoming, refusal)
+            return
+        sender = self._identified(incoming, worker)
+        try:
+            delivery, parts = from_request(incoming.payload)
+        except ProtocolError as error:
+            self._answer(incoming, sender, [self._send_again(sender, error)])
+            return
+        if self._lockstep and len(parts) > 1:
+            raise ProtocolError("a lockstep run takes one chunk at a time.")
+        verdicts: list[Verdict] = []
+        for index, data in enumerate(parts):
+            verdicts.append(self._judge(replace(sender, sequence=sender.sequence + index), delivery, data, incoming))
+            if verdicts[-1][0] not in SETTLED:
+                break
+        if not (self._lockstep and self._owes(incoming, sender, verdicts[0])):
+            self._answer(incoming, sender, verdicts)
+
+    def _owes(self, incoming: Incoming, sender: Envelope, verdict: Verdict) -> bool:
+        """Return whether the learner answers a request in lockstep: its chunk is new, or is still being trained on."""
+        again = verdict[0] == "duplicate" and sender.sequence == self.intake.expected(sender) - 1
+        return verdict == TAKEN or (again and self._owed is not None and self._owed.renew(incoming))
+
+    def _identified(self, incoming: Incoming, worker: str) -> Envelope:
+        """Return who sent a request; raise ProtocolError when it may not send here."""
+        try:
+            sender = Envelope.decode(incoming.attachment)
+            if (sender.role, sender.name) != ("rollout", worker) or not 1 <= sender.sequence <= MOST_COUNT:
+                raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}, {sender.sequence}.")
+        except ProtocolError as error:
+            self._bad(worker, str(error))
+            raise
+        known = self.intake.workers.get(sender.name)
+        if known is not None and sender.incarnation < known.incarnation:
+            raise ProtocolError(f"worker {sender.name} has been replaced by a newer start.")
+        if self._lockstep and known is None and any(worker.accepted for worker in self.intake.workers.values()):
+            raise ProtocolError("a lockstep run has exactly one worker.")
+        if known is None and len(self.intake.workers) >= MOST_WORKERS:
+            raise ProtocolError(f"{MOST_WORKERS} workers have accounts already.")
+        return sender
+
+    def _judge(self, sender: Envelope, delivery: DeliveryMessage, data: Data, incoming: Incoming) -> Verdict:
+        """Look at one chunk of a delivery, and book and queue it when all is well.
+
+        Args:
+            sender: who sent it, with the chunk's own number.
+            delivery: what it came in.
+            data: its frame.
+            incoming: the request, which the learner itself answers in lockstep.
+        """
+        try:
+            message = ChunkMessage.decode(data)
+        except ProtocolError as error:
+            return self._send_again(sender, error)
+        status = self.intake.judge(sender, delivery.oldest)
+        if status != "accepted":
+            if status == "duplicate":
+                self._tell("duplicate", sender, 1)
+            return status, ""
+        try:
+            chunk = from_message(message, self._team, self._figures)
+            if chunk.rows.flag.shape[0] > self._most_rows:
+                raise SchemaError(f"{chunk.rows.flag.shape[0]} rows at once, more than a replay of {self._most_rows}.")
+        except ProtocolError as error:
+            self._bad(sender.name, str(error))
+            return self._refuse(sender, error)
+        sender, flown = replace(sender, version=message.version), delivery.flown
+        lag = self.version - message.version
+        if 0 < self._most_lag < lag:
+            steps = chunk.rows.steps
+            lost = self.intake.refuse_aged(sender, steps, message.produced, flown)
+            self._tell("missing", sender, lost)
+            self._tell("refused", sender, steps, message.produced, flown)
+            return "refused", f"its policy is {lag} versions old, more than {self._most_lag}."
+        return self._queue(sender, chunk, message.produced, flown, Owed(incoming) if self._lockstep else None)
+
+    def _send_again(self, sender: Envelope, error: ProtocolError) -> Verdict:
+        """Ask for an unreadable frame once more, without spending its number; refuse it when that goes on.
+
+        A number that is not the next one is never spent here: the worker may still hold those before it.
+        """
+        self.intake.note_damaged(sender)
+        self._log(f"a chunk of worker {sender.name} came damaged: {error}")
+        expected = self.intake.expected(sender)
+        if sender.sequence < expected:
+            self._tell("duplicate", sender, 1)  # its worker is told so, as of one that came whole
+            return "duplicate", ""
+        self._bad(sender.name, str(error))
+        start, sequence, times = self._damaged.get(sender.name, (0, 0, 0))
+        times = times + 1 if (start, sequence) == (sender.incarnation, sender.sequence) else 1
+        self._damaged[sender.name] = (sender.incarnation, sender.sequence, times)
+        if sender.sequence == expected and (times >= DAMAGED_TRIES or isinstance(error, SchemaError)):
+            return self._refuse(sender, error)
+        return "damaged", str(error)[:REASON]
+
+    def _refuse(self, sender: Envelope, error: ProtocolError) -> Verdict:
+        self._damaged.pop(sender.name, None)
+        self.intake.refuse(sender)
+        self._tell("refused", sender, 0)
+        self._log(f"refused a chunk of worker {sender.name}: {error}")
+        return "refused", str(error)[:REASON]
+
+    def _answer(self, incoming: Incoming, sender: Envelope, verdicts: list[Verdict]) -> None:
+        """Tell the verdicts, after booking the request against its sender when it brought nothing."""
+        version = 0 if verdicts[-1][0] == "refused" else self.required_version
+        told, reasons = zip(*verdicts, strict=True)
+        if not set(told) & WORTH_LOOKING:
+            self._bad(sender.name, f"chunk {sender.sequence} is a {told[0]}.")
+        incoming.reply(ChunkAck(told, reasons, self.intake.expected(sender), version).encode())
+
+    def _tell(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:
+        """Write a verdict into the history; of missing steps only when there are any."""
+        if verdict == "missing" and steps == 0:
+            return
+        number = sender.sequence
+        self._history.add(Entry(verdict, sender.name, sender.incarnation, number, number, steps, produced, flown))
+
+    def _queue(self, sender: Envelope, chunk: Chunk, produced: int, flown: int, owed: Owed | None) -> Verdict:
+        """Book a chunk and put it into the queue, as soon as there is room."""
+        while True:
+            with self.gate:
+                if self._closing.is_set():
+                    return "closed", ""
+                if not self.arrivals.full():
+                    # This thread alone puts, so the free place stays free.
+                    steps = chunk.rows.steps
+                    lost = self.intake.accept(sender, steps, produced, flown)
+                    self._tell("missing", sender, lost)
+                    self._tell("accepted", sender, steps, produced, flown)
+                    self.offenders.good(sender.name)
+                    self._owed = owed
+                    self.arrivals.put_nowait(Arrival(chunk, sender, *self.intake.now(), owed))
+                    return TAKEN
+            self._dealt_with.set()
+            self._closing.wait(FULL_SECONDS)
+
+    def _bad(self, worker: str, reason: str) -> None:
+        if self.offenders.bad(worker, reason):
+            log(f"{self.offenders.refusal(worker)}; looked at again in {CUT_SECONDS:.0f} s.")
+
+    def _log(self, text: str) -> None:
+        self._logged += 1
+        if self._logged <= LOGGED_REFUSALS:
+            log(text)

@@ -1,0 +1,151 @@
+"""`learner.networks.stacked.Pass` by compiled kernels, on one or more processor cores."""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from learner.networks import kernels
+from learner.networks.kernels import (
+    COLUMNS,
+    FAN_IN,
+    FAN_OUT,
+    FIRST,
+    HEAD,
+    OUTPUT,
+    OWN,
+    OWN_SIZE,
+    ROW,
+    ROWS,
+    SECOND,
+    WIDTH,
+    Table,
+)
+from learner.networks.matrix_products import piece_size
+from learner.networks.stacked import Bank, Parameters, Pass, StackedPass
+
+
+def make_pass(bank: Bank, like: Tensor, *, cores: int) -> Pass:
+    """Return the pass of a bank: compiled for so many processor cores, or stacked where that is 0."""
+    return CompiledPass(bank, like, cores) if cores else StackedPass(bank, like)
+
+
+def shares(costs: Sequence[float], cores: int) -> tuple[Table, Table]:
+    """Share things out among cores so that all take about as long: the dearest first, each to who has least.
+
+    Returns:
+        the order in which the things of a core are neighbours; where each core's begin, and the end [parts + 1].
+    """
+    parts: list[list[int]] = [[] for _ in range(max(1, min(cores, len(costs))))]
+    loads = [0.0] * len(parts)
+    for thing in sorted(range(len(costs)), key=lambda thing: -costs[thing]):
+        least = loads.index(min(loads))
+        parts[least].append(thing)
+        loads[least] += costs[thing]
+    order = [thing for part in parts for thing in sorted(part)]
+    bounds = [0, *itertools.accumulate(len(part) for part in parts)]
+    return np.array(order, np.int64), np.array(bounds, np.int64)
+
+
+def usable_cores(threads: int) -> int:
+    """Return on how many cores kernels can compute where torch has so many threads; numba has a limit of its own."""
+    return int(min(threads, vars(numba.config)["NUMBA_NUM_THREADS"]))
+
+
+def even(size: int, cores: int) -> Table:
+    """Return where the parts of a vector begin that the cores sweep, and its end [cores + 1]."""
+    return np.linspace(0, size, cores + 1).astype(np.int64)
+
+
+def storage(tensor: Tensor) -> NDArray[Any]:
+    """Return all of a CPU tensor's storage as a flat array."""
+    whole = tensor.as_strided((tensor.untyped_storage().nbytes() // tensor.element_size(),), (1,), 0)
+    array: NDArray[Any] = whole.numpy()
+    return array
+
+
+class CompiledPass:
+    """A `Pass` by the functions of `learner.networks.kernels`; see there."""
+
+    def __init__(self, bank: Bank, like: Tensor, cores: int) -> None:
+        self.bank = bank
+        table = _table(bank)
+        costs = table[:, ROWS] * table[:, WIDTH] * (table[:, FAN_IN] + table[:, WIDTH] + table[:, FAN_OUT])
+        self._order, self._bounds = shares(costs.tolist(), cores)
+        self._table, self._parts = table[self._order], self._bounds.shape[0] - 1
+        size, kind = bank.rows * bank.hidden, like.new_empty(0).numpy().dtype
+        hidden = np.zeros(2 * size + kernels.APART, kind)
+        self._h1, self._h2 = hidden[:size], hidden[size + kernels.APART :]
+        space = max(kernels.scratch_size(s.rows, bank.hidden, s.action_size) for s in bank.stacks)
+        self._piece = piece_size()
+        self._scratch = np.zeros(self._parts * space, self._h1.dtype)
+        self.output = like.new_empty(bank.outputs)
+        self._output = self.output.numpy()
+        self._nothing = (self._h1[:0], np.zeros(table.shape[0], np.int64))
+        self._known: dict[tuple[int, ...], tuple[NDArray[Any], Table, Sequence[Tensor]]] = {}
+
+    def _placed(self, tensors: Sequence[Tensor]) -> tuple[NDArray[Any], Table]:
+        """Return the storage of one tensor for each stack, and where each network's part starts in it."""
+        # All are views of one storage in the team's order, so whoever begins, steps and ends alike is alike.
+        key = tensors[0].data_ptr(), tensors[0].stride(0), tensors[-1].data_ptr(), len(tensors)
+        found = self._known.get(key)
+        if found is None:
+            starts = [t.storage_offset() + n * t.stride(0) for t in tensors for n in range(t.shape[0])]
+            # The tensors are kept, so that nothing else can come to stand at their addresses.
+            found = self._known[key] = (storage(tensors[0]), np.array(starts, np.int64)[self._order], tensors)
+        return found[0], found[1]
+
+    def forward(self, parameters: Parameters, inputs: Sequence[Tensor], delta: Sequence[Tensor] = ()) -> Tensor:
+        """See `Pass`."""
+        x, starts = self._placed(inputs)
+        change, places = self._placed(delta) if delta else self._nothing
+        work = self._table, starts, x, parameters.flat.numpy(), change, places, self._h1, self._h2, self._output
+        if self._parts > 1:
+            kernels.forward_on_cores(self._bounds, *work, self._piece)
+        else:
+            kernels.forward(*work, self._piece)
+        return self.output
+
+    def parameter_gradient(
+        self, parameters: Parameters, inputs: Sequence[Tensor], upstream: Tensor, into: Parameters
+    ) -> None:
+        """See `Pass`."""
+        x, starts = self._placed(inputs)
+        flat, above = parameters.flat.numpy(), upstream.numpy()
+        work = self._table, starts, x, flat, above, self._h1, self._h2, self._scratch, into.flat.numpy()
+        if self._parts > 1:
+            kernels.parameter_gradient_on_cores(self._bounds, *work, self._piece)
+        else:
+            kernels.parameter_gradient(*work, self._piece)
+
+    def action_gradient(self, parameters: Parameters, upstream: Tensor, into: Sequence[Tensor]) -> None:
+        """See `Pass`."""
+        slopes, places = self._placed(into)
+        flat, above = parameters.flat.numpy(), upstream.numpy()
+        work = self._table, flat, above, self._h1, self._h2, self._scratch, slopes, places
+        if self._parts > 1:
+            kernels.action_gradient_on_cores(self._bounds, *work, self._piece)
+        else:
+            kernels.action_gradient(*work, self._piece)
+
+
+def _table(bank: Bank) -> Table:
+    """Return where each network's parts are; see `learner.networks.kernels`."""
+    rows = np.zeros((sum(stack.count for stack in bank.stacks), COLUMNS), np.int64)
+    n = output = 0
+    for stack, first, second, head in zip(bank.stacks, *bank.typed, strict=True):
+        for index in range(stack.count):
+            line = rows[n]
+            line[ROWS], line[FAN_IN], line[FAN_OUT] = stack.rows, 1 + stack.inputs, stack.outputs
+            line[WIDTH] = bank.hidden
+            for column, block in ((FIRST, first), (SECOND, second), (HEAD, head)):
+                line[column] = block.parameter + index * block.size
+            line[ROW], line[OUTPUT] = first.row + index * stack.rows, output
+            line[OWN], line[OWN_SIZE] = stack.action + index * stack.action_step, stack.action_size
+            output += stack.rows * stack.outputs
+            n += 1
+    return rows

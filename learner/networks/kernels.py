@@ -1,0 +1,370 @@
+"""The learner's arithmetic compiled for processor cores: passes of small networks, and Adam.
+
+A network's products, its biases, its rectifiers and their gradients follow one another while its numbers are in the
+cache. All arrays are flat and contiguous; a table says where each network's parts start. The products are those of
+`learner.networks.matrix_products`.
+
+The functions whose names end in `_on_cores` share the same work: `bounds` says which lines of the table, or which
+numbers, each core takes. A network's own numbers are the same on any number of cores.
+"""
+
+from typing import Final
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from learner.networks.compilation import compiled, shared
+from learner.networks.matrix_products import Floats, multiply, multiply_by_turned, multiply_turned
+
+Table = NDArray[np.int64]
+
+ROWS, FAN_IN, WIDTH, FAN_OUT, FIRST, SECOND, HEAD, ROW, OUTPUT, OWN, OWN_SIZE, COLUMNS = range(12)
+"""Columns of a table: rows; inputs with the one; units of a hidden layer; outputs; where the layers start in the flat
+parameters; where the rows start among all rows; where the outputs start; the first input of the own action and its
+size."""
+
+APART: Final = 336
+"""Numbers between one buffer of a network and the next: without them lines of all would share a place in the cache."""
+SWEEP: Final = 2048
+"""Parameters that Adam takes before their target follows, so that these are still in the cache."""
+
+
+@compiled
+def forward(
+    table: Table,
+    starts: Table,
+    x: Floats,
+    parameters: Floats,
+    delta: Floats,
+    places: Table,
+    h1: Floats,
+    h2: Floats,
+    output: Floats,
+    piece: int,
+) -> None:
+    """Compute h1, h2 and the outputs of all networks.
+
+    Args:
+        table: one row for each network, see above.
+        starts: where each network's inputs start in `x`.
+        x: inputs, rows with a leading one.
+        parameters: all layers.
+        delta: what is added to the own actions; empty for nothing.
+        places: where each network's part of `delta` starts.
+        h1: activations of the first layer [all rows * hidden], written.
+        h2: those of the second, written.
+        output: written.
+        piece: see `learner.networks.matrix_products.piece_size`.
+    """
+    width = table[0, WIDTH]
+    none = np.zeros(width, h1.dtype)
+    for n in range(table.shape[0]):
+        rows, fan_in, fan_out = table[n, ROWS], table[n, FAN_IN], table[n, FAN_OUT]
+        start, end = table[n, ROW] * width, (table[n, ROW] + rows) * width
+        inputs = x[starts[n] : starts[n] + rows * fan_in].reshape((rows, fan_in))
+        first = parameters[table[n, FIRST] : table[n, FIRST] + fan_in * width].reshape((fan_in, width))
+        lower, upper = h1[start:end].reshape((rows, width)), h2[start:end].reshape((rows, width))
+        multiply(inputs, first, lower, piece)
+        if delta.shape[0] > 0:
+            size, own = table[n, OWN_SIZE], table[n, OWN]
+            _shift(lower, delta[places[n] : places[n] + rows * size].reshape((rows, size)), first[own : own + size])
+        _rectify(lower, none)
+        begin = table[n, SECOND]
+        bias = parameters[begin : begin + width]
+        second = parameters[begin + width : begin + width + width * width].reshape((width, width))
+        multiply(lower, second, upper, piece)
+        _rectify(upper, bias)
+        begin = table[n, HEAD]
+        bias = parameters[begin : begin + fan_out]
+        head = parameters[begin + fan_out : begin + fan_out + width * fan_out]
+        result = output[table[n, OUTPUT] : table[n, OUTPUT] + rows * fan_out]
+        if fan_out == 1:
+            np.dot(upper, head, result)
+            result += bias[0]
+        else:
+            wide = result.reshape((rows, fan_out))
+            np.dot(upper, head.reshape((width, fan_out)), wide)
+            for r in range(rows):
+                for c in range(fan_out):
+                    wide[r, c] += bias[c]
+
+
+@compiled
+def parameter_gradient(
+    table: Table,
+    starts: Table,
+    x: Floats,
+    parameters: Floats,
+    upstream: Floats,
+    h1: Floats,
+    h2: Floats,
+    scratch: Floats,
+    into: Floats,
+    piece: int,
+) -> None:
+    """Write the gradient of sum(upstream * output) by all parameters.
+
+    `scratch` is as large as `scratch_size` tells.
+    """
+    width = table[0, WIDTH]
+    for n in range(table.shape[0]):
+        rows, fan_in, fan_out = table[n, ROWS], table[n, FAN_IN], table[n, FAN_OUT]
+        start, end = table[n, ROW] * width, (table[n, ROW] + rows) * width
+        lower, upper = h1[start:end].reshape((rows, width)), h2[start:end].reshape((rows, width))
+        z2, z1, rest = _scratch(scratch, rows, width)
+        above = upstream[table[n, OUTPUT] : table[n, OUTPUT] + rows * fan_out]
+        begin = table[n, HEAD]
+        head = parameters[begin + fan_out : begin + fan_out + width * fan_out]
+        slope = into[begin + fan_out : begin + fan_out + width * fan_out]
+        bias = into[begin : begin + fan_out]
+        if fan_out == 1:
+            bias[0] = above.sum()
+            np.dot(upper.T, above, slope)
+            _outer(above, head, upper, z2)
+        else:
+            wide = above.reshape((rows, fan_out))
+            _column_sums(wide, bias)
+            np.dot(upper.T, wide, slope.reshape((width, fan_out)))
+            np.dot(wide, head.reshape((width, fan_out)).T, z2)
+            _mask(z2, upper)
+        begin = table[n, SECOND]
+        _column_sums(z2, into[begin : begin + width])
+        second = parameters[begin + width : begin + width + width * width].reshape((width, width))
+        slopes = into[begin + width : begin + width + width * width].reshape((width, width))
+        multiply_turned(lower, z2, slopes, piece)
+        multiply_by_turned(z2, second, z1, rest, piece)
+        _mask(z1, lower)
+        inputs = x[starts[n] : starts[n] + rows * fan_in].reshape((rows, fan_in))
+        begin = table[n, FIRST]
+        multiply_turned(inputs, z1, into[begin : begin + fan_in * width].reshape((fan_in, width)), piece)
+
+
+@compiled
+def action_gradient(
+    table: Table,
+    parameters: Floats,
+    upstream: Floats,
+    h1: Floats,
+    h2: Floats,
+    scratch: Floats,
+    into: Floats,
+    places: Table,
+    piece: int,
+) -> None:
+    """Add the gradient of sum(upstream * output) by the own actions to `into`, for scalar networks."""
+    width = table[0, WIDTH]
+    for n in range(table.shape[0]):
+        rows = table[n, ROWS]
+        start, end = table[n, ROW] * width, (table[n, ROW] + rows) * width
+        lower, upper = h1[start:end].reshape((rows, width)), h2[start:end].reshape((rows, width))
+        z2, z1, rest = _scratch(scratch, rows, width)
+        above = upstream[table[n, OUTPUT] : table[n, OUTPUT] + rows]
+        begin = table[n, HEAD]
+        _outer(above, parameters[begin + 1 : begin + 1 + width], upper, z2)
+        begin = table[n, SECOND] + width
+        second = parameters[begin : begin + width * width].reshape((width, width))
+        multiply_by_turned(z2, second, z1, rest, piece)
+        _mask(z1, lower)
+        size, own = table[n, OWN_SIZE], table[n, FIRST] + table[n, OWN] * width
+        part = rest[: rows * size]
+        np.dot(z1, parameters[own : own + size * width].reshape((size, width)).T, part.reshape((rows, size)))
+        slope = into[places[n] : places[n] + rows * size]
+        for k in range(rows * size):
+            slope[k] += part[k]
+
+
+def scratch_size(rows: int, width: int, action: int) -> int:
+    """Return how many numbers gradients need besides, for rows of a width with own actions."""
+    return 2 * (rows * width + APART) + max(rows * action, width * width)
+
+
+@compiled
+def _scratch(scratch: Floats, rows: int, width: int) -> tuple[Floats, Floats, Floats]:
+    """Return two buffers [rows, width] and the numbers behind them."""
+    size = rows * width
+    first, second = scratch[:size], scratch[size + APART : 2 * size + APART]
+    return first.reshape((rows, width)), second.reshape((rows, width)), scratch[2 * (size + APART) :]
+
+
+@compiled
+def _shift(sums: Floats, change: Floats, weights: Floats) -> None:
+    """Add what a change of a few inputs [rows, a] adds to sums [rows, width]."""
+    for r in range(sums.shape[0]):
+        for k in range(change.shape[1]):
+            for c in range(sums.shape[1]):
+                sums[r, c] += change[r, k] * weights[k, c]
+
+
+@compiled
+def _rectify(values: Floats, bias: Floats) -> None:
+    """Write max(values + bias, 0); adding a bias of zeros is what keeps the loop in vector instructions."""
+    for r in range(values.shape[0]):
+        for c in range(values.shape[1]):
+            value = values[r, c] + bias[c]
+            values[r, c] = value if value > 0 else values.dtype.type(0)
+
+
+@compiled
+def _mask(gradient: Floats, activation: Floats) -> None:
+    for r in range(gradient.shape[0]):
+        for c in range(gradient.shape[1]):
+            gradient[r, c] = gradient[r, c] if activation[r, c] > 0 else gradient.dtype.type(0)
+
+
+@compiled
+def _outer(above: Floats, head: Floats, activation: Floats, out: Floats) -> None:
+    """Write the gradient by a scalar head's sums below, above head^T, where the activation is above 0."""
+    for r in range(out.shape[0]):
+        slope, active, row = above[r], activation[r], out[r]
+        for c in range(head.shape[0]):
+            row[c] = slope * head[c] if active[c] > 0 else out.dtype.type(0)
+
+
+@compiled
+def _column_sums(values: Floats, out: Floats) -> None:
+    out[:] = 0
+    for r in range(values.shape[0]):
+        for c in range(values.shape[1]):
+            out[c] += values[r, c]
+
+
+@compiled
+def adam(
+    parameters: Floats,
+    gradient: Floats,
+    mean: Floats,
+    square: Floats,
+    settings: Floats,
+    target: Floats,
+) -> None:
+    """Take one Adam step in one sweep, and let the target follow where there is one.
+
+    Args:
+        parameters: [P], changed.
+        gradient: [P].
+        mean: first moments [P], changed.
+        square: second moments [P], changed.
+        settings: 1 - beta1, beta2, 1 - beta2, the scaled rate, the scaled epsilon, xi.
+        target: [P], or empty.
+    """
+    blend, keep, take, rate, epsilon, follow = settings
+    for start in range(0, parameters.shape[0], SWEEP):
+        part = slice(start, start + SWEEP)
+        values, slopes = parameters[part], gradient[part]
+        means, squares, followers = mean[part], square[part], target[part]
+        for i in range(values.shape[0]):
+            first = means[i] + (slopes[i] - means[i]) * blend
+            second = squares[i] * keep + slopes[i] * slopes[i] * take
+            means[i], squares[i] = first, second
+            values[i] -= rate * first / (np.sqrt(second) + epsilon)
+        for i in range(followers.shape[0]):
+            followers[i] += (values[i] - followers[i]) * follow
+
+
+@compiled
+def spread(source: Floats, table: Table, rows: int, out: Floats) -> None:
+    """Copy pieces of rows from one flat buffer to another.
+
+    A line (from, step, size, to, stride) of the table copies source[from + b * step + 0 .. size] to
+    out[to + b * stride + 0 .. size] for each row b.
+    """
+    for n in range(table.shape[0]):
+        begin, step, size, start, stride = table[n, 0], table[n, 1], table[n, 2], table[n, 3], table[n, 4]
+        for b in range(rows):
+            # Slices, because an index that could be negative keeps a loop from vector instructions.
+            piece = source[begin + b * step : begin + b * step + size]
+            place = out[start + b * stride : start + b * stride + size]
+            for k in range(size):
+                place[k] = piece[k]
+
+
+@shared
+def forward_on_cores(
+    bounds: Table,
+    table: Table,
+    starts: Table,
+    x: Floats,
+    parameters: Floats,
+    delta: Floats,
+    places: Table,
+    h1: Floats,
+    h2: Floats,
+    output: Floats,
+    piece: int,
+) -> None:
+    """Do `forward`; `places` has a line for each network, even where `delta` is empty."""
+    for part in numba.prange(bounds.shape[0] - 1):
+        a, b = bounds[part], bounds[part + 1]
+        forward(table[a:b], starts[a:b], x, parameters, delta, places[a:b], h1, h2, output, piece)
+
+
+@shared
+def parameter_gradient_on_cores(
+    bounds: Table,
+    table: Table,
+    starts: Table,
+    x: Floats,
+    parameters: Floats,
+    upstream: Floats,
+    h1: Floats,
+    h2: Floats,
+    scratch: Floats,
+    into: Floats,
+    piece: int,
+) -> None:
+    """Do `parameter_gradient`; `scratch` is as large for each core."""
+    size = scratch.shape[0] // (bounds.shape[0] - 1)
+    for part in numba.prange(bounds.shape[0] - 1):
+        a, b = bounds[part], bounds[part + 1]
+        own = scratch[part * size : (part + 1) * size]
+        parameter_gradient(table[a:b], starts[a:b], x, parameters, upstream, h1, h2, own, into, piece)
+
+
+@shared
+def action_gradient_on_cores(
+    bounds: Table,
+    table: Table,
+    parameters: Floats,
+    upstream: Floats,
+    h1: Floats,
+    h2: Floats,
+    scratch: Floats,
+    into: Floats,
+    places: Table,
+    piece: int,
+) -> None:
+    """Do `action_gradient`; `scratch` is as large for each core, each of which adds up a sum of its own first."""
+    parts = bounds.shape[0] - 1
+    size = scratch.shape[0] // parts
+    sums = np.zeros((parts, into.shape[0]), into.dtype)
+    for part in numba.prange(parts):
+        a, b = bounds[part], bounds[part + 1]
+        own = scratch[part * size : (part + 1) * size]
+        action_gradient(table[a:b], parameters, upstream, h1, h2, own, sums[part], places[a:b], piece)
+    for part in range(parts):
+        for k in range(into.shape[0]):
+            into[k] += sums[part, k]
+
+
+@shared
+def adam_on_cores(
+    bounds: Table,
+    parameters: Floats,
+    gradient: Floats,
+    mean: Floats,
+    square: Floats,
+    settings: Floats,
+    target: Floats,
+) -> None:
+    """Do `adam`."""
+    for part in numba.prange(bounds.shape[0] - 1):
+        a, b = bounds[part], bounds[part + 1]
+        adam(parameters[a:b], gradient[a:b], mean[a:b], square[a:b], settings, target[a:b])
+
+
+@shared
+def spread_on_cores(bounds: Table, source: Floats, table: Table, rows: int, out: Floats) -> None:
+    """Do `spread`."""
+    for part in numba.prange(bounds.shape[0] - 1):
+        spread(source, table[bounds[part] : bounds[part + 1]], rows, out)

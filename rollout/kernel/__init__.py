@@ -1,1 +1,0 @@
-"""The compiled simulator, one module for each subject; `rollout.farms` is its only entrance."""

@@ -1,0 +1,1 @@
+"""Pictures of a farm: for a window, a terminal, a file or a film."""

@@ -1,0 +1,252 @@
+"""The farm's map in a matplotlib picture: plots, sensors, reach, trails, links and UAVs.
+
+Every picture that shows a farm in motion has one such map or several; who owns the figure decides what else is in it.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import EllipseCollection, LineCollection, PathCollection
+from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.path import Path
+from matplotlib.textpath import TextPath
+from numpy.typing import NDArray
+
+from common.team import COLLECTION, COMMUNICATION, MONITORING, farm_team
+from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, SENSOR_MARKERS, SOIL_STOPS, TYPES, shade
+from rollout.rendering.scene import TRAIL_STEPS, Scene, camera_radius, radio_radius
+
+Numbers = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+SOIL: Final = LinearSegmentedColormap.from_list("soil", SOIL_STOPS)
+INK: Final = "0.2"
+SMALL: Final[dict[str, Any]] = {"fontsize": 8, "color": INK}
+PIECE_STEPS: Final = 4
+"""Steps of a trail that share one opacity."""
+FULL: Final = 0.85
+"""Opacity of a trail's newest end."""
+
+
+class FarmMap:
+    """Draws scenes of one environment into axes, whose farm may change from scene to scene.
+
+    Args:
+        axes: where.
+        scene: the first.
+
+    Attributes:
+        artists: what moves, to be drawn over the plots in this order.
+    """
+
+    def __init__(self, axes: Axes, scene: Scene) -> None:
+        world = scene.config.world
+        self._map = axes
+        margin = 0.02 * max(world.field_x, world.field_y)
+        axes.set(xlim=(-margin, world.field_x + margin), ylim=(-margin, world.field_y + margin))
+        axes.set(aspect="equal", anchor="W")
+        axes.tick_params(labelsize=8, colors=INK)
+        axes.set_xlabel("x, m", **SMALL)
+        axes.set_ylabel("y, m", labelpad=1, **SMALL)
+        self._circles = self._make_circles(scene)
+        self._links = LineCollection([], colors="0.15", linewidths=1.1, linestyles=(0, (1.0, 1.6)), zorder=3)
+        self._trails = LineCollection([], linewidths=2.0, capstyle="butt", joinstyle="round", zorder=3)
+        axes.add_collection(self._links)
+        axes.add_collection(self._trails)
+        self._sensors = _make_sensors(axes, scene)
+        self._uavs, self._numbers = _make_uavs(axes, scene)
+        self._plots: tuple[slice, slice, Indices, Indices] | None = None
+        self.artists: tuple[Any, ...] = (
+            *self._circles,
+            self._links,
+            self._trails,
+            *self._sensors,
+            *self._uavs,
+            *self._numbers,
+        )
+
+    def pixel(self, x: float, y: float) -> tuple[int, int]:
+        """Return row and column of a place of the field in the picture."""
+        right, up = self._map.transData.transform((x, y))
+        return int(self._map.figure.bbox.height - 1 - int(up)), int(right)
+
+    def update(self, scene: Scene) -> None:
+        """Give every moving artist its present data."""
+        slices = dict(zip(TYPES, farm_team(scene.config).agent_slices(), strict=True))
+        for circle, name in zip(self._circles, (MONITORING, COLLECTION), strict=True):
+            circle.set_offsets(scene.position[slices[name]])
+        relays = slices[COMMUNICATION].stop
+        self._links.set_segments([*np.stack([scene.position[scene.assignment], scene.position[relays:]], axis=1)])
+        segments, colours = _trails(scene, slices)
+        self._trails.set_segments(segments)
+        self._trails.set_color(colours)
+        for kind, sensors in enumerate(self._sensors):
+            chosen = scene.layout.sensor_type == kind
+            sensors.set_offsets(scene.layout.sensor_xy[chosen])
+            sensors.set_array(scene.aoi[chosen])
+        for uavs, name in zip(self._uavs, TYPES, strict=True):
+            uavs.set_offsets(scene.position[slices[name]])
+        for index, numbers in enumerate(self._numbers):
+            wearers = [part.start + index for part in slices.values() if part.start + index < part.stop]
+            numbers.set_offsets(scene.position[wearers])
+
+    def _make_plots(self, scene: Scene) -> tuple[slice, slice, Indices, Indices]:
+        """Return the map's rows and columns of pixels, and which plot each of them shows."""
+        world = scene.config.world
+        bottom, left = self.pixel(0.0, 0.0)
+        top, right = self.pixel(world.field_x, world.field_y)
+        rows, columns = slice(top, bottom + 1), slice(left, right + 1)
+        height, width = rows.stop - rows.start, columns.stop - columns.start
+        across = np.arange(width) * world.plots_x // width
+        up = (np.arange(height) * world.plots_y // height)[::-1]
+        return rows, columns, across, up
+
+    def draw_plots(self, pixels: NDArray[np.uint8], scene: Scene) -> None:
+        """Copy the plots' colours into the picture's pixels [H, W, 4], whose layout is drawn and final."""
+        self._plots = self._plots or self._make_plots(scene)
+        rows, columns, across, up = self._plots
+        colours = np.full((*scene.vdf.shape, 4), 255, np.uint8)
+        colours[..., :3] = shade(SOIL_STOPS, scene.vdf / scene.config.world.vdf_max)
+        packed = colours.view(np.uint32)[..., 0].T
+        pixels.view(np.uint32)[rows, columns, 0] = packed.take(up, axis=0).take(across, axis=1)
+
+    def _make_circles(self, scene: Scene) -> list[EllipseCollection]:
+        """Make the reach of cameras and of sensors' radios around the UAVs."""
+        circles = []
+        for name, radius in ((MONITORING, camera_radius(scene.config)), (COLLECTION, radio_radius(scene.config))):
+            circle = EllipseCollection(
+                2.0 * radius,
+                2.0 * radius,
+                0.0,
+                units="xy",
+                offsets=np.zeros((1, 2)),
+                offset_transform=self._map.transData,
+                facecolors=[to_rgba(COLOURS[name], 0.14)],
+                edgecolors=[to_rgba(COLOURS[name], 0.9)],
+                linewidths=0.9,
+                zorder=2,
+            )
+            self._map.add_collection(circle)
+            circles.append(circle)
+        return circles
+
+
+def _trails(scene: Scene, slices: dict[str, slice]) -> tuple[list[Numbers], list[tuple[float, float, float, float]]]:
+    """Return the trails' pieces, [k, 2] each, and their colours, which fade with age."""
+    pieces: list[Numbers] = []
+    colours: list[tuple[float, float, float, float]] = []
+    last = len(scene.trail) - 1
+    for name, part in slices.items():
+        for newest in range(last, 0, -PIECE_STEPS):
+            piece = scene.trail[max(0, newest - PIECE_STEPS) : newest + 1, part]
+            faded = to_rgba(COLOURS[name], FULL * (1.0 - (last - newest) / TRAIL_STEPS))
+            pieces += list(piece.swapaxes(0, 1))
+            colours += [faded] * piece.shape[1]
+    return pieces, colours
+
+
+def _make_sensors(axes: Axes, scene: Scene) -> list[PathCollection]:
+    world = scene.config.world
+    return [
+        axes.scatter(
+            [],
+            [],
+            c=[],
+            cmap=AGE_MAP,
+            norm=Normalize(0.0, world.aoi_max),
+            marker=SENSOR_MARKERS[kind % len(SENSOR_MARKERS)],
+            s=17,
+            linewidths=0.3,
+            edgecolors="0.35",
+            zorder=2.5,
+        )
+        for kind in range(len(world.sensor_cycles))
+    ]
+
+
+def _make_uavs(axes: Axes, scene: Scene) -> tuple[list[PathCollection], list[PathCollection]]:
+    """Make a marker for each type, and for each number the sign of it inside the markers."""
+    uavs = [
+        axes.scatter(
+            [], [], color=COLOURS[name], marker=END_MARKERS[name], s=230, linewidths=1.2, edgecolors="white", zorder=5
+        )
+        for name in TYPES
+    ]
+    most = max(group.count for group in farm_team(scene.config).groups)
+    numbers = [
+        axes.scatter([], [], color="white", marker=_digits(index), s=38 if index < 10 else 70, linewidths=0.3, zorder=6)
+        for index in range(most)
+    ]
+    return uavs, numbers
+
+
+def _digits(number: int) -> Path:
+    """Return a number's outline as polygons, which are drawn faster than the curves of a font."""
+    outline = TextPath((0.0, 0.0), str(number))
+    centre = outline.get_extents().get_points().mean(axis=0)
+    return Path.make_compound_path(*(Path(polygon - centre) for polygon in outline.to_polygons()))
+
+
+def make_scales(figure: Figure, scene: Scene, across: tuple[float, float], bottoms: tuple[float, float]) -> None:
+    """Draw the colour bars of AoI and VDF.
+
+    Args:
+        figure: where.
+        scene: of which farm.
+        across: left edge and width, as shares of the figure.
+        bottoms: lower edges of both.
+    """
+    world = scene.config.world
+    bars = (
+        (bottoms[0], AGE_MAP, world.aoi_max, "AoI of a sensor, units"),
+        (bottoms[1], SOIL, world.vdf_max, "VDF of a plot, units"),
+    )
+    for bottom, colours, most, label in bars:
+        axes = figure.add_axes((across[0], bottom, across[1], 0.018))
+        mappable = ScalarMappable(Normalize(0.0, most), colours)
+        bar = figure.colorbar(mappable, cax=axes, orientation="horizontal")
+        bar.outline.set_linewidth(0.4)
+        axes.tick_params(labelsize=7, colors=INK, length=2, pad=1)
+        axes.set_title(label, loc="left", pad=2, **SMALL)
+
+
+def make_legend(figure: Figure, scene: Scene, corner: tuple[float, float]) -> None:
+    """Draw what the map's other signs mean, their upper left corner at a place of the figure."""
+    handles = [
+        Line2D([], [], color="0.15", linestyle=(0, (1.0, 1.6)), label="relay and whom it serves"),
+        Line2D([], [], color="0.4", linewidth=2.0, label=f"path of the last {TRAIL_STEPS} steps"),
+        _ring(MONITORING, f"camera, {camera_radius(scene.config):.0f} m"),
+        _ring(COLLECTION, f"half of all packets arrive, {radio_radius(scene.config):.0f} m"),
+    ]
+    for kind, cycle in enumerate(scene.config.world.sensor_cycles):
+        marker = SENSOR_MARKERS[kind % len(SENSOR_MARKERS)]
+        handles.append(
+            Line2D([], [], color="0.45", marker=marker, markersize=5, linestyle="", label=f"sensor, every {cycle} s")
+        )
+    figure.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=corner,
+        fontsize=8,
+        frameon=False,
+        labelcolor=INK,
+        borderaxespad=0.0,
+        handlelength=1.8,
+    )
+
+
+def _ring(name: str, label: str) -> Line2D:
+    return Line2D(
+        [],
+        [],
+        marker="o",
+        markersize=9,
+        linestyle="",
+        label=label,
+        markerfacecolor=to_rgba(COLOURS[name], 0.14),
+        markeredgecolor=COLOURS[name],
+    )

@@ -1,0 +1,163 @@
+"""Showing one environment of a batch: as an array, as text, or to people."""
+
+import importlib
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.control import Control
+
+from common.errors import ConfigError
+from rollout.rendering.scene import Observer, Scene
+from rollout.rendering.terminal import coloured, fitting_width, terminal_text
+from rollout.sim.batch import FarmBatch
+
+RENDER_MODES: Final = ("rgb_array", "ansi", "human")
+"""rgb_array: a picture [H, W, 3] uint8; ansi: text with colours; human: a window where there is one, or a terminal."""
+FRAMES_PER_SECOND: Final = 10
+"""At which a film of an episode is pleasant to watch."""
+
+
+class Picture(Protocol):
+    """Draws scenes, as `rollout.rendering.picture.FarmPicture` does."""
+
+    def draw(self, scene: Scene) -> NDArray[np.uint8]:
+        """Return a scene as [H, W, 3] red, green and blue."""
+
+
+class Screen(Protocol):
+    """Shows scenes to people."""
+
+    def show(self, scene: Scene) -> None:
+        """Show a scene."""
+
+    def close(self) -> None:
+        """Take away what is shown."""
+
+
+def require_mode(mode: str | None) -> None:
+    """Raise ConfigError unless the mode is one of RENDER_MODES, or none."""
+    if mode is not None and mode not in RENDER_MODES:
+        raise ConfigError(f"there is no render mode {mode!r}; there are {', '.join(RENDER_MODES)}.")
+
+
+class Renderer:
+    """Renders one environment of a batch.
+
+    Args:
+        batch: the simulator.
+        index: which environment.
+    """
+
+    def __init__(self, batch: FarmBatch, index: int) -> None:
+        self._observer = Observer(batch, index)
+        self._picture: Picture | None = None
+        self._screen: Screen | None = None
+
+    def observe(self) -> None:
+        """Note the present state for trails and charts; to be called after every reset and step."""
+        self._observer.observe()
+
+    def render(self, mode: str) -> Any:
+        """Show the present state.
+
+        Args:
+            mode: one of RENDER_MODES.
+
+        Returns:
+            a picture [H, W, 3] uint8, a text, or nothing for "human".
+
+        Raises:
+            SimulationError: the environment was never reset.
+        """
+        scene = self._observer.scene()
+        if mode == "ansi":
+            return coloured(terminal_text(scene))
+        if mode == "human":
+            self._screen = self._screen or open_screen()
+            self._screen.show(scene)
+            return None
+        self._picture = self._picture or make_picture(scene)
+        return self._picture.draw(scene)
+
+    def close(self) -> None:
+        """Release the picture and close the window."""
+        self._picture = None
+        if self._screen is not None:
+            self._screen.close()
+            self._screen = None
+
+
+def make_picture(scene: Scene) -> Picture:
+    """Return what draws scenes like this one; matplotlib is imported here, so that workers never pay for it."""
+    picture: Picture = importlib.import_module("rollout.rendering.picture").FarmPicture(scene)
+    return picture
+
+
+def open_screen() -> Screen:
+    """Return a window where matplotlib can open one, and this process's terminal otherwise."""
+    pyplot = importlib.import_module("matplotlib.pyplot")
+    return Window(pyplot) if _has_windows(pyplot) else Terminal(Console())
+
+
+class Window:
+    """A window of matplotlib's.
+
+    Args:
+        pyplot: matplotlib.pyplot with an interactive backend.
+    """
+
+    def __init__(self, pyplot: Any) -> None:
+        self._pyplot = pyplot
+        self._figure: Any = None
+        self._image: Any = None
+        self._picture: Picture | None = None
+
+    def show(self, scene: Scene) -> None:
+        """Show a scene and let the window breathe."""
+        self._picture = self._picture or make_picture(scene)
+        pixels = self._picture.draw(scene)
+        if self._figure is None:
+            height, width = pixels.shape[:2]
+            self._figure = self._pyplot.figure("EIA-SEC farm", figsize=(width / 100, height / 100), dpi=100)
+            self._image = self._figure.figimage(pixels)
+            self._figure.show()
+        self._image.set_data(pixels)
+        self._figure.canvas.draw_idle()
+        self._figure.canvas.flush_events()
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._figure is not None:
+            self._pyplot.close(self._figure)
+
+
+class Terminal:
+    """Text on a console; on a terminal each scene takes the place of the one before.
+
+    Args:
+        console: where to write.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._shown = False
+
+    def show(self, scene: Scene) -> None:
+        """Write a scene."""
+        if self._console.is_terminal:
+            self._console.control(Control.home() if self._shown else Control.clear(), Control.home())
+        width = fitting_width(self._console.width, self._console.height, scene.config.world)
+        self._console.print(terminal_text(scene, width), end="", soft_wrap=True)
+        self._shown = True
+
+    def close(self) -> None:
+        """Leave the last scene where it stands."""
+
+
+def _has_windows(pyplot: Any) -> bool:
+    """Return whether matplotlib's backend opens windows; it falls back to one that does not by itself."""
+    backends = importlib.import_module("matplotlib.backends")
+    windowed = backends.backend_registry.list_builtin(backends.BackendFilter.INTERACTIVE)
+    return pyplot.get_backend().lower() in {name.lower() for name in windowed}

@@ -1,0 +1,141 @@
+"""One environment as text with colours, for terminals: each character holds two pixels, one above the other."""
+
+import io
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.style import Style
+from rich.text import Text
+
+from common.config import WorldConfig
+from common.team import LETTERS, farm_team
+from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, SOIL_STOPS, TYPES, rgb, shade
+from rollout.rendering.scene import Scene
+
+Pixels = NDArray[np.uint8]
+Numbers = NDArray[np.float64]
+
+WIDTH: Final = 72
+"""Characters along x unless the terminal is smaller."""
+LEAST_WIDTH: Final = 16
+"""Characters along x however small the terminal is."""
+EXTRA_LINES: Final = 5
+"""Lines of text around the map."""
+WAITING: Final = 0.5
+"""AoI from which on a sensor is shown; there are more sensors than there is room."""
+LINK: Final = (70, 70, 70)
+BLOCK: Final = "\N{UPPER HALF BLOCK}"
+SCALE_CELLS: Final = 12
+
+
+def terminal_text(scene: Scene, width: int = WIDTH) -> Text:
+    """Return a scene as text.
+
+    Args:
+        scene: what to show.
+        width: characters along x.
+    """
+    pixels = _pixels(scene, width)
+    signs = _signs(scene, len(pixels) // 2, width)
+    text = Text(no_wrap=True)
+    text.append(f"{scene.headline}   mean AoI {scene.aoi.mean():.2f}   mean VDF {scene.vdf.mean():.2f}\n", "bold")
+    for row in range(len(pixels) // 2):
+        for column in range(width):
+            upper, lower = pixels[2 * row, column], pixels[2 * row + 1, column]
+            sign = signs.get((row, column))
+            text.append(*sign if sign else (BLOCK, Style(color=_css(upper), bgcolor=_css(lower))))
+        text.append("\n")
+    _append_rewards(text, scene)
+    _append_keys(text, scene.config.world)
+    return text
+
+
+def coloured(text: Text) -> str:
+    """Return a text with the escape sequences of 24-bit colours in it."""
+    console = Console(
+        file=io.StringIO(), force_terminal=True, color_system="truecolor", width=10_000, legacy_windows=False
+    )
+    with console.capture() as capture:
+        console.print(text, end="", soft_wrap=True)
+    return capture.get()
+
+
+def fitting_width(columns: int, lines: int, world: WorldConfig) -> int:
+    """Return how many characters along x fit into a terminal, the map keeping its shape."""
+    return max(LEAST_WIDTH, min(WIDTH, columns, int(2 * (lines - EXTRA_LINES) * world.field_x / world.field_y)))
+
+
+def _pixels(scene: Scene, width: int) -> Pixels:
+    """Return plots, links and sensors as [H, width, 3]; row 0 is the field's far edge."""
+    world = scene.config.world
+    size = (width, 2 * max(1, round(width * world.field_y / world.field_x / 2)))
+    column, row = ((np.arange(count) * plots) // count for count, plots in zip(size, scene.vdf.shape, strict=True))
+    canvas = shade(SOIL_STOPS, scene.vdf[np.ix_(column, row)] / world.vdf_max)
+    relays = world.communication_uavs
+    for served, relay in enumerate(scene.assignment):
+        ends = _places(world, scene.position[[relay, relays + served]], size)
+        points = np.linspace(ends[0], ends[1], int(np.abs(ends[1] - ends[0]).max()) + 1)[::2]
+        canvas[tuple(np.rint(points).astype(np.int64).T)] = LINK
+    waiting = scene.aoi >= WAITING
+    at = _places(world, scene.layout.sensor_xy[waiting], size)
+    canvas[at[:, 0], at[:, 1]] = shade(AGE_STOPS, scene.aoi[waiting] / world.aoi_max)
+    return canvas.swapaxes(0, 1)[::-1]
+
+
+def _places(world: WorldConfig, xy: Numbers, size: tuple[int, int]) -> NDArray[np.int64]:
+    """Return the pixels of places [k, 2], counted from the field's origin."""
+    share = xy / (world.field_x, world.field_y)
+    places: NDArray[np.int64] = np.minimum((share * size).astype(np.int64), np.array(size) - 1)
+    return places
+
+
+def _signs(scene: Scene, rows: int, width: int) -> dict[tuple[int, int], tuple[str, Style]]:
+    """Return what stands at which (row, column) instead of two pixels: each UAV's letter and number."""
+    signs = {}
+    names = [
+        f"{LETTERS[group.name]}{index}" for group in farm_team(scene.config).groups for index in range(group.count)
+    ]
+    colours = [COLOURS[group.name] for group in farm_team(scene.config).groups for _ in range(group.count)]
+    at = _places(scene.config.world, scene.position, (width, rows))
+    for name, colour, (column, row) in zip(names, colours, at.tolist(), strict=True):
+        first = min(column, width - len(name))
+        for place, letter in enumerate(name):
+            signs[rows - 1 - row, first + place] = (letter, _badge(colour))
+    return signs
+
+
+def _append_rewards(text: Text, scene: Scene) -> None:
+    text.append("reward  ")
+    for name in TYPES:
+        text.append(f" {LETTERS[name]} ", _badge(COLOURS[name]))
+        text.append(f" {scene.reward[name]:.1f}   ")
+    text.append(f"all {scene.reward['mean']:.1f}\n")
+
+
+def _append_keys(text: Text, world: WorldConfig) -> None:
+    for name in TYPES:
+        text.append(f" {LETTERS[name]} ", _badge(COLOURS[name]))
+        text.append(f" {LABELS[name]}   ")
+    text.append(BLOCK, Style(color=_css(LINK)))
+    text.append(" relay link\n")
+    _append_scale(text, "plot, VDF 0 ", SOIL_STOPS, 0.0, world.vdf_max)
+    _append_scale(text, "   sensor, AoI 1 ", AGE_STOPS, 1.0 / world.aoi_max, world.aoi_max)
+    text.append("\n")
+
+
+def _append_scale(text: Text, label: str, stops: tuple[str, ...], least: float, most: int) -> None:
+    text.append(label)
+    for colour in shade(stops, np.linspace(least, 1.0, SCALE_CELLS)):
+        text.append(" ", Style(bgcolor=_css(colour)))
+    text.append(f" {most}")
+
+
+def _badge(colour: str) -> Style:
+    return Style(color="#ffffff", bgcolor=_css(rgb(colour)), bold=True)
+
+
+def _css(colour: "Pixels | tuple[int, int, int]") -> str:
+    red, green, blue = (int(channel) for channel in colour)
+    return f"#{red:02x}{green:02x}{blue:02x}"

@@ -1,0 +1,1 @@
+"""The farm simulator: the compiled kernel, the batch that drives it, and the NumPy reference."""

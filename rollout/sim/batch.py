@@ -1,0 +1,265 @@
+"""A batch of simulated farms, stepped together by one compiled call."""
+
+import copy
+import functools
+import itertools
+import math
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig, WorldConfig
+from common.errors import SimulationError
+from common.seeds import derive, stream
+from common.team import Float32, TeamSpec, farm_team
+from common.transitions import FARM_FIGURES, EpisodeSummary
+from rollout.sim.kernel.arrays import make_scratch
+from rollout.sim.kernel.compiler.argument_pack import FrozenFrame, make_frame
+from rollout.sim.kernel.rewards import REWARD_PARTS
+from rollout.sim.kernel.step import BEGIN, CHECK, NOT_FINITE, OUT_OF_TIME, STEP, run
+from rollout.sim.layout import Layout, make_layout
+
+__all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
+
+TRIES: Final = 200
+"""Random places that are tried for a UAV before the distance it must keep shrinks by a tenth."""
+
+NEVER: Final = 2**30
+"""A step that no episode reaches; cycles are kept in 32 bits."""
+
+
+class FarmBatch:
+    """Environments that share a configuration and nothing else.
+
+    An episode is a pure function of (farm seed, episode seed, actions): bit-equal in a batch of any size and order.
+    There is no automatic reset. All arrays keep their identity over steps and resets; read them, do not write.
+
+    Args:
+        config: the farm.
+        environments: E.
+        threads: how many threads step them, each a share of the environments. Results do not depend on it.
+
+    Attributes:
+        config: the farm.
+        team: layout of a row: c, then m, then d.
+        observation: [E, O] float32, what everybody sees now.
+        reward: [E, n] float32, of the last step.
+        parts: [E, n, K] weighted parts of the last step's reward, named by REWARD_PARTS; they sum to the reward.
+        time: [E] steps done in this episode; -1 before the first reset.
+        terminated: [E] always False (A5).
+        position: [E, n, 2] m.
+        aoi: [E, S] age of information.
+        vdf: [E, n_px, n_py] visual data freshness counters.
+        assignment: [E, n_m + n_d] relay (0 .. n_c - 1) of each monitoring, then of each data collection UAV.
+        service: [E, n_c] D_c, m.
+        direction: [E, n, 2] D_VDF and D_AoI as seen now; (0, 0) if none, and for relays.
+        energy: [E, n] of the last step, J.
+        utility: [E, n] VMUF or DCUF of the last step, units; 0 for relays.
+        served_sensors: [E, n_d] sensors of AoI above 0 that each UAV served in the last step (sum of the shares
+            delivered when `delivery` is expected).
+        link_quality: [E, n_m + n_d] signal-to-noise ratio of the link between each served UAV and its relay, dB:
+            P_ut minus the free-space loss (km and MHz, as in the assignment's cost) minus the noise k_B T B in dBm.
+
+    Raises:
+        ConfigError: the field is too small for the link budget.
+        SimulationError: there is no environment, or no thread.
+    """
+
+    def __init__(self, config: FarmConfig, environments: int, threads: int = 1) -> None:
+        if environments < 1 or threads < 1:
+            raise SimulationError(f"{environments} environments on {threads} threads: both must be at least 1.")
+        self.config = config
+        self.team: TeamSpec = farm_team(config)
+        frame = make_frame(config, environments)
+        scratches = (frame.scratch, *(make_scratch(config) for _ in range(min(threads, environments) - 1)))
+        self._frames = [FrozenFrame(frame._replace(scratch=scratch)) for scratch in scratches]
+        borders = [environments * k // len(self._frames) for k in range(len(self._frames) + 1)]
+        self._shares = list(itertools.pairwise(borders))
+        self._pool = ThreadPoolExecutor(len(self._frames) - 1, "farms") if len(self._frames) > 1 else None
+        self._constants, self._state, self._action = frame.constants, frame.state, frame.action
+        self._seeds: list[tuple[int, int]] = [(-1, -1)] * environments
+        self.observation: Float32 = self._state.observation
+        self.reward: Float32 = self._state.reward
+        self.parts: NDArray[np.float64] = self._state.parts
+        self.time: NDArray[np.int64] = self._state.time
+        self.terminated: NDArray[np.bool_] = np.zeros(environments, np.bool_)
+        self.position: NDArray[np.float64] = self._state.position
+        self.aoi: NDArray[np.float64] = self._state.age
+        self.vdf: NDArray[np.float64] = self._state.level
+        self.assignment: NDArray[np.int64] = self._state.assignment
+        self.service: NDArray[np.float64] = self._state.service
+        self.direction: NDArray[np.float64] = self._state.direction
+        self.energy: NDArray[np.float64] = self._state.energy
+        self.utility: NDArray[np.float64] = self._state.utility
+        self.served_sensors: NDArray[np.float64] = self._state.served
+        self.link_quality: NDArray[np.float64] = self._state.quality
+
+    @property
+    def potential(self) -> Float32:
+        """[E, n] what a relay's reward pays the change of: -alpha_1 D_c t_step, or +alpha_1 as printed (W1)."""
+        weight, levels = self._constants.reward, np.zeros_like(self.reward)
+        levels[:, : self.service.shape[1]] = weight.positioning * self.service * self.config.world.step_seconds
+        return levels
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """[E] whether the episode is over; a farm's is truncated, it never terminates."""
+        return self.truncated
+
+    @property
+    def truncated(self) -> NDArray[np.bool_]:
+        """[E] whether the episode has reached its last step."""
+        finished: NDArray[np.bool_] = self.time == self.config.world.steps
+        return finished
+
+    def layout(self, index: int) -> Layout:
+        """Return the farm of an environment; raise SimulationError before its first reset."""
+        self._begun(index)
+        return make_layout(self.config, self._seeds[index][0])
+
+    def seeds(self, index: int) -> tuple[int, int]:
+        """Return the farm seed and the episode seed of an environment; -1 twice before its first reset."""
+        return self._seeds[index]
+
+    def reset(self, index: int, farm_seed: int, episode_seed: int) -> None:
+        """Start an episode in one environment.
+
+        Args:
+            index: the environment.
+            farm_seed: which farm.
+            episode_seed: where the UAVs start, and which packets arrive.
+
+        Raises:
+            ConfigError: so many sensors do not fit at their spacing.
+        """
+        layout = make_layout(self.config, farm_seed)
+        state, e, world = self._state, index, self.config.world
+        self._seeds[e] = (farm_seed, episode_seed)
+        state.key[e] = packet_key(farm_seed, episode_seed)
+        state.time[e] = 0
+        state.position[e] = start_positions(world, farm_seed, episode_seed)
+        state.age[e], state.level[e] = start_levels(world, farm_seed, episode_seed)
+        state.sensor[e] = layout.sensor_xy.T
+        state.cell_start[e] = layout.cell_start
+        state.by_row[e], state.row_start[e] = by_rows(layout)
+        state.cycle[e] = np.minimum(layout.sensor_cycle_steps, NEVER)
+        state.age_due[e] = np.where(layout.sensor_phase > 0, np.minimum(layout.sensor_phase, NEVER), state.cycle[e])
+        level_due = np.where(layout.plot_phase > 0, layout.plot_phase, self._constants.camera.cycle)
+        state.level_due[e] = np.minimum(level_due, NEVER)
+        state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
+        for array in (state.reward, state.parts, state.energy, state.utility, state.served, state.returns, state.sums):
+            array[e] = 0.0
+        run(self._frames[0].address, BEGIN, e, e + 1)
+
+    def step(self, action: Float32) -> None:
+        """Step every environment.
+
+        Args:
+            action: [E, A] float32, velocities as shares of the largest ones; clipped to [-1, 1].
+
+        Raises:
+            SimulationError: an environment is finished or was never reset, or the actions have another shape or are
+                not finite.
+        """
+        own = self._action
+        if action.shape != own.shape or action.dtype != own.dtype:
+            raise SimulationError(f"actions are {action.dtype}{list(action.shape)}, not float32{list(own.shape)}.")
+        own[...] = action
+        objection = run(self._frames[0].address, CHECK if self._pool else CHECK + STEP, 0, len(own))
+        if objection == NOT_FINITE:
+            raise SimulationError("an action is not finite.")
+        if objection == OUT_OF_TIME:
+            raise SimulationError("an environment was stepped before its reset or beyond its episode's end.")
+        if self._pool:
+            self._step_shares(self._pool)
+
+    def _step_shares(self, pool: ThreadPoolExecutor) -> None:
+        """Step a share of the environments on each thread, the first on the caller's own."""
+        work = list(zip(self._frames, self._shares, strict=True))
+        others = [pool.submit(run, frame.address, STEP, *share) for frame, share in work[1:]]
+        run(work[0][0].address, STEP, *work[0][1])
+        for other in others:
+            other.result()
+
+    def summary(self, index: int) -> EpisodeSummary:
+        """Return what the running episode of an environment came to so far; raise SimulationError before any."""
+        self._begun(index)
+        farm, episode = self._seeds[index]
+        steps = int(self.time[index])
+        aoi, vdf, *rest = self._state.sums[index].tolist()
+        figures = (aoi / max(steps, 1), vdf / max(steps, 1), *rest)
+        return EpisodeSummary(
+            farm=farm,
+            episode=episode,
+            steps=steps,
+            reward=tuple(self._state.returns[index].tolist()),
+            figures=dict(zip(FARM_FIGURES, figures, strict=True)),
+        )
+
+    def close(self) -> None:
+        """Do nothing: farms hold nothing outside this process's memory."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "FarmBatch":
+        """Return farms that go on as these would; threads are started anew."""
+        twin = object.__new__(FarmBatch)
+        memo[id(self)] = twin
+        fresh = ThreadPoolExecutor(len(self._frames) - 1, "farms") if self._pool else None
+        twin.__dict__ |= copy.deepcopy({name: item for name, item in self.__dict__.items() if name != "_pool"}, memo)
+        twin._pool = fresh
+        return twin
+
+    def _begun(self, index: int) -> None:
+        if self.time[index] < 0:
+            raise SimulationError(f"environment {index} has not been reset yet.")
+
+
+@functools.lru_cache(maxsize=256)
+def by_rows(layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the sensors row by row of cells, [S], and where each cell's begin in that list, [cells + 1]."""
+    columns, rows = layout.cells
+    number = np.diff(layout.cell_start)
+    cell = np.arange(columns * rows).reshape(columns, rows)
+    order = np.argsort(np.repeat((cell % rows * columns + cell // rows).ravel(), number), kind="stable")
+    return order, np.concatenate(([0], np.cumsum(number.reshape(columns, rows).T)))
+
+
+def packet_key(farm_seed: int, episode_seed: int) -> int:
+    """Return the 63-bit key from which the fate of every packet of an episode follows."""
+    return derive(farm_seed, episode_seed, "packets")
+
+
+def start_positions(world: WorldConfig, farm_seed: int, episode_seed: int) -> NDArray[np.float64]:
+    """Return where the UAVs start, [n, 2] m: uniform, in one plane at least d_safety apart.
+
+    Where a plane is too crowded for that, the distance shrinks by a tenth until a place is found.
+    """
+    random = stream(farm_seed, episode_seed, "start")
+    places: list[tuple[float, float]] = []
+    for count in (world.communication_uavs, world.monitoring_uavs, world.collection_uavs):
+        plane: list[tuple[float, float]] = []
+        apart, tries = world.safety_distance, 0
+        while len(plane) < count:
+            x, y = random.random() * world.field_x, random.random() * world.field_y
+            if all(math.sqrt((x - a) * (x - a) + (y - b) * (y - b)) >= apart for a, b in plane):
+                plane.append((x, y))
+                tries = 0
+                continue
+            tries += 1
+            if tries % TRIES == 0:
+                apart *= 0.9
+        places += plane
+    return np.array(places)
+
+
+def start_levels(
+    world: WorldConfig, farm_seed: int, episode_seed: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return AoI [S] and VDF [n_px, n_py] at the start: all 0, or uniform over 0..max."""
+    age, level = np.zeros(world.sensors), np.zeros((world.plots_x, world.plots_y))
+    if world.start_levels == "random":
+        random = stream(farm_seed, episode_seed, "levels")
+        age += random.integers(0, world.aoi_max, world.sensors, endpoint=True)
+        level += random.integers(0, world.vdf_max, level.shape, endpoint=True)
+    return age, level

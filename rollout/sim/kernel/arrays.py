@@ -1,0 +1,293 @@
+"""The arrays that the compiled simulator works on, all allocated once."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig
+from common.team import farm_team
+from rollout.sim.kernel.assignment.exchanges import Exchanges, make_exchanges
+from rollout.sim.kernel.constants import Array, Constants, Indices, Int32
+from rollout.sim.kernel.rewards import REWARD_PARTS
+from rollout.sim.layout import cell_counts
+
+Float32 = NDArray[np.float32]
+
+
+class State(NamedTuple):
+    """All environments [E]; UAVs [n] in row order.
+
+    Attributes:
+        key: [E] key of the episode's packets.
+        time: [E] steps done; -1 before the first reset.
+        position: [E, n, 2] m.
+        direction: [E, n, 2] D_VDF and D_AoI seen now.
+        assignment: [E, n_m + n_d] relay of each served UAV.
+        service: [E, n_c] D_c, m.
+        sensor: [E, 2, S] m.
+        cell_start: [E, cells + 1] first sensor of each cell.
+        by_row: [E, S] the sensors row by row of cells.
+        row_start: [E, cells + 1] where each cell's begin in that list, row by row.
+        cycle: [E, S] T_UA, steps.
+        age: [E, S] AoI.
+        age_due: [E, S] step at which it rises next.
+        level: [E, n_px, n_py] VDF.
+        level_due: [E, n_px, n_py] step at which it rises next.
+        observation: [E, O].
+        reward: [E, n] of the last step.
+        parts: [E, n, K] of the last step.
+        energy: [E, n] of the last step, J.
+        utility: [E, n] VMUF and DCUF of the last step.
+        served: [E, n_d] sensors of AoI above 0 that delivered in the last step.
+        returns: [E, n] sums of rewards of the episode.
+        sums: [E, 5] sums over the episode's steps: mean AoI, mean VDF, crowded UAVs, UAVs outside, energy in J.
+        rising: [E, 2] step at which any AoI and any VDF rises next.
+        age_below: [E, cells_y + 1, cells_x] tally of AoI over the sensor cells.
+        age_above: [E, cells_y + 1, cells_x].
+        waiting: [E, 1] how many sensors hold data.
+        level_below: [E, n_py + 1, n_px] tally of VDF over the plots.
+        level_above: [E, n_py + 1, n_px].
+        listed: [E, n_d, observed sensors] sensors that each data collection UAV sees.
+        quality: [E, n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
+    """
+
+    key: NDArray[np.uint64]
+    time: Indices
+    position: Array
+    direction: Array
+    assignment: Indices
+    service: Array
+    sensor: Array
+    cell_start: Int32
+    by_row: Int32
+    row_start: Int32
+    cycle: Int32
+    age: Array
+    age_due: Int32
+    level: Array
+    level_due: Int32
+    observation: Float32
+    reward: Float32
+    parts: Array
+    energy: Array
+    utility: Array
+    served: Array
+    returns: Array
+    sums: Array
+    rising: Indices
+    age_below: Array
+    age_above: Array
+    waiting: Indices
+    level_below: Array
+    level_above: Array
+    listed: Indices
+    quality: Array
+
+
+class Farm(NamedTuple):
+    """One environment: the arrays of State without their first axis, and its two numbers."""
+
+    key: np.uint64
+    step: int
+    position: Array
+    direction: Array
+    assignment: Indices
+    service: Array
+    sensor: Array
+    cell_start: Int32
+    by_row: Int32
+    row_start: Int32
+    cycle: Int32
+    age: Array
+    age_due: Int32
+    level: Array
+    level_due: Int32
+    observation: Float32
+    reward: Float32
+    parts: Array
+    energy: Array
+    utility: Array
+    served: Array
+    returns: Array
+    sums: Array
+    rising: Indices
+    age_below: Array
+    age_above: Array
+    waiting: Indices
+    level_below: Array
+    level_above: Array
+    listed: Indices
+    quality: Array
+
+
+class Assigning(NamedTuple):
+    """Working memory of the assignment.
+
+    Attributes:
+        pair: [n_m + n_d, n_c] cost of each pair.
+        exchanges: of UAVs between relays.
+        cost: [n_m + n_d, n_c capacity] cost of each UAV at each place of a relay.
+        numbers: [3, n_c capacity].
+        indices: [4, n_c capacity].
+    """
+
+    pair: Array
+    exchanges: Exchanges
+    cost: Array
+    numbers: Array
+    indices: Indices
+
+
+class Scratch(NamedTuple):
+    """Working memory of one environment's step.
+
+    Attributes:
+        previous: [n, 2] positions before the step, m.
+        outside: [n] ACT.
+        motivated: [n] M_V and M_D.
+        neighbour: [n] nearest UAV.
+        distance: [n] d_U, m.
+        crowded: [n] whether a UAV of the plane is closer than the collision distance.
+        linked: [n_m + n_d] whether the relay is in range.
+        earlier: [n_c] D_c(k-1), m.
+        centroid: [n_c + 1, 3] m.
+        farthest: [n_c] farthest UAV served.
+        number: [n_c] UAVs served.
+        far: [n_c] distance of the farthest, m.
+        peer: [n] nearest UAV of the plane.
+        apart_square: [n] square of its distance, m^2.
+        x: [n] places, m.
+        y: [n] m.
+        around: [S + 1] sensors around a UAV; the last entry is never read.
+        square: [S + 1] squares of their distances, m^2.
+        nearest_square: [observed sensors] squares of the distances of the nearest, m^2.
+        woken: [n_d] sensor woken by each UAV that is the strongest.
+        power: [n_d] interference, mW.
+        item: [max(S, P)] sensors or plots served.
+        share: [S] shares delivered.
+        assigning: of the assignment.
+    """
+
+    previous: Array
+    outside: Array
+    motivated: Array
+    neighbour: Indices
+    distance: Array
+    crowded: Array
+    linked: Array
+    earlier: Array
+    centroid: Array
+    farthest: Indices
+    number: Array
+    far: Array
+    peer: Indices
+    apart_square: Array
+    x: Array
+    y: Array
+    around: Indices
+    square: Array
+    nearest_square: Array
+    woken: Indices
+    power: Array
+    item: Indices
+    share: Array
+    assigning: Assigning
+
+
+def make_state(config: FarmConfig, environments: int) -> State:
+    """Allocate the environments."""
+    world, team = config.world, farm_team(config)
+    count, uavs, sensors = environments, world.uavs, world.sensors
+    plots, served = (world.plots_x, world.plots_y), world.monitoring_uavs + world.collection_uavs
+    columns, rows = cell_counts(world)
+    return State(
+        key=np.zeros(count, np.uint64),
+        time=np.full(count, -1, np.int64),
+        position=np.zeros((count, uavs, 2)),
+        direction=np.zeros((count, uavs, 2)),
+        assignment=np.zeros((count, served), np.int64),
+        service=np.zeros((count, world.communication_uavs)),
+        sensor=np.zeros((count, 2, sensors)),
+        cell_start=np.zeros((count, columns * rows + 1), np.int32),
+        by_row=np.zeros((count, sensors), np.int32),
+        row_start=np.zeros((count, columns * rows + 1), np.int32),
+        cycle=np.ones((count, sensors), np.int32),
+        age=np.zeros((count, sensors)),
+        age_due=np.zeros((count, sensors), np.int32),
+        level=np.zeros((count, *plots)),
+        level_due=np.zeros((count, *plots), np.int32),
+        observation=np.zeros((count, team.observation_size), np.float32),
+        reward=np.zeros((count, uavs), np.float32),
+        parts=np.zeros((count, uavs, len(REWARD_PARTS))),
+        energy=np.zeros((count, uavs)),
+        utility=np.zeros((count, uavs)),
+        served=np.zeros((count, world.collection_uavs)),
+        returns=np.zeros((count, uavs)),
+        sums=np.zeros((count, 5)),
+        rising=np.zeros((count, 2), np.int64),
+        age_below=np.zeros((count, rows + 1, columns)),
+        age_above=np.zeros((count, rows + 1, columns)),
+        waiting=np.zeros((count, 1), np.int64),
+        level_below=np.zeros((count, world.plots_y + 1, world.plots_x)),
+        level_above=np.zeros((count, world.plots_y + 1, world.plots_x)),
+        listed=np.zeros((count, world.collection_uavs, config.observation.sensors), np.int64),
+        quality=np.zeros((count, served)),
+    )
+
+
+def make_scratch(config: FarmConfig) -> Scratch:
+    """Allocate the working memory of one environment's step."""
+    world = config.world
+    uavs, sensors, collectors = world.uavs, world.sensors, world.collection_uavs
+    served = world.monitoring_uavs + collectors
+    places = world.communication_uavs * config.relay.capacity_for(world)
+    relays = world.communication_uavs
+    return Scratch(
+        previous=np.zeros((uavs, 2)),
+        outside=np.zeros(uavs),
+        motivated=np.zeros(uavs),
+        neighbour=np.zeros(uavs, np.int64),
+        distance=np.zeros(uavs),
+        crowded=np.zeros(uavs),
+        linked=np.zeros(served),
+        earlier=np.zeros(relays),
+        centroid=np.zeros((relays + 1, 3)),
+        farthest=np.zeros(relays, np.int64),
+        number=np.zeros(relays),
+        far=np.zeros(relays),
+        apart_square=np.zeros(uavs),
+        peer=np.zeros(uavs, np.int64),
+        x=np.zeros(uavs),
+        y=np.zeros(uavs),
+        around=np.zeros(sensors + 1, np.int64),
+        square=np.zeros(sensors + 1),
+        nearest_square=np.zeros(config.observation.sensors),
+        woken=np.zeros(collectors, np.int64),
+        power=np.zeros(collectors),
+        item=np.zeros(max(sensors, world.plots_x * world.plots_y), np.int64),
+        share=np.zeros(sensors),
+        assigning=Assigning(
+            pair=np.zeros((served, relays)),
+            exchanges=make_exchanges(served, relays),
+            cost=np.zeros((served, places)),
+            numbers=np.zeros((3, places)),
+            indices=np.zeros((4, places), np.int64),
+        ),
+    )
+
+
+class Frame(NamedTuple):
+    """All that one thread works with.
+
+    Attributes:
+        constants: numbers derived from the configuration.
+        state: the environments, which all threads share.
+        scratch: this thread's own.
+        action: [E, 2 n] of the next step.
+    """
+
+    constants: Constants
+    state: State
+    scratch: Scratch
+    action: Float32

@@ -1,0 +1,1 @@
+"""Which relay serves which UAV: the Hungarian assignment and its repair by exchanges."""

@@ -1,0 +1,116 @@
+"""Monitoring: image quality of plots and their visual data freshness counters."""
+
+import math
+
+from rollout.sim.kernel.compiler.decorators import merged, sealed
+from rollout.sim.kernel.constants import Array, CameraConstants, FleetConstants, Indices, Int32
+from rollout.sim.kernel.spatial.neighbours import is_nearest
+from rollout.sim.kernel.spatial.tallies import add, tally_plots
+
+
+@sealed
+def plot_quality(camera: CameraConstants, x: float, y: float, column: int, row: int) -> float:
+    """Return Q_plot: the share of the plot's grid cells closer than d_th to a UAV over (x, y) (W21, W22)."""
+    good = 0
+    for cell in range(len(camera.grid_x)):
+        dx = (column + camera.grid_x[cell]) * camera.plot_width - x
+        dy = (row + camera.grid_y[cell]) * camera.plot_depth - y
+        good += 1 if dx * dx + dy * dy < camera.ground_square else 0
+    return good / len(camera.grid_x)
+
+
+@sealed
+def photograph(
+    fleet: FleetConstants,
+    camera: CameraConstants,
+    position: Array,
+    apart_square: Array,
+    linked: Array,
+    step: int,
+    rising: Indices,
+    level: Array,
+    due: Int32,
+    below: Array,
+    above: Array,
+    utility: Array,
+    taken: Indices,
+) -> None:
+    """Take an image of every plot, credit the good ones and update VDF (W18 to W23).
+
+    The UAV closest to a plot's centre photographs the whole plot and is credited with VDF(t - t_step); ties go to
+    the lowest index. A plot with VDF 0 that is not due needs no image: it stays at 0 either way.
+
+    Args:
+        fleet: the UAVs.
+        camera: plots and cells.
+        position: [n, 2] m.
+        apart_square: [n] square of the distance to the next UAV of the plane, m^2.
+        linked: [n_m + n_d] 1 where images count (W4).
+        step: number of this step, from 1.
+        rising: [2] the step at which any VDF rises next, in its second entry; updated.
+        level: [n_px, n_py] VDF; updated.
+        due: [n_px, n_py] step at which VDF rises next; updated.
+        below: tally of VDF; updated.
+        above: tally of VDF; updated.
+        utility: [n] out for these UAVs: VMUF of this step.
+        taken: [n_px n_py] scratch.
+    """
+    successes, due_now = 0, rising[1] == step
+    for u in range(fleet.relays, fleet.collectors):
+        utility[u] = 0.0
+        if linked[u - fleet.relays] == 0.0:
+            continue
+        left, right = _span(position[u, 0], camera.reach, camera.plot_width, camera.plots_x)
+        low, high = _span(position[u, 1], camera.reach, camera.plot_depth, camera.plots_y)
+        for column in range(left, right + 1):
+            for row in range(low, high + 1):
+                if level[column, row] == 0.0 and not (due_now and due[column, row] == step):
+                    continue
+                if _succeeds(fleet, camera, position, apart_square, u, column, row):
+                    utility[u] += level[column, row]
+                    taken[successes] = column * camera.plots_y + row
+                    successes += 1
+    if due_now:
+        rising[1] = _rise(camera, step, level, due)
+        tally_plots(level, below, above)
+    for entry in range(successes):
+        column, row = taken[entry] // camera.plots_y, taken[entry] % camera.plots_y
+        add(below, above, column, row, -level[column, row])
+        level[column, row] = 0.0
+
+
+@merged
+def _succeeds(
+    fleet: FleetConstants, camera: CameraConstants, position: Array, apart_square: Array, u: int, column: int, row: int
+) -> bool:
+    """Return whether a UAV is the one to photograph a plot, and its image is good enough."""
+    x, y = position[u, 0], position[u, 1]
+    centre_x, centre_y = (column + 0.5) * camera.plot_width, (row + 0.5) * camera.plot_depth
+    dx, dy = centre_x - x, centre_y - y
+    square = dx * dx + dy * dy
+    return (
+        square <= camera.centre_square
+        and is_nearest(position, apart_square, fleet.relays, fleet.collectors, u, centre_x, centre_y, square)
+        and plot_quality(camera, x, y, column, row) >= camera.threshold
+    )
+
+
+@sealed
+def _rise(camera: CameraConstants, step: int, level: Array, due: Int32) -> int:
+    """Let VDF rise where a cycle ends; return the step at which any rises next."""
+    soonest = step + camera.cycle
+    for column in range(camera.plots_x):
+        for row in range(camera.plots_y):
+            if due[column, row] == step:
+                level[column, row] = min(level[column, row] + 1.0, camera.level_max)
+                due[column, row] += camera.cycle
+            soonest = min(soonest, due[column, row])
+    return soonest
+
+
+@sealed
+def _span(place: float, reach: float, size: float, plots: int) -> tuple[int, int]:
+    """Return the first and last plot along an axis that a reach around a place touches."""
+    low = int(max(0.0, math.floor((place - reach) / size)))
+    high = int(min(plots - 1.0, math.floor((place + reach) / size)))
+    return low, high

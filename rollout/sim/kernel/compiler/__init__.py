@@ -1,0 +1,1 @@
+"""How the kernel is compiled: decorators, packed arguments, prefetching and a vectorisable logarithm."""

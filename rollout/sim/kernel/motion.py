@@ -1,0 +1,148 @@
+"""Flight: speed, energy, the field's border, and the other UAVs nearby."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rollout.sim.kernel.compiler.decorators import sealed
+from rollout.sim.kernel.constants import Array, FleetConstants, FlightConstants, Indices
+from rollout.sim.kernel.planes import height_of, kind_of
+
+Float32 = NDArray[np.float32]
+
+
+@sealed
+def flight_power(flight: FlightConstants, speed: float) -> float:
+    """Return P_fly(|v|), W: as printed, or induced power m g v_i / eta plus body drag (W5)."""
+    if flight.physical:
+        square = speed * speed
+        induced = math.sqrt(0.5 * (math.sqrt(square * square + 4.0 * flight.induced * flight.induced) - square))
+        return flight.weight * induced / flight.efficiency + flight.drag * speed * square
+    if speed < flight.hover_speed:
+        return flight.hover
+    return flight.c1 * speed * speed + flight.c2 / speed + flight.weight * speed
+
+
+@sealed
+def fly(
+    fleet: FleetConstants,
+    flight: FlightConstants,
+    action: Float32,
+    direction: Array,
+    position: Array,
+    previous: Array,
+    energy: Array,
+    outside: Array,
+    motivated: Array,
+) -> None:
+    """Fly one step with the commanded velocity v = action * (V_x-max, V_y-max).
+
+    Args:
+        fleet: the UAVs.
+        flight: flight power.
+        action: [2 n] commanded velocities as shares of the largest ones; clipped to [-1, 1].
+        direction: [n, 2] D_VDF or D_AoI that the UAV saw, (0, 0) if none.
+        position: [n, 2] m; updated, clipped to the field (W11).
+        previous: [n, 2] out: positions before the step, m.
+        energy: [n] out: E(k) - E(k-1) at the commanded velocity, J (W6, W7).
+        outside: [n] out: ACT, 1 where the position was clipped.
+        motivated: [n] out: M_V or M_D, 1 where v . D > 0 (W25).
+    """
+    for u in range(len(position)):
+        vx = min(1.0, max(-1.0, np.float64(action[2 * u]))) * fleet.speed_x
+        vy = min(1.0, max(-1.0, np.float64(action[2 * u + 1]))) * fleet.speed_y
+        speed = math.sqrt(vx * vx + vy * vy)
+        energy[u] = (flight_power(flight, speed) + fleet.payloads[kind_of(fleet, u)]) * fleet.seconds
+        motivated[u] = 1.0 if vx * direction[u, 0] + vy * direction[u, 1] > 0.0 else 0.0
+        previous[u, 0], previous[u, 1] = position[u, 0], position[u, 1]
+        x = position[u, 0] + vx * fleet.seconds
+        y = position[u, 1] + vy * fleet.seconds
+        position[u, 0] = min(fleet.width, max(0.0, x))
+        position[u, 1] = min(fleet.depth, max(0.0, y))
+        outside[u] = 1.0 if position[u, 0] != x or position[u, 1] != y else 0.0
+
+
+@sealed
+def separation(fleet: FleetConstants, position: Array, a: int, b: int) -> float:
+    """Return the 3-D distance between two UAVs, m."""
+    dx, dy = position[a, 0] - position[b, 0], position[a, 1] - position[b, 1]
+    dz = height_of(fleet, a) - height_of(fleet, b)
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@sealed
+def find_nearest(
+    fleet: FleetConstants,
+    position: Array,
+    x: Array,
+    y: Array,
+    peer: Indices,
+    apart_square: Array,
+    neighbour: Indices,
+    distance: Array,
+    crowded: Array,
+) -> None:
+    """Find each UAV's closest UAV, UAV_N (W10).
+
+    Args:
+        fleet: the UAVs.
+        position: [n, 2] m.
+        x: [n] out: the same along each axis, m.
+        y: [n] out: m.
+        peer: [n] out: index of the closest of the same plane, -1 if there is none; the lowest of several.
+        apart_square: [n] out: square of its distance, m^2.
+        neighbour: [n] out: index of the closest, in the plane or anywhere.
+        distance: [n] out: d_U, m.
+        crowded: [n] out: 1 where a UAV of the same plane is closer than the collision distance.
+    """
+    for u in range(len(position)):
+        x[u], y[u], peer[u], apart_square[u] = position[u, 0], position[u, 1], -1, math.inf
+    borders = 0, fleet.relays, fleet.collectors, fleet.uavs
+    for kind in range(3):
+        first, last = borders[kind], borders[kind + 1]
+        _find_peers(first, x[first:last], y[first:last], peer[first:last], apart_square[first:last])
+    for u in range(len(position)):
+        neighbour[u], distance[u] = peer[u], math.sqrt(apart_square[u])
+        crowded[u] = 1.0 if distance[u] < fleet.collision else 0.0
+        if fleet.any_plane:
+            neighbour[u], distance[u] = _nearest_anywhere(fleet, position, u)
+
+
+@sealed
+def _find_peers(first: int, x: Array, y: Array, peer: Indices, apart_square: Array) -> None:
+    """Let the UAVs of one plane, of which the first is given, learn of each other; several at once."""
+    for u in range(len(x)):
+        own_x, own_y = x[u], y[u]
+        for other in range(len(x)):
+            dx, dy = own_x - x[other], own_y - y[other]
+            square = dx * dx + dy * dy
+            less = (square < apart_square[other]) & (other != u)
+            apart_square[other] = square if less else apart_square[other]
+            peer[other] = first + u if less else peer[other]
+
+
+@sealed
+def _nearest_anywhere(fleet: FleetConstants, position: Array, u: int) -> tuple[int, float]:
+    """Return the UAV closest to a UAV, -1 if there is none, and its distance."""
+    nearest, least = -1, math.inf
+    for other in range(len(position)):
+        apart = separation(fleet, position, u, other)
+        if other != u and apart < least:
+            nearest, least = other, apart
+    return nearest, least
+
+
+@sealed
+def safety_risk(
+    fleet: FleetConstants, closing: bool, previous: Array, neighbour: Indices, distance: Array, u: int
+) -> float:
+    """Return SR of a UAV, m, for the pair that is closest now (W8).
+
+    The default counts max(0, d(t - t_step) - d(t)); printed is d(t) - d(t - t_step) of the same pair. Both are 0
+    from d_safety on, or when there is no other UAV.
+    """
+    if neighbour[u] < 0 or distance[u] >= fleet.safety:
+        return 0.0
+    change: float = distance[u] - separation(fleet, previous, u, neighbour[u])
+    return max(0.0, -change) if closing else change

@@ -1,0 +1,260 @@
+"""What each type of UAV sees, scaled to about [-1, 1] (W24).
+
+Positions are 2 x / X - 1; offsets dx / X, dy / Y; distances are three-dimensional, over the field's diagonal; VDF and
+AoI are over their maxima. A UAV that does not exist is (0, 0, 1). Which of its type an agent is and the share of the
+episode that is over come last.
+
+Where the view is mirrored, each axis points so that what decides is not below 0: where a relay or a collector stands in
+the field, and where a monitor stands in its plot, from the middle of either. The two signs that say so follow the own
+place, everything along an axis is multiplied by the axis' sign, and the window of VDF is turned. What the farm takes is
+along the field's axes all the same; `TeamSpec.steer` turns what actors command.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rollout.sim.kernel.compiler.decorators import sealed
+from rollout.sim.kernel.constants import Array, CameraConstants, FleetConstants, Indices, Int32, ObservationConstants
+from rollout.sim.kernel.planes import height_of
+from rollout.sim.kernel.spatial.neighbours import ALL, EMPTY, HOLDING, nearest_sensors
+
+Float32 = NDArray[np.float32]
+
+SENSOR_SCALE: Final = 50.0
+"""Offset of an observed sensor that is seen as 1, m; farther ones are clipped (ours, so that near ones differ)."""
+PER_SCALE: Final = 1.0 / SENSOR_SCALE
+
+
+@sealed
+def _share(fleet: FleetConstants, position: Array, u: int) -> tuple[float, float]:
+    return 2.0 * position[u, 0] * fleet.per_width - 1.0, 2.0 * position[u, 1] * fleet.per_depth - 1.0
+
+
+@sealed
+def _sign(what: ObservationConstants, offset: float) -> float:
+    return -1.0 if what.mirrored and offset < 0.0 else 1.0
+
+
+@sealed
+def _put_place(what: ObservationConstants, x: float, y: float, sx: float, sy: float, seen: Float32, at: int) -> int:
+    seen[at], seen[at + 1] = sx * x, sy * y
+    at += 2
+    if what.mirrored:
+        seen[at], seen[at + 1] = sx, sy
+        at += 2
+    return at
+
+
+@sealed
+def _put_offset(
+    fleet: FleetConstants, dx: float, dy: float, dz: float, sx: float, sy: float, seen: Float32, at: int
+) -> int:
+    seen[at], seen[at + 1] = sx * dx * fleet.per_width, sy * dy * fleet.per_depth
+    seen[at + 2] = math.sqrt(dx * dx + dy * dy + dz * dz) * fleet.per_diagonal
+    return at + 3
+
+
+@sealed
+def _put_uav(
+    fleet: FleetConstants, position: Array, u: int, other: int, sx: float, sy: float, seen: Float32, at: int
+) -> int:
+    if other < 0:
+        seen[at], seen[at + 1], seen[at + 2] = 0.0, 0.0, 1.0
+        return at + 3
+    dx, dy = position[other, 0] - position[u, 0], position[other, 1] - position[u, 1]
+    return _put_offset(fleet, dx, dy, height_of(fleet, other) - height_of(fleet, u), sx, sy, seen, at)
+
+
+@sealed
+def _put_self(what: ObservationConstants, time: float, rank: int, count: int, seen: Float32, at: int) -> int:
+    if what.identity:
+        for other in range(count):
+            seen[at + other] = 1.0 if other == rank else 0.0
+        at += count
+    if what.clock:
+        seen[at] = time
+        at += 1
+    return at
+
+
+@sealed
+def _put_sensor(what: ObservationConstants, level: float, dx: float, dy: float, seen: Float32, at: int) -> int:
+    seen[at] = level
+    if what.printed:
+        return at + 1
+    seen[at + 1] = min(1.0, max(-1.0, dx * PER_SCALE))
+    seen[at + 2] = min(1.0, max(-1.0, dy * PER_SCALE))
+    return at + 3
+
+
+@sealed
+def see_relays(
+    fleet: FleetConstants,
+    what: ObservationConstants,
+    time: float,
+    position: Array,
+    peer: Indices,
+    neighbour: Indices,
+    centroid: Array,
+    farthest: Indices,
+    seen: Float32,
+    at: int,
+) -> int:
+    """Write o_c of all relays: own place; nearest relay, all relays' and served centroid, farthest served, nearest UAV.
+
+    Args:
+        fleet: the UAVs.
+        what: whether the view is mirrored, and whether rank and time are seen.
+        time: share of the episode that is over.
+        position: [n, 2] m.
+        peer: [n] nearest UAV of the plane.
+        neighbour: [n] nearest UAV.
+        centroid: [n_c + 1, 3] of those served, and of all relays; zeros are seen for a relay that serves nobody.
+        farthest: [n_c] farthest served, -1 if none.
+        seen: [O] out: the row.
+        at: where to begin.
+
+    Returns:
+        where the next type begins.
+    """
+    for u in range(fleet.relays):
+        x, y = _share(fleet, position, u)
+        sx, sy = _sign(what, x), _sign(what, y)
+        at = _put_place(what, x, y, sx, sy, seen, at)
+        at = _put_uav(fleet, position, u, peer[u], sx, sy, seen, at)
+        for point in (fleet.relays, u):
+            dx, dy = centroid[point, 0] - position[u, 0], centroid[point, 1] - position[u, 1]
+            dz = centroid[point, 2] - height_of(fleet, u)
+            if point == u and farthest[u] < 0:
+                dx, dy, dz = 0.0, 0.0, 0.0
+            at = _put_offset(fleet, dx, dy, dz, sx, sy, seen, at)
+        if farthest[u] < 0:
+            at = _put_offset(fleet, 0.0, 0.0, 0.0, sx, sy, seen, at)
+        else:
+            at = _put_uav(fleet, position, u, farthest[u], sx, sy, seen, at)
+        at = _put_uav(fleet, position, u, neighbour[u], sx, sy, seen, at)
+        at = _put_self(what, time, u, fleet.relays, seen, at)
+    return at
+
+
+@sealed
+def see_plots(
+    fleet: FleetConstants,
+    what: ObservationConstants,
+    time: float,
+    camera: CameraConstants,
+    position: Array,
+    neighbour: Indices,
+    direction: Array,
+    level: Array,
+    seen: Float32,
+    at: int,
+) -> int:
+    """Write o_m of all monitoring UAVs: own place, VDF of the window of plots around, D_VDF, nearest UAV.
+
+    Plots outside the field are seen with VDF 0: they are worth as little as one just photographed.
+
+    Args:
+        fleet: the UAVs.
+        what: the window, and what else is seen.
+        time: share of the episode that is over.
+        camera: the plots.
+        position: [n, 2] m.
+        neighbour: [n] nearest UAV.
+        direction: [n, 2] D_VDF.
+        level: [n_px, n_py] VDF.
+        seen: [O] out: the row.
+        at: where to begin.
+
+    Returns:
+        where the next type begins.
+    """
+    columns, rows = level.shape
+    reach, count = what.window // 2, fleet.collectors - fleet.relays
+    for u in range(fleet.relays, fleet.collectors):
+        column = min(int(position[u, 0] / camera.plot_width), columns - 1)
+        row = min(int(position[u, 1] / camera.plot_depth), rows - 1)
+        across = 2.0 * (position[u, 0] / camera.plot_width - column) - 1.0
+        along = 2.0 * (position[u, 1] / camera.plot_depth - row) - 1.0
+        sx, sy = _sign(what, across), _sign(what, along)
+        x, y = _share(fleet, position, u)
+        at = _put_place(what, x, y, sx, sy, seen, at)
+        for step_x in range(-reach, reach + 1):
+            for step_y in range(-reach, reach + 1):
+                i, j = column + int(sx) * step_x, row + int(sy) * step_y
+                inside = 0 <= i < columns and 0 <= j < rows
+                seen[at] = level[i, j] / camera.level_max if inside else 0.0
+                at += 1
+        seen[at], seen[at + 1] = sx * direction[u, 0], sy * direction[u, 1]
+        at = _put_uav(fleet, position, u, neighbour[u], sx, sy, seen, at + 2)
+        if what.lattice:
+            seen[at], seen[at + 1] = sx * across, sy * along
+            at += 2
+        at = _put_self(what, time, u - fleet.relays, count, seen, at)
+    return at
+
+
+@sealed
+def see_sensors(
+    fleet: FleetConstants,
+    what: ObservationConstants,
+    time: float,
+    level_max: float,
+    position: Array,
+    neighbour: Indices,
+    direction: Array,
+    sensor: Array,
+    cell_start: Int32,
+    age: Array,
+    waiting: Indices,
+    around: Indices,
+    square: Array,
+    nearest: Indices,
+    nearest_square: Array,
+    seen: Float32,
+    at: int,
+) -> None:
+    """Write o_d of all data collection UAVs: own place, n sensors near, D_AoI, nearest UAV.
+
+    Args:
+        fleet: the UAVs.
+        what: n, which, and whether only AoI is seen.
+        time: share of the episode that is over.
+        level_max: AoI_max.
+        position: [n, 2] m.
+        neighbour: [n] nearest UAV.
+        direction: [n, 2] D_AoI.
+        sensor: [2, S] m.
+        cell_start: first sensor of each cell.
+        age: [S] AoI.
+        waiting: [1] how many sensors hold data.
+        around: [S + 1] scratch.
+        square: [S + 1] scratch.
+        nearest: [n_d, n] the sensors seen by each in the step before; updated.
+        nearest_square: [n] scratch.
+        seen: [O] out: the row.
+        at: where to begin.
+    """
+    holding, wanted, per_level = waiting[0], what.sensors, 1.0 / level_max
+    count = fleet.uavs - fleet.collectors
+    for u in range(fleet.collectors, fleet.uavs):
+        x, y, listed = position[u, 0], position[u, 1], nearest[u - fleet.collectors]
+        across, along = _share(fleet, position, u)
+        sx, sy = _sign(what, across), _sign(what, along)
+        at = _put_place(what, across, along, sx, sy, seen, at)
+        sort, total = (HOLDING, holding) if what.waiting else (ALL, len(age))
+        found = nearest_sensors(
+            fleet, what, x, y, sort, sensor, cell_start, age, total, around, square, listed, nearest_square
+        )
+        if found < wanted:
+            rest, total, squares = listed[found:], len(age) - holding, nearest_square[found:]
+            nearest_sensors(fleet, what, x, y, EMPTY, sensor, cell_start, age, total, around, square, rest, squares)
+        for rank in range(wanted):
+            j = listed[rank]
+            at = _put_sensor(what, age[j] * per_level, sx * (sensor[0, j] - x), sy * (sensor[1, j] - y), seen, at)
+        seen[at], seen[at + 1] = sx * direction[u, 0], sy * direction[u, 1]
+        at = _put_uav(fleet, position, u, neighbour[u], sx, sy, seen, at + 2)
+        at = _put_self(what, time, u - fleet.collectors, count, seen, at)

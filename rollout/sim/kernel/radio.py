@@ -1,0 +1,263 @@
+"""Data collection: path loss, SINR, packet loss, and the age of information."""
+
+import math
+import sys
+from typing import Final
+
+import numpy as np
+
+from rollout.sim.kernel.compiler.decorators import sealed
+from rollout.sim.kernel.constants import (
+    Array,
+    FleetConstants,
+    Indices,
+    Int32,
+    ObservationConstants,
+)
+from rollout.sim.kernel.link import CHANCES, NEGLIGIBLE, RadioConstants
+from rollout.sim.kernel.planes import height_of
+from rollout.sim.kernel.spatial.neighbours import block_around, gather, is_nearest
+from rollout.sim.kernel.spatial.tallies import add_sensor, tally_sensors
+
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+MIX_2 = np.uint64(0x94D049BB133111EB)
+SHIFT_32 = np.uint64(32)
+SHIFT_31 = np.uint64(31)
+SHIFT_30 = np.uint64(30)
+SHIFT_27 = np.uint64(27)
+SHIFT_11 = np.uint64(11)
+LEAST_AGE: Final = sys.float_info.min
+"""The least AoI above 0."""
+
+
+@sealed
+def draw(key: np.uint64, step: int, sensor: int) -> float:
+    """Return the uniform number in [0, 1) of a packet: splitmix64 of the episode's key at counter (step, sensor).
+
+    It depends on nothing else, so results do not depend on the batch or on the order of the draws.
+    """
+    state = key + GOLDEN * ((np.uint64(step) << SHIFT_32) | np.uint64(sensor))
+    state = (state ^ (state >> SHIFT_30)) * MIX_1
+    state = (state ^ (state >> SHIFT_27)) * MIX_2
+    state = state ^ (state >> SHIFT_31)
+    uniform: float = np.float64(state >> SHIFT_11) * 2.0**-53
+    return uniform
+
+
+@sealed
+def received_power(radio: RadioConstants, square: float) -> float:
+    """Return the power received over a distance given by its square, m^2, in mW: free space and vegetation (W12)."""
+    return radio.power / square * math.exp(-radio.vegetation * math.exp(radio.half_exponent * math.log(square)))
+
+
+@sealed
+def delivery(radio: RadioConstants, signal: float, interference: float) -> float:
+    """Return 1 - PLR = (1 - BER)^(8 L) from the signal's and the interferers' power, mW; 0 below NEGLIGIBLE."""
+    sinr = signal / (interference + radio.noise)
+    error = 0.5 * (math.erfc(math.sqrt(sinr)) if radio.exact else math.exp(-sinr))
+    chance = math.exp(radio.bits * math.log1p(-error))
+    return chance if chance >= NEGLIGIBLE else 0.0
+
+
+@sealed
+def _square(position: Array, u: int, sensor: Array, j: int) -> float:
+    """Return the square of the horizontal distance from a UAV to a sensor, m^2."""
+    dx, dy = sensor[0, j] - position[u, 0], sensor[1, j] - position[u, 1]
+    square: float = dx * dx + dy * dy
+    return square
+
+
+@sealed
+def interfere(
+    fleet: FleetConstants, radio: RadioConstants, position: Array, sensor: Array, woken: Indices, power: Array
+) -> None:
+    """Sum up what disturbs each data collection UAV (W14).
+
+    Args:
+        fleet: the UAVs.
+        radio: the link.
+        position: [n, 2] m.
+        sensor: [2, S] m.
+        woken: [n_d] scratch: the nearest sensor that each UAV wakes, -1 if it wakes none.
+        power: [n_d] out: power from the strongest woken sensor of each other UAV, mW; 0 without the switch.
+    """
+    for k in range(len(power)):
+        power[k] = 0.0
+        woken[k] = -1
+    if not radio.interference:
+        return
+    first, count = fleet.collectors, len(power)
+    for j in range(sensor.shape[1]):
+        owner, apart = 0, math.inf
+        for k in range(count):
+            square = _square(position, first + k, sensor, j)
+            if square < apart:
+                owner, apart = k, square
+        if woken[owner] < 0 or apart < _square(position, first + owner, sensor, woken[owner]):
+            woken[owner] = j
+    height = height_of(fleet, first)
+    for k in range(count):
+        for other in range(count):
+            if other != k and woken[other] >= 0:
+                square = _square(position, first + k, sensor, woken[other])
+                power[k] += received_power(radio, square + height * height)
+
+
+@sealed
+def _share_delivered(
+    radio: RadioConstants, square: float, height: float, interference: float, key: np.uint64, step: int, sensor: int
+) -> float:
+    """Return T_S: 1 or 0 by the packet's draw, or its chance itself in expected delivery (W17).
+
+    Most draws lie outside the bounds of the chance at that distance and need no chance.
+    """
+    uniform = draw(key, step, sensor)
+    piece = min(CHANCES - 1, int(square * (CHANCES / (radio.reach * radio.reach))))
+    if uniform < radio.chances[piece, 0]:
+        return 1.0
+    if uniform > radio.chances[piece, 1]:
+        return 0.0
+    chance = delivery(radio, received_power(radio, square + height * height), interference)
+    if radio.expected:
+        return chance
+    return 1.0 if uniform < chance else 0.0
+
+
+@sealed
+def _belongs(
+    fleet: FleetConstants, position: Array, apart_square: Array, u: int, sensor: Array, j: int, square: float
+) -> bool:
+    """Return whether a data collection UAV is the one that a sensor sends to."""
+    x, y = sensor[0, j], sensor[1, j]
+    nearest: bool = is_nearest(position, apart_square, fleet.collectors, fleet.uavs, u, x, y, square)
+    return nearest
+
+
+@sealed
+def send(
+    fleet: FleetConstants,
+    seen: ObservationConstants,
+    radio: RadioConstants,
+    position: Array,
+    apart_square: Array,
+    linked: Array,
+    key: np.uint64,
+    step: int,
+    sensor: Array,
+    cell_start: Int32,
+    interference: Array,
+    rising: Indices,
+    age: Array,
+    due: Int32,
+    utility: Array,
+    served: Array,
+    around: Indices,
+    square: Array,
+    sent: Indices,
+    share: Array,
+) -> int:
+    """Let every sensor send to its nearest data collection UAV, and credit AoI(t - t_step) of what arrives (W17, W19).
+
+    Returns how many sensors delivered. One with AoI 0 that is not due needs no packet: it stays at 0 either way.
+
+    Args:
+        fleet: the UAVs.
+        seen: the sensor cells.
+        radio: the link.
+        position: [n, 2] m.
+        apart_square: [n] square of the distance to the next UAV of the plane, m^2.
+        linked: [n_m + n_d] 1 where deliveries count (W4).
+        key: of the episode's packets.
+        step: number of this step, from 1.
+        sensor: [2, S] m.
+        cell_start: first sensor of each cell.
+        interference: [n_d] mW.
+        rising: [2] the step at which any AoI rises next, in its first entry.
+        age: [S] AoI before the step.
+        due: [S] step at which AoI rises next.
+        utility: [n] out for these UAVs: DCUF of this step.
+        served: [n_d] out: sensors of AoI above 0 that delivered (their shares, in expected delivery).
+        around: [S + 1] scratch.
+        square: [S + 1] scratch.
+        sent: [S] out: the sensors that delivered.
+        share: [S] out: which share, 1 but in expected delivery.
+    """
+    delivered, first, limit, due_now = 0, fleet.collectors, radio.reach * radio.reach, rising[0] == step
+    height, least = height_of(fleet, first), 0.0 if due_now else LEAST_AGE
+    for k in range(len(served)):
+        u, credit, number = first + k, 0.0, 0.0
+        x, y = position[u, 0], position[u, 1]
+        block, found = block_around(fleet, seen, x, y, radio.reach), 0
+        if linked[u - fleet.relays] == 1.0:
+            found = gather(seen, block, x, y, least, math.inf, limit, sensor, cell_start, age, around, square)
+        for entry in range(found):
+            j, apart, part = around[entry], square[entry], 0.0
+            if (age[j] > 0.0 or due[j] == step) and _belongs(fleet, position, apart_square, u, sensor, j, apart):
+                part = _share_delivered(radio, apart, height, interference[k], key, step, j)
+            if part > 0.0:
+                credit += age[j] * part
+                number += part if age[j] > 0.0 else 0.0
+                sent[delivered], share[delivered] = j, part
+                delivered += 1
+        utility[u], served[k] = credit, number
+    return delivered
+
+
+@sealed
+def update_age(
+    fleet: FleetConstants,
+    seen: ObservationConstants,
+    radio: RadioConstants,
+    step: int,
+    delivered: int,
+    sent: Indices,
+    share: Array,
+    sensor: Array,
+    cell_start: Int32,
+    rising: Indices,
+    age: Array,
+    due: Int32,
+    cycle: Int32,
+    below: Array,
+    above: Array,
+    waiting: Indices,
+) -> None:
+    """Let AoI rise by 1, up to AoI_max, where a cycle ends, and fall to 0 where data arrived (W18).
+
+    Args:
+        fleet: the field.
+        seen: the sensor cells.
+        radio: AoI_max.
+        step: number of this step, from 1.
+        delivered: how many sensors delivered.
+        sent: [S] which they are.
+        share: [S] the share that each delivered.
+        sensor: [2, S] m.
+        cell_start: first sensor of each cell.
+        rising: [2] the step at which any AoI rises next, in its first entry; updated.
+        age: [S] AoI; updated.
+        due: [S] step at which it rises next; updated.
+        cycle: [S] T_UA, steps.
+        below: tally of AoI; updated.
+        above: tally of AoI; updated.
+        waiting: [1] how many sensors hold data; updated.
+    """
+    due_now = rising[0] == step
+    if due_now:
+        soonest = due[0] + cycle[0]
+        for j in range(len(age)):
+            if due[j] == step:
+                age[j] = min(age[j] + 1.0, radio.level_max)
+                due[j] += cycle[j]
+            soonest = min(soonest, due[j])
+        rising[0] = soonest
+    if due_now and not radio.expected:
+        tally_sensors(seen, cell_start, age, below, above, waiting)
+    for entry in range(delivered):
+        j = sent[entry]
+        if not radio.expected and age[j] > 0.0:
+            add_sensor(fleet, seen, sensor[0, j], sensor[1, j], -age[j], -1, below, above, waiting)
+        age[j] *= 1.0 - share[entry]
+    if radio.expected and (due_now or delivered > 0):
+        tally_sensors(seen, cell_start, age, below, above, waiting)

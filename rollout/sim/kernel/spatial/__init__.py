@@ -1,0 +1,1 @@
+"""Spatial look-ups: nearest sensors and UAVs, and sums over quadrants."""

@@ -1,0 +1,85 @@
+"""Running sums of VDF over plots and of AoI over sensor cells, from which quadrants are summed without a scan.
+
+A tally is two tables [rows + 1, columns]: `below` holds at [r, i] the sum over the rows under r of column i, `above`
+that over row r and all rows over it. A quadrant's sum is then that of a piece of one row of them. Counters are whole
+numbers unless delivery is expected, so that adding to a tally leaves the very sums that a fresh count would give.
+"""
+
+from rollout.sim.kernel.compiler.decorators import sealed
+from rollout.sim.kernel.constants import Array, FleetConstants, Indices, Int32, ObservationConstants
+from rollout.sim.kernel.spatial.neighbours import WAITING, cell_of
+
+
+@sealed
+def add(below: Array, above: Array, column: int, row: int, amount: float) -> None:
+    """Let what lies at a place of the grid grow by an amount."""
+    for r in range(row + 1, len(below)):
+        below[r, column] += amount
+    for r in range(row + 1):
+        above[r, column] += amount
+
+
+@sealed
+def _accumulate(below: Array, above: Array) -> None:
+    """Turn what each place holds, given in `above`, into the tally."""
+    rows, columns = len(above) - 1, above.shape[1]
+    for column in range(columns):
+        below[0, column], above[rows, column] = 0.0, 0.0
+    for r in range(rows):
+        for column in range(columns):
+            below[r + 1, column] = below[r, column] + above[r, column]
+    for r in range(rows - 1, -1, -1):
+        for column in range(columns):
+            above[r, column] += above[r + 1, column]
+
+
+@sealed
+def tally_plots(level: Array, below: Array, above: Array) -> None:
+    """Count VDF [n_px, n_py] afresh."""
+    for column in range(level.shape[0]):
+        for row in range(level.shape[1]):
+            above[row, column] = level[column, row]
+    _accumulate(below, above)
+
+
+@sealed
+def tally_sensors(
+    seen: ObservationConstants, cell_start: Int32, age: Array, below: Array, above: Array, waiting: Indices
+) -> None:
+    """Count AoI [S] afresh, and how many sensors hold data, in `waiting` [1]."""
+    waiting[0] = 0
+    for column in range(seen.cells_x):
+        for row in range(seen.cells_y):
+            cell, amount = column * seen.cells_y + row, 0.0
+            for j in range(cell_start[cell], cell_start[cell + 1]):
+                amount += age[j]
+                waiting[0] += 1 if age[j] >= WAITING else 0
+            above[row, column] = amount
+    _accumulate(below, above)
+
+
+@sealed
+def add_sensor(
+    fleet: FleetConstants,
+    seen: ObservationConstants,
+    x: float,
+    y: float,
+    amount: float,
+    holders: int,
+    below: Array,
+    above: Array,
+    waiting: Indices,
+) -> None:
+    """Let the AoI of the sensor at (x, y) grow by an amount, and the number of those that hold data by `holders`."""
+    column, row = cell_of(x / fleet.width, seen.cells_x), cell_of(y / fleet.depth, seen.cells_y)
+    add(below, above, column, row, amount)
+    waiting[0] += holders
+
+
+@sealed
+def total(above: Array) -> float:
+    """Return the sum over the whole grid."""
+    amount = 0.0
+    for column in range(above.shape[1]):
+        amount += above[0, column]
+    return amount

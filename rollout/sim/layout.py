@@ -1,0 +1,95 @@
+"""Where a farm's sensors stand: a pure function of the farm's integer seed, or given by the configuration."""
+
+import functools
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig, WorldConfig
+from common.seeds import stream
+from rollout.sim.densities import density_of
+from rollout.sim.poisson_disk import throw_sensors
+
+CELL: Final = 25.0
+"""Edge of the cells by which sensors are numbered, m; larger when that would give more than MAX_CELLS an axis."""
+MAX_CELLS: Final = 128
+"""Most cells along one axis."""
+GIVEN: Final = "given"
+"""What a layout names as its density when its places come from the configuration."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """One farm. All arrays are read-only.
+
+    Attributes:
+        seed: the farm's seed.
+        density: which one it was thrown by, or GIVEN.
+        sensor_xy: [S, 2] places, m; numbered cell by cell, cells in row-major order (x outer).
+        sensor_type: [S] type, 0 .. I_type - 1.
+        sensor_cycle_steps: [S] AoI update cycle T_UA of the sensor's type, steps.
+        sensor_phase: [S] AoI rises at the steps that leave this remainder by the cycle (0 unless phases are random).
+        plot_phase: [n_px, n_py] the same for VDF.
+        cells: cells along x and y.
+        cell_start: [cells + 1] first sensor of each cell.
+    """
+
+    seed: int
+    density: str
+    sensor_xy: NDArray[np.float64]
+    sensor_type: NDArray[np.int64]
+    sensor_cycle_steps: NDArray[np.int64]
+    sensor_phase: NDArray[np.int64]
+    plot_phase: NDArray[np.int64]
+    cells: tuple[int, int]
+    cell_start: NDArray[np.int64]
+
+
+@functools.lru_cache(maxsize=256)
+def make_layout(farm: FarmConfig, seed: int) -> Layout:
+    """Return the farm of a seed.
+
+    Its places are thrown by the configured density, at least `sensor_spacing` apart, and its types are balanced; given
+    places, and types given with them, are kept as they are. Phases always follow from the seed.
+
+    Raises:
+        ConfigError: so many sensors do not fit at that spacing.
+    """
+    world = farm.world
+    density = GIVEN if world.sites else density_of(world, seed)
+    given = np.array(world.sites, np.float64)
+    place = given[:, :2] if world.sites else throw_sensors(world, seed, density)
+    order, (cells, start) = _number(world, place)
+    random = stream(seed, "layout", "types")
+    kind = random.permutation(np.arange(world.sensors) % len(world.sensor_cycles))
+    if world.sites and given.shape[1] > 2:
+        kind = given[order, 2].astype(np.int64)
+    steps = np.rint(np.array(world.sensor_cycles) / world.step_seconds).astype(np.int64)[kind]
+    phase, plot_phase = np.zeros_like(steps), np.zeros((world.plots_x, world.plots_y), np.int64)
+    if world.cycle_phase == "random":
+        phase = random.integers(steps)
+        plot_phase = random.integers(round(world.vdf_cycle / world.step_seconds), size=plot_phase.shape)
+    xy = np.ascontiguousarray(place[order])
+    for array in (xy, kind, steps, phase, plot_phase, start):
+        array.setflags(write=False)
+    return Layout(seed, density, xy, kind, steps, phase, plot_phase, cells, start)
+
+
+def cell_counts(world: WorldConfig) -> tuple[int, int]:
+    """Return the number of cells along x and y."""
+    x, y = (min(MAX_CELLS, max(1, int(size // CELL))) for size in (world.field_x, world.field_y))
+    return x, y
+
+
+def _number(
+    world: WorldConfig, xy: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], tuple[tuple[int, int], NDArray[np.int64]]]:
+    """Return the order that sorts places [S, 2] by cell, the numbers of cells and each cell's first place."""
+    cells = cell_counts(world)
+    column = np.minimum((xy[:, 0] / world.field_x * cells[0]).astype(np.int64), cells[0] - 1)
+    row = np.minimum((xy[:, 1] / world.field_y * cells[1]).astype(np.int64), cells[1] - 1)
+    cell = column * cells[1] + row
+    start = np.searchsorted(np.sort(cell), np.arange(cells[0] * cells[1] + 1)).astype(np.int64)
+    return np.argsort(cell, kind="stable"), (cells, start)

@@ -1,0 +1,90 @@
+"""Poisson-disk places: darts are thrown by a density, and one that lands too close to another is taken out."""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import WorldConfig
+from common.errors import ConfigError
+from common.seeds import stream
+from rollout.sim.densities import make_density
+from rollout.sim.kernel.compiler.decorators import compiled_entry, sources_digest
+
+BLOCKS: Final = 64
+"""Blocks of candidate places that are tried before a layout is given up."""
+MAX_BINS: Final = 128
+"""Most bins along one axis in which neighbours are looked for."""
+
+
+def throw_sensors(world: WorldConfig, seed: int, kind: str) -> NDArray[np.float64]:
+    """Return places [S, 2] m: candidates thinned by a density, each kept if it is far enough from all before it.
+
+    Args:
+        world: counts and sizes.
+        seed: the farm's seed.
+        kind: the density.
+
+    Raises:
+        ConfigError: so many sensors do not fit at that spacing.
+    """
+    random = stream(seed, "layout", "sensors")
+    size = np.array([world.field_x, world.field_y])
+    density = make_density(kind, world, random)
+    place = np.zeros((world.sensors, 2))
+    columns, rows = (max(1, int(min(MAX_BINS, s // max(world.sensor_spacing, 1e-9)))) for s in size)
+    first, after = np.full((columns, rows), -1), np.full(world.sensors, -1)
+    placed = 0
+    for _ in range(BLOCKS):
+        candidate = random.uniform(0.0, 1.0, (max(1024, 4 * world.sensors), 2))
+        share = density(candidate)
+        kept = candidate[random.uniform(0.0, 1.0, len(candidate)) < share] * size
+        placed = _throw(kept, size, world.sensor_spacing, place, placed, first, after)
+        if placed == world.sensors:
+            return place
+    raise ConfigError(
+        f"{world.sensors} sensors do not fit into {world.field_x:g} m x {world.field_y:g} m at least "
+        f"{world.sensor_spacing:g} m apart."
+    )
+
+
+def _compile_throw(digest: int) -> Callable[..., int]:
+    @compiled_entry
+    def throw(
+        candidate: NDArray[np.float64],
+        size: NDArray[np.float64],
+        spacing: float,
+        place: NDArray[np.float64],
+        placed: int,
+        first: NDArray[np.int64],
+        after: NDArray[np.int64],
+    ) -> int:
+        """Keep the candidates [K, 2] that lie at least `spacing` from all places; return how many places there are."""
+        columns, rows = first.shape
+        free = digest > 0
+        for k in range(len(candidate)):
+            x, y = candidate[k]
+            column = min(int(x / size[0] * columns), columns - 1)
+            row = min(int(y / size[1] * rows), rows - 1)
+            free = True
+            for i in range(max(0, column - 1), min(columns, column + 2)):
+                for j in range(max(0, row - 1), min(rows, row + 2)):
+                    other = first[i, j]
+                    while other >= 0 and free:
+                        dx, dy = place[other, 0] - x, place[other, 1] - y
+                        free = dx * dx + dy * dy >= spacing * spacing
+                        other = after[other]
+            if free:
+                place[placed, 0], place[placed, 1] = x, y
+                after[placed] = first[column, row]
+                first[column, row] = placed
+                placed += 1
+            if placed == len(place):
+                break
+        return placed
+
+    return throw
+
+
+_throw = _compile_throw(sources_digest())

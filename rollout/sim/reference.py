@@ -1,0 +1,334 @@
+"""The farm written straight from the equations: the readable oracle that the compiled simulator is held against.
+
+One environment, NumPy, no speed. Nothing here is shared with the kernel but the layout and the start; physics is in
+dB and metres as in the paper, where the kernel works with precomputed linear factors.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.special import erfc
+
+from common.config import EnergyConfig, FarmConfig, RadioConfig, RewardConfig
+from common.team import Float32
+from rollout.sim.batch import packet_key, start_levels, start_positions
+from rollout.sim.layout import Layout
+from rollout.sim.reference_views import observe
+
+Array = NDArray[np.float64]
+
+NEGLIGIBLE = 1e-12
+"""A packet with a smaller chance to arrive is not sent, and less utility than this is none (ours)."""
+DIRECTIONS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / math.sqrt(2.0)
+"""The four diagonals in the order in which ties are broken (W25)."""
+
+
+def dbm_to_mw(dbm: Array | float) -> Array:
+    """Return dBm as mW."""
+    return np.asarray(10.0 ** (np.asarray(dbm) / 10.0))
+
+
+def carrier(radio: RadioConfig) -> float:
+    """Return f_c in the unit of the path losses (W12)."""
+    return radio.carrier_mhz / 1000.0 if radio.frequency_unit == "ghz" else radio.carrier_mhz
+
+
+def free_space_loss(radio: RadioConfig, distance: Array | float) -> Array:
+    """PL_FS = 20 log10(Dis) + 20 log10(f_c) + 32.44 dB, Dis in km (W12)."""
+    return np.asarray(20.0 * np.log10(np.asarray(distance) / 1000.0) + 20.0 * np.log10(carrier(radio)) + 32.44)
+
+
+def vegetation_loss(radio: RadioConfig, distance: Array | float) -> Array:
+    """PL_veg = a_1 f_c^a_2 Dis^a_3 dB, Dis in m (W12)."""
+    scale = radio.vegetation_scale * carrier(radio) ** radio.vegetation_frequency_exponent
+    return np.asarray(scale * np.asarray(distance) ** radio.vegetation_distance_exponent)
+
+
+def received_mw(radio: RadioConfig, distance: Array | float) -> Array:
+    """P_WT + G_WS - PL(i, j, t), in mW."""
+    loss = free_space_loss(radio, distance) + vegetation_loss(radio, distance)
+    return dbm_to_mw(radio.sensor_power_dbm + radio.sensor_gain_dbi - loss)
+
+
+def noise_mw(radio: RadioConfig) -> float:
+    """P_T = k_B T_K Bw, in mW (W13)."""
+    return radio.boltzmann * radio.temperature_k * radio.bandwidth_hz * 1000.0
+
+
+def packet_loss(radio: RadioConfig, sinr: Array | float) -> Array:
+    """PLR = 1 - (1 - BER)^(8 L) with BER = Q(sqrt(2 SINR)) (W15, W16)."""
+    sinr = np.asarray(sinr)
+    ber = 0.5 * erfc(np.sqrt(sinr)) if radio.q_function == "exact" else 0.5 * np.exp(-sinr)
+    return np.asarray(1.0 - (1.0 - ber) ** (8 * radio.packet_bytes))
+
+
+def flight_power(energy: EnergyConfig, speed: float) -> float:
+    """P_fly, W: the printed cases, or induced power (Glauert) and body drag (W5)."""
+    disk = energy.propellers * math.pi * energy.propeller_radius**2
+    weight = energy.mass * energy.gravity
+    if energy.model == "physical":
+        hover_square = weight / (2.0 * energy.air_density * disk)
+        induced = math.sqrt((math.sqrt(speed**4 + 4.0 * hover_square**2) - speed**2) / 2.0)
+        drag = 0.5 * energy.air_density * energy.body_area * energy.drag_coefficient * speed**3
+        return weight * induced / energy.efficiency + drag
+    area = energy.body_area + disk
+    if speed < energy.hover_speed:
+        return (
+            energy.mass
+            * math.pow(energy.gravity, 1.5)
+            / (math.sqrt(2.0 * energy.air_density * area) * energy.efficiency)
+        )
+    c1 = 0.5 * energy.air_density * area * energy.drag_coefficient
+    c2 = energy.mass**2 / (energy.efficiency * energy.air_density * disk)
+    return c1 * speed**2 + c2 / speed + weight * speed
+
+
+def other_power(energy: EnergyConfig, kind: int) -> float:
+    """P_comm + P_cmp and, by type (0 c, 1 m, 2 d), P_cam or P_ec, W (W6)."""
+    communication = float(dbm_to_mw(energy.transmit_dbm) + dbm_to_mw(energy.receive_dbm)) / 1000.0
+    dynamic = energy.load_capacitance * energy.voltage**2 * energy.clock_hz * energy.activity_factor
+    extra = (0.0, energy.camera_power, float(dbm_to_mw(energy.collection_dbm)) / 1000.0)[kind]
+    return communication + energy.static_power + dynamic + extra
+
+
+def packet_draw(key: int, step: int, sensor: int) -> float:
+    """Return the uniform number of a packet: splitmix64 of the episode's key at the counter (step, sensor)."""
+    mask = 2**64 - 1
+    z = (key + 0x9E3779B97F4A7C15 * (step * 2**32 + sensor)) & mask
+    z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
+    z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & mask
+    return float((z ^ (z >> 31)) >> 11) / 2.0**53
+
+
+def safety_risk(reward: RewardConfig, safety: float, now: float, before: float) -> float:
+    """SR from d_U(t) and the same pair's d(t - t_step), m (W8)."""
+    if now >= safety:
+        return 0.0
+    return max(0.0, before - now) if reward.risk == "closing" else now - before
+
+
+def densest_direction(own: Array, places: Array, value: Array) -> Array:
+    """Return D_VDF or D_AoI: the diagonal of the quadrant with the largest sum, or (0, 0) (W25)."""
+    right, upper = places[:, 0] >= own[0], places[:, 1] >= own[1]
+    sums = [value[where].sum() for where in (right & upper, ~right & upper, ~right & ~upper, right & ~upper)]
+    return DIRECTIONS[int(np.argmax(sums))] if max(sums) > 0 else np.zeros(2)
+
+
+class ReferenceFarm:
+    """One environment.
+
+    Args:
+        config: the farm.
+        layout: where its sensors stand.
+        episode_seed: where the UAVs start and which packets arrive.
+
+    Attributes:
+        position: [n, 2] m.
+        aoi: [S]; vdf: [n_px, n_py].
+        assignment: [n_m + n_d] relays; assignment_cost: the sum of its costs.
+        service: [n_c] D_c, m.
+        link_quality: [n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
+        direction: [n, 2] D_VDF, D_AoI.
+        chance: [S] 1 - PLR of each sensor's packet in the last step.
+        energy: [n] J; utility: [n]; parts: [n, K]; reward: [n]; of the last step.
+        observation: [O] float32.
+        time: steps done.
+    """
+
+    def __init__(self, config: FarmConfig, layout: Layout, episode_seed: int) -> None:
+        world = config.world
+        self.config, self.layout, self.time = config, layout, 0
+        self.kind = np.repeat((0, 1, 2), (world.communication_uavs, world.monitoring_uavs, world.collection_uavs))
+        heights = (world.height_communication, world.height_monitoring, world.height_collection)
+        self.height = np.array(heights)[self.kind]
+        self.key = packet_key(layout.seed, episode_seed)
+        self.position = start_positions(world, layout.seed, episode_seed)
+        self.aoi, self.vdf = start_levels(world, layout.seed, episode_seed)
+        x = (np.arange(world.plots_x) + 0.5) * world.field_x / world.plots_x
+        y = (np.arange(world.plots_y) + 0.5) * world.field_y / world.plots_y
+        self.plot_xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        self.chance = np.zeros(world.sensors)
+        self.energy, self.utility, self.reward = np.zeros(world.uavs), np.zeros(world.uavs), np.zeros(world.uavs)
+        self.parts = np.zeros((world.uavs, 7))
+        self.crowded, self.outside = np.zeros(world.uavs, bool), np.zeros(world.uavs, bool)
+        self._assign()
+        self._look()
+
+    def step(self, action: Float32, assignment: NDArray[np.int64] | None = None) -> None:
+        """Do one step; the order is that of the kernel.
+
+        Args:
+            action: [2 n].
+            assignment: [n_m + n_d] to fly on with where several assignments cost the same; the best cost is found
+                all the same.
+        """
+        world = self.config.world
+        self.time += 1
+        velocity = np.clip(action.reshape(-1, 2).astype(np.float64), -1.0, 1.0) * (world.speed_x_max, world.speed_y_max)
+        motivated = (velocity * self.direction).sum(axis=1) > 0
+        before, service_before = self.position, self.service
+        wanted = self.position + velocity * world.step_seconds
+        self.position = np.clip(wanted, 0.0, (world.field_x, world.field_y))
+        self.outside = (self.position != wanted).any(axis=1)
+        speed = np.sqrt((velocity**2).sum(axis=1))
+        power = [
+            flight_power(self.config.energy, v) + other_power(self.config.energy, k)
+            for v, k in zip(speed, self.kind, strict=True)
+        ]
+        self.energy = np.array(power) * world.step_seconds
+        self._assign(assignment)
+        self.utility = np.zeros(world.uavs)
+        self._photograph()
+        self._collect()
+        self._reward(before, service_before, motivated)
+        self._look()
+
+    def distance(self, a: int, b: int, position: Array) -> float:
+        """Return the 3-D distance of two UAVs, m."""
+        return math.sqrt(((position[a] - position[b]) ** 2).sum() + (self.height[a] - self.height[b]) ** 2)
+
+    def nearest_uav(self, u: int) -> int:
+        """Return the closest UAV of the same plane, or of all (W10); -1 if there is none."""
+        same = self.config.reward.nearest == "plane"
+        others = [o for o in range(len(self.kind)) if o != u and (not same or self.kind[o] == self.kind[u])]
+        return min(others, key=lambda o: self.distance(u, o, self.position), default=-1)
+
+    def served(self, relay: int) -> list[int]:
+        """Return the UAVs that a relay serves."""
+        first = self.config.world.communication_uavs
+        return [first + int(k) for k in np.flatnonzero(self.assignment == relay)]
+
+    def assignment_costs(self) -> Array:
+        """Return the cost of each pair, [n_m + n_d, n_c] (W3)."""
+        relay, radio, world = self.config.relay, self.config.radio, self.config.world
+        diagonal, first = math.hypot(world.field_x, world.field_y), world.communication_uavs
+        distance = np.array(
+            [[self.distance(r, first + s, self.position) for r in range(first)] for s in range(len(self.kind) - first)]
+        )
+        loss = free_space_loss(radio, np.maximum(distance, 1.0)) / free_space_loss(radio, max(diagonal, 1.0))
+        return np.asarray(relay.cost_distance * distance / diagonal + relay.cost_link * loss)
+
+    def _assign(self, chosen: NDArray[np.int64] | None = None) -> None:
+        """Protocol 1, step 4: minimum-cost assignment with capacities, and D_c from it (W2)."""
+        relay, world = self.config.relay, self.config.world
+        capacity = relay.capacity_for(world)
+        costs = self.assignment_costs()
+        rows, columns = linear_sum_assignment(np.repeat(costs, capacity, axis=1))
+        self.assignment = columns // capacity
+        self.assignment_cost = float(costs[rows, self.assignment].sum())
+        if chosen is not None:
+            self.assignment = chosen.copy()
+        first = world.communication_uavs
+        distances = [self.distance(first + k, int(r), self.position) for k, r in enumerate(self.assignment)]
+        self.linked = np.array(distances) <= (relay.link_range if relay.require_link else math.inf)
+        loss = free_space_loss(self.config.radio, np.maximum(distances, 1.0))
+        self.link_quality = self.config.energy.transmit_dbm - loss - 10.0 * math.log10(noise_mw(self.config.radio))
+        self.service = np.array([self._service(r) for r in range(first)])
+
+    def _service(self, relay: int) -> float:
+        """D_c = epsilon_1 D_cg + epsilon_2 D_cf + epsilon_3 D_cc."""
+        weights, place = self.config.relay, np.column_stack([self.position, self.height])
+        served = self.served(relay)
+        centroid = farthest = 0.0
+        if served:
+            centroid = float(np.linalg.norm(place[relay] - place[served].mean(axis=0)))
+            farthest = float(np.linalg.norm(place[relay] - place[served], axis=1).max())
+        relays = float(np.linalg.norm(place[relay] - place[self.kind == 0].mean(axis=0)))
+        return weights.weight_centroid * centroid + weights.weight_farthest * farthest + weights.weight_relays * relays
+
+    def _photograph(self) -> None:
+        """VMUF and eq. VDF: images by the UAV closest to each plot's centre (W18 to W23)."""
+        world, camera = self.config.world, self.config.camera
+        monitors = np.flatnonzero(self.kind == 1)
+        cycle = round(world.vdf_cycle / world.step_seconds)
+        width, depth = world.field_x / world.plots_x, world.field_y / world.plots_y
+        grid_x = (np.arange(camera.grid_x) + 0.5) / camera.grid_x * width
+        grid_y = (np.arange(camera.grid_y) + 0.5) / camera.grid_y * depth
+        for x in range(world.plots_x):
+            for y in range(world.plots_y):
+                centre = self.plot_xy[x * world.plots_y + y]
+                u = monitors[np.argmin(((centre - self.position[monitors]) ** 2).sum(axis=1))]
+                dx, dy = x * width + grid_x - self.position[u, 0], y * depth + grid_y - self.position[u, 1]
+                distance = np.sqrt(dx[:, None] ** 2 + dy[None] ** 2 + world.height_monitoring**2)
+                quality = (distance < camera.image_distance).sum() / (camera.grid_x * camera.grid_y)
+                if quality >= camera.plot_threshold and self.linked[u - world.communication_uavs]:
+                    self.utility[u] += self.vdf[x, y]
+                    self.vdf[x, y] = 0.0
+                elif (self.time - self.layout.plot_phase[x, y]) % cycle == 0:
+                    self.vdf[x, y] = min(self.vdf[x, y] + 1.0, world.vdf_max)
+
+    def sensor_chances(self) -> tuple[NDArray[np.intp], Array]:
+        """Return each sensor's nearest data collection UAV and 1 - PLR there (W13, W14, W17)."""
+        radio, collectors = self.config.radio, np.flatnonzero(self.kind == 2)
+        offset = self.layout.sensor_xy[:, None] - self.position[collectors]
+        flat = (offset**2).sum(axis=2)
+        owner = np.argmin(flat, axis=1)
+        power = received_mw(radio, np.sqrt(flat + self.config.world.height_collection**2))
+        interference = np.zeros(len(collectors))
+        if radio.interference:
+            for other in range(len(collectors)):
+                woken = np.flatnonzero(owner == other)
+                if len(woken):
+                    strongest = woken[np.argmin(flat[woken, other])]
+                    interference += np.where(np.arange(len(collectors)) == other, 0.0, power[strongest])
+        sinr = power[np.arange(len(owner)), owner] / (interference[owner] + noise_mw(radio))
+        chance = 1.0 - packet_loss(radio, sinr)
+        return collectors[owner], np.where(chance < NEGLIGIBLE, 0.0, chance)
+
+    def _collect(self) -> None:
+        """DCUF and eq. AoI (W17 to W20); expected delivery resets a share of the counter."""
+        world = self.config.world
+        owner, self.chance = self.sensor_chances()
+        for j, u in enumerate(owner):
+            share = self.chance[j]
+            if self.config.radio.delivery == "bernoulli":
+                share = float(packet_draw(self.key, self.time, j) < share)
+            if not self.linked[u - world.communication_uavs]:
+                share = 0.0
+            self.utility[u] += share * self.aoi[j]
+            raised = self.aoi[j]
+            if (self.time - self.layout.sensor_phase[j]) % self.layout.sensor_cycle_steps[j] == 0:
+                raised = min(raised + 1.0, world.aoi_max)
+            self.aoi[j] = (1.0 - share) * raised
+
+    def _reward(self, before: Array, service_before: Array, motivated: NDArray[np.bool_]) -> None:
+        """r_c, r_m and r_d; every part but the energy is multiplied by t_step as printed."""
+        weight, world, seconds = self.config.reward, self.config.world, self.config.world.step_seconds
+        sign = 1.0 if weight.positioning_sign == "printed" else -1.0
+        self.parts = np.zeros((world.uavs, 7))
+        for u, kind in enumerate(self.kind):
+            other, risk = self.nearest_uav(u), 0.0
+            if other >= 0:
+                now, then = self.distance(u, other, self.position), self.distance(u, other, before)
+                risk = safety_risk(weight, world.safety_distance, now, then)
+            energy, boundary = -weight.energy * self.energy[u], -weight.boundary * self.outside[u] * seconds
+            self.parts[u, 1:4] = energy, -weight.collision_risk * risk * seconds, boundary
+            if kind == 0:
+                self.parts[u, 0] = sign * weight.positioning * (self.service[u] - service_before[u]) * seconds
+                continue
+            utility, idle, motivation = (
+                (weight.monitoring, weight.monitoring_idle, weight.monitoring_motivation)
+                if kind == 1
+                else (weight.collection, weight.collection_idle, weight.collection_motivation)
+            )
+            self.parts[u, 4:] = (
+                utility * self.utility[u],
+                -idle * (self.utility[u] < NEGLIGIBLE),
+                motivation * motivated[u],
+            )
+            self.parts[u, 4:] *= seconds
+        self.reward = self.parts.sum(axis=1)
+
+    def _look(self) -> None:
+        """Find D_VDF and D_AoI, who is too close, and what everybody observes."""
+        self.direction = np.zeros((len(self.kind), 2))
+        for u in np.flatnonzero(self.kind == 1):
+            self.direction[u] = densest_direction(self.position[u], self.plot_xy, self.vdf.reshape(-1))
+        for u in np.flatnonzero(self.kind == 2):
+            self.direction[u] = densest_direction(self.position[u], self.layout.sensor_xy, self.aoi)
+        apart = np.linalg.norm(self.position[:, None] - self.position, axis=2)
+        apart[(self.kind[:, None] != self.kind) | np.eye(len(self.kind), dtype=bool)] = math.inf
+        self.crowded = (apart < self.config.world.collision_distance).any(axis=1)
+        self.observation = observe(self)

@@ -1,0 +1,115 @@
+"""The observations o_c, o_m and o_d of the reference farm (W24)."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.team import Float32
+
+if TYPE_CHECKING:
+    from rollout.sim.reference import ReferenceFarm
+
+Array = NDArray[np.float64]
+
+
+def observe(farm: ReferenceFarm) -> Float32:
+    """Return the row [O]: all relays, then all monitoring, then all data collection UAVs."""
+    views = (_relay_view, _monitoring_view, _collection_view)
+    rows = [np.concatenate([views[kind](farm, u), _self(farm, u)]) for u, kind in enumerate(farm.kind)]
+    return np.concatenate(rows).astype(np.float32)
+
+
+def _self(farm: ReferenceFarm, u: int) -> Array:
+    """Return which of its type a UAV is, one of n_v, and the share of the episode that is over, where it sees these."""
+    seen, mates = farm.config.observation, np.flatnonzero(farm.kind == farm.kind[u])
+    rank = np.equal(mates, u).astype(np.float64) if seen.identity else np.zeros(0)
+    clock = [farm.time / farm.config.world.steps] if seen.clock else []
+    return np.concatenate([rank, clock])
+
+
+def _place(farm: ReferenceFarm, u: int) -> Array:
+    world = farm.config.world
+    return np.asarray(2.0 * farm.position[u] / (world.field_x, world.field_y) - 1.0)
+
+
+def _plot(farm: ReferenceFarm, u: int) -> tuple[NDArray[np.int64], Array]:
+    """Return which plot a UAV is over, and the offset from its middle over half a plot."""
+    world = farm.config.world
+    size = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
+    plot = np.minimum(farm.position[u] // size, (world.plots_x - 1, world.plots_y - 1)).astype(np.int64)
+    return plot, 2.0 * (farm.position[u] / size - plot) - 1.0
+
+
+def _signs(farm: ReferenceFarm, u: int) -> Array:
+    """Return the signs of a UAV's axes; 1 and 1 unless views are mirrored."""
+    decides = _plot(farm, u)[1] if farm.kind[u] == 1 else _place(farm, u)
+    return np.where(farm.config.observation.mirrored & (decides < 0.0), -1.0, 1.0)
+
+
+def _own(farm: ReferenceFarm, u: int) -> Array:
+    signs = _signs(farm, u)
+    return np.concatenate([_place(farm, u) * signs, signs if farm.config.observation.mirrored else []])
+
+
+def _towards(farm: ReferenceFarm, u: int, place: Array) -> list[float]:
+    """Return the offset over the field's sides and the 3-D distance over its diagonal to a place [3]."""
+    world = farm.config.world
+    dx, dy, dz = place - (*farm.position[u], farm.height[u])
+    diagonal, (along_x, along_y) = math.hypot(world.field_x, world.field_y), _signs(farm, u)
+    return [along_x * dx / world.field_x, along_y * dy / world.field_y, math.sqrt(dx**2 + dy**2 + dz**2) / diagonal]
+
+
+def _uav(farm: ReferenceFarm, u: int, other: int) -> list[float]:
+    """Return the view of another UAV; (0, 0, 1) stands for none."""
+    if other < 0:
+        return [0.0, 0.0, 1.0]
+    return _towards(farm, u, np.array([*farm.position[other], farm.height[other]]))
+
+
+def _relay_view(farm: ReferenceFarm, u: int) -> Array:
+    """Return U_c, UAV_C-c, GC_c, GC_u, UAV_f-s and UAV_N with their distances."""
+    relays = [r for r in np.flatnonzero(farm.kind == 0) if r != u]
+    nearest = min(relays, key=lambda r: farm.distance(u, int(r), farm.position), default=-1)
+    place = np.column_stack([farm.position, farm.height])
+    served = farm.served(u)
+    centroid, farthest = [0.0] * 3, [0.0] * 3
+    if served:
+        centroid = _towards(farm, u, place[served].mean(axis=0))
+        farthest = _uav(farm, u, max(served, key=lambda s: farm.distance(u, s, farm.position)))
+    everybody = _towards(farm, u, place[farm.kind == 0].mean(axis=0))
+    parts = (
+        _own(farm, u),
+        _uav(farm, u, int(nearest)),
+        everybody,
+        centroid,
+        farthest,
+        _uav(farm, u, farm.nearest_uav(u)),
+    )
+    return np.concatenate(parts)
+
+
+def _monitoring_view(farm: ReferenceFarm, u: int) -> Array:
+    """Return U_m, the window of VDF around (0 outside the field), D_VDF, UAV_N with its distance, place in the plot."""
+    seen, signs, ((x, y), offset) = farm.config.observation, _signs(farm, u), _plot(farm, u)
+    around = np.pad(farm.vdf, seen.window // 2)[x : x + seen.window, y : y + seen.window] / farm.config.world.vdf_max
+    turned = np.flip(around, tuple(np.flatnonzero(signs < 0.0).tolist())).reshape(-1)
+    nearest, place = _uav(farm, u, farm.nearest_uav(u)), (offset * signs)[: 2 * seen.lattice]
+    return np.concatenate([_own(farm, u), turned, farm.direction[u] * signs, nearest, place])
+
+
+def _collection_view(farm: ReferenceFarm, u: int) -> Array:
+    """Return U_d, n sensors near (AoI and offset over 50 m, clipped), D_AoI and UAV_N with its distance."""
+    seen, signs = farm.config.observation, _signs(farm, u)
+    offset = farm.layout.sensor_xy - farm.position[u]
+    square = (offset**2).sum(axis=1)
+    empty = farm.aoi < 0.5 if seen.choice == "waiting" else np.zeros(len(square), bool)
+    nearest = np.lexsort((square, empty))[: seen.sensors]
+    sensors = (farm.aoi[nearest] / farm.config.world.aoi_max)[:, None]
+    if seen.form == "default":
+        sensors = np.hstack([sensors, np.clip(offset[nearest] * signs / 50.0, -1.0, 1.0)])
+    nearest_uav = _uav(farm, u, farm.nearest_uav(u))
+    return np.concatenate([_own(farm, u), sensors.reshape(-1), farm.direction[u] * signs, nearest_uav])

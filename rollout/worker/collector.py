@@ -1,0 +1,191 @@
+"""Collecting experience: a batch of environments stepped with the present actors and exploration noise."""
+
+from collections.abc import Sequence
+from contextlib import closing
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.actors import ActorBank
+from common.config import RunConfig
+from common.seeds import derive, stream
+from common.team import Float32
+from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from rollout.envs.base import make_environments
+from rollout.worker.reward_shaping import Shaping
+
+BLOCK: Final = 128
+"""Steps for which random numbers are drawn at once."""
+
+
+class Onlooker(Protocol):
+    """Looks at one environment, as `rollout.worker.probe.Lens` does."""
+
+    index: int
+
+    def note(self) -> None:
+        """Look; called after every reset of the environment and every step."""
+
+
+class Collector:
+    """One worker's environments.
+
+    A chunk is `chunk_steps` steps of every environment. Which farm or scenario an episode is flown on, its seed and its
+    noise follow from (run seed, worker, start, environment, number of the episode), never from what other processes do.
+
+    Args:
+        config: the run.
+        worker: the worker's name.
+        start: distinguishes the starts of a worker of this name; a fixed number repeats the same episodes.
+
+    Attributes:
+        environments: the batch.
+        team: layout of a row.
+        environment_steps: steps flown, all environments together.
+        lens: who looks on, if anybody does; what is flown does not depend on it.
+
+    Raises:
+        ConfigError: the environment does not exist or cannot be trained.
+    """
+
+    def __init__(self, config: RunConfig, worker: str, start: int) -> None:
+        self._config = config
+        self._identity = (config.seed, worker, start)
+        count = config.rollout.environments
+        self.environments = make_environments(config, count)
+        self.team = self.environments.team
+        self._shaping = Shaping(self.environments, config.algorithm.potential_discount)
+        self.environment_steps = 0
+        self.lens: Onlooker | None = None
+        self._episode: NDArray[np.int64] = np.full(count, -1, np.int64)
+        self._noise = _Draws((*self._identity, "noise"), count, self.team.action_size)
+        self._uniform = _Draws((*self._identity, "uniform"), count, self.team.action_size)
+        for index in range(count):
+            self._begin(index)
+
+    def collect(self, bank: ActorBank, deviation: float, uniform: bool) -> Chunk:
+        """Fly one chunk.
+
+        Args:
+            bank: the actors.
+            deviation: standard deviation of the Gaussian noise on a deterministic head's action, 0..1.
+            uniform: draw actions uniformly instead (warm-up).
+
+        Returns:
+            Rows of all environments, each environment's segments one after the other, and the episodes that ended. What
+            rows pay may be shaped (`rollout.worker.reward_shaping`), what the episodes tell is not.
+        """
+        environments, steps = self.environments, self._config.rollout.chunk_steps
+        rows = _Rectangle(len(environments.time), steps, self.team.observation_size, self.team.action_size)
+        reward = np.zeros((len(environments.time), steps + 1, self.team.agents), np.float32)
+        episodes: list[EpisodeSummary] = []
+        for step in range(steps):
+            rows.observation[:, step] = environments.observation
+            action = self._act(bank, deviation, uniform)
+            self._shaping.look()
+            environments.step(self.team.steer(environments.observation, action))
+            if self.lens is not None:
+                self.lens.note()
+            rows.action[:, step], reward[:, step] = action, self._shaping.reward()
+            over = np.flatnonzero(environments.ended)
+            rows.observation[:, step + 1] = environments.observation
+            for index in over:
+                rows.end(int(index), step, bool(environments.terminated[index]))
+                episodes.append(environments.summary(int(index)))
+                self._begin(int(index))
+        self.environment_steps += len(environments.time) * steps
+        return Chunk(rows.rows(reward), tuple(episodes))
+
+    def _act(self, bank: ActorBank, deviation: float, uniform: bool) -> Float32:
+        environments = self.environments
+        if uniform:
+            return 2.0 * self._uniform.at(self._episode, environments.time, normal=False) - 1.0
+        noise = self._noise.at(self._episode, environments.time, normal=True)
+        return bank.explore(environments.observation, noise, deviation)
+
+    def _begin(self, index: int) -> None:
+        self._episode[index] += 1
+        parts = (*self._identity, index, int(self._episode[index]))
+        farm = int(stream(*parts, "farm").integers(self._config.rollout.train_farms))
+        self.environments.reset(index, farm, derive(*parts, "episode"))
+        if self.lens is not None and index == self.lens.index:
+            self.lens.note()
+
+
+class _Rectangle:
+    """The rows of one chunk: environments by steps, and the last observations of episodes that ended on the way."""
+
+    def __init__(self, count: int, steps: int, observations: int, actions: int) -> None:
+        self._steps = steps
+        self.observation = np.empty((count, steps + 1, observations), np.float32)
+        self.action = np.zeros((count, steps + 1, actions), np.float32)
+        self._flag = np.zeros((count, steps + 1), np.uint8)
+        self._flag[:, :steps] = TRANSITION
+        self._inserted: list[tuple[int, Float32]] = []
+
+    def end(self, index: int, step: int, terminated: bool) -> None:
+        """Note that an environment's episode ended in a step; the observation behind it is in place."""
+        self._flag[index, step] |= TERMINATED if terminated else TRUNCATED
+        if step + 1 < self._steps:
+            place = index * (self._steps + 1) + step + 1
+            self._inserted.append((place, self.observation[index, step + 1].copy()))
+
+    def rows(self, reward: Float32) -> Rows:
+        """Return all rows, each episode's last observation in a row of its own before the next episode's first."""
+        count = self._flag.size
+        observation, action, earned = (a.reshape(count, -1) for a in (self.observation, self.action, reward))
+        flag = self._flag.reshape(count)
+        if self._inserted:
+            self._inserted.sort(key=lambda entry: entry[0])
+            places = [place for place, _ in self._inserted]
+            observation = np.insert(observation, places, np.stack([last for _, last in self._inserted]), axis=0)
+            action, earned = (np.insert(array, places, 0.0, axis=0) for array in (action, earned))
+            flag = np.insert(flag, places, np.uint8(0))
+        return Rows(observation, action, earned, flag)
+
+
+class _Draws:
+    """Random rows for every step of every environment's episode, whatever was drawn for other episodes or steps."""
+
+    def __init__(self, name: tuple[Any, ...], count: int, size: int) -> None:
+        self._name = name
+        self._rows = np.zeros((count, BLOCK, size), np.float32)
+        self._held: NDArray[np.int64] = np.full((count, 2), -1, np.int64)
+        self._index = np.arange(count)
+
+    def at(self, episode: NDArray[np.int64], time: NDArray[np.int64], *, normal: bool) -> Float32:
+        """Return one row for each environment: standard normal, or uniform over [0, 1)."""
+        wanted = np.stack([episode, time // BLOCK], axis=1)
+        for index in np.flatnonzero((wanted != self._held).any(axis=1)):
+            generator = stream(*self._name, int(index), *wanted[index].tolist())
+            shape = self._rows[index].shape
+            drawn = generator.standard_normal(shape, np.float32) if normal else generator.random(shape, np.float32)
+            self._rows[index] = drawn
+        self._held = wanted
+        found: Float32 = self._rows[self._index, time % BLOCK]
+        return found
+
+
+def fly_noise_free(
+    config: RunConfig, bank: ActorBank, farms: Sequence[int], episodes: Sequence[int]
+) -> tuple[Float32, NDArray[np.int64]]:
+    """Fly one noise-free episode on each farm.
+
+    Args:
+        config: the run.
+        bank: the actors.
+        farms: farm seeds.
+        episodes: episode seeds, one for each farm.
+
+    Returns:
+        [F, T, agents] step rewards, zeros behind the end of a shorter episode, and [F] the steps of each episode.
+    """
+    with closing(make_environments(config, len(farms))) as batch:
+        for index, (farm, episode) in enumerate(zip(farms, episodes, strict=True)):
+            batch.reset(index, farm, episode)
+        rewards: list[Float32] = []
+        while not batch.ended.all():
+            batch.step(bank.command(batch.observation))
+            rewards.append(batch.reward.copy())
+        return np.stack(rewards, axis=1), batch.time.copy()

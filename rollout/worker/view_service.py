@@ -1,0 +1,157 @@
+"""A worker that is watched: who watches, until when, and what they get to see.
+
+Nothing is looked at and nothing is published unless somebody has asked in the last LEASE_SECONDS. A worker flies an
+episode in a fraction of a second, people look at it for many; so it shows one whole episode, step by step, and rests
+until STEPS_PER_SECOND allows for the next. What is flown meanwhile is counted as skipped, never queued.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Final
+
+from common.errors import ConfigError, ProtocolError
+from common.protocol import keys
+from common.protocol.keys import check_name
+from common.protocol.messages import Envelope, ViewMessage, WatchRequest, WatchTerms
+from common.transport.bus import Bus, Incoming
+from rollout.sim.batch import REWARD_PARTS, FarmBatch
+from rollout.worker.collector import Collector
+from rollout.worker.probe import Lens
+
+LEASE_SECONDS: Final = 4.0
+"""Time after its last request that a watcher counts as gone."""
+STEPS_PER_SECOND: Final = 25.0
+"""Frames that are published in a second, on average."""
+SLACK_SECONDS: Final = 1.0
+"""Time by which publishing may be ahead of its allowance before the lens rests after an episode."""
+GREETING_SECONDS: Final = 2.0
+"""Least time between two episodes that are shown early because somebody new has come."""
+MAX_WATCHERS: Final = 16
+CAPACITY: Final = 32
+"""Requests that may wait."""
+
+
+class Showing:
+    """Shows the first environment of a worker to whoever asks.
+
+    Args:
+        bus: the control lane.
+        run: the run's name.
+        worker: the worker's name.
+        incarnation: number of this start.
+        collector: what flies.
+        toml: the run's configuration.
+        clock: returns seconds.
+
+    Attributes:
+        shown: frames published.
+        skipped: steps flown while somebody watched, and not shown.
+        refused: requests that were refused.
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        run: str,
+        worker: str,
+        incarnation: int,
+        collector: Collector,
+        toml: str,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._requests = bus.serve(keys.WATCH.key(run, worker=worker), CAPACITY)
+        self._publisher = bus.publish(keys.VIEW.key(run, worker=worker))
+        self._sender = ("rollout", worker, incarnation)
+        self._collector, self._clock = collector, clock
+        self._terms = WatchTerms(toml, REWARD_PARTS, LEASE_SECONDS, STEPS_PER_SECOND).encode()
+        farms = collector.environments
+        self._lens = Lens(farms, 0) if isinstance(farms, FarmBatch) else None
+        self._until: dict[str, float] = {}
+        self._sequence = self.shown = self.skipped = self.refused = 0
+        self._flown = self._seen = 0
+        self._paid = self._greeted = 0.0
+
+    @property
+    def watchers(self) -> int:
+        """Return how many watch."""
+        return len(self._until)
+
+    def tend(self, version: int, deviation: float, uniform: bool) -> None:
+        """Answer requests, let go of watchers that are gone, and publish what has been seen since the last call.
+
+        Args:
+            version: parameter version that was flown with.
+            deviation: of the exploration noise.
+            uniform: whether actions were drawn uniformly instead.
+        """
+        for incoming in self._requests.waiting():
+            self._answer(incoming)
+        if not self._until or self._lens is None:
+            return
+        now = self._clock()
+        self._until = {name: until for name, until in self._until.items() if until > now}
+        if not self._until:
+            self._lens.close()
+            self._lens.take(0, 0.0, False)
+            self._collector.lens = None
+            return
+        self._publish(self._lens, now, version, deviation, uniform)
+        if not self._lens.is_open:
+            self._collector.lens = None
+            if now >= self._paid:
+                self._open(self._lens, at_once=False)
+
+    def _answer(self, incoming: Incoming) -> None:
+        try:
+            request = WatchRequest.decode(incoming.payload)
+            check_name(request.watcher, "watcher")
+            if self._lens is None:
+                raise ConfigError("this run is not about the farm, and only the farm has a picture.")
+            if request.stay and request.watcher not in self._until and len(self._until) >= MAX_WATCHERS:
+                raise ConfigError(f"{MAX_WATCHERS} watchers are watching already.")
+        except (ProtocolError, ConfigError) as error:
+            self.refused += 1
+            incoming.refuse(str(error))
+            return
+        incoming.reply(self._terms)
+        if not request.stay:
+            # It goes with the next call of `tend`, which also closes the lens behind the last one.
+            if request.watcher in self._until:
+                self._until[request.watcher] = 0.0
+            return
+        new = request.watcher not in self._until
+        self._until[request.watcher] = self._clock() + LEASE_SECONDS
+        if new:
+            self._greet(self._lens)
+
+    def _greet(self, lens: Lens) -> None:
+        """Let somebody new see something soon: the running episode if nobody watched, else the next one."""
+        now = self._clock()
+        if len(self._until) == 1:
+            self._flown = self._steps() - self._seen - self.skipped
+            self._paid = now
+            self._open(lens, at_once=True)
+        elif not lens.is_open and now - self._greeted >= GREETING_SECONDS:
+            self._paid = now
+        self._greeted = now
+
+    def _open(self, lens: Lens, *, at_once: bool) -> None:
+        lens.open(at_once=at_once)
+        self._collector.lens = lens
+
+    def _publish(self, lens: Lens, now: float, version: int, deviation: float, uniform: bool) -> None:
+        for message in lens.take(self.skipped, deviation, uniform):
+            self._put(message, version)
+            self._paid = max(now, self._paid) + len(message.position) / STEPS_PER_SECOND
+        self.skipped = max(self.skipped, self._steps() - self._flown - self._seen)
+        lens.again = self._paid - now <= SLACK_SECONDS
+
+    def _put(self, message: ViewMessage, version: int) -> None:
+        self._sequence += 1
+        self.shown += len(message.position)
+        self._seen += len(message.position) - (message.first == 0)
+        self._publisher.put(message.encode(), Envelope(*self._sender, self._sequence, version).encode())
+
+    def _steps(self) -> int:
+        """Return the steps that the shown environment has flown."""
+        return self._collector.environment_steps // len(self._collector.environments.time)

@@ -1,0 +1,219 @@
+"""Configuration as TOML: round trip, overlay, clear refusals, differences and digest."""
+
+import contextlib
+import dataclasses
+import json
+import tomllib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.config import AlgorithmConfig, EnvConfig, FarmConfig, RewardConfig, RunConfig, WorldConfig
+from common.config.files import differences, digest, flatten, from_toml, to_toml
+from common.config.presets import PRESETS
+from common.config.sites import MAX_SENSORS
+from common.errors import ConfigError
+from common.protocol.frame import MAX_HEADER
+from common.protocol.messages import ConfigurationMessage
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_round_trip_gives_back_the_preset(name):
+    """Every preset, written and read onto any other preset, is itself again with the types it had."""
+    text = to_toml(PRESETS[name])
+    for base in PRESETS.values():
+        read = from_toml(text, base)
+        assert read == PRESETS[name]
+        assert {key: type(value) for key, value in flatten(read).items()} == {
+            key: type(value) for key, value in flatten(PRESETS[name]).items()
+        }
+
+
+@given(
+    seed=st.integers(0, 2**63 - 1),
+    weight=st.floats(allow_nan=False, allow_infinity=False),
+    text=st.text(st.characters(exclude_categories=["Cs"])),
+    cycles=st.lists(st.integers(1, 1000), min_size=1, max_size=5),
+    flag=st.booleans(),
+    sites=st.sets(st.tuples(st.floats(0.0, 400.0), st.floats(0.0, 400.0)), min_size=30, max_size=40),
+)
+def test_round_trip_of_any_value(seed, weight, text, cycles, flag, sites):
+    """Any integer, number, text, list and truth value survives being written and read."""
+    config = RunConfig(
+        seed=seed,
+        farm=FarmConfig(
+            world=WorldConfig(sensor_cycles=tuple(cycles), sites=tuple(sites), sensors=len(sites)),
+            reward=RewardConfig(boundary=weight),
+        ),
+        algorithm=AlgorithmConfig(ensemble=flag),
+        env=EnvConfig(arguments=json.dumps({"text": text}, ensure_ascii=False)),
+    )
+    assert from_toml(to_toml(config), RunConfig()) == config
+
+
+def test_every_key_is_written():
+    """The TOML holds every field of the configuration, sections nested as the dataclasses are."""
+    table = tomllib.loads(to_toml(RunConfig()))
+    assert table["farm"]["world"]["sensor_cycles"] == [40, 50, 60]
+    assert set(table) == {field.name for field in dataclasses.fields(RunConfig)}
+
+
+def test_what_a_file_leaves_out_is_the_base(tmp_path):
+    """A file changes what it names and nothing else."""
+    path = tmp_path / "run.toml"
+    path.write_text("episodes = 7\n[farm.world]\nfield_x = 300\n")
+    read = from_toml(path, PRESETS["quick"])
+    assert differences(PRESETS["quick"], read) == [
+        f"episodes: {PRESETS['quick'].episodes} -> 7",
+        "farm.world.field_x: 400.0 -> 300.0",
+    ]
+    assert isinstance(read.farm.world.field_x, float)
+
+
+REFUSED = [
+    ("bach = 1", "unknown configuration key bach; the closest known one is algorithm.batch."),
+    ("[algorithm]\nbach = 1", "unknown configuration key algorithm.bach; the closest known one is algorithm.batch."),
+    ("batch = 64", "unknown configuration key batch; the closest known one is algorithm.batch."),
+    ("[algoritm]\nbatch = 1", "unknown configuration key algoritm; the closest known one is algorithm."),
+    ("[farm.wrld]\nsteps = 1", "unknown configuration key farm.wrld; the closest known one is farm.world."),
+    ("[algorithm]\nbatch = 1.5", "algorithm.batch must be a whole number, not 1.5."),
+    ("seed = true", "seed must be a whole number, not true."),
+    ("seed = 1979-05-27", "seed must be a whole number, not 1979-05-27."),
+    ('episodes = "many"', 'episodes must be a whole number, not "many".'),
+    ("[algorithm]\ndiscount = true", "algorithm.discount must be a number, not true."),
+    ("[algorithm]\nensemble = 1", "algorithm.ensemble must be true or false, not 1."),
+    ("[learner]\ndevice = 0", "learner.device must be a text in quotes, not 0."),
+    ("[algorithm]\nbootstrap = 'x'", 'algorithm.bootstrap must be one of "mixture", "local", not "x".'),
+    (
+        "[farm.world]\nsensor_cycles = [1.5]",
+        "farm.world.sensor_cycles must be a list of whole numbers, not [1.5].",
+    ),
+    ("[farm.world]\nsites = 3", "farm.world.sites must be a list of at most 10000 places, not 3."),
+    (
+        "[farm.world]\nsites = [3]",
+        "farm.world.sites must be a list of places [x, y] or [x, y, type], not of 3.",
+    ),
+    (
+        '[farm.world]\nsites = [[1, "2"]]',
+        'farm.world.sites must be a list of places [x, y] or [x, y, type], not of [1, "2"].',
+    ),
+    (f"[farm.world]\nsites = [[1, 1{'0' * 400}]]", "farm.world.sites names a number that is too large."),
+    (
+        f"[farm.world]\nsites = [{'[1, 2], ' * 10_001}]",
+        "farm.world.sites must be a list of at most 10000 places, not a list of 10001.",
+    ),
+    ("[farm.world]\nsites = [[1, 2]]", "in [farm.world], sites names 1 places, but sensors is 400."),
+    ("algorithm = 3", "algorithm must be a section [algorithm], not 3."),
+    ("[[farm]]\nx = 1", "farm must be a section [farm], not [a section]."),
+    (f"[elite]\nrate = 1{'0' * 400}", "elite.rate is a number that is too large."),
+    (
+        "[farm.world]\nstep_seconds = 5e-324",
+        "in [farm.world], a number is too small or too large to be computed with: cannot convert float infinity to "
+        "integer.",
+    ),
+    (
+        "[replay]\ncapacity = 256",
+        "replay.capacity 256 holds no batch of 128 or no chunk of 8 times 20 steps; it takes up to two rows for each.",
+    ),
+    ("[replay]\nupdates_per_step = 1e308", "in [replay], updates_per_step must be between 0.0 and 1000.0, not 1e+308."),
+    ("[algorithm]\nbatch = 0", "in [algorithm], batch must be between 1 and 65536, not 0."),
+    ("[algorithm]\ncritic_rate = nan", "in [algorithm], critic_rate must be above 0, not nan."),
+    ("[farm.relay]\ncapacity = 1", "in [farm], relay.capacity 1 times 4 relays cannot serve 8 UAVs."),
+    (
+        "[evaluation]\nfirst_farm = 3",
+        "evaluation.first_farm must lie beyond the training farms, so that they stay unseen.",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "sentence"), REFUSED, ids=[case[0] for case in REFUSED])
+def test_mistake_is_refused_in_one_sentence(text, sentence):
+    """An unknown key, a wrong type and an impossible value are each refused with one sentence that names the key."""
+    with pytest.raises(ConfigError) as caught:
+        from_toml(text, RunConfig())
+    assert str(caught.value) == sentence
+
+
+def test_file_that_is_no_toml_is_refused(tmp_path):
+    """A file that is not TOML is refused with its name and the place of the error."""
+    path = tmp_path / "broken.toml"
+    path.write_text("seed = \n")
+    with pytest.raises(ConfigError, match=r"broken\.toml is not valid TOML: invalid value \(at line 1"):
+        from_toml(path, RunConfig())
+
+
+@pytest.mark.parametrize("text", ["seed = " + "[" * 5000, "seed = 1" + "0" * 5000], ids=["nested", "long"])
+def test_text_that_no_parser_takes_is_refused(text):
+    """A text that others send may be nested or long beyond what Python reads."""
+    with pytest.raises(ConfigError, match="this is not valid TOML"):
+        from_toml(text, RunConfig())
+
+
+@pytest.mark.parametrize("content", [None, b"seed = 1 # \xff"], ids=["missing", "not text"])
+def test_file_that_cannot_be_read_is_refused(tmp_path, content):
+    """A file that is missing or holds no text is refused with its name."""
+    path = tmp_path / "run.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"the configuration file .*run\.toml cannot be read: .*\."):
+        from_toml(path, RunConfig())
+
+
+def test_the_largest_given_farm_fits_a_message_and_is_told_in_short():
+    """Ten thousand places travel as every configuration does, and a difference in them is a line, not a book."""
+    sites = tuple((1234.567 + 0.001 * i, 2345.678, 1.0) for i in range(MAX_SENSORS))
+    world = WorldConfig(field_x=5000.0, field_y=5000.0, sensors=MAX_SENSORS, sites=sites)
+    config = RunConfig(farm=FarmConfig(world=world))
+    data = ConfigurationMessage(1, to_toml(config), {}, False).encode()
+    assert len(data) < MAX_HEADER / 8
+    assert from_toml(ConfigurationMessage.decode(data).toml, RunConfig()) == config
+    other = dataclasses.replace(config, farm=FarmConfig(world=dataclasses.replace(world, sites=sites[::-1])))
+    assert differences(config, other) == ["farm.world.sites: a list of 10000 -> a list of 10000"]
+    assert digest(config) != digest(other)
+
+
+def test_equal_configurations_have_no_differences_and_one_digest():
+    """Equal configurations differ in nothing and share their digest; the presets all differ."""
+    assert differences(RunConfig(), RunConfig()) == []
+    assert digest(RunConfig()) == digest(from_toml(to_toml(RunConfig()), PRESETS["paper"]))
+    assert len({digest(config) for config in PRESETS.values()}) == len(PRESETS)
+
+
+WORDS = (
+    "nearest",
+    "printed",
+    "physical",
+    "random",
+    "local",
+    "member",
+    "mixture",
+    "joint",
+    "independent",
+    "any",
+    "exact",
+)
+WORDS += ("expected", "ghz", "cuda", "mpe2:simple_spread_v3", "agent=runner", "banded", "maddpg")
+WORDS += ("lattice", "velocity", "policy")
+OTHER_VALUES = {
+    bool: ["true", "false"],
+    str: [*(f'"{word}"' for word in WORDS), "'{\"N\": 5}'"],
+    tuple: ["[30]", str([[float(i % 20), float(i // 20)] for i in range(400)])],
+    int: ["2", "3", "5", "100", "2000000"],
+    float: ["0.25", "0.75", "2.0", "4.0"],
+}
+
+
+@pytest.mark.parametrize("key", flatten(RunConfig()))
+def test_digest_depends_on_every_key(key):
+    """A change of any single key changes the digest and is the one difference that is reported."""
+    section, _, name = key.rpartition(".")
+    head = f"[{section}]\n" if section else ""
+    changed = RunConfig()
+    for value in OTHER_VALUES[type(flatten(RunConfig())[key])]:
+        with contextlib.suppress(ConfigError):
+            changed = from_toml(f"{head}{name} = {value}", RunConfig())
+        if changed != RunConfig():
+            break
+    assert digest(changed) != digest(RunConfig())
+    assert [line.split(":")[0] for line in differences(RunConfig(), changed)] == [key]

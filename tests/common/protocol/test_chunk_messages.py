@@ -1,0 +1,65 @@
+"""A chunk on the wire is bounded by what is in it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from common.errors import SchemaError
+from common.protocol.chunk_messages import from_message, to_message
+from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from tests.faults.tools.channel import TEAM
+
+
+def of_short_episodes(steps: int, episodes: int) -> Chunk:
+    """Return a chunk of so many environment steps, in whose first ones so many episodes of one step end."""
+    sizes = (TEAM.observation_size, TEAM.action_size, TEAM.agents)
+    ends = min(steps, episodes)
+    flag = np.array([TRANSITION | TRUNCATED, 0] * ends + [TRANSITION, 0] * (steps - ends), np.uint8)
+    rows = Rows(*(np.zeros((len(flag), size), np.float32) for size in sizes), flag)
+    return Chunk(rows, tuple(EpisodeSummary(0, k, 1, (0.0,) * TEAM.agents, {}) for k in range(episodes)))
+
+
+def test_a_chunk_may_finish_as_many_episodes_as_it_has_steps():
+    """Thousands of episodes of one step are lawful; one more than there are steps is not."""
+    whole = of_short_episodes(5000, 5000)
+    assert from_message(to_message(whole, TEAM, 1, 5000), TEAM, ()).episodes == whole.episodes
+    with pytest.raises(SchemaError, match="do not fit together"):
+        from_message(to_message(of_short_episodes(3, 4), TEAM, 1, 3), TEAM, ())
+
+
+def test_episodes_end_where_the_rows_say():
+    """As many summaries as flags of an end, each of at least one step: their count decides the end of a run."""
+    whole = of_short_episodes(8, 3)
+    for told in (whole.episodes[:2], (), whole.episodes + whole.episodes[:1]):
+        with pytest.raises(SchemaError, match="do not fit together"):
+            from_message(to_message(Chunk(whole.rows, told), TEAM, 1, 8), TEAM, ())
+    odd = (*whole.episodes[:2], dataclasses.replace(whole.episodes[2], steps=-5))
+    with pytest.raises(SchemaError, match="no steps"):
+        from_message(to_message(Chunk(whole.rows, odd), TEAM, 1, 8), TEAM, ())
+
+
+@pytest.mark.parametrize("value", [1.01e7, -1e22, np.nan, np.inf])
+@pytest.mark.parametrize("part", ["observation", "reward"])
+def test_numbers_that_would_spoil_the_training_are_refused(part, value):
+    """One far number in one row makes moments infinite, after which a weight never moves again."""
+    rows = of_short_episodes(2, 0).rows
+    getattr(rows, part)[0, 0] = value
+    with pytest.raises(SchemaError, match=f"{part} holds a number"):
+        from_message(to_message(Chunk(rows), TEAM, 1, 2), TEAM, ())
+
+
+@pytest.mark.parametrize(
+    "figures",
+    [{}, {"aoi": 1.0}, {"aoi": 1.0, "updates": 2.0}, {"aoi": 1.0, "vdf": 2.0, "kind": 3.0}, {"aoi": 1.0, "vdf": 1e31}],
+)
+def test_an_episode_comes_to_what_the_environment_tells(figures):
+    """Names of others would meet those of the learner's own records; and no figure makes a mean infinite."""
+    whole = of_short_episodes(1, 1)
+    told = EpisodeSummary(0, 0, 1, (1.0,) * TEAM.agents, {"vdf": 2.0, "aoi": 1.0})
+    assert from_message(to_message(Chunk(whole.rows, (told,)), TEAM, 1, 1), TEAM, ("aoi", "vdf")).episodes == (told,)
+    odd = Chunk(whole.rows, (EpisodeSummary(0, 0, 1, (1.0,) * TEAM.agents, figures),))
+    with pytest.raises(SchemaError, match="finished"):
+        from_message(to_message(odd, TEAM, 1, 1), TEAM, ("aoi", "vdf"))
+    none = of_short_episodes(1, 0)
+    assert from_message(to_message(none, TEAM, 1, 1), TEAM, ("aoi", "vdf")).episodes == ()

@@ -1,0 +1,122 @@
+"""Every message type survives the wire, and nothing that differs from its declaration is accepted."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from common.errors import FrameError, SchemaError
+from common.protocol import frame, messages
+from common.protocol.codec import Message
+from common.protocol.messages import (
+    ChunkAck,
+    DeliveryMessage,
+    EvaluationOrder,
+    EvaluationResult,
+    ImitationMessage,
+    MetricMessage,
+    ObservationMessage,
+    ParametersMessage,
+    ProgressMessage,
+    SetpointMessage,
+    ViewMessage,
+    WatchRequest,
+    WatchTerms,
+)
+
+TYPES = [
+    kind
+    for kind in vars(messages).values()
+    if isinstance(kind, type) and issubclass(kind, Message) and kind is not Message
+]
+
+EXAMPLES = [
+    ChunkAck(("accepted", "refused"), ("", "why"), 4, 0),
+    DeliveryMessage(3, 40, (1000, 2000)),
+    EvaluationOrder(9, 1, 2, (3, 4), (5, 6)),
+    EvaluationResult(1, 2, np.ones((2, 5, 3), np.float32), np.array([5, 3], np.int64)),
+    ImitationMessage(9, 1, 2, 10, 0.1, (0, 1), ((0.5, -1.0), (2.0,)), 500),
+    MetricMessage(1, "host", 2, 3.0, {"a": {"b": 1.5}, "c": "text"}),
+    ParametersMessage(
+        1, 2, 0, 4, 0.5, "ab", 8, "gaussian", (np.ones((2, 3), np.float32), np.zeros((1, 7), np.float32))
+    ),
+    ProgressMessage(1, 2, 3, 4, 5, 6, "training"),
+    ObservationMessage("monitoring_1", 1_700_000_000_000_000, np.linspace(-1, 1, 16, dtype=np.float32)),
+    SetpointMessage("monitoring_1", (1.25, -10.0), False, "", 7, 1_700_000_000_000_000, 9, 0.0004),
+    WatchRequest("somebody", True),
+    WatchTerms("seed = 1", ("energy", "utility"), 4.0, 25.0),
+    ViewMessage(
+        *(1, 2, 3, 4, 0.5, False),
+        position=np.ones((2, 3, 2), np.float32),
+        assignment=np.zeros((2, 2), np.uint8),
+        quality=np.ones((2, 2), np.float32),
+        aoi=np.full((2, 5), 51, np.uint8),
+        vdf=np.zeros((2, 2, 2), np.uint8),
+        level=np.ones((2, 2), np.float32),
+        parts=np.zeros((2, 3, 7), np.float32),
+    ),
+]
+
+
+def test_every_type_is_a_dataclass_with_a_number_of_its_own() -> None:
+    """KIND numbers are unique, and every message is a frozen dataclass."""
+    assert len({kind.KIND for kind in TYPES}) == len(TYPES) > 8
+    assert all(dataclasses.is_dataclass(kind) for kind in TYPES)
+
+
+@pytest.mark.parametrize("message", EXAMPLES, ids=lambda message: type(message).__name__)
+def test_round_trip(message: Message) -> None:
+    """Each field comes back equal and of the same type."""
+    again = type(message).decode(message.encode())
+    for field in dataclasses.fields(message):  # type: ignore[arg-type]  # every message is a dataclass
+        sent, got = getattr(message, field.name), getattr(again, field.name)
+        if isinstance(sent, np.ndarray):
+            np.testing.assert_array_equal(got, sent)
+        elif isinstance(sent, tuple) and isinstance(sent[0], np.ndarray):
+            for a, b in zip(sent, got, strict=True):
+                np.testing.assert_array_equal(a, b)
+        else:
+            assert got == sent
+
+
+@pytest.mark.parametrize(
+    ("fields", "arrays"),
+    [
+        ({"event": 1, "version": 2}, {}),
+        ({"event": 1, "version": 2}, {"reward": np.ones(3)}),
+        ({"event": "1", "version": 2}, {"reward": np.ones(3, np.float32)}),
+        ({"event": True, "version": 2}, {"reward": np.ones(3, np.float32)}),
+        ({"event": -1, "version": 2}, {"reward": np.ones(3, np.float32)}),
+        ({"event": 1}, {"reward": np.ones(3, np.float32)}),
+        ({"event": 1, "version": 2, "more": 3}, {"reward": np.ones(3, np.float32)}),
+        ({"event": 1, "version": 2}, {"reward": np.ones(3, np.float32), "more": np.ones(1)}),
+    ],
+)
+def test_what_differs_from_the_declaration_is_refused(
+    fields: dict[str, object], arrays: dict[str, frame.Array]
+) -> None:
+    """Missing, unknown, mistyped and out-of-range fields are SchemaErrors."""
+    with pytest.raises(SchemaError):
+        EvaluationResult.decode(frame.encode(EvaluationResult.KIND, fields, arrays))
+
+
+@pytest.mark.parametrize("rate", [float("nan"), float("inf")])
+def test_numbers_that_are_not_finite_are_refused(rate: float) -> None:
+    """A NaN or an infinity in a scalar field is a SchemaError."""
+    message = dataclasses.replace(EXAMPLES[4], rate=rate)  # type: ignore[type-var]  # an ImitationMessage
+    with pytest.raises(SchemaError, match="finite"):
+        ImitationMessage.decode(message.encode())
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_a_long_header_is_refused_before_it_is_unpacked(kind, monkeypatch):
+    """Each kind has its limit, far below a frame's, but for those that hold a configuration."""
+
+    def unpack(*arguments, **options):
+        raise AssertionError("unpacked")
+
+    data = frame.encode(kind.KIND, {"x": [{}] * kind.MOST_HEADER}, {}) if kind.MOST_HEADER < frame.MAX_HEADER else b""
+    monkeypatch.setattr(frame.msgpack, "unpackb", unpack)
+    assert (kind in (messages.ConfigurationMessage, messages.WatchTerms)) == (not data)
+    with pytest.raises(FrameError):
+        kind.decode(data)

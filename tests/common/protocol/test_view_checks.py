@@ -1,0 +1,78 @@
+"""A view is drawn only when it shows the farm that was announced."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from common.errors import SchemaError
+from common.protocol.messages import ViewMessage
+from common.protocol.view_checks import FRAMES, check_view
+from tests.deploy.monitor.web.stage import CONFIG
+
+WORLD = CONFIG.farm.world
+
+
+def a_view(frames=3):
+    """Return a whole view of the small farm."""
+    served = WORLD.monitoring_uavs + WORLD.collection_uavs
+    return ViewMessage(
+        farm=1,
+        episode=2,
+        first=0,
+        skipped=0,
+        deviation=0.1,
+        uniform=False,
+        position=np.full((frames, WORLD.uavs, 2), 50.0, np.float32),
+        assignment=np.zeros((frames, served), np.uint8),
+        quality=np.zeros((frames, served), np.float32),
+        aoi=np.zeros((frames, WORLD.sensors), np.uint8),
+        vdf=np.zeros((frames, WORLD.plots_x, WORLD.plots_y), np.uint8),
+        level=np.zeros((frames, 2), np.float32),
+        parts=np.zeros((frames, 3, 7), np.float32),
+    )
+
+
+def test_a_whole_view_passes():
+    """A view that fits raises nothing, at the last step too."""
+    assert check_view(a_view(), CONFIG.farm, 7) is None
+    assert check_view(dataclasses.replace(a_view(), first=WORLD.steps - 2), CONFIG.farm, 7) is None
+
+
+def spoilt(name, value):
+    array = getattr(a_view(), name).copy()
+    array.flat[-1] = value
+    return {name: array}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"first": WORLD.steps - 1},
+        {"position": np.zeros((3, 4, 2), np.float32)},
+        {"position": np.zeros((0, 5, 2), np.float32)},
+        {"position": np.float32(1.0).reshape(())},
+        {"aoi": np.zeros((3, 31), np.uint8)},
+        {"aoi": np.zeros((2, 30), np.uint8)},
+        {"vdf": np.zeros((3, 4, 5), np.uint8)},
+        {"parts": np.zeros((3, 3, 8), np.float32)},
+        spoilt("position", np.nan),
+        spoilt("position", WORLD.field_y + 1.0),
+        spoilt("position", -1.0),
+        spoilt("assignment", WORLD.communication_uavs),
+        spoilt("quality", np.inf),
+        spoilt("level", -1.0),
+        spoilt("level", WORLD.vdf_max + 1.0),
+        spoilt("parts", np.nan),
+    ],
+)
+def test_what_does_not_fit_is_refused(change):
+    """Other shapes, numbers out of range, and numbers that are not finite are SchemaErrors."""
+    with pytest.raises(SchemaError):
+        check_view(dataclasses.replace(a_view(), **change), CONFIG.farm, 7)
+
+
+def test_too_many_frames_are_refused():
+    """A view has at most FRAMES frames."""
+    with pytest.raises(SchemaError, match="frames"):
+        check_view(a_view(FRAMES + 1), CONFIG.farm, 7)

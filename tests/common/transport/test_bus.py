@@ -1,0 +1,176 @@
+"""The four deliveries over a real Zenoh session on loopback."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from common.errors import BusClosedError, BusError, EndpointError
+from common.transport.bus import Bus, Incoming, Sample, Server
+from common.transport.endpoint import Endpoint, free_endpoint
+
+SECONDS = 10.0
+
+
+def until(poll: Callable[[], Any]) -> Any:
+    """Return the first value that is not None, within SECONDS."""
+    deadline = time.monotonic() + SECONDS
+    while time.monotonic() < deadline:
+        if (found := poll()) is not None:
+            return found
+        time.sleep(0.005)
+    raise AssertionError("nothing came in time")
+
+
+@pytest.fixture
+def endpoint() -> Endpoint:
+    return free_endpoint()
+
+
+@pytest.fixture
+def pair(endpoint: Endpoint) -> Iterator[tuple[Bus, Bus]]:
+    with Bus.listen(endpoint, "control") as listener, Bus.connect(endpoint, "control", wait=5.0) as client:
+        yield listener, client
+
+
+def echo(bus: Bus, key: str) -> threading.Thread:
+    server = bus.serve(key, 8)
+
+    def loop() -> None:
+        for incoming in server:
+            if incoming.payload == b"no":
+                incoming.refuse("not today")
+            else:
+                incoming.reply(incoming.payload + incoming.attachment)
+
+    thread = threading.Thread(target=loop)
+    thread.start()
+    return thread
+
+
+def test_requests_are_answered_refused_or_unserved(pair: tuple[Bus, Bus]) -> None:
+    """An answer comes back; a refusal raises with its reason; a key that nobody serves gives None."""
+    listener, client = pair
+    thread = echo(listener, "a/*")
+    assert until(lambda: client.ask("a/x", b"1", 2.0, b"2")) == b"12"
+    with pytest.raises(BusError, match="not today"):
+        client.ask("a/x", b"no", 2.0)
+    assert client.ask("b/x", b"1", 2.0) is None
+    listener.close()
+    thread.join(SECONDS)
+    assert not thread.is_alive()
+
+
+def test_a_request_is_made_again_and_any_answer_counts(pair: tuple[Bus, Bus]) -> None:
+    """An owner that answers the first copy late, or only a later one, is heard either way, long before time is up."""
+    owner, other = pair
+    server = owner.serve("t/slow", 8)
+    for answered in (0, 1, 2):
+        copies: list[Incoming] = []
+
+        def again(waited: float, copies: list[Incoming] = copies, answered: int = answered) -> bool:
+            before = len(copies)
+            copies.extend(server.waiting())
+            if len(copies) == 3 > before:
+                copies[answered].reply(bytes([answered]))
+            return before < len(copies) < 3
+
+        assert other.ask("t/slow", b"x", 3600.0, again=again) == bytes([answered])
+        assert [copy.payload for copy in copies] == [b"x"] * 3
+
+
+def test_who_asks_without_end_does_not_keep_the_server() -> None:
+    """Of requests that never end, as many as may wait are given out at a time."""
+
+    class Endless:
+        key_expr, payload, attachment = "a/x", None, None
+
+        @property
+        def handler(self) -> "Endless":
+            return self
+
+        def try_recv(self) -> "Endless":
+            return self
+
+    server = Server(Endless(), 3)
+    assert [incoming.key for incoming in server.waiting()] == ["a/x"] * 3
+
+
+def test_closing_ends_an_asker(pair: tuple[Bus, Bus]) -> None:
+    """A thread that waits for an answer is let go when its bus is closed."""
+    listener, client = pair
+    server = listener.serve("a/x", 8)
+    raised = threading.Event()
+
+    def ask() -> None:
+        try:
+            client.ask("a/x", b"1", 60.0)
+        except BusClosedError:
+            raised.set()
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    time.sleep(0.2)
+    client.close()
+    thread.join(SECONDS)
+    assert raised.is_set()
+    assert server.poll() is not None
+    with pytest.raises(BusClosedError):
+        client.ask("a/x", b"1", 1.0)
+
+
+def test_a_late_joiner_gets_the_latest_state(pair: tuple[Bus, Bus]) -> None:
+    """Only the newest value of a state waits, also for one who subscribes after it was published."""
+    listener, client = pair
+    publisher = listener.publish_state("s/x")
+    for value in (b"1", b"2", b"3"):
+        publisher.put(value)
+    state = client.subscribe_state("s/x")
+    assert until(state.poll).payload == b"3"
+    for value in (b"4", b"5", b"6"):
+        publisher.put(value)
+    newest: list[bytes] = []
+
+    def poll() -> bytes | None:
+        newest.extend(sample.payload for sample in state.drain())
+        return b"6" if newest and newest[-1] == b"6" else None
+
+    until(poll)
+
+
+def test_presence_comes_and_goes(pair: tuple[Bus, Bus], endpoint: Endpoint) -> None:
+    """A token is seen with its session, also one that was there before, and its end is seen too."""
+    listener, _ = pair
+    with Bus.connect(endpoint, "control", wait=5.0) as other:
+        token = other.announce("l/worker")
+        watch = listener.watch("l/*", 8)
+        assert until(watch.poll) == Sample("l/worker", b"", b"", True)
+        assert token is not None
+    assert until(watch.poll).present is False
+
+
+def test_a_taken_address_and_a_dead_one_are_endpoint_errors() -> None:
+    """Both are one clear sentence, raised at once."""
+    endpoint = free_endpoint()
+    with pytest.raises(EndpointError, match="nobody answers"):
+        Bus.connect(endpoint, "control")
+    with Bus.listen(endpoint, "control"), pytest.raises(EndpointError, match="taken"):
+        Bus.listen(endpoint, "control")
+
+
+@pytest.mark.parametrize("text", ["", "127.0.0.1:7447", "tcp/127.0.0.1", "tcp/127.0.0.1:0", "udp/h:1", "tcp/h:65535"])
+def test_malformed_endpoints_are_refused(text: str) -> None:
+    """What is no protocol/host:port is an EndpointError."""
+    with pytest.raises(EndpointError):
+        Endpoint.parse(text)
+
+
+def test_listening_beyond_this_machine_needs_consent() -> None:
+    """An address that others reach is refused unless --insecure was given."""
+    with pytest.raises(EndpointError, match="insecure"):
+        Endpoint.parse("tcp/0.0.0.0:7447").require_private(insecure=False)
+    Endpoint.parse("tcp/0.0.0.0:7447").require_private(insecure=True)
+    for private in ("tcp/127.0.0.1:1", "tcp/localhost:1", "tcp/[::1]:1"):
+        Endpoint.parse(private).require_private(insecure=False)

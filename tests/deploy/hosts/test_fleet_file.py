@@ -1,0 +1,189 @@
+"""Fleet files: what they say is what is started, and a mistake is one sentence that names the place."""
+
+import dataclasses
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from common.config.presets import PRESETS, WRITTEN
+from common.errors import ConfigError, CredentialsError
+from deploy.commands.training.learner import LearnerArguments
+from deploy.commands.training.train import TrainArguments
+from deploy.hosts import operations
+from deploy.hosts.fleet_file import Containers, Coordinator, Host, Learner, Network, Router, Training, read
+from deploy.hosts.plan import here, processes
+from deploy.hosts.render import render
+from docs.tools.pages import field_docs
+
+ROOT = Path(__file__).resolve().parents[3]
+EXAMPLE = ROOT / "deploy" / "fleet.toml"
+SMALL = '[learner]\nhost = "a"\n[hosts.a]\nhost = "local"\nworkers = 1\n'
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "fleet.toml"
+    path.write_text(text)
+    return path
+
+
+def test_the_example_names_every_key_and_its_default():
+    """Each key of each table stands in the example with a comment, and the defaults named there are the real ones."""
+    table = tomllib.loads(EXAMPLE.read_text())
+    sections: dict[str, tuple[type[Any], dict[str, Any]]] = {
+        "training": (Training, table["training"]),
+        "network": (Network, table["network"]),
+        "router": (Router, table["router"]),
+        "learner": (Learner, table["learner"]),
+        "coordinator": (Coordinator, table["coordinator"]),
+        "hosts.farm-1": (Host, table["hosts"]["farm-1"]),
+        "containers": (Containers, table["containers"]),
+    }
+    for kind, held in sections.values():
+        assert set(held) == {field.name for field in dataclasses.fields(kind)}
+    place = ""
+    for line in EXAMPLE.read_text().splitlines():
+        if line.startswith("["):
+            place = line[1 : line.index("]")]
+        told = re.match(r'(\w+) = .*default: ("[^"]*"|\d+|true|false)', line)
+        if told and place in sections:
+            assert getattr(sections[place][0](), told[1]) == tomllib.loads(f"x = {told[2]}")["x"], line
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_is_named_where_one_is_chosen(preset):
+    """Both commands that take one, and the fleet file, tell which there are."""
+    (line,) = [line for line in EXAMPLE.read_text().splitlines() if line.startswith("preset =")]
+    told = [field_docs(TrainArguments)["preset"], field_docs(LearnerArguments)["preset"], line.partition("#")[2]]
+    assert all(re.search(rf"\b{preset}\b", text.partition("; default")[0]) for text in told)
+
+
+def test_the_example_becomes_command_lines():
+    """Router, learner, coordinator and ten workers come out of it, each with its own certificate."""
+    fleet = read(EXAMPLE)
+    found = {str(process.identity): process for process in processes(fleet, here(fleet))}
+    assert len(found) == 13
+    assert {process.host for process in found.values()} == {"farm-1", "farm-2"}
+    for identity, process in found.items():
+        words = list(process.arguments)
+        assert words[words.index("--tls") + 1] == f"keys/{identity}"
+        assert ("--listen" in words) == (process.role == "router")
+    learner = found["learner.learner"].arguments
+    assert "--resume-if-any" in learner
+    assert learner[learner.index("--config") - 2 :][:2] == ("--preset", WRITTEN)
+    assert "farm-2-7" in found["rollout.farm-2-7"].arguments
+
+
+def test_without_a_router_the_learner_listens(tmp_path):
+    """The smallest file has a learner that listens on loopback, a coordinator beside it, and workers."""
+    fleet = read(written(tmp_path, SMALL))
+    router, *others = processes(fleet, here(fleet))
+    assert router.arguments[:5] == ("learner", "--run", "farm", "--listen", "tcp/127.0.0.1:7447")
+    assert [str(process.identity) for process in others] == ["elite.coordinator", "rollout.a-0"]
+    assert fleet.listener == ("learner", "learner")
+
+
+def test_shared_memory_is_for_those_that_move_transitions(tmp_path):
+    """Router, learner and workers get the option; the coordinator has nothing to do with transitions."""
+    text = SMALL + '[router]\nhost = "a"\n[network]\nshared_memory = true\n'
+    fleet = read(written(tmp_path, text))
+    told = {process.role for process in processes(fleet, here(fleet)) if "--shared-memory" in process.arguments}
+    assert told == {"router", "learner", "rollout"}
+    assert not any("--shared-memory" in process.arguments for process in processes(read(EXAMPLE), here(read(EXAMPLE))))
+
+
+def test_training_is_resolved(tmp_path):
+    """Preset, file and single values go over one another, and paths are relative to the fleet file."""
+    (tmp_path / "mine.toml").write_text("episodes = 9\nseed = 3\n")
+    fleet = read(
+        written(tmp_path, SMALL + '[training]\npreset = "quick"\nconfig = "mine.toml"\nset = ["episodes = 5"]\n')
+    )
+    assert (fleet.config.episodes, fleet.config.seed, fleet.config.algorithm.hidden) == (5, 3, 64)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("run =", "not valid TOML"),
+        ("run = " + "[" * 5000, "not valid TOML"),
+        ("run = 1" + "0" * 5000, "not valid TOML"),
+        (SMALL + 'command = "/srv/it\'s/eia-sec"\n', "hosts.a.command .* leaves a quote open"),
+        (SMALL + 'command = " "\n', "hosts.a.command is empty"),
+        ("", "there is no host"),
+        (SMALL + "[trainer]\n", "at the top there is no key 'trainer'"),
+        (SMALL + "worker = 2\n", r"in \[hosts.a\] there is no key 'worker'; the keys are host, ssh"),
+        (SMALL.replace("= 1", '= "1"'), "hosts.a.workers must be a whole number, not '1'"),
+        (SMALL.replace("= 1", "= true"), "hosts.a.workers must be a whole number"),
+        (SMALL.replace("= 1", "= 5000"), "hosts.a.workers must be 0 to 1024"),
+        (SMALL.replace("learner]", "learner]\ngpus = -1"), "learner.gpus"),
+        (SMALL.replace('= "a"', '= "b"'), "learner.host must be one of the hosts a, not 'b'"),
+        (SMALL + '[router]\nhost = "c"\n', "router.host"),
+        (SMALL + '[hosts."a b"]\n', "'a b' must be"),
+        (SMALL + '[hosts.b]\nhost = "-oProxyCommand=x"\n', "neither 'local' nor HOST"),
+        (SMALL + '[hosts.b]\nssh = "-p 22"\n', "hosts.b.ssh must be a list of texts"),
+        (SMALL + '[hosts.b]\nstart = "cron"\n', "must be 'detached' or 'systemd', not 'cron'"),
+        (SMALL + '[hosts.b]\nhost = "local"\nfolder = "runs/farm/a"\n', "two hosts have the same folder"),
+        ("hosts = 3\n", r"must be a section \[hosts\]"),
+        (SMALL + '[network]\nendpoint = "tls/farm:7447"\n', "network.endpoint asks for TLS"),
+        (SMALL + '[network]\nendpoint = "tcp/farm:7447"\n', "insecure = true"),
+        (SMALL + '[network]\nendpoint = "farm"\n', "not an endpoint"),
+        (SMALL + '[training]\npreset = "huge"\n', "no preset 'huge'"),
+        (SMALL + '[training]\nset = ["episodes = 0"]\n', "episodes must be"),
+        (SMALL + '[training]\nset = ["algorithm.hidden = 4096"]\n', "lower algorithm.hidden"),
+        (SMALL + '[training]\nconfig = "none.toml"\n', "none.toml cannot be read"),
+    ],
+)
+def test_mistakes_name_the_place(tmp_path, text, said):
+    """Whatever is wrong is told in one sentence with the file and the place, before anything is started."""
+    path = written(tmp_path, text)
+    with pytest.raises(ConfigError, match=said) as refusal:
+        read(path)
+    assert str(refusal.value).startswith(str(path))
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_command_is_split_by_the_shells_rules(tmp_path):
+    """Wherever it is called, a path with blanks is one word."""
+    fleet = read(written(tmp_path, SMALL + "command = \"'/usr/local/eia sec/bin/eia-sec' -v\"\n"))
+    assert fleet.hosts["a"].words == ["/usr/local/eia sec/bin/eia-sec", "-v"]
+    units = render(fleet, "systemd", tmp_path / "units")
+    service = next(path for path in units if "rollout" in path.name)
+    assert 'ExecStart="/usr/local/eia sec/bin/eia-sec" -v rollout' in service.read_text()
+
+
+def test_an_endpoint_of_ipv6_is_listened_at_by_ipv6(tmp_path):
+    """Without another word the listener is where the others look for it."""
+    text = '[network]\nendpoint = "tcp/[2001:db8::1]:7447"\ninsecure = true\n'
+    assert read(written(tmp_path, SMALL + text)).network.listen == "tcp/[::]:7447"
+    assert read(written(tmp_path, SMALL + text.replace("[2001:db8::1]", "farm"))).network.listen == "tcp/0.0.0.0:7447"
+
+
+def test_keys_are_made_for_everybody_once(tmp_path):
+    """Every process gets a certificate of its own, the router's serves under every name, and nothing is made twice."""
+    text = SMALL + '[router]\nhost = "a"\n[network]\nendpoint = "tls/farm:7447"\nkeys = "k"\nnames = ["10.0.0.1"]\n'
+    fleet = read(written(tmp_path, text))
+    with pytest.raises(CredentialsError, match="cannot be read"):
+        operations.request_of(fleet, "a")
+    made = {str(identity) for identity in operations.issue_keys(fleet, 30)}
+    assert made >= {"router.main", "learner.learner", "elite.coordinator", "rollout.a-0", "monitor.monitor"}
+    assert operations.issue_keys(fleet, 30) == []
+    assert {"farm", "10.0.0.1", "router", "farm-router"} <= set(operations.listener_names(fleet))
+    request = operations.request_of(fleet, "a")
+    assert "keys/router.main/members.txt" in request["files"]
+    assert not any("ca.key" in name for name in request["files"])
+    assert "BEGIN PRIVATE KEY" not in str(request["processes"])
+
+
+def test_a_new_member_restarts_the_router_alone(tmp_path):
+    """One more worker changes what the router is told, because it holds the list of members, and nobody else."""
+    text = SMALL + '[router]\nhost = "a"\n[network]\nkeys = "k"\n'
+    before = read(written(tmp_path, text))
+    operations.issue_keys(before, 30)
+    old = operations.request_of(before, "a")["processes"]
+    after = read(written(tmp_path, text.replace("workers = 1", "workers = 2")))
+    operations.issue_keys(after, 30)
+    new = operations.request_of(after, "a")["processes"]
+    assert {name for name in old if old[name] != new[name]} == {"router.main"}
+    assert set(new) - set(old) == {"rollout.a-1"}

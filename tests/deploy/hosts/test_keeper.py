@@ -1,0 +1,173 @@
+"""The keeper of a host: full disks, plans that cannot be read, and what becomes of processes that ended."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from common.errors import HostError
+from deploy.hosts import agent, keeper
+from deploy.hosts.keeper import PLAN, STATE, Keeper, new_plan, write_json
+from deploy.local import supervisor
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    """A keeper whose processes are `sleep`, or whatever their arguments say, in a folder of its own."""
+    real = subprocess.Popen
+
+    def spawn(command, **options):
+        return real([sys.executable, "-c", command[-1]], **options)
+
+    monkeypatch.setattr(supervisor.subprocess, "Popen", spawn)
+    found = Keeper(tmp_path)
+    yield found
+    found._supervisor.stop(seconds=1.0)
+
+
+def plan(folder, *, again=True, **programs):
+    """Write a plan; a program is a line of Python."""
+    processes = {f"rollout.{name}": {"arguments": [text], "threads": 1} for name, text in programs.items()}
+    write_json(folder / PLAN, new_plan(processes, again=again))
+
+
+def turn(kept, times=1):
+    """Let the keeper look so many times."""
+    for _ in range(times):
+        kept._read()
+        kept._supervisor.watch()
+        kept._turn()
+        kept._tell()
+
+
+def states(folder):
+    """Return what the keeper tells of each process."""
+    return {name: state["state"] for name, state in json.loads((folder / STATE).read_text())["processes"].items()}
+
+
+def until_state(kept, folder, name, wanted):
+    deadline = time.monotonic() + 30.0
+    while states(folder).get(name) != wanted:
+        assert time.monotonic() < deadline, states(folder)
+        turn(kept)
+        time.sleep(0.01)
+
+
+LONG = "import time; time.sleep(600)"
+
+
+def test_a_full_disk_ends_no_process(kept, tmp_path, monkeypatch):
+    """The state is written when there is room again, and an alarm in it says that it was late."""
+    plan(tmp_path, a=LONG)
+    turn(kept)
+    child = kept._supervisor.children["rollout.a"].process
+
+    def refuse(path, value):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(keeper, "write_json", refuse)
+    write_json(tmp_path / PLAN, new_plan({}, again=True))
+    turn(kept, 3)
+    assert states(tmp_path) == {"rollout.a": "running"}
+    monkeypatch.setattr(keeper, "write_json", write_json)
+    child.wait(10.0)
+    turn(kept)
+    state = json.loads((tmp_path / STATE).read_text())
+    assert state["processes"] == {}
+    assert state["alarms"] == ["state.json cannot be written: No space left on device"]
+    turn(kept)
+    assert json.loads((tmp_path / STATE).read_text()) == state
+
+
+def test_a_plan_that_cannot_be_read_leaves_the_one_before(kept, tmp_path):
+    """What runs goes on, an alarm says why, and the next plan that can be read holds."""
+    with pytest.raises(HostError, match=r"plan\.json cannot be read"):
+        turn(kept)
+    plan(tmp_path, a=LONG)
+    turn(kept)
+    for damage in ('{"issue": 5}', "nothing"):
+        (tmp_path / PLAN).write_text(damage)
+        turn(kept, 2)
+        assert states(tmp_path) == {"rollout.a": "running"}
+    (tmp_path / PLAN).unlink()
+    turn(kept)
+    assert len(json.loads((tmp_path / STATE).read_text())["alarms"]) == 3
+    plan(tmp_path, b=LONG)
+    turn(kept)
+    until_state(kept, tmp_path, "rollout.b", "running")
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_up_starts_again_what_ended_as_it_should(kept, tmp_path, again):
+    """A worker that somebody told to end runs after the next plan that asks for it, but not where the run is over."""
+    plan(tmp_path, a=f"open({str(tmp_path / 'starts')!r}, 'a').write('x')")
+    turn(kept)
+    until_state(kept, tmp_path, "rollout.a", "finished")
+    plan(tmp_path, again=again, a=f"open({str(tmp_path / 'starts')!r}, 'a').write('x')")
+    turn(kept)
+    until_state(kept, tmp_path, "rollout.a", "finished")
+    assert (tmp_path / "starts").read_text() == ("xx" if again else "x")
+
+
+def test_no_room_for_a_process_is_tried_again(kept, tmp_path, monkeypatch):
+    """A process that cannot be started is one that died: it is started after a pause, and an alarm says why."""
+    monkeypatch.setattr(supervisor, "BACKOFF_SECONDS", (0.05,))
+    real = supervisor.subprocess.Popen
+
+    def refuse(command, **options):
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(supervisor.subprocess, "Popen", refuse)
+    plan(tmp_path, a=LONG)
+    turn(kept)
+    assert states(tmp_path) == {"rollout.a": "restarting"}
+    monkeypatch.setattr(supervisor.subprocess, "Popen", real)
+    until_state(kept, tmp_path, "rollout.a", "running")
+    alarms = json.loads((tmp_path / STATE).read_text())["alarms"]
+    assert alarms == ["rollout.a could not be started (Resource temporarily unavailable); it is started again"]
+
+
+def test_a_keeper_that_ends_starts_nothing_more(kept, tmp_path, monkeypatch):
+    """A process whose pause is over just then stays down."""
+
+    class Stopped:
+        def __bool__(self):
+            return True
+
+    monkeypatch.setattr(supervisor, "BACKOFF_SECONDS", (0.0,))
+    plan(tmp_path, a=f"open({str(tmp_path / 'starts')!r}, 'a').write('x'); raise SystemExit(1)")
+    turn(kept)
+    kept._supervisor.children["rollout.a"].process.wait(30.0)
+    kept._supervisor._ended(kept._supervisor.children["rollout.a"], 1)
+    kept.run(Stopped())
+    assert kept._supervisor.children["rollout.a"].process is None
+    assert (tmp_path / "starts").read_text() == "x"
+
+
+def test_a_process_that_ends_by_itself_is_no_failure_of_kill(tmp_path, monkeypatch):
+    """`down --kill` of one that ended between two looks of its keeper brings an answer like any other."""
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    write_json(tmp_path / PLAN, new_plan({}, again=True))
+    found = [{"rollout.a": ended.pid}, {"rollout.a": ended.pid}, {}]
+    monkeypatch.setattr(agent, "_pids", lambda folder, roles: found.pop(0) if len(found) > 1 else found[0])
+    assert agent.down(tmp_path, ["rollout"], 0.05, kill=True) == {"ended": ["rollout.a"], "left": []}
+
+
+@pytest.mark.parametrize(
+    ("metrics", "changed", "over"),
+    [("finished", False, True), ("finished", True, False), ("draining", False, False), (None, False, False)],
+)
+def test_a_run_that_came_to_its_end_is_over(tmp_path, metrics, changed, over):
+    """So it is while its learner is to run as it ran before; a drained one goes on."""
+    learner = {"arguments": ["learner"], "threads": 1}
+    write_json(tmp_path / PLAN, new_plan({agent.LEARNER: learner}, again=True))
+    os.makedirs(tmp_path / "run")
+    if metrics is not None:
+        (tmp_path / "run" / "metrics.jsonl").write_text(json.dumps({"kind": "end", "state": metrics}) + "\n")
+    wanted = {agent.LEARNER: {**learner, "threads": 2} if changed else learner}
+    assert agent._is_over(tmp_path, wanted) is over
+    assert not agent._is_over(tmp_path, {"rollout.a": learner})

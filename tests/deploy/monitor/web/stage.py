@@ -1,0 +1,139 @@
+"""A worker that shows a small farm, without a learner: by hand with a clock of the test's, or over a real bus."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+
+from common.actors import ActorBank
+from common.config import FarmConfig, RunConfig, WorldConfig
+from common.config.files import to_toml
+from common.config.run import RolloutConfig
+from common.protocol.messages import Envelope, ViewMessage, WatchRequest
+from common.team import farm_team
+from common.transport.endpoint import Endpoint
+from experiments import pictures
+from rollout.worker.collector import Collector
+from rollout.worker.view_service import Showing
+
+RUN = "watched"
+SECONDS = 60.0
+CONFIG = RunConfig(
+    farm=FarmConfig(
+        world=WorldConfig(
+            communication_uavs=1,
+            monitoring_uavs=2,
+            collection_uavs=2,
+            field_x=100.0,
+            field_y=80.0,
+            sensors=30,
+            sensor_spacing=5.0,
+            plots_x=5,
+            plots_y=4,
+            sensor_cycles=(4, 5, 6),
+            vdf_cycle=3,
+            steps=40,
+        )
+    ),
+    rollout=RolloutConfig(environments=2, chunk_steps=10, train_farms=3),
+)
+
+
+def a_bank() -> ActorBank:
+    """Return actors that fly somewhere."""
+    team = farm_team(CONFIG.farm)
+    bank = ActorBank.initial(team, 8, seed=0)
+    return ActorBank(team, 8, tuple(flat * np.float32(8.0) for flat in bank.flat))
+
+
+def a_collector() -> Collector:
+    """Return a collector whose episodes are always the same."""
+    return Collector(CONFIG, "w", 1)
+
+
+def until(condition: Callable[[], Any], what: str, seconds: float = SECONDS) -> Any:
+    """Return the first true value of a condition; fail the test when none comes in time."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if found := condition():
+            return found
+        time.sleep(0.01)
+    raise AssertionError(f"{what} did not happen within {seconds} s")
+
+
+class ARequest:
+    """A request that remembers its answer."""
+
+    def __init__(self, payload: bytes) -> None:
+        self.payload = payload
+        self.answer: bytes | None = None
+        self.refusal = ""
+
+    def reply(self, payload: bytes) -> None:
+        """Remember an answer."""
+        self.answer = payload
+
+    def refuse(self, reason: str) -> None:
+        """Remember a refusal."""
+        self.refusal = reason
+
+
+class ABus:
+    """What `Showing` uses of a bus: requests that the test makes, and puts that it reads."""
+
+    def __init__(self) -> None:
+        self.requests: deque[ARequest] = deque()
+        self.views: list[ViewMessage] = []
+        self.sequences: list[int] = []
+
+    def serve(self, key: str, capacity: int) -> "ABus":
+        """Return what is polled for requests."""
+        return self
+
+    def publish(self, key: str) -> "ABus":
+        """Return what is put on."""
+        return self
+
+    def waiting(self) -> Iterator[ARequest]:
+        """Yield the requests that wait."""
+        while self.requests:
+            yield self.requests.popleft()
+
+    def put(self, payload: bytes, attachment: bytes) -> None:
+        """Remember what was published."""
+        self.views.append(ViewMessage.decode(payload))
+        self.sequences.append(Envelope.decode(attachment).sequence)
+
+    def ask(self, watcher: str, stay: bool = True) -> ARequest:
+        """Make a request."""
+        request = ARequest(WatchRequest(watcher, stay).encode())
+        self.requests.append(request)
+        return request
+
+
+class AWorker:
+    """A worker's loop by hand.
+
+    Attributes:
+        now: its clock, s.
+    """
+
+    def __init__(self) -> None:
+        self.bus, self.now, self.bank = ABus(), 100.0, a_bank()
+        self.collector = a_collector()
+        self.showing = Showing(self.bus, RUN, "w", 1, self.collector, to_toml(CONFIG), lambda: self.now)
+
+    def fly(self, chunks: int = 1, seconds: float = 0.01) -> None:
+        """Fly so many chunks, each of which takes so long."""
+        for _ in range(chunks):
+            self.showing.tend(3, 0.1, False)
+            self.collector.collect(self.bank, 0.1, False)
+            self.now += seconds
+
+
+def flying(name: str = "w", endpoint: Endpoint | None = None) -> AbstractContextManager[tuple[Endpoint, Showing]]:
+    """Fly and show the small farm, as a worker does."""
+    return pictures.flying(CONFIG, a_bank(), RUN, name, endpoint, noise=0.1)

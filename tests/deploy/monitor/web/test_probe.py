@@ -1,0 +1,87 @@
+"""A lens sees what the simulator does, and the simulator does not notice."""
+
+import numpy as np
+
+from common.protocol.view_checks import FRAMES, check_view
+from rollout.sim.batch import REWARD_PARTS, FarmBatch
+from rollout.worker.probe import HELD, Lens
+from tests.deploy.monitor.web.stage import CONFIG, a_bank, a_collector
+
+WORLD = CONFIG.farm.world
+
+
+def flown(steps, opened=0, again=True):
+    """Return the messages of a lens that was opened before a step of an episode, and the batch's own states."""
+    batch = FarmBatch(CONFIG.farm, 2)
+    lens = Lens(batch, 1)
+    lens.again = again
+    for index in range(2):
+        batch.reset(index, 3 + index, 7)
+    states = []
+    random = np.random.default_rng(0)
+    for step in range(steps):
+        if step == opened:
+            lens.open(at_once=True)
+        if batch.time[1] == WORLD.steps:
+            for index in range(2):
+                batch.reset(index, 3 + index, 8)
+            lens.note()
+        batch.step(random.uniform(-1, 1, (2, batch.team.action_size)).astype(np.float32))
+        lens.note()
+        states.append((batch.position[1].copy(), batch.aoi[1].copy(), batch.vdf[1].copy(), batch.reward[1].copy()))
+    return lens.take(5, 0.25, False), states
+
+
+def test_frames_are_the_simulators_states():
+    """Positions, AoI, VDF and rewards of every frame are those that the simulator had after that step."""
+    messages, states = flown(20)
+    assert [len(message.position) for message in messages] == [20]
+    (message,) = messages
+    check_view(message, CONFIG.farm, len(REWARD_PARTS))
+    assert (message.farm, message.episode, message.first, message.skipped, message.deviation) == (4, 7, 1, 5, 0.25)
+    for i, (position, aoi, vdf, reward) in enumerate(states):
+        np.testing.assert_allclose(message.position[i], position, atol=1e-4)
+        np.testing.assert_allclose(message.aoi[i] / 255 * WORLD.aoi_max, aoi, atol=1e-9)
+        np.testing.assert_allclose(message.vdf[i] / 255 * WORLD.vdf_max, vdf, atol=1e-9)
+        np.testing.assert_allclose(message.level[i], [aoi.mean(), vdf.mean()], rtol=1e-6)
+        by_type = [reward[:1].mean(), reward[1:3].mean(), reward[3:].mean()]
+        np.testing.assert_allclose(message.parts[i].sum(axis=1), by_type, rtol=1e-4, atol=1e-5)
+
+
+def test_a_message_holds_consecutive_steps_of_one_episode():
+    """An episode's end begins another message, the next one with the state after the reset; none is too long."""
+    messages, _ = flown(60)
+    assert [(message.episode, message.first, len(message.position)) for message in messages] == [
+        (7, 1, FRAMES),
+        (7, 1 + FRAMES, WORLD.steps - FRAMES),
+        (8, 0, 21),
+    ]
+
+
+def test_a_lens_that_does_not_go_on_closes_with_the_episode():
+    """Without `again` nothing is kept behind an episode's last step."""
+    messages, _ = flown(60, opened=10, again=False)
+    assert [message.first for message in messages] == [11]
+    assert messages[0].first + len(messages[0].position) - 1 == WORLD.steps
+
+
+def test_a_lens_that_nobody_empties_closes():
+    """A lens holds HELD frames and no more."""
+    messages, _ = flown(HELD + 100)
+    assert sum(len(message.position) for message in messages) == HELD
+
+
+def test_what_is_flown_does_not_depend_on_who_looks():
+    """The rows of a collector with a lens are bit-equal to those of one without."""
+    bank, chunks = a_bank(), []
+    for watched in (False, True):
+        collector = a_collector()
+        if watched:
+            lens = Lens(collector.environments, 0)
+            lens.open(at_once=True)
+            collector.lens = lens
+        chunks.append([collector.collect(bank, 0.3, False).rows for _ in range(6)])
+    assert sum(len(message.position) for message in lens.take(0, 0.3, False)) == 61
+    for bare, seen in zip(*chunks, strict=True):
+        for name, array in vars(bare).items():
+            np.testing.assert_array_equal(getattr(seen, name), array)

@@ -1,0 +1,173 @@
+"""The page of `eia-sec watch` in a real browser, where there is one."""
+
+import os
+import shutil
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from experiments.pictures import serving
+from rollout.rendering.palette import AGE_STOPS, SOIL_STOPS, rgb
+from rollout.sim.layout import make_layout
+from tests.deploy.monitor.web.stage import CONFIG, RUN, flying, until
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium on this machine")
+
+WORLD = CONFIG.farm.world
+VARIED = """(() => { const p = watching.past;
+for (let n = p.last; n > p.first; n--) { const f = p.at(n); const a = f.packet.arrays.vdf;
+const w = a.length / a.shape[0];
+if (f.step > 5 && new Set(a.subarray(f.i * w, (f.i + 1) * w)).size > 1) return n } })()"""
+"""Number of the newest frame whose plots differ in age."""
+
+
+@contextmanager
+def looking():
+    """Open the page of a worker that flies; yield the page, the worker and what the browser complained of."""
+    with (
+        flying() as (endpoint, showing),
+        serving(endpoint, RUN) as address,
+        playwright.sync_playwright() as driver,
+    ):
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
+        complaints = []
+        page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("requestfailed", lambda request: complaints.append(request.url))
+        page.goto(address)
+        until(lambda: page.evaluate("window.watching && watching.past.frames.length > 45"), "frames in the page")
+        yield page, showing, complaints
+        browser.close()
+        until(lambda: showing.watchers == 0, "the end of the watching")
+
+
+def test_the_page_shows_what_the_worker_flies():
+    """Numbers, colours on the map and words are those of the frames; pause, slider and speeds do what they say."""
+    with looking() as (page, showing, complaints):
+        page.click("#play")
+        until(lambda: page.inner_text("#play") == "play", "the pause")
+        target = until(lambda: page.evaluate(VARIED), "a frame with plots of several ages")
+        until(lambda: int(page.get_attribute("#slider", "max")) >= target, "the slider's new end")
+        page.evaluate(
+            "n => { const s = document.getElementById('slider'); s.value = n; s.dispatchEvent(new Event('input')) }",
+            target,
+        )
+        until(lambda: page.evaluate("Math.floor(watching.view.head)") == target, "the jump")
+        frame = page.evaluate(
+            """() => { const f = watching.past.at(Math.floor(watching.view.head)); const a = f.packet.arrays;
+            const row = (n) => { const w = a[n].length / a[n].shape[0];
+            return [...a[n].subarray(f.i * w, (f.i + 1) * w)] };
+            return {farm: f.packet.farm, step: f.step, vdf: row('vdf'), aoi: row('aoi'), parts: row('parts'),
+            level: row('level'), sensor: [...a.sensor], position: row('position')} }"""
+        )
+        until(
+            lambda: f"farm {frame['farm']}, step {frame['step']} of {WORLD.steps}" in page.inner_text("#headline"), "it"
+        )
+        np.testing.assert_allclose(
+            np.reshape(frame["sensor"], (-1, 2)), make_layout(CONFIG.farm, frame["farm"]).sensor_xy, atol=1e-4
+        )
+        assert page.inner_text("#fresh tbody tr:nth-child(1) td:nth-child(2)") == f"{frame['level'][0]:.2f}"
+        fresh = np.mean(np.array(frame["vdf"]) == 0)
+        assert page.inner_text("#fresh tbody tr:nth-child(2) td:nth-child(3)") == f"{100 * fresh:.0f} %"
+        monitoring = np.reshape(frame["parts"], (3, -1))[1].sum()
+        shown = page.inner_text("#reward tbody tr:nth-child(2) td:nth-child(2)").replace("\N{MINUS SIGN}", "-")
+        assert float(shown) == pytest.approx(monitoring, abs=0.0051)
+        assert colours_match(page, frame)
+        step = page.evaluate("watching.view.head")
+        page.keyboard.press("Escape")
+        page.select_option("#speed", "100")
+        page.click("#newest")
+        until(lambda: page.evaluate("watching.view.head") != step, "playing again")
+        assert "run watched, worker w" in page.inner_text("#who")
+        assert showing.watchers == 1
+        assert complaints == []
+
+
+def colours_match(page, frame):
+    """Return whether most plots have the colour of their VDF and most sensors that of their AoI.
+
+    Looked at are the plots' corners and the sensors' middles; UAVs, links, sensors and trails hide a few.
+    """
+    # Reach covers most of this small field with a tint of its own.
+    page.evaluate("Object.assign(watching.view.field.scene.reach, {monitoring: 0, collection: 0})")
+    page.evaluate("watching.view.drawn = ''")
+    until(lambda: page.evaluate("watching.view.drawn !== ''"), "another drawing")
+    steps = np.array([WORLD.plots_x, WORLD.plots_y])
+    corners = (np.indices(steps).reshape(2, -1).T + 0.03) / steps * [WORLD.field_x, WORLD.field_y]
+    soil = matching(page, corners, frame["vdf"], SOIL_STOPS)
+    return soil and matching(page, np.reshape(frame["sensor"], (-1, 2)), frame["aoi"], AGE_STOPS)
+
+
+def matching(page, places, levels, stops):
+    """Return whether most places of the field, in m, have the colours of their levels, and these are not all one."""
+    found = page.evaluate(
+        """places => { const { field } = watching.view; const pen = field.canvas.getContext('2d');
+        const at = metres => Math.round(metres * devicePixelRatio);
+        return places.map(([x, y]) =>
+            [...pen.getImageData(at(field.x(x)), at(field.y(y)), 1, 1).data].slice(0, 3)) }""",
+        np.asarray(places).tolist(),
+    )
+    known = np.array([rgb(stop) for stop in stops], np.float64)
+    share = np.array(levels) / 255
+    wanted = np.stack([np.interp(share, np.linspace(0, 1, len(known)), known[:, c]) for c in range(3)], axis=1)
+    close = np.abs(np.array(found) - wanted).max(axis=1) <= 2
+    return close.mean() >= 0.6 and len(np.unique(wanted, axis=0)) > 1
+
+
+OVERLAPS = """() => {
+    const shown = new Set(['CANVAS', 'svg', 'BUTTON', 'SELECT', 'INPUT']), found = [];
+    const hit = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1
+        && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1;
+    const boxes = root => [...root.querySelectorAll('*')].flatMap(e => {
+        if (e.closest('#tip') || e.parentElement.closest('svg, button, select')) return [];
+        if (shown.has(e.tagName)) return [[e.id || e.tagName, e.getBoundingClientRect()]];
+        return [...e.childNodes].filter(n => n.nodeType === Node.TEXT_NODE && n.data.trim()).flatMap(n => {
+            const range = document.createRange();
+            range.selectNodeContents(n);
+            return [...range.getClientRects()].map(box => [n.data.trim(), box]);
+        });
+    }).filter(([, box]) => box.width > 0 && box.height > 0);
+    const compare = named => named.forEach(([a, first], k) => named.slice(k + 1).forEach(([b, second]) => {
+        if (hit(first, second)) found.push(`${a} / ${b}`);
+    }));
+    document.querySelectorAll('header, footer, #stage, .card').forEach(part => compare(boxes(part)));
+    const parts = [...document.querySelectorAll('header, #headline, #field-box, .card')];
+    compare(parts.map(e => [e.id || e.tagName, e.getBoundingClientRect()]));
+    return found }"""
+"""Names what lies over one another: texts, pictures and controls of each part, and the parts themselves.
+
+The footer is left out of the latter: it stays at the bottom while the rest of a small window scrolls beneath it.
+"""
+
+
+def test_nothing_overlaps_or_sticks_out():
+    """In wide and in narrow windows nothing lies over another or runs out of its box, and controls can be reached."""
+    with looking() as (page, _, complaints):
+        for width, height in ((1440, 900), (1024, 768), (420, 860)):
+            page.set_viewport_size({"width": width, "height": height})
+            sticking = page.evaluate(
+                """() => [...document.querySelectorAll('header *, footer *, .card *, #headline')]
+                .filter(e => e.getBoundingClientRect().right > innerWidth + 1
+                || (e.children.length === 0 && e.scrollWidth > e.clientWidth + 1 && e.clientWidth > 0))
+                .map(e => e.id || e.className || e.textContent)"""
+            )
+            assert sticking == []
+            assert page.evaluate(OVERLAPS) == []
+            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            for name in ("#play", "#slider", "#speed", "#newest", "#theme"):
+                box = page.locator(name).bounding_box()
+                assert box["y"] >= 0
+                assert box["y"] + box["height"] <= height
+            field = page.locator("#field").bounding_box()
+            assert min(field["width"], field["height"]) >= 300
+        page.click("#theme")
+        assert page.evaluate("document.documentElement.dataset.theme") == "dark"
+        page.set_viewport_size({"width": 1440, "height": 900})
+        page.evaluate("document.getElementById('fresh-card').style.marginTop = '-30px'")
+        page.evaluate("document.getElementById('newest').style.marginLeft = '-40px'")
+        assert {"reward-card / fresh-card", "speed / newest"} <= set(page.evaluate(OVERLAPS))
+        assert complaints == []

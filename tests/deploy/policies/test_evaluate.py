@@ -1,0 +1,127 @@
+import json
+
+import pytest
+
+from common.actors import ActorBank
+from common.config.files import from_toml, to_toml
+from common.config.presets import PRESETS, WRITTEN
+from common.errors import ConfigError, PolicyError, RunDirError, UsageError
+from common.policy_file import save_policy
+from common.team import farm_team
+from deploy.commands.policies.fly import farm_of
+from deploy.local.run_directory import RunDirectory
+from deploy.options import base_configuration
+from deploy.policies.evaluate import EvaluateArguments, main, parse_farms, run
+
+SMALL = (
+    "farm.world.steps=20",
+    "farm.world.sensors=30",
+    "farm.world.monitoring_uavs=1",
+    "farm.world.collection_uavs=1",
+    "farm.world.communication_uavs=1",
+)
+
+
+@pytest.fixture
+def run_dir(tmp_path):
+    config = PRESETS["default"]
+    for line in SMALL:
+        config = from_toml(line, config)
+    folder = tmp_path / "my-run"
+    folder.mkdir()
+    (folder / "config.toml").write_text(to_toml(config))
+    save_policy(folder / "policy.safetensors", ActorBank.initial(farm_team(config.farm), 8, 0), {})
+    return folder
+
+
+def test_json_is_printed_and_nothing_else(capsys):
+    """With --json standard output is one JSON document for the farms that were asked for."""
+    assert main(EvaluateArguments(policy="random", farms="5:7", json=True, set=SMALL)) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["policy"] == "random"
+    assert printed["farms"] == [5, 6]
+
+
+def test_a_table_is_printed_for_people(capsys):
+    """Without --json a table names the policy."""
+    assert main(EvaluateArguments(policy="static", farms="5:6", set=SMALL)) == 0
+    assert "static" in capsys.readouterr().out
+
+
+def test_a_run_directory_gives_its_policy_and_its_farm(run_dir):
+    """The run's actors fly the run's farm, under the directory's name."""
+    evaluation = run(EvaluateArguments(run_dir=run_dir, farms="5:6", episodes=2))
+    assert evaluation.policy == "my-run"
+    assert evaluation.episodes == 2
+    same = run(EvaluateArguments(policy=str(run_dir / "policy.safetensors"), farms="5:6", episodes=2, set=SMALL))
+    assert same.per_farm == evaluation.per_farm
+
+
+def test_a_run_of_an_older_version_flies_what_it_was_trained_on(tmp_path):
+    """What its configuration does not name is what it was then, and not what the default preset says now."""
+    config = PRESETS["study"]
+    for line in SMALL:
+        config = from_toml(line, config)
+    lines = to_toml(config).splitlines(keepends=True)
+    kept = [line for line in lines if not line.startswith(("mirrored", "potential_discount"))]
+    assert len(kept) == len(lines) - 2
+    (tmp_path / "config.toml").write_text("".join(kept))
+    save_policy(tmp_path / "policy.safetensors", ActorBank.initial(farm_team(config.farm), 8, 0), {})
+    assert len(run(EvaluateArguments(run_dir=tmp_path, farms="5:6")).per_farm) == 1
+    assert farm_of(tmp_path, None) == config.farm
+    assert RunDirectory(tmp_path).configuration() == config
+    whole = ["--preset", WRITTEN, "--config", str(tmp_path / "config.toml")]
+    assert base_configuration(whole) == config
+    assert base_configuration(whole[2:]) != config
+
+
+def test_a_heuristic_flies_the_farm_of_a_run(run_dir):
+    """With both given, the named policy flies the run's farm."""
+    evaluation = run(EvaluateArguments(run_dir=run_dir, policy="greedy", farms="5:6"))
+    assert evaluation == run(EvaluateArguments(policy="greedy", farms="5:6", set=SMALL))
+
+
+def test_file_and_single_values_change_the_farm(run_dir, tmp_path):
+    """A configuration file replaces the run's values, and single values replace the file's."""
+    (tmp_path / "more.toml").write_text("[farm.world]\nsteps = 30\nvdf_cycle = 10\n")
+    plain = run(EvaluateArguments(run_dir=run_dir, farms="5:6"))
+    longer = run(EvaluateArguments(run_dir=run_dir, farms="5:6", config=tmp_path / "more.toml"))
+    again = run(
+        EvaluateArguments(
+            run_dir=run_dir,
+            farms="5:6",
+            config=tmp_path / "more.toml",
+            set=("farm.world.steps=20", "farm.world.vdf_cycle=30"),
+        )
+    )
+    assert longer.total.figures["energy_j"] > plain.total.figures["energy_j"]
+    assert again == plain
+
+
+@pytest.mark.parametrize("text", ["", "1000", "5:5", "7:5", "a:b", "-3:4", "1:2:3", "1.5:3", "0:100001"])
+def test_farms_that_cannot_be_are_refused(text):
+    """Whatever is not A:B with A below B gives one sentence."""
+    with pytest.raises(UsageError, match="--farms"):
+        parse_farms(text)
+
+
+def test_farms_are_a_half_open_range():
+    """A:B names the farms A to B - 1."""
+    assert list(parse_farms("1000:1003")) == [1000, 1001, 1002]
+
+
+def test_mistakes_are_usage_errors(run_dir, tmp_path):
+    """What is missing, unknown or does not fit is said in a typed error."""
+    with pytest.raises(PolicyError, match="nothing to evaluate"):
+        run(EvaluateArguments())
+    with pytest.raises(UsageError, match="--episodes"):
+        run(EvaluateArguments(policy="random", episodes=0))
+    with pytest.raises(RunDirError, match="no run directory"):
+        run(EvaluateArguments(run_dir=tmp_path / "nowhere"))
+    with pytest.raises(ConfigError, match="unknown configuration key"):
+        run(EvaluateArguments(policy="random", set=("farm.world.colour=3",)))
+    with pytest.raises(PolicyError, match="here are"):
+        run(EvaluateArguments(run_dir=run_dir, set=("farm.world.monitoring_uavs=2",)))
+    (run_dir / "policy.safetensors").unlink()
+    with pytest.raises(RunDirError, match="not saved a policy yet"):
+        run(EvaluateArguments(run_dir=run_dir))

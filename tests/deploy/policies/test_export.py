@@ -1,0 +1,200 @@
+"""Exported actors: they act as the policy does, wherever they are run."""
+
+import json
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+from safetensors.numpy import load_file
+
+from common.actors import ActorBank
+from common.config import AlgorithmConfig, EnvConfig, FarmConfig, ObservationConfig, ReplayConfig, RunConfig
+from common.config.files import to_toml
+from common.policy_file import save_policy
+from common.team import SIGNS, GroupSpec, TeamSpec, farm_team
+from common.transitions import TRANSITION, Chunk, Rows
+from deploy.cli import dispatch
+from deploy.exit_codes import run_command
+from deploy.policies.export import agent_names
+from deploy.policies.tensor_names import action_names, observation_names
+from learner.trainer import Trainer
+from rollout.sim.batch import FarmBatch
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "export.md"
+
+
+@pytest.fixture(params=["farm", "mirrored", "other"])
+def run(request, tmp_path):
+    """A run directory with a policy of random parameters, its bank, and rows of observations."""
+    config, draw = RunConfig(), np.random.default_rng(4)
+    if request.param == "mirrored":
+        config = replace(config, farm=FarmConfig(observation=ObservationConfig(mirrored=True)))
+    team = farm_team(config.farm)
+    if request.param == "other":
+        config = replace(config, env=EnvConfig("some.module:env"))
+        team = TeamSpec((GroupSpec("walker", 2, 5, 3), GroupSpec("flyer", 1, 4, 1)))
+    bank = ActorBank.initial(team, 24, 3, per_type=False)
+    bank = ActorBank(team, 24, tuple(flat * np.float32(5.0) for flat in bank.flat))
+    (tmp_path / "config.toml").write_text(to_toml(config))
+    save_policy(tmp_path / "policy.safetensors", bank, {"seed": "3", "episodes": "12"})
+    rows = draw.uniform(-1, 1, (50, team.observation_size)).astype(np.float32)
+    for group, own in zip(team.groups, team.split_observations(rows), strict=True):
+        if group.mirrored:
+            own[..., SIGNS] = draw.choice([-1.0, 1.0], own[..., SIGNS].shape)
+    return tmp_path, bank, rows
+
+
+def by_agent(bank, rows):
+    """Return each agent's observations and actions by its name."""
+    seen, done = bank.team.split_observations(rows), bank.team.split_actions(bank.command(rows))
+    both = [(o[:, i], a[:, i]) for o, a in zip(seen, done, strict=True) for i in range(o.shape[1])]
+    return dict(zip(agent_names(bank), both, strict=True))
+
+
+def test_onnx_models_act_as_the_policy_does(run, capsys):
+    """In onnxruntime every agent's model returns the bank's actions, for one observation and for many."""
+    directory, bank, rows = run
+    assert dispatch(["export", "--run-dir", str(directory)]) == 0
+    told = capsys.readouterr().out.split()
+    for name, (observation, action) in by_agent(bank, rows).items():
+        path = directory / "export" / f"{name}.onnx"
+        assert str(path) in told
+        model = onnxruntime.InferenceSession(path)
+        assert np.abs(action).max() > 0.3
+        for part in (slice(0, 50), slice(7, 8)):
+            (found,) = model.run(["action"], {"observation": observation[part]})
+            np.testing.assert_allclose(found, action[part], atol=2e-6)
+        metadata = model.get_modelmeta().custom_metadata_map
+        assert len(json.loads(metadata["observation"])) == observation.shape[1]
+        assert len(json.loads(metadata["action"])) == action.shape[1]
+        assert metadata["sha256"] == bank.digest()
+        assert json.loads(metadata["origin"])["seed"] == "3"
+
+
+def test_what_was_trained_with_every_aid_is_exported(tmp_path):
+    """Models of MASAC's actors, whose observations were standardised, act as these without noise do."""
+    team, draw = TeamSpec((GroupSpec("walker", 2, 5, 3), GroupSpec("flyer", 1, 4, 1))), np.random.default_rng(4)
+    config = RunConfig(
+        env=EnvConfig("some.module:env"),
+        algorithm=AlgorithmConfig(name="masac", hidden=8, batch=16, observation_normalisation=True, actor_rate=0.05),
+        replay=ReplayConfig(capacity=320, warmup_steps=0),
+    )
+    flag = np.full(200, TRANSITION, np.uint8)
+    flag[-1] = 0
+    seen = draw.normal(3.0, 5.0, (200, team.observation_size)).astype(np.float32)
+    tried = draw.uniform(-1, 1, (200, team.action_size)).astype(np.float32)
+    trainer = Trainer(config, team)
+    trainer.absorb(Chunk(Rows(seen, tried, draw.normal(size=(200, team.agents)).astype(np.float32), flag)))
+    trainer.train(20)
+    bank = trainer.actors()
+    assert bank.head == "gaussian"
+    (tmp_path / "config.toml").write_text(to_toml(config))
+    save_policy(tmp_path / "policy.safetensors", bank, {"seed": "3"})
+    assert dispatch(["export", "--run-dir", str(tmp_path)]) == 0
+    for name, (observation, action) in by_agent(bank.noise_free(), seen).items():
+        (found,) = onnxruntime.InferenceSession(tmp_path / "export" / f"{name}.onnx").run(
+            ["action"], {"observation": observation}
+        )
+        np.testing.assert_allclose(found, action, atol=2e-5)
+        assert np.ptp(action) > 0.1
+
+
+def test_plain_tensors_are_the_policys_own(run, tmp_path_factory):
+    """The file holds six arrays for each agent, whose arithmetic gives the bank's actions."""
+    directory, bank, rows = run
+    out = tmp_path_factory.mktemp("elsewhere")
+    assert dispatch(["export", "--run-dir", str(directory), "--format", "safetensors", "--out", str(out)]) == 0
+    tensors = load_file(out / "actors.safetensors")
+    assert len(tensors) == 6 * bank.team.agents
+    for name, (observation, action) in by_agent(bank, rows).items():
+        h = observation
+        for layer in "123":
+            h = h @ tensors[f"{name}.w{layer}"] + tensors[f"{name}.b{layer}"]
+            h = np.tanh(h) if layer == "3" else np.maximum(h, 0)
+        group = next(group for group in bank.team.groups if name.startswith(group.name))
+        if not group.lattice:  # the next test has the arithmetic of those who steer by one
+            np.testing.assert_allclose(h * (observation[:, SIGNS] if group.mirrored else 1.0), action, atol=2e-6)
+
+
+def test_the_pages_code_runs_and_gives_the_policys_actions(run, monkeypatch, capsys):
+    """What docs/export.md shows is run as it stands there."""
+    directory, bank, rows = run
+    if not bank.team.groups[0].name.startswith("communication"):
+        pytest.skip("the page's code names a UAV of the farm")
+    for kind in ("onnx", "safetensors"):
+        dispatch(["export", "--run-dir", str(directory), "--format", kind])
+    monkeypatch.chdir(directory)
+    onnx_code, plain_code = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    first, second = {}, {}
+    exec(onnx_code, first)
+    exec(plain_code, second)
+    zeros = by_agent(bank, np.zeros_like(rows[:1]))
+    np.testing.assert_allclose(first["action"], zeros["communication-0"][1], atol=2e-6)
+    for name, (observation, action) in by_agent(bank, rows).items():
+        np.testing.assert_allclose(second["act"](name, observation), action, atol=2e-6)
+    assert "collection-" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "observation",
+    [ObservationConfig(), ObservationConfig(sensors=30, form="printed"), ObservationConfig(mirrored=True)],
+)
+def test_every_number_has_a_name_of_its_own(observation):
+    """Names are as many as numbers, and no two are equal."""
+    config = RunConfig(farm=FarmConfig(observation=observation))
+    for group in farm_team(config.farm).groups:
+        names = observation_names(config, group)
+        assert len(names) == len(set(names)) == group.observation_size
+        assert len(action_names(config, group)) == group.action_size
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_names_stand_where_the_simulator_writes(mirrored):
+    """Own place, signs, AoI, VDF and distances are found under their names in a real observation."""
+    config = RunConfig(farm=FarmConfig(observation=ObservationConfig(mirrored=mirrored)))
+    farms = FarmBatch(config.farm, 1)
+    farms.reset(0, 0, 0)
+    for _ in range(30):
+        farms.step(np.random.default_rng(1).uniform(-1, 1, (1, farms.team.action_size)).astype(np.float32))
+    for group, seen in zip(farms.team.groups, farms.team.split_observations(farms.observation), strict=True):
+        named = [dict(zip(observation_names(config, group), row, strict=True)) for row in seen[0]]
+        for numbers in named:
+            signs = [value for name, value in numbers.items() if name.startswith("sign_")]
+            assert len(signs) == 2 * mirrored
+            assert set(signs) <= {-1.0, 1.0}
+            assert all(0.0 <= value <= 1.0 for name, value in numbers.items() if name.endswith(("distance", "aoi")))
+            assert all(0.0 <= value <= 1.0 for name, value in numbers.items() if name.startswith("vdf"))
+            for kind in ("d_vdf", "d_aoi"):
+                if f"{kind}_x" in numbers:
+                    length = np.hypot(numbers[f"{kind}_x"], numbers[f"{kind}_y"])
+                    assert length == pytest.approx(0.0) or length == pytest.approx(1.0, abs=1e-5)
+            sensors = [
+                np.hypot(numbers[f"sensor_{i}_dx"], numbers[f"sensor_{i}_dy"])
+                for i in range(3)
+                if "sensor_0_dx" in numbers
+            ]
+            assert sensors == sorted(sensors) or any(numbers[f"sensor_{i}_aoi"] == 0 for i in range(3))
+
+
+def test_what_cannot_be_exported_is_said(tmp_path, monkeypatch, capsys, run):
+    """A folder without a run or a policy, a missing package, and a folder that cannot be written are one sentence."""
+    directory = run[0]
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    cases = {
+        "is it a run directory": ["--run-dir", str(tmp_path / "none")],
+        "needs the package onnx": ["--run-dir", str(directory)],
+        "cannot be written": ["--run-dir", str(directory), "--format", "safetensors", "--out", "config.toml/x"],
+    }
+    monkeypatch.chdir(directory)
+    (tmp_path / "taken" / "actors.safetensors").mkdir(parents=True)
+    cases["actors.safetensors cannot be written"] = [*cases["cannot be written"][:-1], str(tmp_path / "taken")]
+    for words, arguments in cases.items():
+        assert run_command(lambda arguments=arguments: dispatch(["export", *arguments])) == 2
+        assert words in capsys.readouterr().err
+    (directory / "policy.safetensors").unlink()
+    assert run_command(lambda: dispatch(["export", "--run-dir", str(directory)])) == 2
+    assert "has not saved a policy yet" in capsys.readouterr().err

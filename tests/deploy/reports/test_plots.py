@@ -1,0 +1,192 @@
+import io
+
+import matplotlib.image
+import numpy as np
+import pytest
+from rich.console import Console
+
+from common.config import FarmConfig, WorldConfig
+from common.transitions import FARM_FIGURES, EpisodeSummary
+from deploy.reports.comparison_tables import comparison_markdown, comparison_table
+from deploy.reports.plots import COLOURS, curves, curves_figure, smooth, trajectories, trajectories_figure
+from rollout.evaluation import Evaluation, Score, Trajectory
+
+COLUMNS = ("policy", "reward", "c", "m", "d", "AoI", "VDF", "collisions", "boundary", "energy, kJ")
+TYPES = ("communication", "monitoring", "collection")
+
+
+def metrics(count=40):
+    records = [{"kind": "throughput", "rate": 1.0}]
+    for index in range(count):
+        reward = {"communication": -100.0, "monitoring": 10.0 * index, "collection": 5.0 * index, "mean": 4.0 * index}
+        records.append({"kind": "episodes", "episodes": 8 * index, "reward": reward, "aoi": 2.0, "vdf": 3.0})
+    return [*records, {"kind": "imitation", "episodes": 10, "event": 1}, {"kind": "imitation", "episodes": 20}]
+
+
+@pytest.fixture
+def trajectory():
+    generator = np.random.default_rng(0)
+    world = WorldConfig(communication_uavs=1, monitoring_uavs=2, collection_uavs=1, sensors=30, plots_x=4, plots_y=5)
+    return Trajectory(
+        config=FarmConfig(world=world),
+        farm=1000,
+        episode=0,
+        position=generator.uniform(0.0, 400.0, (21, 4, 2)),
+        assignment=np.array([0, 0, 0]),
+        sensor_xy=generator.uniform(0.0, 400.0, (30, 2)),
+        sensor_type=np.arange(30) % 3,
+        aoi=np.ones(21),
+        vdf=np.ones(21),
+        collected=np.zeros((21, 4)),
+        final_aoi=generator.integers(0, 6, 30).astype(float),
+        final_vdf=np.arange(20.0).reshape(4, 5) % 6,
+        summary=EpisodeSummary(1000, 1, 20, (1.0, 2.0, 3.0, 4.0), {"aoi": 1.5, "vdf": 2.5}),
+    )
+
+
+def evaluation(name, reward):
+    score = Score(
+        reward,
+        {"communication": -120.0, "monitoring": 1500.4, "collection": 1300.0},
+        500.0,
+        dict(zip(FARM_FIGURES, (1.234, 2.345, 0.25, 1.0, 12345.0), strict=True)),
+    )
+    return Evaluation(name, (1000, 1001), 1, score, (score, score))
+
+
+def texts(axes):
+    return [text.get_text() for text in axes.texts]
+
+
+def labels(axes):
+    return {text.get_text() for text in axes.get_legend().get_texts()}
+
+
+def width_of(path):
+    return matplotlib.image.imread(path).shape[1]
+
+
+def test_curves_show_every_type_levels_and_imitation():
+    """The upper axes hold a raw and a smooth line per type and mean, the labelled levels and the imitation ticks."""
+    figure = curves_figure(metrics(), {"lawnmower": 95.0, "greedy": 94.0})
+    upper, lower = figure.axes
+    assert {"all agents", "communication", "monitoring", "data collection", "imitation"} == labels(upper)
+    assert {"mean AoI", "mean VDF"} == labels(lower)
+    assert texts(upper) == ["greedy 94", "lawnmower 95"]
+    raw = [line for line in upper.lines if line.get_color() == COLOURS["monitoring"] and line.get_alpha() == 0.2]
+    np.testing.assert_array_equal(raw[0].get_xdata(), 8.0 * np.arange(40))
+    np.testing.assert_array_equal(raw[0].get_ydata(), 10.0 * np.arange(40))
+    ticks = [line for line in upper.lines if line.get_label() == "imitation"]
+    np.testing.assert_array_equal(ticks[0].get_xdata(), [10, 20])
+    assert {line.get_ydata()[0] for line in upper.lines if line.get_color() == "0.4"} == {94.0, 95.0}
+
+
+def test_names_of_close_levels_do_not_overlap():
+    """Levels of nearly equal height have their names moved apart, in the order of the levels."""
+    upper = curves_figure(metrics(), {"a": 100.0, "b": 100.5, "c": 101.0}).axes[0]
+    low, high = upper.get_ylim()
+    heights = [text.get_position()[1] for text in upper.texts]
+    assert texts(upper) == ["a 100", "b 100", "c 101"]
+    assert min(np.diff(heights)) > 0.03 * (high - low)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_curves_of_a_run_that_hardly_began(count, tmp_path):
+    """No, one or two records still make a picture, and a single record is a visible dot."""
+    curves(metrics(count), tmp_path / "curves.png", {"lawnmower": 895.0})
+    assert width_of(tmp_path / "curves.png") >= 1000
+    dots = [line for line in curves_figure(metrics(count)).axes[1].lines if line.get_marker() == "o"]
+    assert bool(dots) == (count == 1)
+
+
+def test_smoothing_keeps_a_line_and_shrinks_noise():
+    """The moving mean leaves the inside of a straight line alone and lowers the spread of noise."""
+    line = np.arange(200.0)
+    np.testing.assert_allclose(smooth(line)[10:-10], line[10:-10])
+    noise = np.random.default_rng(0).normal(size=2000)
+    assert smooth(noise).std() < 0.2 * noise.std()
+    assert len(smooth(noise)) == 2000
+
+
+def test_map_shows_plots_sensors_paths_and_links(trajectory):
+    """The map holds the VDF image, every sensor by type and AoI, every UAV's path and every relay link."""
+    axes = trajectories_figure(trajectory).axes[0]
+    np.testing.assert_array_equal(axes.images[0].get_array(), trajectory.final_vdf.T)
+    assert [len(sensors.get_offsets()) for sensors in axes.collections] == [10, 10, 10]
+    np.testing.assert_array_equal(axes.collections[1].get_array(), trajectory.final_aoi[trajectory.sensor_type == 1])
+    paths = [line for line in axes.lines if len(line.get_xdata()) == 21]
+    for agent, name in enumerate(("communication", "monitoring", "monitoring", "collection")):
+        assert paths[agent].get_color() == COLOURS[name]
+        np.testing.assert_array_equal(paths[agent].get_xydata(), trajectory.position[:, agent])
+    links = [line.get_xydata() for line in axes.lines if line.get_linestyle() == ":"]
+    np.testing.assert_array_equal(links, [trajectory.position[-1, [0, served]] for served in (1, 2, 3)])
+    assert "100 m" in texts(axes)
+
+
+def test_map_names_everything_it_shows(trajectory):
+    """Legend and colour scales name each type, the ends, the links, each kind of sensor and both levels."""
+    _, key, *bars = trajectories_figure(trajectory).axes
+    assert len(labels(key)) == 8
+    assert {"monitoring UAV, end", "start of a UAV", "relay link, end", "sensor, every 50 s"} < labels(key)
+    assert [bar.get_xlabel() for bar in bars] == ["AoI of a sensor, end", "VDF of a plot, end"]
+
+
+def test_map_file_is_large_enough_to_read(trajectory, tmp_path):
+    """The saved map is at least 1000 pixels wide and not blank."""
+    trajectories(trajectory, tmp_path / "map.png")
+    image = matplotlib.image.imread(tmp_path / "map.png")
+    assert image.shape[1] >= 1000
+    assert len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 100
+
+
+def test_table_lists_policies_by_reward():
+    """The best policy comes first, with every column filled, in a terminal of 80 columns."""
+    console = Console(file=io.StringIO(), width=80)
+    console.print(comparison_table([evaluation("lawnmower", 895.2), evaluation("EIA-SEC (this run)", 901.0)]))
+    text = console.file.getvalue()
+    assert text.index("EIA-SEC (this run)") < text.index("lawnmower")
+    assert "2 farms, 1 episode each" in text
+    for cell in (
+        *COLUMNS[:-1],
+        "energy",
+        "kJ",
+        "895",
+        "901",
+        "-120",
+        "1500",
+        "1300",
+        "1.23",
+        "2.35",
+        "0.2",
+        "1.0",
+        "12",
+    ):
+        assert cell in text
+
+
+def test_markdown_table_has_one_line_a_policy():
+    """The Markdown has a head, an alignment line, and one line with all columns for each policy."""
+    lines = comparison_markdown([evaluation("a", 1.0), evaluation("b", 2.0)]).splitlines()
+    assert lines[0] == "| " + " | ".join(COLUMNS) + " |"
+    assert [line.split(" | ")[0] for line in lines[2:]] == ["| b", "| a"]
+    assert {line.count("|") for line in lines} == {len(COLUMNS) + 1}
+
+
+def test_other_environments_have_their_own_columns():
+    """Types by their names, small rewards with decimals, and the length of episodes where there are no figures."""
+    score = Score(-1.234, {"runner": -1.0, "chaser": -2.5}, 25.0, {})
+    text = comparison_markdown([Evaluation("random", (1, 2), 1, score, (score, score))])
+    assert text.splitlines()[0] == "| policy | reward | runner | chaser | steps |"
+    assert text.splitlines()[2] == "| random | -1.23 | -1.00 | -2.50 | 25 |"
+
+
+def test_curves_of_other_environments_show_their_types_and_lengths():
+    """Whatever types the records name are drawn, and the lower part shows the length of episodes."""
+    records = [
+        {"kind": "episodes", "episodes": k, "reward": {"mean": 1.0 * k, "runner": k, "chaser": 2 * k}, "steps": 25}
+        for k in range(1, 10)
+    ]
+    upper, lower = curves_figure(records, {"random": -3.25}).axes
+    assert [text.get_text() for text in upper.get_legend().get_texts()] == ["runner", "chaser", "all agents"]
+    assert lower.get_ylabel() == "steps of an episode"
+    assert "random -3.2" in [text.get_text() for text in upper.texts]

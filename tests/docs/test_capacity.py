@@ -1,0 +1,92 @@
+"""The capacity model against hand-made measurements, and the command that prints it."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from common.errors import ConfigError
+from docs.tools import capacity
+from docs.tools.capacity import DIRECT, ROUND_TRIPS, ROUTED, Measured, Plan
+
+ROOT = Path(__file__).resolve().parents[2]
+# A chunk takes 1 ms and 1 us for each KB; a step is 1,000 bytes.
+KB, MB = 131_072, 1_048_576
+RATE = {size: size / (1e-3 + size / 1e9) / 1e6 for size in (KB, MB)}
+CASE = {str(size): {"env_steps_per_second": rate * 1e3, "mb_per_second": rate} for size, rate in RATE.items()}
+MEASURED = Measured(10_000.0, 5.0, dict.fromkeys((*DIRECT.values(), ROUTED), CASE), ())
+
+
+def test_the_time_of_a_chunk_is_a_line_through_two_sizes():
+    """At the measured sizes the measured rates come out, and elsewhere those of the line."""
+    for size, rate in RATE.items():
+        assert MEASURED.intake_rate(ROUTED, size) == pytest.approx(rate * 1e3)
+    assert MEASURED.intake_rate(ROUTED, 200_000) == pytest.approx(200 / 1.2e-3)
+
+
+def test_each_part_saturates_where_its_arithmetic_says():
+    """Training at rounds a second over rounds a step, links at bytes, workers at their number."""
+    plan = Plan(workers=3, updates_per_step=0.1, link_gbit=0.8)
+    found = capacity.saturation(plan, MEASURED)
+    assert found["training"] == pytest.approx(2_000.0)
+    assert found["link, transitions in"] == pytest.approx(1e8 / 1000.0)
+    assert found["workers"] == pytest.approx(30_000.0)
+    assert found["intake, TCP"] == pytest.approx(160 / 1.16e-3)
+    assert capacity.saturation(Plan(round_ms=2.5, updates_per_step=0.1), MEASURED)["training"] == pytest.approx(4_000.0)
+    slow = capacity.saturation(Plan(publish_seconds=1.0), MEASURED)["link, parameters out"]
+    fast = capacity.saturation(Plan(publish_seconds=0.5), MEASURED)["link, parameters out"]
+    assert slow == pytest.approx(2 * fast)
+
+
+def test_distance_bounds_one_worker():
+    """One request of a whole spool each round trip, however fast the worker flies; near by its own rate counts."""
+    assert capacity.worker_rate(Plan(round_trip_ms=1.0), MEASURED) == 10_000.0
+    assert capacity.worker_rate(Plan(round_trip_ms=200.0), MEASURED) == pytest.approx(8 * 160 / 0.2)
+    assert capacity.worker_rate(Plan(round_trip_ms=200.0, spool_chunks=1), MEASURED) == pytest.approx(160 / 0.2)
+
+
+def test_the_least_part_stands_first():
+    """Rows are ordered by rate, and say how many workers that is."""
+    rows = capacity.table(Plan(workers=7), MEASURED)[2:]
+    rates = [float(row.split("|")[2].replace(",", "")) for row in rows]
+    assert rates == sorted(rates)
+    assert "| workers (7) | 70,000 | 7.00 |" in rows
+
+
+def command(*arguments: str) -> "subprocess.CompletedProcess[str]":
+    line = [sys.executable, "-m", "docs.tools.capacity", *arguments]
+    return subprocess.run(line, capture_output=True, text=True, check=False)
+
+
+def test_the_command_prints_a_plan_of_the_committed_results():
+    """Options change the table; the figures are those of the results."""
+    printed = command("--workers", "50", "--updates-per-step", "0.01")
+    measured = Measured.of(*(json.loads(Path(source).read_text()) for source in capacity.SOURCES))
+    assert printed.stdout.splitlines() == capacity.table(Plan(workers=50, updates_per_step=0.01), measured)
+
+
+@pytest.mark.parametrize(("option", "value"), [("--workers", "0"), ("--link-gbit", "-1"), ("--round-ms", "nan")])
+def test_an_impossible_plan_is_one_sentence(option, value):
+    """A value that cannot be ends with exit code 2."""
+    done = command(option, value)
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
+
+
+def test_the_page_shows_every_distance():
+    """The block of docs/capacity.md has a column for each round trip."""
+    text = capacity.block(*(json.loads(Path(source).read_text()) for source in capacity.SOURCES))
+    assert all(f" {ms:,.0f} |" in text for ms in ROUND_TRIPS)
+
+
+def test_figures_of_another_team_are_refused():
+    """Bytes of a step and times of a round follow from the team; a result that is older than it is named."""
+    sources = [json.loads((ROOT / source).read_text()) for source in capacity.SOURCES]
+    assert Measured.of(*sources).step_bytes() > 0
+    for number, source in enumerate(sources):
+        for of_another in ({**source, "team": "0" * 16}, {name: source[name] for name in source if name != "team"}):
+            others = [of_another if n == number else s for n, s in enumerate(sources)]
+            with pytest.raises(ConfigError, match=re.escape(source["command"])):
+                Measured.of(*others)

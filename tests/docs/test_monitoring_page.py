@@ -1,0 +1,57 @@
+"""The page on monitoring says what the declarations say, and the declarations name what there is."""
+
+import dataclasses
+
+import pytest
+
+from common.protocol import codec, keys, messages, metrics
+from common.protocol.metrics import Figure, undeclared
+from deploy.monitor import snapshot
+from docs.tools.monitoring_page import attribute_docs, monitoring_page
+from elite import service as elite
+from learner import reports
+from learner import service as learner
+from learner.intake import ledger
+from rollout.worker import service as rollout
+
+
+@pytest.mark.parametrize("family", keys.FAMILIES, ids=lambda family: family.template)
+def test_every_family_says_who_sends_what_to_whom(family):
+    """Each family names sender, receiver, pace and message types, which exist, as the table in the docstring does."""
+    assert family.sender
+    assert family.receiver
+    assert family.pace
+    assert all(issubclass(getattr(messages, name), codec.Message) for name in family.messages)
+    (row,) = (line for line in (keys.__doc__ or "").splitlines() if f"/{{run}}/{family.template} " in line)
+    assert family.delivery in row
+    assert all(name in row for name in family.messages[:1])
+
+
+def test_what_the_page_says_of_paces_is_so():
+    """Metrics once a second from every role, progress ten times."""
+    paces = {learner.REPORT_SECONDS, rollout.REPORT_SECONDS, elite.REPORT_SECONDS}
+    assert (paces, keys.METRIC.pace) == ({1.0}, "1 per second")
+    assert f"{1.0 / learner.PROGRESS_SECONDS:.0f} per second" == keys.PROGRESS.pace
+    text = " ".join(figure.meaning for figure in metrics.FIGURES["learner"])
+    assert f"of at most {ledger.ROWS}, the others in `{ledger.OTHERS}`" in text
+    assert (reports.IMITATIONS, reports.SMOOTHED_EPISODES) == (4, 40)
+
+
+def test_every_field_on_the_page_is_explained():
+    """Every field of every message and record that can be read has its meaning from the docstring."""
+    readable = {name for f in keys.FAMILIES if f.delivery in ("state", "lossy") for name in f.messages}
+    kinds = [getattr(messages, name) for name in ("Envelope", *readable)]
+    kinds += [kind for kind in vars(snapshot).values() if dataclasses.is_dataclass(kind)]
+    for kind in kinds:
+        assert [item.name for item in dataclasses.fields(kind) if not attribute_docs(kind).get(item.name)] == []
+    page = monitoring_page()
+    assert all(f"### {name}," in page for name in readable)
+
+
+def test_names_are_held_against_the_declaration(monkeypatch):
+    """Nested names are joined, a star covers one name or a rest with slashes, and anything else is found."""
+    declared = tuple(Figure(name, "", "") for name in ("a", "b/c", "d/*", "e/*/f"))
+    monkeypatch.setitem(metrics.FIGURES, "learner", declared)
+    assert undeclared("learner", {"a": 1, "b": {"c": 2}, "d": {"x/y": 3}, "e": {"g": {"f": 4}}}) == []
+    assert undeclared("learner", {"b": 1, "e": {"g": {"h": 2}}, "z": {}}) == ["b", "e/g/h"]
+    assert undeclared("nobody", {"a": 1}) == ["a"]

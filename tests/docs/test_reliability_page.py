@@ -1,0 +1,23 @@
+"""The page of faults and doses says what the figures say."""
+
+from pathlib import Path
+
+from docs.tools.reliability_page import FIGURES, PAGE, ROWS, page
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_the_page_is_up_to_date():
+    """docs/reliability.md is what the command writes from the figures that are there."""
+    assert (ROOT / PAGE).read_text(encoding="utf-8") == page(ROOT / FIGURES)
+
+
+def test_every_row_names_a_test_and_every_figure_has_a_row():
+    """Each line of the table names a test file that exists, and no file of figures is left out."""
+    assert all((ROOT / "tests" / "faults" / row.test).is_file() for row in ROWS)
+    assert {path.stem for path in (ROOT / FIGURES).glob("*.json")} <= {row.figures for row in ROWS}
+
+
+def test_a_dose_that_was_not_run_is_said(tmp_path):
+    """Without figures each row says so."""
+    assert page(tmp_path).count("not run at full dose yet") == len(ROWS)

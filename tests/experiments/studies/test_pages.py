@@ -1,0 +1,153 @@
+"""The pages that are written from committed results are up to date, and say what the results are made from."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from docs.tools.reproduce_page import BLOCKS, PAGE, RESULTS, SHOWN, comparison, refreshed, written
+from experiments.studies.analysis.targets import block as targets_block
+from experiments.studies.analysis.verdicts import NOT_RUN
+from experiments.studies.pages.tables import versions
+
+ROOT = Path(__file__).resolve().parents[3]
+KEPT = sorted(path.parent.relative_to(ROOT / RESULTS).as_posix() for path in (ROOT / RESULTS).rglob("results.json"))
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_a_studys_page_is_written_from_its_results(name):
+    """The page beside each results.json is what its table and notes come to today, and all pictures are on it."""
+    folder = ROOT / RESULTS / name
+    text = (folder / "README.md").read_text(encoding="utf-8")
+    assert sorted(SHOWN.findall(text)) == sorted(path.name for path in folder.glob("*.png"))
+    assert written(folder) == text, "run `make docs`"
+
+
+def test_commits_are_told_by_group_where_there_are_several():
+    """Records of one commit need no words; of two, every group has its own."""
+    runs = {"A": {"runs": [{"commit": "aaa"}, {"commit": "bbb"}]}, "B": {"runs": [{"commit": "aaa"}]}}
+    data = {"methods": runs, "choice": {"A": {"commits": ["ccc"]}}}
+    assert "A: aaa, bbb; B: aaa; trials of A: ccc." in " ".join(versions(data).split())
+    alone = {"methods": {"A": {"runs": [{"commit": "aaa"}]}}, "choice": {"A": {}}}
+    assert versions(alone) == ""
+
+
+def flown(policy, reward, aoi):
+    around = (aoi, aoi - 0.01, aoi + 0.01)
+    rewards = (reward, reward - 5.0, reward + 5.0)
+    return {"policy": policy, "reward": rewards, "aoi": around, "vdf": around, "per_farm": [0.0] * 20 + [reward] * 80}
+
+
+def reach(*runs):
+    points = [
+        {"software": software, "points": [{"seconds": at, "reward": reward} for at, reward in course]}
+        for software, course in runs
+    ]
+    return {"bar": 1000.0, "runs": points}
+
+
+def verdicts(text, word):
+    return [
+        line.rsplit("| **", 1)[1].rstrip("* |") for line in text.splitlines() if line.startswith("|") and word in line
+    ]
+
+
+def test_targets_are_met_only_by_the_whole_interval():
+    """Reward against the best heuristic and the supply bound, AoI and VDF against all of them; nothing else is met."""
+    good = {"results": [flown("trained", 1600.0, 0.4), flown("horizon", 1400.0, 0.5)], "last_farm": 1099}
+    text = targets_block(good, None, None)
+    assert verdicts(text, "the policy that ships") == ["met"] * 4
+    assert verdicts(text, "seeds of") == ["not measured"] * 4
+    assert "1540 (horizon 1400)" in text
+    assert "1600 (1595..1605); 1600 on 1020..1099" in text
+    close = {"results": [flown("trained", 1278.0, 0.4), flown("horizon", 1164.0, 0.415)], "last_farm": 1099}
+    assert verdicts(targets_block(close, None, None), "the policy that ships") == ["not met"] * 4
+    assert "0 of 11 met." in targets_block(close, None, None)
+
+
+def test_the_default_presets_seeds_are_judged_by_their_interval():
+    """Their mean reward, AoI and VDF stand beside the study's own heuristics, not beside those flown elsewhere."""
+    study = {
+        "references": {
+            "best": "horizon",
+            "policies": {"horizon": {"reward": 1400.0, "figures": {"aoi": 0.5, "vdf": 2.0}}},
+        },
+        "methods": {
+            "default preset": {
+                "mean_reward": [1530.0, 1280.0, 1600.0],
+                "figures": {"aoi": [0.45, 0.4, 0.49], "vdf": [1.9, 1.8, 2.1]},
+                "runs": [{}] * 5,
+            },
+            "EIA-SEC": {"mean_reward": [0.0] * 3, "figures": {"aoi": [9.0] * 3, "vdf": [9.0] * 3}, "runs": []},
+        },
+        "scale": "full",
+        "sizes": {"first_farm": 1020},
+    }
+    text = targets_block(None, study, None)
+    assert verdicts(text, "seeds of") == ["not met", "met", "met", "not met"]
+    assert "| 1540 (horizon 1400) | 1530 (1280..1600), 5 seeds; on farms from 1020 on |" in text
+    assert "| below 0.50 (horizon) | 0.45 (0.40..0.49) |" in text
+    assert verdicts(text, "the policy that ships") == ["not measured"] * 4
+
+
+def test_sooner_means_ten_times():
+    """A peer that never got there counts by the time that it was given; nothing is met where ours did not get there."""
+    ours = ("EIA-SEC", [(10.0, 600.0), (20.0, 800.0)])
+    late, never = ("AgileRL", [(150.0, 600.0), (190.0, 800.0)]), ("BenchMARL", [(60.0, 600.0), (300.0, 700.0)])
+    text = targets_block(None, None, reach(ours, late, never))
+    assert verdicts(text, "than AgileRL") == ["met", "not met", "not met"]
+    assert verdicts(text, "than BenchMARL") == ["not met", "met", "not met"]
+    assert "ours not within 20 s" in text
+    short = ("BenchMARL", [(60.0, 400.0)])
+    assert verdicts(targets_block(None, None, reach(ours, short)), "than BenchMARL")[0] == "cannot be told"
+
+
+def test_the_slowest_of_ours_and_the_fastest_of_theirs_decide():
+    """Medians that are ten times apart are not enough when some pair of seeds is nearer, or may be."""
+
+    def told(*theirs):
+        runs = [("BenchMARL", course) for course in theirs]
+        text = targets_block(None, None, reach(*(("EIA-SEC", [(at, 700.0)]) for at in (10.0, 12.0, 17.0)), *runs))
+        (line,) = (line for line in text.splitlines() if line.startswith("| 50%"))
+        return line, verdicts(text, "than BenchMARL")[0]
+
+    def reached(*times):
+        return [[(at, 700.0)] for at in times]
+
+    line, verdict = told(*reached(170.0, 180.0, 300.0))
+    assert ("15.0 times (10.0..30.0), ours in 12 s; 3 seeds" in line, verdict) == (True, "met")
+    line, verdict = told(*reached(150.0, 180.0, 300.0))
+    assert ("15.0 times (8.8..30.0)" in line, verdict) == (True, "cannot be told")
+    assert told(*reached(50.0, 60.0, 90.0))[1] == "not met"
+    line, verdict = told([(480.0, 0.0)], *reached(160.0, 180.0))
+    assert ("| 15.0 times (9.4..)" in line, verdict) == (True, "cannot be told")
+    line, verdict = told(*[[(480.0, 0.0)]] * 2, *reached(160.0))
+    assert ("| more than 40.0 times (9.4..)" in line, verdict) == (True, "cannot be told")
+    assert told([(480.0, 0.0)], [(300.0, 700.0)], [(200.0, 0.0)])[1] == "met"
+
+
+def test_early_farms_are_said_beside_the_verdicts():
+    """Results with the farms that the preset was chosen on say so, and those without do not."""
+    text = comparison(ROOT)
+    for name in ("training", "ablation", "ensemble", "scalability", "trajectories"):
+        data = json.loads((ROOT / "docs/results/reproduce" / name / "results.json").read_text(encoding="utf-8"))
+        (line,) = [line for line in text.splitlines() if line.startswith(f"[{name}](")]
+        assert ("on which the preset was chosen" in line) == (data["sizes"].get("first_farm", 1000) < 1020)
+
+
+def test_the_page_is_up_to_date():
+    """The blocks in docs/ are what `make docs` would write."""
+    text = (ROOT / PAGE).read_text(encoding="utf-8")
+    assert all(f"<!-- {name}:begin -->" in text for name in BLOCKS)
+    assert refreshed(text, ROOT) == text, "run `make docs`"
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_a_block_replaces_only_itself(name, tmp_path):
+    """What stands before and after stays; a repository without results has a block that says so."""
+    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+    text = refreshed(f"before\n{begin}\noutdated\n{end}\nafter", tmp_path)
+    assert text.startswith(f"before\n{begin}\n")
+    assert text.endswith(f"{end}\nafter")
+    assert "outdated" not in text
+    assert any(word in text for word in (NOT_RUN, "not measured", "has not been counted"))

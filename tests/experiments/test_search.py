@@ -1,0 +1,22 @@
+"""What a harder search gives."""
+
+from experiments.search import FORMS, fly, page
+from rollout.heuristics.horizon import EFFORT
+from tests.rollout.heuristics.small_farm import SMALL
+
+
+def test_a_harder_search_flies_otherwise(monkeypatch):
+    """With the heuristic's own effort it earns the same, with another it does not, and monitors search where told."""
+    flown = {form: fly(SMALL, form, range(2)) for form in list(FORMS)[:2]}
+    monkeypatch.setitem(FORMS, "equal", {"collectors": EFFORT})
+    monkeypatch.setitem(FORMS, "all", {"collectors": EFFORT, "monitors": EFFORT})
+    plain, wide = flown.values()
+    equal, whole = fly(SMALL, "equal", range(2)), fly(SMALL, "all", range(2))
+    parts = ("reward", "communication", "monitoring", "collection", "aoi", "vdf")
+    assert [equal[part] for part in parts] == [plain[part] for part in parts]
+    assert wide["collection"] != plain["collection"]
+    assert (whole["monitoring"] != plain["monitoring"], whole["collection"] == plain["collection"]) == (True, True)
+    data = {"command": "python -m experiments.search", "commit": "abc", "farms": [0, 1]}
+    text = page({**data, "results": [{**plain, "reward": 100.0}, {**wide, "reward": 103.0}]})
+    assert "1.030 times" in text
+    assert text.count("\n| ") == 3

@@ -1,0 +1,144 @@
+"""The registry of algorithms, the shared options, and what a name switches on."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+import torch
+
+from common.config import AlgorithmConfig, EliteConfig, RunConfig
+from common.config.learning import AlgorithmName
+from common.imitation import ImitationSchedule
+from deploy.commands.training.train import TrainArguments
+from deploy.options import base_configuration, parse
+from learner.algorithms import ALGORITHMS
+from learner.algorithms.base import Algorithm
+from learner.checkpoint.trainer_state import random_state, restored_random
+from learner.engine import Engine
+from tests.learner.algorithms.test_engine import TEAM, batches, same_state
+
+ROOT = Path(__file__).resolve().parents[3]
+SMALL = AlgorithmConfig(hidden=8, batch=16, actor_rate=2e-3, critic_rate=5e-3)
+
+
+def test_registry_files_names_and_documentation_agree():
+    """Every file of learner/algorithms is registered, every name is configurable and documented, and no more."""
+    files = {path.stem for path in (ROOT / "learner" / "algorithms").glob("*.py")} - {"__init__"}
+    assert {method.__module__.rpartition(".")[2] for method in ALGORITHMS.values()} == files
+    assert sorted(name for method in set(ALGORITHMS.values()) for name in method.names) == sorted(ALGORITHMS)
+    assert set(ALGORITHMS) == set(get_args(AlgorithmName))
+    page = (ROOT / "docs" / "algorithms.md").read_text()
+    rows = re.findall(r"^\| `([a-z0-9-]+)` \| `learner/algorithms/([a-z0-9_]+)\.py` \|", page, re.MULTILINE)
+    assert dict(rows) == {name: method.__module__.rpartition(".")[2] for name, method in ALGORITHMS.items()}
+    assert all(issubclass(method, Algorithm) for method in ALGORITHMS.values())
+
+
+@pytest.mark.parametrize(
+    ("name", "ensemble", "imitation", "joint"),
+    [
+        ("eia-sec", True, True, False),
+        ("eia", False, True, False),
+        ("sec", True, False, False),
+        ("base", False, False, False),
+        ("maddpg", False, False, True),
+        ("matd3", False, False, True),
+        ("masac", False, False, True),
+    ],
+)
+def test_a_name_decides_which_parts_there_are(name, ensemble, imitation, joint):
+    """A name has its parts by default, and a switch takes one away but never adds one."""
+    config = AlgorithmConfig(name=name)
+    assert (config.uses_ensemble, config.has_imitation, config.joint_critics) == (ensemble, imitation, joint)
+    assert not replace(config, ensemble=False).uses_ensemble
+    assert replace(config, critic_scope="joint").joint_critics
+    assert not replace(config, critic_scope="local").joint_critics
+    run = RunConfig(algorithm=config)
+    assert ImitationSchedule.of(run).is_due(0, 10) == imitation
+    assert not ImitationSchedule.of(replace(run, elite=EliteConfig(enabled=False))).is_due(0, 10)
+
+
+def test_the_ablation_without_ensemble_is_the_switch():
+    """`eia` and `eia-sec` without its ensemble do the same rounds, bit for bit."""
+    engines = [Engine(replace(SMALL, name="eia"), TEAM, 3), Engine(replace(SMALL, ensemble=False), TEAM, 3)]
+    for batch in batches(TEAM, SMALL, 3, torch.float32):
+        for engine in engines:
+            engine.round(batch)
+    assert same_state(*engines)
+
+
+@pytest.mark.parametrize("words", [["--algorithm", "matd3"], ["--algorithm=matd3"], ["--algorithm.name", "matd3"]])
+def test_the_command_line_names_an_algorithm(words):
+    """The short form beside options of the section, as the long form."""
+    defaults = TrainArguments(settings=base_configuration(words))
+    config = parse(TrainArguments, [*words, "--algorithm.hidden", "32"], "train", defaults).settings
+    assert (config.algorithm.name, config.algorithm.hidden) == ("matd3", 32)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_a_state_put_into_a_fresh_engine_goes_on_alike(name):
+    """An engine that takes another's tensors and generator does the same rounds from there, bit for bit."""
+    config = replace(SMALL, name=name, observation_normalisation=True, reward_normalisation=True)
+    one, other = Engine(config, TEAM, 3), Engine(config, TEAM, 4)
+    draw = np.random.default_rng(0)
+    rows = draw.normal(3.0, 2.0, (50, TEAM.observation_size)).astype(np.float32)
+    one.observe(rows, draw.normal(size=(50, TEAM.agents)).astype(np.float32))
+    first, second = batches(TEAM, config, 2, torch.float32)
+    one.round(first)
+    for tensor_name, tensor in other.tensors().items():
+        tensor.copy_(one.tensors()[tensor_name])
+    other.random = restored_random(random_state(one.random))
+    other.restored()
+    one.round(second)
+    assert not same_state(one, other)
+    other.round(second)
+    assert same_state(one, other)
+
+
+def test_published_actors_carry_the_normalisation():
+    """Exported actors decide on raw observations what the engine's decide on standardised ones; loading undoes it."""
+    engine = Engine(replace(SMALL, observation_normalisation=True), TEAM, 3, cores=0)
+    draw = np.random.default_rng(0)
+    rows = draw.normal(5.0, 3.0, (200, TEAM.observation_size)).astype(np.float32)
+    before = engine.actors()
+    engine.observe(rows, np.zeros((200, TEAM.agents), np.float32))
+    own = engine.algorithm.actors.export()
+    standardised = engine.normalisation.observed(torch.from_numpy(rows)).numpy()
+    for part in TEAM.observation_slices():
+        assert abs(float(standardised[:, part].mean())) < 1e-4
+        assert 0.9 < float(standardised[:, part].std()) < 1.1
+    np.testing.assert_allclose(engine.actors().act(rows), before.act(standardised), atol=1e-5)
+    assert np.abs(before.act(rows) - before.act(standardised)).max() > 1e-3
+    engine.load_actors(engine.export_actors())
+    for mine, theirs in zip(engine.algorithm.actors.export(), own, strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-5)
+
+
+def test_normalised_rewards_have_unit_deviation():
+    """Each type's rewards are divided by their own deviation, however they come in pieces."""
+    engine = Engine(replace(SMALL, reward_normalisation=True), TEAM, 3)
+    rewards = np.random.default_rng(0).normal(1.0, [1.0] * 2 + [10.0] * 3 + [0.1] * 4, (300, 9)).astype(np.float32)
+    for piece in np.array_split(rewards, 7):
+        engine.observe(np.zeros((piece.shape[0], TEAM.observation_size), np.float32), piece)
+    normalised = engine.normalisation.rewarded(torch.from_numpy(rewards)).numpy()
+    for part in TEAM.agent_slices():
+        assert normalised[:, part].std() == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(("name", "kinds"), [("eia-sec", 1), ("maddpg", 1), ("matd3", 3), ("masac", 1)])
+def test_kinds_of_round_repeat_after_so_many_phases(name, kinds):
+    """Every cycle has each kind once, and the actors step in exactly one of its rounds."""
+    config = replace(SMALL, name=name, actor_delay=3)
+    assert ALGORITHMS[name].phases(config) == kinds
+    engine = Engine(config, TEAM, 0)
+    assert [engine.algorithm.phase(number) for number in range(kinds, 2 * kinds)] == [
+        engine.algorithm.phase(number) for number in range(kinds)
+    ]
+    steps = []
+    for batch in batches(TEAM, config, 2 * kinds, torch.float32):
+        before = engine.algorithm.actors.flat.clone()
+        engine.round(batch)
+        steps.append(not torch.equal(engine.algorithm.actors.flat, before))
+    assert sum(steps[:kinds]) == sum(steps[kinds:]) == 1

@@ -1,0 +1,88 @@
+"""A resumed learner books exactly what was acknowledged after its checkpoint, and takes none of it twice."""
+
+import pytest
+
+from common.history import Entry, History
+from common.protocol.messages import Envelope
+from learner.checkpoint.recovery import take_up
+from learner.intake.ledger import Intake
+
+
+def accepted(intake: Intake, history: History, worker: str, number: int, incarnation: int = 1) -> None:
+    sender = Envelope("rollout", worker, incarnation, number)
+    intake.judge(sender, number)
+    intake.accept(sender, 10, number * 10, number * 10)
+    history.add(Entry("accepted", worker, incarnation, number, number, 10, number * 10, number * 10))
+
+
+@pytest.mark.parametrize("kept", range(6))
+def test_what_was_acknowledged_after_the_checkpoint_is_lost_exactly(tmp_path, kept):
+    """Whatever the cut, accepted and lost together are what had been acknowledged, before any worker comes back."""
+    path, intake = tmp_path / "learner.jsonl", Intake()
+    history = History(path)
+    take_up(history, intake, 1, resumed=False)
+    saved = intake.state()
+    for number in range(1, 6):
+        accepted(intake, history, "a", number)
+        if number == 3:
+            accepted(intake, history, "b", 1)
+        if number == kept:
+            saved = intake.state()
+    again = Intake()
+    again.restore(saved)
+    lost = take_up(History(path), again, 2, resumed=True)
+    totals = again.totals()
+    assert totals["accepted"] + totals["lost"] == 60
+    assert totals["lost"] == lost == 60 - Intake.totals(again)["accepted"]
+    assert totals["in_flight"] == 0
+    assert again.judge(Envelope("rollout", "a", 1, 5), 5) == "duplicate"
+    assert again.judge(Envelope("rollout", "a", 1, 6), 6) == "accepted"
+
+
+def test_a_new_start_of_a_worker_after_the_checkpoint(tmp_path):
+    """Chunks of a start that the checkpoint does not know are lost too, and its own are not forgotten."""
+    path, intake = tmp_path / "learner.jsonl", Intake()
+    history = History(path)
+    take_up(history, intake, 1, resumed=False)
+    accepted(intake, history, "a", 1)
+    saved = intake.state()
+    accepted(intake, history, "a", 2)
+    accepted(intake, history, "a", 1, incarnation=2)
+    again = Intake()
+    again.restore(saved)
+    assert take_up(History(path), again, 2, resumed=True) == 20
+    assert (again.totals()["accepted"], again.totals()["lost"]) == (10, 20)
+    assert again.workers["a"].incarnation == 2
+
+
+def test_killed_twice_before_the_next_checkpoint(tmp_path):
+    """A second kill before a new checkpoint books the losses of the first once more in the old ledger, not twice."""
+    path, intake = tmp_path / "learner.jsonl", Intake()
+    history = History(path)
+    take_up(history, intake, 1, resumed=False)
+    accepted(intake, history, "a", 1)
+    saved = intake.state()
+    accepted(intake, history, "a", 2)
+    second, history = Intake(), History(path)
+    second.restore(saved)
+    assert take_up(history, second, 2, resumed=True) == 10
+    accepted(second, history, "a", 3)
+    third = Intake()
+    third.restore(saved)
+    assert take_up(History(path), third, 3, resumed=True) == 20
+    assert third.totals()["produced"] == 30
+
+
+def test_a_long_range_is_gone_through_from_where_the_checkpoint_ends(tmp_path):
+    """What the checkpoint knows already is skipped at once, and only the rest is lost."""
+    path, intake = tmp_path / "learner.jsonl", Intake()
+    many = 2**24
+    intake.accept(Envelope("rollout", "a", 1, many - 1), 10, (many - 1) * 10, (many - 1) * 10)
+    path.write_text(
+        f'["start","learner","learner",1]\n["accepted","a",1,1,{many},10,{many * 10},{many * 10}]\n', encoding="utf-8"
+    )
+    history = History(path)
+    assert len(history.before) == 2
+    before = intake.totals()["lost"]
+    assert take_up(history, intake, 2, resumed=True) == 10
+    assert intake.totals()["lost"] == before + 10

@@ -1,0 +1,101 @@
+"""The learner's front door: what it hands on with a chunk, and when its answers come."""
+
+import numpy as np
+
+from common.config import ReplayConfig
+from common.protocol import keys
+from common.protocol.chunk_messages import to_message, to_request
+from common.protocol.messages import ChunkAck, Envelope
+from learner.intake.ledger import Intake
+from learner.intake.receiver import Receiver
+from tests.faults.tools.channel import RUN, TEAM, Door, Parcel, Sending, a_chunk, front_door, shut
+from tests.system.fleet import until
+
+
+def parcel(worker: str, start: int, number: int, *, lawful: bool = True) -> Parcel:
+    """Return a request with one chunk of one environment step."""
+    chunk = a_chunk(number)
+    if not lawful:
+        chunk.rows.observation[0, 0] = np.nan
+    payload = to_request([to_message(chunk, TEAM, 1, produced=number).encode()], oldest=number, flown=number)
+    return Parcel(
+        keys.TRANSITION.key(RUN, worker=worker), payload, Envelope("rollout", worker, start, number, 1).encode()
+    )
+
+
+def test_a_chunk_brings_the_accounts_of_its_moment():
+    """What a checkpoint gets after each chunk counts every start of a worker once, whoever sent the chunk.
+
+    A worker's new start whose first chunk is refused has ended the old one, though it has brought no chunk itself.
+    """
+    receiver, door = front_door()
+    try:
+        told = [
+            door.pass_on(parcel(*request, lawful=lawful)).verdict
+            for *request, lawful in [("a", 1, 1, True), ("b", 1, 1, True), ("a", 2, 1, False), ("b", 1, 2, True)]
+        ]
+        assert told == ["accepted", "accepted", "refused", "accepted"]
+        kept, accepted = Intake(), []
+        for _ in range(3):
+            arrival = until(lambda: receiver.next_arrival(0.05), "a chunk")
+            kept.closed, kept.workers = arrival.closed, arrival.workers
+            accepted.append(kept.totals()["accepted"])
+        assert accepted == [1, 2, 3]
+        again = Intake()
+        again.restore(kept.state())
+        assert again.totals() == receiver.intake.totals()
+        assert again.unexplained() == 0
+    finally:
+        shut(receiver, door)
+
+
+def test_a_stray_message_keeps_no_worker_out_of_a_lockstep_run():
+    """Whoever sends junk before the one worker has no place in the run; the worker that delivers first has it."""
+    door = Door()
+    bounds = ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=16)
+    receiver = Receiver(door, TEAM, Intake(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
+    try:
+        stray = parcel("stranger", 1, 1)
+        stray.payload = b"junk"
+        door.pass_on(stray)
+        door.push(Sending("0", 1).parcel([1]))
+        assert until(lambda: receiver.next_arrival(0.05), "a chunk").sender.name == "0"
+        assert "exactly one worker" in door.pass_on(parcel("late", 1, 1)).refused
+    finally:
+        shut(receiver, door)
+
+
+def test_there_are_accounts_for_so_many_workers(monkeypatch):
+    """Names without end are refused before they take memory, and stand in no checkpoint."""
+    monkeypatch.setattr("learner.intake.receiver.MOST_WORKERS", 2)
+    receiver, door = front_door()
+    try:
+        assert [door.pass_on(parcel(name, 1, 1)).verdict for name in ("a", "b")] == ["accepted"] * 2
+        assert "2 workers have accounts already" in door.pass_on(parcel("c", 1, 1)).refused
+        assert door.pass_on(parcel("a", 1, 2)).verdict == "accepted"
+        assert set(receiver.intake.workers) == {"a", "b"}
+    finally:
+        shut(receiver, door)
+
+
+def test_in_lockstep_a_second_copy_waits_for_the_training_too():
+    """A worker whose link broke while its chunk was trained on hears of it when that is done, and not before."""
+    door, sending = Door(), Sending("0", 2)
+    bounds = ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=16)
+    receiver = Receiver(door, TEAM, Intake(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
+    try:
+        first, second = sending.parcel([1]), sending.parcel([1])
+        door.push(first)
+        arrival = until(lambda: receiver.next_arrival(0.05), "a chunk")
+        door.push(second)
+        # The third is of another worker, and its refusal says that the second has been looked at.
+        assert "exactly one worker" in door.pass_on(Sending("1", 1).parcel([1])).refused
+        assert not first.told.is_set()
+        assert not second.told.is_set()
+        arrival.owed.answer(ChunkAck(("accepted",), ("",), 2, 7).encode())
+        assert second.told.is_set()
+        assert (second.answer.verdicts, second.answer.required_version) == (("accepted",), 7)
+        assert door.pass_on(sending.parcel([1])).verdict == "duplicate"
+        assert receiver.intake.totals()["accepted"] == 1
+    finally:
+        shut(receiver, door)

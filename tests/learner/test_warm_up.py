@@ -1,0 +1,60 @@
+"""A learner whose update rounds are compiled before anybody waits for it."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from deploy.local.threads import thread_environment
+
+# What a run calls after its rehearsal that was not compiled in it; in a process of its own, where nothing was before.
+COUNT = """
+import json, sys
+from dataclasses import replace
+from numba.core.dispatcher import Dispatcher
+from common.config import RunConfig
+from learner.warm_up import rehearse
+from learner.trainer import Trainer
+from rollout.worker.collector import Collector
+
+def compiled():
+    functions = {}
+    for name, module in list(sys.modules.items()):
+        if name.startswith("learner"):
+            functions |= {f"{name}.{n}": f for n, f in vars(module).items() if isinstance(f, Dispatcher)}
+    return {name: len(function.signatures) for name, function in functions.items()}
+
+base = RunConfig()
+config = replace(
+    base, algorithm=replace(base.algorithm, name=sys.argv[1]), replay=replace(base.replay, warmup_steps=0)
+)
+collector = Collector(config, "0", 0)
+before = compiled()
+if sys.argv[2] == "rehearsed":
+    rehearse(config, collector.team)
+rehearsed = compiled()
+trainer = Trainer(config, collector.team)
+while trainer.updates < 40:
+    trainer.absorb(collector.collect(trainer.actors(), 0.3, False))
+    trainer.train(trainer.rounds_due())
+print(json.dumps([sum(before.values()), sum(rehearsed.values()), sum(compiled().values()), trainer.actors().digest()]))
+"""
+
+
+def counted(algorithm: str, how: str) -> list[object]:
+    command, environment = [sys.executable, "-c", COUNT, algorithm, how], {**os.environ, **thread_environment(1)}
+    ended = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300, env=environment)
+    found: list[object] = json.loads(ended.stdout.splitlines()[-1])
+    return found
+
+
+@pytest.mark.parametrize("algorithm", ["eia-sec", "matd3", "masac"])
+def test_a_rehearsal_compiles_what_a_run_calls_and_changes_nothing_of_it(algorithm: str) -> None:
+    """Rounds after a rehearsal find all compiled, and lead to the same weights as without it."""
+    before, rehearsed, after, digest = counted(algorithm, "rehearsed")
+    nothing, still_nothing, without, same = counted(algorithm, "unprepared")
+    assert before == nothing == still_nothing == 0
+    assert 0 < rehearsed == after == without
+    assert digest == same

@@ -1,0 +1,255 @@
+"""Any PettingZoo parallel environment with Box actions is a batch of environments like the farm."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from common.actors import ActorBank
+from common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
+from common.errors import ConfigError, SimulationError
+from common.transitions import TERMINATED, TRANSITION, TRUNCATED
+from rollout.envs.base import make_environments, team_of
+from rollout.envs.pettingzoo_batch import PettingZooBatch
+from rollout.evaluation import evaluate_run
+from rollout.heuristics.random import RandomPolicy
+from rollout.worker.collector import Collector, fly_noise_free
+
+
+@pytest.fixture(autouse=True)
+def _importable(monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+    yield
+    sys.modules.pop("toy_env", None)
+
+
+def relay(arguments="{}", **others):
+    return EnvConfig(name="toy_env:Relay", arguments=arguments, **others)
+
+
+def test_agents_become_types_in_order_of_appearance():
+    """A type is a name without its number; its observations are flattened as Gymnasium does."""
+    team = PettingZooBatch(relay(), 1).team
+    assert [(g.name, g.count, g.observation_size, g.action_size) for g in team.groups] == [
+        ("runner", 2, 2, 2),
+        ("keeper", 1, 4, 2),
+    ]
+
+
+def test_a_given_map_decides_the_types():
+    """The longest prefix wins, and agents of other sizes than their fellows form a type of their own."""
+    team = PettingZooBatch(relay(types="r=all, runner_1=last, keeper=all"), 1).team
+    assert [(g.name, g.count) for g in team.groups] == [("all-2x2", 1), ("all-4x2", 1), ("last", 1)]
+    odd = PettingZooBatch(relay('{"odd": true}'), 1).team
+    assert [(g.name, g.observation_size) for g in odd.groups] == [("runner-2x2", 2), ("keeper", 4), ("runner-3x2", 3)]
+
+
+def test_actions_are_spread_over_the_box_and_rewards_reach_their_agents():
+    """-1..1 becomes low..high; the row's order is by type, the environment's is not."""
+    batch = PettingZooBatch(relay(), 1)
+    batch.reset(0, 1, 2)
+    batch.step(np.array([[-1.0, 0.0, 0.0, 1.0, 1.0, -0.5]], np.float32))
+    taken = batch._environments[0].actions[0]
+    np.testing.assert_allclose(taken["runner_0"], [0.0, 2.0])
+    np.testing.assert_allclose(taken["runner_1"], [0.5, 6.0])
+    np.testing.assert_allclose(taken["keeper_0"], [1.0, 0.0])
+    np.testing.assert_allclose(batch.reward, [[0.0 + 0, 0.5 + 2, 1.0 + 1]])
+    assert batch.summary(0).reward == pytest.approx((0.0, 2.5, 2.0))
+
+
+def test_who_has_left_is_seen_as_zeros_and_earns_nothing():
+    """The episode goes on for the others and ends with the last of them."""
+    batch = PettingZooBatch(relay(), 1)
+    batch.reset(0, 1, 2)
+    for _ in range(4):
+        batch.step(np.zeros((1, 6), np.float32))
+    assert not batch.ended[0]
+    np.testing.assert_array_equal(batch.observation[0, :4], 0.0)
+    np.testing.assert_array_equal(batch.observation[0, 4:], [0.0, 1.0, 0.0, 4.0])
+    np.testing.assert_allclose(batch.reward[0], [0.0, 0.0, 1.5])
+    batch.step(np.zeros((1, 6), np.float32))
+    assert batch.ended[0]
+    assert batch.terminated[0]
+
+
+@pytest.mark.parametrize(
+    ("config", "terminated", "steps"),
+    [(relay(), True, 5), (relay('{"cut": true}'), False, 5), (relay(steps=2), False, 2)],
+)
+def test_terminated_and_truncated_are_told_apart(config, terminated, steps):
+    """An end by the environment's own time limit, or by ours, is bootstrapped from."""
+    batch = PettingZooBatch(config, 1)
+    batch.reset(0, 0, 0)
+    while not batch.ended[0]:
+        batch.step(np.zeros((1, 6), np.float32))
+    assert (bool(batch.terminated[0]), int(batch.time[0])) == (terminated, steps)
+
+
+def test_an_episode_is_a_function_of_its_seeds():
+    """Equal seeds, equal observations; the environment's own seed follows from both."""
+    batch = PettingZooBatch(EnvConfig("mpe2:simple_spread_v3"), 3)
+    for index, seeds in enumerate([(1, 5), (1, 5), (1, 6)]):
+        batch.reset(index, *seeds)
+    np.testing.assert_array_equal(batch.observation[0], batch.observation[1])
+    assert (batch.observation[0] != batch.observation[2]).any()
+
+
+@pytest.mark.parametrize(
+    ("config", "text"),
+    [
+        (EnvConfig("nowhere:env"), "there is no environment nowhere:env"),
+        (EnvConfig("toy_env:absent"), "there is no environment toy_env:absent"),
+        (EnvConfig("toy_env:np"), "neither a callable nor a module with a parallel_env"),
+        (EnvConfig("toy_env:Whole"), "no PettingZoo ParallelEnv but Whole"),
+        (relay('{"speed": 3}'), "cannot be made with"),
+        (EnvConfig("toy_env:shy", arguments='{"continuous_actions": false}'), "other actions than bounded boxes"),
+    ],
+)
+def test_what_cannot_be_trained_is_said_in_one_sentence(config, text):
+    """Names that lead nowhere, arguments that do not fit and other action spaces are configuration errors."""
+    with pytest.raises(ConfigError, match=text):
+        PettingZooBatch(config, 1)
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"name": "mpe2"}, "module:name"),
+        ({"name": "os:system('x')"}, "module:name"),
+        ({"arguments": "{"}, "not JSON"),
+        ({"arguments": "[1]"}, "JSON object"),
+        ({"types": "a"}, "prefix=type"),
+        ({"steps": -1}, "between 0"),
+    ],
+)
+def test_impossible_configurations_are_refused(fields, text):
+    """Names, arguments, types and steps are checked when the configuration is made."""
+    with pytest.raises(ConfigError, match=text):
+        EnvConfig(**fields)
+
+
+def test_whatever_somebody_elses_code_raises_is_a_configuration_error():
+    """A constructor may raise anything; boxes wider than float32 are not bounded."""
+    with pytest.raises(ConfigError, match="RuntimeError: no licence"):
+        PettingZooBatch(EnvConfig("toy_env:broken"), 1)
+    with pytest.raises(ConfigError, match="other actions than bounded boxes"):
+        PettingZooBatch(EnvConfig("toy_env:wide"), 1)
+
+
+def test_numbers_alone_are_one_type():
+    """Agents named 0 and 1 differ only in their number."""
+    team = PettingZooBatch(EnvConfig("toy_env:numbered"), 1).team
+    assert [(g.name, g.count) for g in team.groups] == [("agent", 2)]
+
+
+def test_environments_of_an_evaluation_are_closed():
+    """Whatever an environment holds outside this process is let go of after noise-free flights and evaluations."""
+    import toy_env  # noqa: PLC0415  # only importable inside the fixture
+
+    config = run_config(relay())
+    fly_noise_free(config, ActorBank.initial(team_of(config), 4, 0), (0, 1), (5, 6))
+    evaluate_run(config, RandomPolicy(), (7,), 1, name="random")
+    assert toy_env.Relay.opened == toy_env.Relay.closed > 0
+
+
+def test_environments_with_a_choice_are_asked_for_boxes():
+    """An environment that acts in another space by default is made once more with continuous actions."""
+    assert PettingZooBatch(EnvConfig("toy_env:shy"), 1).team.agents == 3
+
+
+def test_misuse_is_a_typed_error():
+    """Wrong shapes, numbers that are not finite, a step before the reset or behind the end."""
+    batch = PettingZooBatch(relay(), 2)
+    with pytest.raises(SimulationError, match="before its reset"):
+        batch.step(np.zeros((2, 6), np.float32))
+    batch.reset(0, 0, 0)
+    batch.reset(1, 0, 0)
+    with pytest.raises(SimulationError, match="shape"):
+        batch.step(np.zeros((2, 5), np.float32))
+    with pytest.raises(SimulationError, match="finite"):
+        batch.step(np.full((2, 6), np.nan, np.float32))
+    with pytest.raises(SimulationError, match="at least one"):
+        PettingZooBatch(relay(), 0)
+
+
+def run_config(config, steps=4, environments=2):
+    return RunConfig(
+        env=config,
+        rollout=RolloutConfig(environments=environments, chunk_steps=steps),
+        replay=ReplayConfig(capacity=256),
+    )
+
+
+@pytest.mark.parametrize("steps", [1, 4, 5, 7, 23])
+def test_chunks_hold_whole_segments_wherever_episodes_end(steps):
+    """Cut anywhere, the rows are those of the episodes one after the other, each with its last observation."""
+    config = run_config(relay('{"cut": true}'), steps, 3)
+    collector = Collector(config, "w", 0)
+    bank = ActorBank.initial(collector.team, 4, 0)
+    per_environment: list[list[tuple]] = [[] for _ in range(3)]
+    episodes = []
+    for _ in range(12):
+        chunk = collector.collect(bank, 0.1, uniform=False)
+        chunk.rows.check(collector.team)
+        assert chunk.rows.steps == 3 * steps
+        episodes += chunk.episodes
+        cuts = np.flatnonzero(chunk.rows.flag & TRANSITION == 0)
+        first, environment, done = 0, 0, 0
+        for last in cuts:
+            part = slice(first, last)
+            done += last - first
+            flags = chunk.rows.flag[part]
+            assert (flags[:-1] == TRANSITION).all()
+            for k in range(first, last):
+                per_environment[environment].append(
+                    (chunk.rows.observation[k], chunk.rows.observation[k + 1], chunk.rows.reward[k], chunk.rows.flag[k])
+                )
+            first = last + 1
+            if done == steps:
+                environment, done = environment + 1, 0
+        assert environment == 3
+    for transitions in per_environment:
+        keeper = [int(row[0][7]) for row in transitions]
+        assert keeper == [k % 5 for k in range(len(keeper))]
+        assert [int(row[1][7]) for row in transitions] == [k % 5 + 1 for k in range(len(keeper))]
+        ends = [bool(row[3] & TRUNCATED) for row in transitions]
+        assert ends == [k % 5 == 4 for k in range(len(keeper))]
+        assert not any(row[3] & TERMINATED for row in transitions)
+    assert len(episodes) == 3 * (12 * steps // 5)
+    assert all(episode.steps == 5 for episode in episodes)
+
+
+def test_collecting_does_not_depend_on_where_chunks_are_cut():
+    """The same episodes and the same noise, whatever the chunk's length."""
+    long, short = (Collector(run_config(relay(), steps), "w", 0) for steps in (20, 5))
+    bank = ActorBank.initial(long.team, 4, 0)
+    whole = long.collect(bank, 0.3, uniform=False)
+    parts = [short.collect(bank, 0.3, uniform=False) for _ in range(4)]
+    acted = [chunk.rows.reward[chunk.rows.flag & TRANSITION != 0] for chunk in (whole, *parts)]
+    first = np.concatenate([part[:5] for part in acted[1:]])
+    np.testing.assert_array_equal(acted[0][:20], first)
+
+
+def test_noise_free_flights_may_differ_in_length():
+    """Rewards behind an episode's end are zeros, and the steps of each are told."""
+    config = run_config(EnvConfig("toy_env:Relay", steps=4))
+    bank = ActorBank.initial(team_of(config), 4, 0)
+    reward, steps = fly_noise_free(config, bank, (0, 1), (5, 6))
+    assert reward.shape == (2, 4, 3)
+    np.testing.assert_array_equal(steps, 4)
+    assert not reward[:, 3, :2].any()
+
+
+def test_evaluation_names_the_types():
+    """Random actions on three scenarios: reward by type, steps, no figures."""
+    result = evaluate_run(run_config(relay()), RandomPolicy(), (7, 8, 9), 2, name="random").to_dict()
+    assert set(result["reward"]) == {"mean", "runner", "keeper"}
+    assert result["steps"] == 5.0
+    again = evaluate_run(run_config(relay()), RandomPolicy(), (7, 8, 9), 2, name="random").to_dict()
+    assert again == result
+
+
+def test_the_farm_is_one_of_them():
+    """The farm needs no PettingZoo and is the default."""
+    assert make_environments(RunConfig(), 2).team.agents == 12

@@ -1,0 +1,244 @@
+"""Small errors put into the simulator on purpose, to see which property tests notice.
+
+Each is made in a copy of the sources in a temporary folder. `python -m tests.rollout.sim.properties.mutations` tries
+them all, or those named on the command line, and writes docs/simulator_properties.md.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[4]
+PAGE = ROOT / "docs" / "simulator_properties.md"
+PROPERTIES = [f"test_properties_{name}.py" for name in ("flight", "counters", "symmetry", "batch", "reference")]
+"""The reference, which notices almost everything, comes last."""
+
+ABOUT_FARMS = ("-k", "not drawn")
+"""Leaves out the tests about what is drawn, which half the examples need not satisfy."""
+
+HEAD = """# What the property tests notice
+
+Written by `python -m tests.rollout.sim.properties.mutations`; do not edit. Every row is an error that was put into a
+copy of the simulator on purpose, and the first of the property tests (`tests/rollout/test_properties_*.py`) that failed
+because of it, with half the examples of the default dose.
+
+| Error | In | Noticed first by |
+| :-- | :-- | :-- |
+"""
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """One error.
+
+    Attributes:
+        name: what is wrong, in words.
+        edits: (file in rollout/, what stands there exactly once, what stands there instead).
+    """
+
+    name: str
+    edits: tuple[tuple[str, str, str], ...]
+
+
+def one(name: str, file: str, old: str, new: str) -> Mutation:
+    return Mutation(name, ((file, old, new),))
+
+
+CAPACITY = "relay.capacity_for(world)"
+MUTATIONS = (
+    one(
+        "an image is also paid for the rise of its own step",
+        "kernel/camera.py",
+        "utility[u] += level[column, row]",
+        "utility[u] += level[column, row] + (1.0 if due[column, row] == step else 0.0)",
+    ),
+    one(
+        "a plot in reach is also paid to UAVs that are not the nearest",
+        "kernel/camera.py",
+        "                if _succeeds(",
+        "                utility[u] += level[column, row]\n                if _succeeds(",
+    ),
+    one(
+        "VDF is due one step later each time",
+        "kernel/camera.py",
+        "due[column, row] += camera.cycle",
+        "due[column, row] += camera.cycle + 1",
+    ),
+    one("AoI has no cap", "kernel/radio.py", "min(age[j] + 1.0, radio.level_max)", "age[j] + 1.0"),
+    one(
+        "packets are drawn alike in every step", "kernel/radio.py", "(np.uint64(step) <<", "(np.uint64(1 + 0 * step) <<"
+    ),
+    one(
+        "a UAV's own sensor disturbs it",
+        "kernel/radio.py",
+        "if other != k and woken[other] >= 0:",
+        "if woken[other] >= 0:",
+    ),
+    one(
+        "sensors at the edge of the reach are missed",
+        "kernel/link.py",
+        "return high * (1.0 + 1e-9)",
+        "return 0.7 * high",
+    ),
+    one(
+        "of UAVs equally near the last serves",
+        "kernel/neighbours.py",
+        "rival == square and other < u",
+        "rival == square and other > u",
+    ),
+    Mutation(
+        "relays take one UAV more than their capacity",
+        (
+            ("kernel/constants.py", f"capacity={CAPACITY}", f"capacity={CAPACITY} + 1"),
+            ("kernel/arrays.py", "config.relay.capacity_for(world)", "(config.relay.capacity_for(world) + 1)"),
+        ),
+    ),
+    one(
+        "the assignment forgets the columns' prices",
+        "kernel/assignment.py",
+        "cost[row, column] - u[row] - v[column]",
+        "cost[row, column] - u[row]",
+    ),
+    one(
+        "images and packets count without a relay in range",
+        "kernel/relays.py",
+        "1.0 if distance <= relay.link_range else 0.0",
+        "1.0",
+    ),
+    one(
+        "the relays' centroid keeps what the last environment left",
+        "kernel/relays.py",
+        "    centroid[:, :] = 0.0\n",
+        "",
+    ),
+    one(
+        "the last part of the reward is not added",
+        "kernel/rewards.py",
+        "    for part in range(parts.shape[1]):\n            total",
+        "    for part in range(parts.shape[1] - 1):\n            total",
+    ),
+    one("energy is paid for", "kernel/constants.py", "energy=-reward.energy", "energy=reward.energy"),
+    one(
+        "the border along y is not flagged",
+        "kernel/motion.py",
+        "if position[u, 0] != x or position[u, 1] != y else",
+        "if position[u, 0] != x else",
+    ),
+    one(
+        "y is clipped at the field's width",
+        "kernel/motion.py",
+        "min(fleet.depth, max(0.0, y))",
+        "min(fleet.width, max(0.0, y))",
+    ),
+    one("two quadrants are exchanged", "kernel/quadrants.py", "length if best in (0, 3)", "length if best in (0, 2)"),
+    one(
+        "offsets along y have the wrong sign",
+        "kernel/observation.py",
+        "sy * dy * fleet.per_depth",
+        "-sy * dy * fleet.per_depth",
+    ),
+    one("a mirrored window is not turned", "kernel/observation.py", "row + int(sy) * step_y", "row + step_y"),
+    one(
+        "a monitor's axis points the wrong way",
+        "kernel/observation.py",
+        "_sign(what, across), _sign(what, along)\n        x, y",
+        "_sign(what, -across), _sign(what, along)\n        x, y",
+    ),
+    one(
+        "a relay's axes stay the field's",
+        "kernel/observation.py",
+        "sx, sy = _sign(what, x), _sign(what, y)",
+        "sx, sy = 1.0, 1.0",
+    ),
+    one(
+        "a mirrored place in the plot is not turned",
+        "kernel/observation.py",
+        "sx * across, sy * along\n            at += 2",
+        "across, along\n            at += 2",
+    ),
+    one(
+        "a mirrored offset of a sensor is not turned",
+        "kernel/observation.py",
+        "sx * (sensor[0, j] - x)",
+        "sensor[0, j] - x",
+    ),
+    one("sums of the last episode stay after a reset", "farms.py", "state.returns, state.sums)", "state.returns)"),
+)
+
+
+def copy_sources(folder: Path) -> None:
+    """Copy what the property tests need into a folder."""
+    ignore = shutil.ignore_patterns("__pycache__")
+    for package in ("common", "rollout"):
+        shutil.copytree(ROOT / package, folder / package, ignore=ignore)
+    (folder / "tests" / "rollout").mkdir(parents=True)
+    for name in ("strategies.py", "course.py", *PROPERTIES):
+        shutil.copy(ROOT / "tests" / "rollout" / name, folder / "tests" / "rollout" / name)
+    shutil.copy(ROOT / "pyproject.toml", folder / "pyproject.toml")
+
+
+def apply(mutation: Mutation, folder: Path) -> None:
+    """Make an error in the copy; raise ValueError where the line that it changes is not there exactly once."""
+    for file, old, new in mutation.edits:
+        path = folder / "rollout" / file
+        source = path.read_text()
+        if source.count(old) != 1:
+            raise ValueError(
+                f"{file} holds {source.count(old)} times what the error {mutation.name!r} changes: {old!r}"
+            )
+        path.write_text(source.replace(old, new))
+
+
+def run_properties(folder: Path, dose: str, *arguments: str) -> tuple[int, list[str], str]:
+    """Run the property tests of a folder's sources; return the exit code, the tests that failed, and what was said."""
+    environment = os.environ | {"EIA_SEC_PROPERTIES": dose, "PYTHONPATH": str(folder)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    files = [f"tests/rollout/{name}" for name in PROPERTIES]
+    command = [sys.executable, "-m", "pytest", "-q", "-o", "timeout=7200", "-p", "no:cacheprovider", *arguments, *files]
+    result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    failed = re.findall(r"^FAILED \S+::(\w+)", result.stdout, re.MULTILINE)
+    return result.returncode, failed, result.stdout + result.stderr
+
+
+def noticed(mutation: Mutation | None, folder: Path) -> list[str]:
+    """Return the first test that fails on the copy with this error; of the plain copy without one."""
+    copy_sources(folder)
+    if mutation is not None:
+        apply(mutation, folder)
+    code, failed, said = run_properties(folder, "half", "--tb=no", "--exitfirst", *ABOUT_FARMS)
+    if code not in {0, 1} or bool(failed) != bool(code):
+        raise RuntimeError(said)
+    return failed
+
+
+def row(mutation: Mutation, failed: list[str]) -> str:
+    """Return the page's line about an error."""
+    tests = ", ".join(f"`{name.removeprefix('test_')}`" for name in failed) or "**nobody**"
+    files = ", ".join(f"`rollout/{file}`" for file, _, _ in mutation.edits)
+    return f"| {mutation.name} | {files} | {tests} |\n"
+
+
+def main(names: list[str]) -> None:
+    """Try the errors of these names, or all, and write the page; lines about others stay as they are."""
+    lines = PAGE.read_text().splitlines(keepends=True) if PAGE.exists() else []
+    rows = {line.split("|")[1].strip(): line for line in lines if line.startswith("| ")}
+    for mutation in [None, *MUTATIONS]:
+        if mutation is None or mutation.name in names or not names:
+            with tempfile.TemporaryDirectory() as folder:
+                failed = noticed(mutation, Path(folder))
+            if mutation is None:
+                assert not failed, f"{failed} fail without any error"
+                continue
+            rows[mutation.name] = row(mutation, failed)
+            sys.stdout.write(rows[mutation.name])
+            sys.stdout.flush()
+            PAGE.write_text(HEAD + "".join(rows[each.name] for each in MUTATIONS if each.name in rows))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,52 @@
+"""The long doses of the property tests: many random farms, and errors made on purpose that they must notice."""
+
+import secrets
+from pathlib import Path
+
+import pytest
+
+from tests.rollout.sim.properties.mutations import (
+    MUTATIONS,
+    PROPERTIES,
+    ROOT,
+    apply,
+    copy_sources,
+    noticed,
+    run_properties,
+)
+
+
+@pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.name)
+def test_every_error_can_still_be_made(mutation, tmp_path):
+    """The line that each error changes is where the list says."""
+    copy_sources(tmp_path)
+    apply(mutation, tmp_path)
+    changed = [
+        (tmp_path / "rollout" / file).read_text() != (ROOT / "rollout" / file).read_text()
+        for file, *_ in mutation.edits
+    ]
+    assert all(changed)
+
+
+def test_every_property_file_is_run():
+    """The list of files names all that there are."""
+    assert sorted(PROPERTIES) == sorted(path.name for path in Path(__file__).parent.glob("test_properties_*.py"))
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(7200)
+def test_properties_hold_on_many_random_farms():
+    """Twelve times the examples of the default dose, other ones every night; the seed is printed to repeat them."""
+    seed = secrets.randbelow(2**32)
+    repeat = f"EIA_SEC_PROPERTIES=many python -m pytest tests/rollout/test_properties_*.py --hypothesis-seed={seed}"
+    print(repeat)  # noqa: T201 - the seed belongs into the night's log
+    code, failed, said = run_properties(ROOT, "many", f"--hypothesis-seed={seed}")
+    assert (code, failed) == (0, []), f"{repeat}\n{said}"
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("mutation", [None, *MUTATIONS], ids=lambda mutation: mutation.name if mutation else "no error")
+def test_errors_are_noticed(mutation, tmp_path):
+    """The property tests pass on a plain copy of the sources and fail on every copy with an error in it."""
+    assert bool(noticed(mutation, tmp_path)) == (mutation is not None)

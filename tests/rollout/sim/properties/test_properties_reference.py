@@ -1,0 +1,98 @@
+"""The compiled farm against the reference farm, on any farm and any flight, with every switch drawn."""
+
+import numpy as np
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from common.config import FarmConfig, WorldConfig
+from rollout.sim.batch import FarmBatch
+from rollout.sim.reference import DIRECTIONS, ReferenceFarm
+from rollout.sim.reference_views import observe
+from tests.rollout.sim.course import begin
+from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
+
+FINE = ("position", "aoi", "vdf", "service", "direction", "energy", "utility", "parts")
+ROUGH = ("reward", "observation")
+"""Float32 results are compared to float32's resolution."""
+
+CLOSE = 1e-9
+"""Sums of fractions closer than this may rank either way."""
+TOGETHER = Flight(
+    FarmConfig(
+        world=WorldConfig(
+            communication_uavs=2,
+            monitoring_uavs=4,
+            collection_uavs=4,
+            field_x=64.0,
+            field_y=64.0,
+            plots_x=4,
+            plots_y=4,
+            sensors=16,
+            sensor_spacing=2.0,
+            sensor_cycles=(2.0,),
+            vdf_cycle=2.0,
+            steps=12,
+        )
+    ),
+    farm=1,
+    episode=2,
+    starts="together",
+    manner="hovering",
+)
+"""UAVs that stay where others of their type are, so that several are equally near to what they serve."""
+SMALL = worlds(st.one_of(st.integers(1, 4), st.integers(1, 10)), 90)
+
+
+def assert_equal(batch: FarmBatch, reference: ReferenceFarm) -> None:
+    for names, tolerance in ((FINE, 1e-9), (ROUGH, 1e-6)):
+        for name in names:
+            np.testing.assert_allclose(
+                getattr(batch, name)[0],
+                getattr(reference, name),
+                rtol=tolerance,
+                atol=tolerance,
+                err_msg=f"{name} at step {reference.time}",
+            )
+
+
+def assert_least_cost(batch: FarmBatch, reference: ReferenceFarm) -> None:
+    chosen = batch.assignment[0]
+    cost = reference.assignment_costs()[np.arange(len(chosen)), chosen].sum()
+    np.testing.assert_allclose(cost, reference.assignment_cost, rtol=1e-9, atol=1e-9)
+
+
+def agree_on_directions(batch: FarmBatch, reference: ReferenceFarm) -> None:
+    """Let the reference see our D_AoI where rounding decides: shares of expected delivery sum up to one's last bit."""
+    if reference.config.radio.delivery == "bernoulli":
+        return
+    for u in np.flatnonzero(reference.kind == 2):
+        ours, (right, upper) = batch.direction[0, u], (reference.layout.sensor_xy >= reference.position[u]).T
+        quadrants = (right & upper, ~right & upper, ~right & ~upper, right & ~upper)
+        sums = np.array([reference.aoi[quadrant].sum() for quadrant in quadrants])
+        fine = [DIRECTIONS[best] for best in np.flatnonzero(sums >= sums.max() - CLOSE)]
+        fine += [np.zeros(2)] if sums.max() < CLOSE else []
+        assert any(np.allclose(ours, direction) for direction in fine)
+        reference.direction[u] = ours
+    reference.observation = observe(reference)
+
+
+@dose(40)
+@given(flights(farm_configs(SMALL)))
+@example(TOGETHER)
+def test_any_flight_equals_the_reference(flight: Flight):
+    """Every quantity after every step; where several assignments cost the same, the reference flies on with ours."""
+    batch, layout = begin(flight), flight.layout()
+    with placed(layout, flight.positions()):
+        reference = ReferenceFarm(flight.config, layout, flight.episode)
+    np.testing.assert_array_equal(batch.position[0], reference.position)
+    assert_least_cost(batch, reference)
+    reference._assign(batch.assignment[0])
+    reference._look()
+    agree_on_directions(batch, reference)
+    assert_equal(batch, reference)
+    for action in flight.actions()[:20]:
+        batch.step(action[None])
+        reference.step(action, batch.assignment[0])
+        assert_least_cost(batch, reference)
+        agree_on_directions(batch, reference)
+        assert_equal(batch, reference)
