@@ -31,7 +31,7 @@ import torch  # noqa: E402  (as above)
 from matplotlib.figure import Figure  # noqa: E402  (as above)
 
 from benchmarks.peers.clock import BURST  # noqa: E402  (as above)
-from common.actors import ActorBank  # noqa: E402  (as above)
+from common.actors import TeamActors  # noqa: E402  (as above)
 from common.config import (  # noqa: E402  (as above)
     AlgorithmConfig,
     FarmConfig,
@@ -181,10 +181,10 @@ def decisions(uavs: Sequence[int], repeats: int) -> dict[str, float]:
     found = {}
     for count in uavs:
         team = farm_team(team_of(count))
-        bank = ActorBank.initial(team, AlgorithmConfig().hidden, 0)
+        actors = TeamActors.initial(team, AlgorithmConfig().hidden, 0)
         rows = np.random.default_rng(0).normal(size=(1, team.observation_size)).astype(np.float32)
-        bank.command(rows)
-        found[str(count)] = round(1e6 * fastest(lambda bank=bank, rows=rows: bank.command(rows), repeats), 1)
+        actors.command(rows)
+        found[str(count)] = round(1e6 * fastest(lambda actors=actors, rows=rows: actors.command(rows), repeats), 1)
     return found
 
 

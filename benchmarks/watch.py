@@ -25,7 +25,7 @@ from typing import Any, Final
 import psutil
 import tyro
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import RunConfig
 from common.config.files import to_toml
 from common.process import Presence
@@ -131,7 +131,7 @@ def _rounds(arguments: Arguments, bus: Bus, other: "subprocess.Popen[str]") -> d
     showing = Showing(bus, RUN, "w", 1, collector, to_toml(config))
     lens = showing._lens = _TimedLens(collector.environments, 0)  # type: ignore[arg-type]  # a worker of farms
     presence = Presence(bus, RUN, "rollout", "w", 1)
-    bank = ActorBank.initial(collector.team, config.algorithm.hidden, seed=0)
+    actors = TeamActors.initial(collector.team, config.algorithm.hidden, seed=0)
     cases = (*arguments.watchers, CONTROL)
     found: dict[int, list[_Tally]] = {number: [] for number in cases}
     beside = psutil.Process(other.pid)
@@ -142,19 +142,19 @@ def _rounds(arguments: Arguments, bus: Bus, other: "subprocess.Popen[str]") -> d
             other.stdin.write(f"{max(0, number)} {busy}\n")
             other.stdin.flush()
             while showing.watchers != max(0, number):
-                _fly(collector, showing, bank, CHECK_SECONDS, _Tally())
+                _fly(collector, showing, actors, CHECK_SECONDS, _Tally())
             before = sum(beside.cpu_times()[:2])
-            found[number].append(_stretch(collector, showing, lens, bank, arguments.seconds))
+            found[number].append(_stretch(collector, showing, lens, actors, arguments.seconds))
             found[number][-1].other = (sum(beside.cpu_times()[:2]) - before) / found[number][-1].wall
     del presence
     return found
 
 
-def _stretch(collector: Collector, showing: Showing, lens: _TimedLens, bank: ActorBank, seconds: float) -> _Tally:
+def _stretch(collector: Collector, showing: Showing, lens: _TimedLens, actors: TeamActors, seconds: float) -> _Tally:
     tally = _Tally()
     steps, frames, looked = collector.environment_steps, showing.shown, lens.seconds
     processor, own, started = time.process_time(), time.thread_time(), time.monotonic()
-    _fly(collector, showing, bank, seconds, tally)
+    _fly(collector, showing, actors, seconds, tally)
     tally.processor, tally.wall = time.process_time() - processor, time.monotonic() - started
     tally.beside = tally.processor - (time.thread_time() - own)
     tally.steps, tally.frames = collector.environment_steps - steps, showing.shown - frames
@@ -162,13 +162,13 @@ def _stretch(collector: Collector, showing: Showing, lens: _TimedLens, bank: Act
     return tally
 
 
-def _fly(collector: Collector, showing: Showing, bank: ActorBank, seconds: float, tally: _Tally) -> None:
+def _fly(collector: Collector, showing: Showing, actors: TeamActors, seconds: float, tally: _Tally) -> None:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         started = time.thread_time()
         showing.tend(1, 0.1, False)
         tally.watching += time.thread_time() - started
-        collector.collect(bank, 0.1, False)
+        collector.collect(actors, 0.1, False)
 
 
 def _row(number: int, tallies: list[_Tally], base: list[_Tally]) -> dict[str, Any]:

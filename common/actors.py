@@ -90,7 +90,7 @@ def imitate(parameters: Float32, elite: int, rate: float) -> None:
 
 
 @dataclass(frozen=True)
-class ActorBank:
+class TeamActors:
     """All actors of a team.
 
     Attributes:
@@ -120,7 +120,7 @@ class ActorBank:
     @classmethod
     def initial(
         cls, team: TeamSpec, hidden: int, seed: int, *, per_type: bool = True, head: Head = "deterministic"
-    ) -> "ActorBank":
+    ) -> "TeamActors":
         """Return fresh actors: one initialisation for each type, or for each agent (A4)."""
 
         def rows(group: GroupSpec) -> Float32:
@@ -131,12 +131,12 @@ class ActorBank:
 
         return cls(team, hidden, tuple(rows(group) for group in team.groups), head)
 
-    def copy(self) -> "ActorBank":
-        """Return a bank whose arrays are its own."""
-        return ActorBank(self.team, self.hidden, tuple(flat.copy() for flat in self.flat), self.head)
+    def copy(self) -> "TeamActors":
+        """Return a actors whose arrays are its own."""
+        return TeamActors(self.team, self.hidden, tuple(flat.copy() for flat in self.flat), self.head)
 
-    def noise_free(self) -> "ActorBank":
-        """Return a bank with deterministic heads that acts as this one does without noise."""
+    def noise_free(self) -> "TeamActors":
+        """Return a actors with deterministic heads that acts as this one does without noise."""
         if self.head == "deterministic":
             return self
         parts = []
@@ -144,7 +144,7 @@ class ActorBank:
             views = parameter_views(flat, group.observation_size, self.hidden, 2 * group.action_size)
             views[4:] = [view[..., : group.action_size] for view in views[4:]]
             parts.append(np.concatenate([view.reshape(group.count, -1) for view in views], axis=1))
-        return ActorBank(self.team, self.hidden, tuple(parts))
+        return TeamActors(self.team, self.hidden, tuple(parts))
 
     def act(self, observations: Float32) -> Float32:
         """Return the noise-free actions of all agents.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from common.actors import ActorBank, Head, checked_head, head_outputs, parameter_count
+from common.actors import Head, TeamActors, checked_head, head_outputs, parameter_count
 from common.errors import EiaSecError, PolicyError
 from common.team import TeamSpec
 
@@ -31,12 +31,12 @@ RESERVED: Final = ("format", "team", "hidden", "head", "digest")
 _ITEM_BYTES: Final = {"F32": 4, "F16": 2}
 
 
-def save_policy(path: Path, bank: ActorBank, metadata: Mapping[str, str], *, half: bool = False) -> None:
+def save_policy(path: Path, actors: TeamActors, metadata: Mapping[str, str], *, half: bool = False) -> None:
     """Write a policy; the file appears whole or not at all.
 
     Args:
         path: the file; an existing one is replaced.
-        bank: the actors.
+        actors: the actors.
         metadata: provenance, for instance `command`, `seed` and `commit`.
         half: store 16-bit floats, which halves the file and rounds the parameters to 11 significant bits.
 
@@ -47,22 +47,22 @@ def save_policy(path: Path, bank: ActorBank, metadata: Mapping[str, str], *, hal
     if taken:
         raise PolicyError(f"the metadata key {taken[0]!r} of a policy is reserved.")
     with np.errstate(over="ignore"):
-        stored = [flat.astype(np.float16) if half else flat for flat in bank.flat]
+        stored = [flat.astype(np.float16) if half else flat for flat in actors.flat]
     if not all(np.isfinite(flat).all() for flat in stored):
         raise PolicyError("a parameter of the policy is not finite or too large for 16-bit storage.")
     header = {
         **metadata,
         "format": FORMAT,
-        "team": json.dumps(bank.team.to_dict()),
-        "hidden": str(bank.hidden),
-        "head": bank.head,
+        "team": json.dumps(actors.team.to_dict()),
+        "hidden": str(actors.hidden),
+        "head": actors.head,
         "digest": _digest(stored),
     }
-    names = [group.name for group in bank.team.groups]
+    names = [group.name for group in actors.team.groups]
     _write(path, save(dict(zip(names, stored, strict=True)), metadata=header))
 
 
-def load_policy(path: Path) -> tuple[ActorBank, dict[str, str]]:
+def load_policy(path: Path) -> tuple[TeamActors, dict[str, str]]:
     """Read a policy.
 
     Args:
@@ -84,11 +84,11 @@ def load_policy(path: Path) -> tuple[ActorBank, dict[str, str]]:
         stored = [tensors[group.name] for group in team.groups]
         if _digest(stored) != metadata["digest"]:
             raise PolicyError("its numbers are not those that were saved")
-        bank = ActorBank(team, hidden, tuple(np.ascontiguousarray(flat, dtype=np.float32) for flat in stored), head)
+        actors = TeamActors(team, hidden, tuple(np.ascontiguousarray(flat, dtype=np.float32) for flat in stored), head)
     except (EiaSecError, SafetensorError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")
         raise PolicyError(f"{path} is not a whole policy file: {reason}.") from error
-    return bank, {key: value for key, value in metadata.items() if key not in RESERVED}
+    return actors, {key: value for key, value in metadata.items() if key not in RESERVED}
 
 
 def _read(path: Path) -> bytes:

@@ -1,6 +1,6 @@
 """A process's own copy of the actors: which parameters it takes, and when it applies an imitation event to them."""
 
-from common.actors import ActorBank, checked_head, imitate
+from common.actors import TeamActors, checked_head, imitate
 from common.errors import VersionError
 from common.imitation import ImitationEvent
 from common.protocol.messages import ParametersMessage
@@ -16,7 +16,7 @@ class PolicyStore:
 
     Attributes:
         team: the layout that all parameters must have.
-        bank: the actors, or None before the first parameters.
+        actors: the actors, or None before the first parameters.
         epoch: fencing epoch of the learner that sent them.
         version: their version.
         event: events that are in them.
@@ -27,7 +27,7 @@ class PolicyStore:
 
     def __init__(self, team: TeamSpec) -> None:
         self.team = team
-        self.bank: ActorBank | None = None
+        self.actors: TeamActors | None = None
         self.epoch = 0
         self.version = 0
         self.event = 0
@@ -50,8 +50,8 @@ class PolicyStore:
             self.stale += 1
             return False
         arrays = tuple(flat.copy() for flat in message.flat)
-        bank = ActorBank(self.team, message.hidden, arrays, checked_head(message.head))
-        self.bank, self.epoch, self.version, self.event = bank, message.epoch, message.version, message.event
+        actors = TeamActors(self.team, message.hidden, arrays, checked_head(message.head))
+        self.actors, self.epoch, self.version, self.event = actors, message.epoch, message.version, message.event
         self.environment_steps, self.progress = message.environment_steps, message.progress
         self._apply()
         return True
@@ -73,9 +73,9 @@ class PolicyStore:
 
     def _apply(self) -> bool:
         event = self._latest
-        if event is None or self.bank is None or (self._latest_epoch, event.event) != (self.epoch, self.event + 1):
+        if event is None or self.actors is None or (self._latest_epoch, event.event) != (self.epoch, self.event + 1):
             return False
-        for flat, elite in zip(self.bank.flat, event.elites, strict=True):
+        for flat, elite in zip(self.actors.flat, event.elites, strict=True):
             imitate(flat, elite, event.rate)
         self.event = event.event
         return True

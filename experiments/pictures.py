@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import RunConfig
 from common.config.files import to_toml
 from common.config.presets import preset
@@ -65,7 +65,7 @@ def replay_picture(path: Path) -> None:
 
 @contextmanager
 def flying(
-    config: RunConfig, bank: ActorBank, run: str, name: str, endpoint: Endpoint | None = None, noise: float = 0.0
+    config: RunConfig, actors: TeamActors, run: str, name: str, endpoint: Endpoint | None = None, noise: float = 0.0
 ) -> Iterator[tuple[Endpoint, Showing]]:
     """Fly and show on a thread, as a worker does, with a listening bus of its own and no learner."""
     where, over = endpoint or free_endpoint(), threading.Event()
@@ -77,7 +77,7 @@ def flying(
         def loop() -> None:
             while not over.wait(0.005):
                 showing.tend(0, noise, False)
-                collector.collect(bank, noise, False)
+                collector.collect(actors, noise, False)
 
         thread = threading.Thread(target=loop)
         thread.start()

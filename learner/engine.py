@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import AlgorithmConfig
 from common.seeds import stream
 from common.team import Float32, TeamSpec
@@ -107,9 +107,9 @@ class Engine:
         """
         return self.normalisation.fold(self.algorithm.actors.export(), self.config.hidden, out=True)
 
-    def actors(self) -> ActorBank:
+    def actors(self) -> TeamActors:
         """Return a copy of all actors."""
-        return ActorBank(self.team, self.config.hidden, self.export_actors(), self.algorithm.head)
+        return TeamActors(self.team, self.config.hidden, self.export_actors(), self.algorithm.head)
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the whole state by name but for `random`; whoever writes into them calls `restored`."""

@@ -243,7 +243,7 @@ class Learner:
             return
         self._published_updates = marks
         version = trainer.next_version()
-        bank = trainer.actors()
+        actors = trainer.actors()
         message = ParametersMessage(
             epoch=self._epoch,
             version=version,
@@ -251,9 +251,9 @@ class Learner:
             environment_steps=trainer.environment_steps,
             progress=min(1.0, trainer.episodes / self._config.episodes),
             team=self._team.digest,
-            hidden=bank.hidden,
-            head=bank.head,
-            flat=bank.flat,
+            hidden=actors.hidden,
+            head=actors.head,
+            flat=actors.flat,
         )
         self._parameters.put(message.encode())
         self._receiver.version = version

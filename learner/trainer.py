@@ -4,7 +4,7 @@
     while trainer.episodes < config.episodes:
         trainer.absorb(chunk, version)
         trainer.train(trainer.rounds_due())
-        bank, version = trainer.actors(), trainer.next_version()
+        actors, version = trainer.actors(), trainer.next_version()
 
 How many rounds are due follows from the counters alone, so a run that is resumed, or played in lockstep, does the same
 rounds at the same points.
@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from common.actors import ActorBank, imitate
+from common.actors import TeamActors, imitate
 from common.config import RunConfig
 from common.errors import SchemaError
 from common.imitation import ImitationEvent
@@ -190,7 +190,7 @@ class Trainer:
             returns, chosen = newest_returns(self.replay, self.replay.drawn_places, discount)
             self.figures.compare(figures, self.engine.normalisation.rewarded(returns) * scale, chosen)
 
-    def actors(self) -> ActorBank:
+    def actors(self) -> TeamActors:
         """Return a copy of all actors."""
         return self.engine.actors()
 

@@ -15,7 +15,7 @@ from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import FarmConfig
 from common.errors import PolicyError
 from common.policy_file import load_policy
@@ -53,15 +53,15 @@ class ActorPolicy:
     """Actors without noise.
 
     Args:
-        bank: the actors.
+        actors: the actors.
     """
 
-    def __init__(self, bank: ActorBank) -> None:
-        self._bank = bank
+    def __init__(self, actors: TeamActors) -> None:
+        self._actors = actors
 
     def reset(self, environments: Environments, index: int) -> None:
         """Take up the environments' lattices; raise PolicyError unless the actors fit their team."""
-        self._bank = fitted(self._bank, environments.team)
+        self._actors = fitted(self._actors, environments.team)
 
     def act(self, environments: Environments) -> Float32:
         """Return what the actors command.
@@ -69,20 +69,20 @@ class ActorPolicy:
         One environment is computed at a time: a matrix product sums in another order for another number of rows, and
         an episode must not depend on which others are flown beside it.
         """
-        return np.concatenate([self._bank.command(row[None]) for row in environments.observation])
+        return np.concatenate([self._actors.command(row[None]) for row in environments.observation])
 
 
-def fitted(bank: ActorBank, team: TeamSpec) -> ActorBank:
+def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:
     """Return the actors as those of a team, which they steer by the lattices of: a field may have another size.
 
     Raises:
         PolicyError: they are for other types, counts, observations or actions, or for another kind of control.
     """
-    if bank.team == team:
-        return bank
-    if [_interface(group) for group in bank.team.groups] != [_interface(group) for group in team.groups]:
-        raise PolicyError(f"the policy is for {_describe(bank.team)}; here are {_describe(team)}.")
-    return ActorBank(team, bank.hidden, bank.flat, bank.head)
+    if actors.team == team:
+        return actors
+    if [_interface(group) for group in actors.team.groups] != [_interface(group) for group in team.groups]:
+        raise PolicyError(f"the policy is for {_describe(actors.team)}; here are {_describe(team)}.")
+    return TeamActors(team, actors.hidden, actors.flat, actors.head)
 
 
 def _interface(group: GroupSpec) -> tuple[str, int, int, int, bool, bool]:
@@ -96,8 +96,8 @@ def trained_policy(path: Path, config: FarmConfig) -> Policy:
     Raises:
         PolicyError: the file cannot be used, or its policy is for another team than the farm's.
     """
-    bank, _ = load_policy(path)
-    return ActorPolicy(fitted(bank, farm_team(config)))
+    actors, _ = load_policy(path)
+    return ActorPolicy(fitted(actors, farm_team(config)))
 
 
 def _shipped(config: FarmConfig) -> Policy:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.intake.chunks import NAMES
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import FarmConfig, RunConfig
 from common.team import farm_team
 from common.transitions import Chunk
@@ -28,8 +28,8 @@ def record(size: int) -> Chunk:
     environments = ENVIRONMENTS if size >= 8 * ENVIRONMENTS * row else 1
     steps = max(1, round(size / row / environments) - 1)
     config = replace(config, rollout=replace(config.rollout, environments=environments, chunk_steps=steps))
-    bank = ActorBank.initial(team, config.algorithm.hidden, 0)
-    return Collector(config, "recorder", 0).collect(bank, 0.0, uniform=True)
+    actors = TeamActors.initial(team, config.algorithm.hidden, 0)
+    return Collector(config, "recorder", 0).collect(actors, 0.0, uniform=True)
 
 
 def write(chunk: Chunk, folder: Path) -> None:

@@ -29,7 +29,7 @@ from benchmarks.peers.catalogue import ROOT, Program
 from benchmarks.peers.flights import Point, reward_of
 from benchmarks.peers.report import table
 from benchmarks.peers.venvs import interpreter, provide
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import RunConfig
 from common.config.presets import PRESETS
 from common.errors import EiaSecError
@@ -83,8 +83,8 @@ def run_ours(seed: int, limit: float) -> Line:
                 _end(process)
     points: list[Point] = []
     for seconds, message in published:
-        bank = ActorBank(farm_team(PRESETS[PRESET].farm), message.hidden, message.flat, message.head)
-        reward = reward_of(ActorPolicy(bank), FARMS)
+        actors = TeamActors(farm_team(PRESETS[PRESET].farm), message.hidden, message.flat, message.head)
+        reward = reward_of(ActorPolicy(actors), FARMS)
         points.append({"seconds": round(seconds, 2), "steps": message.environment_steps, "reward": reward})
     return {"points": points}
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.errors import ConfigError, ProtocolError, SchemaError
 from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
 from common.team import SIGNS, Float32
@@ -65,7 +65,7 @@ class Pilot:
     """Decides for the vehicles of one team.
 
     Args:
-        bank: the actors.
+        actors: the actors.
         agents: for each vehicle, the agent that flies it.
         speed: what an action of 1 means along x and along y, m/s.
         limits: the watchdog's.
@@ -82,16 +82,16 @@ class Pilot:
 
     def __init__(
         self,
-        bank: ActorBank,
+        actors: TeamActors,
         agents: Mapping[str, str],
         speed: tuple[float, float],
         limits: Limits,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        self._bank, self._speed, self._limits, self._clock = bank.noise_free(), speed, limits, clock
-        self._names = bank.team.agent_names
-        self._mirrored = [group.mirrored for group in bank.team.groups for _ in range(group.count)]
-        places = _places(bank)
+        self._actors, self._speed, self._limits, self._clock = actors.noise_free(), speed, limits, clock
+        self._names = actors.team.agent_names
+        self._mirrored = [group.mirrored for group in actors.team.groups for _ in range(group.count)]
+        places = _places(actors)
         strangers = sorted(set(agents.values()) - set(self._names))
         if strangers:
             raise ConfigError(f"there is no agent {strangers[0]!r}; the policy's are {', '.join(self._names)}.")
@@ -99,7 +99,7 @@ class Pilot:
             raise ConfigError("two vehicles are flown by the same agent; each needs one of its own.")
         numbers = {vehicle: self._names.index(agent) for vehicle, agent in agents.items()}
         self._vehicles = {vehicle: _Vehicle(number, places[number]) for vehicle, number in numbers.items()}
-        self._row = np.zeros((1, bank.team.observation_size), np.float32)
+        self._row = np.zeros((1, actors.team.observation_size), np.float32)
         self._latency: deque[float] = deque(maxlen=KEPT)
         self._age: deque[float] = deque(maxlen=KEPT)
         self.period = self.decisions = self.hovers = 0
@@ -139,7 +139,7 @@ class Pilot:
             held.reason, held.complaint = self._objection(held, now), ""
         # All actors decide on one row, as in training: the numbers are then those of the process that trained them.
         flying = any(not held.reason for held in self._vehicles.values())
-        action = self._bank.command(self._row)[0].reshape(-1, 2) if flying else np.zeros((0, 2), np.float32)
+        action = self._actors.command(self._row)[0].reshape(-1, 2) if flying else np.zeros((0, 2), np.float32)
         return {vehicle: self._setpoint(held, action, now) for vehicle, held in self._vehicles.items()}
 
     def hover(self, reason: str) -> dict[str, SetpointMessage]:
@@ -253,9 +253,9 @@ def _named(vehicles: list[str]) -> str:
     return f"{', '.join(vehicles[:2])} and {rest} others hover" if rest > 1 else f"{', '.join(vehicles)} hover"
 
 
-def _places(bank: ActorBank) -> list[slice]:
+def _places(actors: TeamActors) -> list[slice]:
     """Return where each agent's observation lies in a row."""
-    sizes = [group.observation_size for group in bank.team.groups for _ in range(group.count)]
+    sizes = [group.observation_size for group in actors.team.groups for _ in range(group.count)]
     ends = np.cumsum([0, *sizes]).tolist()
     return [slice(ends[index], ends[index + 1]) for index in range(len(sizes))]
 

@@ -34,10 +34,10 @@ def train_inprocess(
     trainer = Trainer(config, collector.team)
     schedule = ImitationSchedule.of(config)
     version = trainer.next_version()
-    bank, seen_steps, progress, chunks = trainer.actors(), trainer.environment_steps, 0.0, 0
+    actors, seen_steps, progress, chunks = trainer.actors(), trainer.environment_steps, 0.0, 0
     while trainer.episodes < config.episodes:
         uniform = seen_steps < config.replay.warmup_steps
-        chunk = collector.collect(bank, config.exploration.deviation(progress), uniform)
+        chunk = collector.collect(actors, config.exploration.deviation(progress), uniform)
         chunks += 1
         trainer.absorb(chunk, version, WORKER, chunks)
         trainer.train(max(0, trainer.rounds_due()))
@@ -49,7 +49,7 @@ def train_inprocess(
             rewards = [episode[:length] for episode, length in zip(reward, steps, strict=True)]
             trainer.imitate(decide(trainer.team, config.elite, number, version, due, rewards))
             version = trainer.next_version()
-        bank, seen_steps = trainer.actors(), trainer.environment_steps
+        actors, seen_steps = trainer.actors(), trainer.environment_steps
         progress = min(1.0, trainer.episodes / config.episodes)
         watch(trainer, chunk)
     return trainer

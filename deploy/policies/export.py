@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from safetensors import SafetensorError
 from safetensors.numpy import save_file
 
-from common.actors import ActorBank, parameter_views
+from common.actors import TeamActors, parameter_views
 from common.config import RunConfig
 from common.config.files import digest
 from common.errors import PolicyError
@@ -28,36 +28,36 @@ IR_VERSION: Final = 7
 """File version that goes with it."""
 
 
-def agent_names(bank: ActorBank) -> list[str]:
+def agent_names(actors: TeamActors) -> list[str]:
     """Return a name for each agent in row order: its type and its number inside the type."""
-    return [f"{group.name}-{index}" for group in bank.team.groups for index in range(group.count)]
+    return [f"{group.name}-{index}" for group in actors.team.groups for index in range(group.count)]
 
 
-def agent_layers(bank: ActorBank) -> list[dict[str, Float32]]:
+def agent_layers(actors: TeamActors) -> list[dict[str, Float32]]:
     """Return each agent's W1 [o, h], b1 [h], W2 [h, h], b2 [h], W3 [h, a], b3 [a] by their names in the files."""
     agents = []
-    for group, flat in zip(bank.team.groups, bank.noise_free().flat, strict=True):
-        views = parameter_views(flat, group.observation_size, bank.hidden, group.action_size)
+    for group, flat in zip(actors.team.groups, actors.noise_free().flat, strict=True):
+        views = parameter_views(flat, group.observation_size, actors.hidden, group.action_size)
         agents += [
             {name: view[index].copy() for name, view in zip(LAYERS, views, strict=True)} for index in range(group.count)
         ]
     return agents
 
 
-def kinds_of(bank: ActorBank) -> list[GroupSpec]:
+def kinds_of(actors: TeamActors) -> list[GroupSpec]:
     """Return each agent's group in row order."""
-    return [group for group in bank.team.groups for _ in range(group.count)]
+    return [group for group in actors.team.groups for _ in range(group.count)]
 
 
-def description(config: RunConfig, bank: ActorBank, metadata: Mapping[str, str]) -> dict[str, Any]:
+def description(config: RunConfig, actors: TeamActors, metadata: Mapping[str, str]) -> dict[str, Any]:
     """Return what somebody needs to know to use the actors, as plain values.
 
     Args:
         config: the run that trained them.
-        bank: the actors.
+        actors: the actors.
         metadata: where they come from, as the policy file says.
     """
-    kinds = kinds_of(bank)
+    kinds = kinds_of(actors)
     return {
         "format": FORMAT,
         "network": "a = tanh(relu(relu(o w1 + b1) w2 + b2) w3 + b3)",
@@ -65,8 +65,8 @@ def description(config: RunConfig, bank: ActorBank, metadata: Mapping[str, str])
         "goal = (clip(cell + clip(rint(gain a), -1, 1), 0, count - 1) + 0.5) / count, "
         "action = clip((goal - p) / reach, -1, 1); elsewhere action = a; where mirrored -action where o[2:4] < 0",
         "origin": {**metadata, "configuration": digest(config), "environment": config.env.name},
-        "sha256": bank.digest(),
-        "hidden": bank.hidden,
+        "sha256": actors.digest(),
+        "hidden": actors.hidden,
         "agents": {
             name: {
                 "type": group.name,
@@ -76,21 +76,21 @@ def description(config: RunConfig, bank: ActorBank, metadata: Mapping[str, str])
                 "lattice": _lattice(group),
                 "mirrored": group.mirrored,
             }
-            for name, group in zip(agent_names(bank), kinds, strict=True)
+            for name, group in zip(agent_names(actors), kinds, strict=True)
         },
     }
 
 
-def export_safetensors(folder: Path, config: RunConfig, bank: ActorBank, metadata: Mapping[str, str]) -> list[Path]:
+def export_safetensors(folder: Path, config: RunConfig, actors: TeamActors, metadata: Mapping[str, str]) -> list[Path]:
     """Write actors.safetensors with tensors AGENT.w1 to AGENT.b3, and actors.json; return the files.
 
     Raises:
         PolicyError: when a file cannot be written.
     """
-    text = json.dumps(description(config, bank, metadata), indent=2)
+    text = json.dumps(description(config, actors, metadata), indent=2)
     tensors = {
         f"{name}.{layer}": array
-        for name, layers in zip(agent_names(bank), agent_layers(bank), strict=True)
+        for name, layers in zip(agent_names(actors), agent_layers(actors), strict=True)
         for layer, array in layers.items()
     }
     path = folder / "actors.safetensors"
@@ -102,7 +102,7 @@ def export_safetensors(folder: Path, config: RunConfig, bank: ActorBank, metadat
     return [path, _describe(folder, text)]
 
 
-def export_onnx(folder: Path, config: RunConfig, bank: ActorBank, metadata: Mapping[str, str]) -> list[Path]:
+def export_onnx(folder: Path, config: RunConfig, actors: TeamActors, metadata: Mapping[str, str]) -> list[Path]:
     """Write one model for each agent, AGENT.onnx, and actors.json; return the files.
 
     A model takes `observation` [batch, o] and returns `action` [batch, a], both float32; steering is part of it.
@@ -110,9 +110,9 @@ def export_onnx(folder: Path, config: RunConfig, bank: ActorBank, metadata: Mapp
     Raises:
         PolicyError: when the package onnx is missing or a file cannot be written.
     """
-    told = description(config, bank, metadata)
+    told = description(config, actors, metadata)
     paths = []
-    for name, layers, group in zip(agent_names(bank), agent_layers(bank), kinds_of(bank), strict=True):
+    for name, layers, group in zip(agent_names(actors), agent_layers(actors), kinds_of(actors), strict=True):
         shared = {key: value for key, value in told.items() if key != "agents"}
         model = _model(name, layers, group, {**shared, **told["agents"][name]})
         path = folder / f"{name}.onnx"

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import LearnerConfig, RolloutConfig, RunConfig
 from common.config.checks import positive, within
 from common.config.presets import PRESETS
@@ -136,8 +136,8 @@ class Measured:
 
 def parameter_bytes(config: RunConfig, team: TeamSpec) -> int:
     """Return the bytes of one publication of all actors."""
-    bank = ActorBank.initial(team, config.algorithm.hidden, 0)
-    message = ParametersMessage(1, 1, 0, 0, 0.0, team.digest, bank.hidden, bank.head, bank.flat)
+    actors = TeamActors.initial(team, config.algorithm.hidden, 0)
+    message = ParametersMessage(1, 1, 0, 0, 0.0, team.digest, actors.hidden, actors.head, actors.flat)
     return len(message.encode())
 
 

@@ -79,15 +79,15 @@ def _measure_training(job: Job) -> float:
     short = replace(config, replay=replace(config.replay, warmup_steps=0, capacity=room))
     collector = Collector(short, "0", 0)
     trainer = Trainer(short, collector.team)
-    bank, world = trainer.actors(), config.farm.world
-    trainer.absorb(collector.collect(bank, 0.1, False))
+    actors, world = trainer.actors(), config.farm.world
+    trainer.absorb(collector.collect(actors, 0.1, False))
     while trainer.replay.transitions < config.algorithm.batch:
-        trainer.absorb(collector.collect(bank, 0.1, False))
+        trainer.absorb(collector.collect(actors, 0.1, False))
     trainer.train(2)
-    flying = _seconds(lambda: trainer.absorb(collector.collect(bank, 0.1, False)))
+    flying = _seconds(lambda: trainer.absorb(collector.collect(actors, 0.1, False)))
     flying /= short.rollout.environments * short.rollout.chunk_steps
     training = _seconds(lambda: trainer.train(PIECE_ROUNDS)) / PIECE_ROUNDS
-    evaluating = _flown(config, ActorPolicy(bank.noise_free()))
+    evaluating = _flown(config, ActorPolicy(actors.noise_free()))
     steps = config.episodes * world.steps
     rounds = config.replay.updates_per_step * max(0, steps - config.replay.warmup_steps)
     checks = int(job.options["evaluations"]) * len(farms_of(job.options["choice_farms"]))

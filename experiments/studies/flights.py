@@ -29,8 +29,8 @@ def flights(bench: Bench) -> dict[int, dict[str, Trajectory]]:
     """Fly EIA-SEC, the first seed of `training`, and the best heuristic over the first reported farms."""
     (run,) = bench.runs(EIA_SEC, 1)
     config, best = run.config.farm, bench.ends()[2]
-    bank, _ = load_policy(bench.records.path(run, POLICY_SUFFIX))
-    policies: dict[str, Policy] = {EIA_SEC.name: ActorPolicy(bank), best: policy_of(best, config)}
+    actors, _ = load_policy(bench.records.path(run, POLICY_SUFFIX))
+    policies: dict[str, Policy] = {EIA_SEC.name: ActorPolicy(actors), best: policy_of(best, config)}
     farms = bench.scale.reported[: bench.scale.flights]
     return {farm: {name: record(config, policy, farm, 0) for name, policy in policies.items()} for farm in farms}
 

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import RunConfig
 from common.errors import EiaSecError, PolicyError, RunDirError, SchemaError
 from common.policy_file import save_policy
@@ -70,18 +70,18 @@ def perform(job: Job, records: Records, command: str, told: Callable[[float], No
     """
     torch.set_num_threads(job.config.learner.threads)
     made = {"command": command, "commit": commit()}
-    bank: ActorBank | None = None
+    actors: TeamActors | None = None
     start = time.monotonic()
     if job.kind == "train":
-        result, bank = train(job.config, job.options, told)
+        result, actors = train(job.config, job.options, told)
     elif job.kind == "fly":
         result = fly(job.config, job.options)
     else:
         result = time_decisions(job.config, int(job.options["steps"]))
     seconds = time.monotonic() - start
-    if bank is not None:
+    if actors is not None:
         metadata = {**made, "seed": str(job.config.seed), "job": job.digest}
-        kept(partial(save_policy, records.path(job, POLICY_SUFFIX), bank, metadata), told)
+        kept(partial(save_policy, records.path(job, POLICY_SUFFIX), actors, metadata), told)
     kept(lambda: records.put(job, made, seconds, result), told)
 
 
@@ -138,7 +138,7 @@ def fly(config: RunConfig, options: Mapping[str, Any]) -> dict[str, Any]:
 
 def train(
     config: RunConfig, options: Mapping[str, Any], told: Callable[[float], None]
-) -> tuple[dict[str, Any], ActorBank]:
+) -> tuple[dict[str, Any], TeamActors]:
     """Train a run; return its result and its actors without noise.
 
     Args:
@@ -157,7 +157,7 @@ def train(
             raise
         diverged = True
     farms = farms_of(options["farms"])
-    final = evaluate(config.farm, ActorPolicy(log.bank), farms, 1, name=config.algorithm.name)
+    final = evaluate(config.farm, ActorPolicy(log.actors), farms, 1, name=config.algorithm.name)
     result = {
         "diverged": diverged,
         "compared_value": MIXTURE,
@@ -166,7 +166,7 @@ def train(
         "evaluation": compact(final),
         **log.counts,
     }
-    return result, log.bank
+    return result, log.actors
 
 
 @dataclass
@@ -178,7 +178,7 @@ class _Log:
         farms: farms of the noise-free evaluations on the way.
         wanted: how many of them.
         told: called with the share that is done.
-        bank: the newest noise-free actors whose numbers were finite; at first those that nothing has trained.
+        actors: the newest noise-free actors whose numbers were finite; at first those that nothing has trained.
     """
 
     config: RunConfig
@@ -191,13 +191,13 @@ class _Log:
 
     def __post_init__(self) -> None:
         """Begin with fresh actors, so that a run that diverges at once has some."""
-        self.bank = ActorBank.initial(team_of(self.config), self.config.algorithm.hidden, self.config.seed)
+        self.actors = TeamActors.initial(team_of(self.config), self.config.algorithm.hidden, self.config.seed)
 
     def watch(self, trainer: Trainer, chunk: Chunk) -> None:
         """Note a chunk's episodes; evaluate when it is time; raise when the critics have left all bounds."""
         self.told(min(1.0, trainer.environment_steps / (self.config.episodes * self.config.farm.world.steps)))
         self.counts |= {name: getattr(trainer, name) for name in COUNTERS}
-        self.bank = trainer.actors().noise_free()
+        self.actors = trainer.actors().noise_free()
         if not chunk.episodes:
             return
         self.episodes += chunk.episodes
@@ -212,7 +212,7 @@ class _Log:
         """Evaluate the present actors without noise, unless that was just done."""
         if self.checks and self.checks[-1]["episodes"] == trainer.episodes:
             return
-        score = evaluate(self.config.farm, ActorPolicy(self.bank), self.farms, 1, name="").total
+        score = evaluate(self.config.farm, ActorPolicy(self.actors), self.farms, 1, name="").total
         named = {"reward": score.reward, "aoi": score.figures["aoi"], "vdf": score.figures["vdf"]}
         self.checks.append({"episodes": trainer.episodes, **{name: round(v, DIGITS) for name, v in named.items()}})
 

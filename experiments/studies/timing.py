@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from common.actors import ActorBank, head_outputs, parameter_views
+from common.actors import TeamActors, head_outputs, parameter_views
 from common.config import RunConfig
 from common.team import Float32
 from learner.algorithms import ALGORITHMS
@@ -36,27 +36,27 @@ def time_decisions(config: RunConfig, steps: int) -> dict[str, Any]:
         and observations.
     """
     batch = FarmBatch(config.farm, 1)
-    bank = ActorBank.initial(
+    actors = TeamActors.initial(
         batch.team, config.algorithm.hidden, config.seed, head=ALGORITHMS[config.algorithm.name].head
     )
-    separate, flat = separate_actors(bank), np.empty((1, batch.team.action_size), np.float32)
+    separate, flat = separate_actors(actors), np.empty((1, batch.team.action_size), np.float32)
     pieces: dict[str, list[float]] = {"decide": [], "separate": [], "simulate": []}
     for step in range(steps + WARM_STEPS):
         if step % config.farm.world.steps == 0:
             batch.reset(0, step // config.farm.world.steps, config.seed)
         counts = step >= WARM_STEPS
-        flat[...] = _clocked(lambda: bank.command(batch.observation), pieces["decide"], counts)
+        flat[...] = _clocked(lambda: actors.command(batch.observation), pieces["decide"], counts)
         _clocked(lambda: separate(batch.observation), pieces["separate"], counts)
         _clocked(lambda: batch.step(flat), pieces["simulate"], counts)
     return {name: _summary(np.array(milliseconds)) for name, milliseconds in pieces.items()}
 
 
-def separate_actors(bank: ActorBank) -> Callable[[Float32], Float32]:
+def separate_actors(actors: TeamActors) -> Callable[[Float32], Float32]:
     """Return a function that computes the noise-free actions [1, A] with one torch network after another."""
     networks: list[nn.Sequential] = []
-    for group, flat in zip(bank.team.groups, bank.flat, strict=True):
-        outputs = head_outputs(group.action_size, bank.head)
-        views = parameter_views(flat, group.observation_size, bank.hidden, outputs)
+    for group, flat in zip(actors.team.groups, actors.flat, strict=True):
+        outputs = head_outputs(group.action_size, actors.head)
+        views = parameter_views(flat, group.observation_size, actors.hidden, outputs)
         for agent in range(group.count):
             layers: list[nn.Module] = []
             for weight, bias in zip(views[::2], views[1::2], strict=True):
@@ -67,15 +67,15 @@ def separate_actors(bank: ActorBank) -> Callable[[Float32], Float32]:
             networks.append(nn.Sequential(*layers[:-1]))
 
     def act(observation: Float32) -> Float32:
-        parts = bank.team.split_observations(observation)
+        parts = actors.team.split_observations(observation)
         rows = [group_rows[0, agent] for group_rows in parts for agent in range(group_rows.shape[1])]
-        sizes = [group.action_size for group in bank.team.groups for _ in range(group.count)]
+        sizes = [group.action_size for group in actors.team.groups for _ in range(group.count)]
         with torch.no_grad():
             actions = [
                 torch.tanh(network(torch.from_numpy(row))[:size]).numpy()
                 for network, row, size in zip(networks, rows, sizes, strict=True)
             ]
-        return bank.team.steer(observation, np.concatenate(actions)[None])
+        return actors.team.steer(observation, np.concatenate(actions)[None])
 
     return act
 

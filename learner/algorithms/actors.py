@@ -9,12 +9,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from common.actors import ActorBank, Head
+from common.actors import Head, TeamActors
 from common.config import AlgorithmConfig
 from common.team import Float32, TeamSpec
 from learner.networks.compiled_pass import make_pass
 from learner.networks.optimiser import Adam
-from learner.networks.stacked import Bank, Stack
+from learner.networks.stacked import Networks, Stack
 
 
 class Actors:
@@ -39,38 +39,38 @@ class Actors:
         self._config, self._team, self.head = config, team, head
         outputs = 2 if head == "gaussian" else 1
         stacks = [Stack(g.count, g.observation_size, outputs * g.action_size, config.batch) for g in team.groups]
-        self.bank = Bank(stacks, config.hidden)
-        self.flat = like.new_zeros(self.bank.size)
-        self.target = like.new_zeros(self.bank.size) if target else None
-        self.gradient = like.new_zeros(self.bank.size)
-        self._pass = make_pass(self.bank, like, cores=cores)
-        self._parameters, self._into = self.bank.parameters(self.flat), self.bank.parameters(self.gradient)
-        self._deciding = self._parameters if self.target is None else self.bank.parameters(self.target)
+        self.networks = Networks(stacks, config.hidden)
+        self.flat = like.new_zeros(self.networks.size)
+        self.target = like.new_zeros(self.networks.size) if target else None
+        self.gradient = like.new_zeros(self.networks.size)
+        self._pass = make_pass(self.networks, like, cores=cores)
+        self._parameters, self._into = self.networks.parameters(self.flat), self.networks.parameters(self.gradient)
+        self._deciding = self._parameters if self.target is None else self.networks.parameters(self.target)
         self.adam = Adam(
             self.flat,
             self.gradient,
             config.actor_rate,
             cores=cores,
             clip=config.gradient_clip,
-            networks=self.bank.segments(),
+            networks=self.networks.segments(),
         )
 
     def initialise(self, seed: int) -> None:
         """Draw all parameters, those of a type alike or each its own (A4)."""
         alike = self._config.initialisation == "type"
-        self.load(ActorBank.initial(self._team, self._config.hidden, seed, per_type=alike, head=self.head).flat)
+        self.load(TeamActors.initial(self._team, self._config.hidden, seed, per_type=alike, head=self.head).flat)
         if self.target is not None:
             self.target.copy_(self.flat)
 
     def load(self, flat: Sequence[Float32]) -> None:
         """Replace the actors' parameters, [n_v, P_v] for each type in the order of `common.actors`."""
         for kind, parameters in enumerate(flat):
-            self.bank.load(self.flat, kind, torch.from_numpy(parameters))
+            self.networks.load(self.flat, kind, torch.from_numpy(parameters))
 
     def export(self) -> tuple[Float32, ...]:
         """Return a copy of the actors' parameters, [n_v, P_v] for each type in the order of `common.actors`."""
         kinds = range(len(self._team.groups))
-        return tuple(self.bank.export(self.flat, kind).float().contiguous().cpu().numpy() for kind in kinds)
+        return tuple(self.networks.export(self.flat, kind).float().contiguous().cpu().numpy() for kind in kinds)
 
     def forward(self, inputs: list[Tensor], *, next_action: bool = False) -> Tensor:
         """Return the heads' outputs, flat, before any tanh; by the target actors, if any, for the next action."""
@@ -83,7 +83,7 @@ class Actors:
 
     def norms(self) -> Tensor:
         """Return the norm of each actor's newest gradient [agents], before any clip."""
-        return self.bank.norms(self.gradient) if self.adam.norms is None else self.adam.norms
+        return self.networks.norms(self.gradient) if self.adam.norms is None else self.adam.norms
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the whole state by name."""

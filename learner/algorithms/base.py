@@ -120,21 +120,21 @@ class Algorithm(ABC):
         self._allocate_critics(seed)
 
     def _allocate_critics(self, seed: int) -> None:
-        size = self.critics.bank.size
+        size = self.critics.networks.size
         self.phi, self.target_phi, self.critic_gradient = (self.like.new_zeros(size) for _ in range(3))
         self.critics.initialise(self.phi, seed)
         self.target_phi.copy_(self.phi)
         self.critic_views, self.target_views, self.gradient_views = (
-            self.critics.bank.parameters(flat) for flat in (self.phi, self.target_phi, self.critic_gradient)
+            self.critics.networks.parameters(flat) for flat in (self.phi, self.target_phi, self.critic_gradient)
         )
-        self.climbed_views = self.critics.climbed_bank.parameters(self.phi)
+        self.climbed_views = self.critics.climbed_networks.parameters(self.phi)
         self.critic_adam = Adam(
             self.phi,
             self.critic_gradient,
             self.config.critic_rate,
             cores=self.cores,
             clip=self.config.gradient_clip,
-            networks=self.critics.bank.segments(),
+            networks=self.critics.networks.segments(),
         )
 
     def has_target_actors(self) -> bool:
@@ -177,7 +177,7 @@ class Algorithm(ABC):
         """Return the figures that all algorithms tell, after the round's steps."""
         norms = self.critic_adam.norms
         if norms is None:
-            norms = self.critics.bank.norms(self.gradient_views.flat)
+            norms = self.critics.networks.norms(self.gradient_views.flat)
         each, agents = self.critics.each, self.team.agents
         critic = norms[: each * agents].view(each, agents).mean(dim=0)
         return Figures(error, value, target, error + target, critic, self.actors.norms())

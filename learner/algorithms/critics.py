@@ -15,7 +15,7 @@ from common.seeds import stream
 from common.team import TeamSpec
 from learner.networks.compiled_pass import make_pass
 from learner.networks.inputs import Inputs, critic_width, view_columns
-from learner.networks.stacked import Bank, Parameters, Stack
+from learner.networks.stacked import Networks, Parameters, Stack
 
 
 class Critics:
@@ -30,8 +30,8 @@ class Critics:
         cores: processor cores to compute on by compiled kernels; 0 to compute by torch.
 
     Attributes:
-        bank: all of them.
-        climbed_bank: those that the actors climb.
+        networks: all of them.
+        climbed_networks: those that the actors climb.
     """
 
     def __init__(
@@ -40,16 +40,18 @@ class Critics:
         self._config, self._team, self.each = config, team, each
         self._climbed = climbed
         self._joint = config.joint_critics
-        self.bank = Bank([self._stack(kind) for _ in range(each) for kind in range(len(team.groups))], config.hidden)
+        self.networks = Networks(
+            [self._stack(kind) for _ in range(each) for kind in range(len(team.groups))], config.hidden
+        )
         self._orders = [
             torch.tensor([[0, *(1 + c for c in own)] for own in view_columns(team, kind)], device=like.device)
             for kind in range(len(team.groups) if self._joint else 0)
         ]
-        self._pass = self._ascent = make_pass(self.bank, like, cores=cores)
-        self.climbed_bank = self.bank
+        self._pass = self._ascent = make_pass(self.networks, like, cores=cores)
+        self.climbed_networks = self.networks
         if climbed < each:
-            self.climbed_bank = self.bank.part(climbed * len(team.groups))
-            self._ascent = make_pass(self.climbed_bank, like, cores=cores)
+            self.climbed_networks = self.networks.part(climbed * len(team.groups))
+            self._ascent = make_pass(self.climbed_networks, like, cores=cores)
         self._values = self._pass.output.view(each, team.agents, config.batch)
         self._climbed_values = self._ascent.output.view(climbed, team.agents, config.batch)
 
@@ -77,11 +79,11 @@ class Critics:
 
     def load(self, flat: Tensor, k: int, kind: int, parameters: Tensor) -> None:
         """Write the k-th critics of a type, [n_v, P] in the order of `common.actors`."""
-        self.bank.load(flat, self._index(k, kind), self._reordered(kind, parameters, inward=True))
+        self.networks.load(flat, self._index(k, kind), self._reordered(kind, parameters, inward=True))
 
     def export(self, flat: Tensor, k: int, kind: int) -> Tensor:
         """Return a copy of the k-th critics of a type, [n_v, P] in the order of `common.actors`."""
-        return self._reordered(kind, self.bank.export(flat, self._index(k, kind)), inward=False)
+        return self._reordered(kind, self.networks.export(flat, self._index(k, kind)), inward=False)
 
     def _index(self, k: int, kind: int) -> int:
         return k * len(self._team.groups) + kind

@@ -46,23 +46,23 @@ class EiaSec(Algorithm):
         """Lay out local critics and members in one vector, so that one sweep of Adam takes all."""
         config, like = self.config, self.like
         self.ensemble = Ensemble(config, self.team, like, cores=self.cores) if config.uses_ensemble else None
-        local = self.critics.bank.size
-        size = local + (self.ensemble.bank.size if self.ensemble else 0)
+        local = self.critics.networks.size
+        size = local + (self.ensemble.networks.size if self.ensemble else 0)
         self.phi, self.target_phi, self.critic_gradient = (like.new_zeros(size) for _ in range(3))
         self.critics.initialise(self.phi[:local], seed)
         vectors = (self.phi, self.target_phi, self.critic_gradient)
         self.critic_views, self.target_views, self.gradient_views = (
-            self.critics.bank.parameters(flat[:local]) for flat in vectors
+            self.critics.networks.parameters(flat[:local]) for flat in vectors
         )
         self.climbed_views = self.critic_views
-        networks = self.critics.bank.segments()
+        networks = self.critics.networks.segments()
         trained = size if config.ensemble_gradient else local
         if self.ensemble:
             self.members, self.target_members, self._member_gradient = (
-                self.ensemble.bank.parameters(flat[local:]) for flat in vectors
+                self.ensemble.networks.parameters(flat[local:]) for flat in vectors
             )
             self.ensemble.initialise(self.members.flat, seed)
-            networks = torch.cat((networks, self.ensemble.bank.segments() + networks.max() + 1))
+            networks = torch.cat((networks, self.ensemble.networks.segments() + networks.max() + 1))
             self._upstream = torch.zeros_like(self.ensemble.values)
             counts = [group.count for group in self.team.groups for _ in range(group.count)]
             self._scale = like.new_tensor([2.0 / (count * config.batch) for count in counts])[:, None]
@@ -144,7 +144,9 @@ class EiaSec(Algorithm):
         if self.ensemble is None or not self.config.ensemble_gradient:
             return None
         clipped = self.critic_adam.norms
-        norms = self.ensemble.bank.norms(self._member_gradient.flat) if clipped is None else clipped[self.team.agents :]
+        norms = (
+            self.ensemble.networks.norms(self._member_gradient.flat) if clipped is None else clipped[self.team.agents :]
+        )
         return self.ensemble.by_agent(norms)
 
     def _train_members(self, values: Tensor, target: Tensor, error: Tensor) -> None:
@@ -166,7 +168,7 @@ class EiaSec(Algorithm):
         for kind, (weights, keep) in enumerate(self._weights):
             sources = self._local_layers(kind)
             for k in range(self.config.ensemble_members):
-                layers = self.ensemble.bank.layers_of(self.members.flat, self.ensemble.index(k, kind))
+                layers = self.ensemble.networks.layers_of(self.members.flat, self.ensemble.index(k, kind))
                 for source, layer in zip(sources, layers, strict=True):
                     layer.mul_(keep[k]).add_(torch.tensordot(weights[k : k + 1], source, dims=1))
 
@@ -183,7 +185,7 @@ class EiaSec(Algorithm):
 
     def _local_layers(self, kind: int) -> list[Tensor]:
         """Return the layers of a type's local critics, in the order of each agent's own view."""
-        first, *rest = self.critics.bank.layers_of(self.critic_views.flat, kind)
+        first, *rest = self.critics.networks.layers_of(self.critic_views.flat, kind)
         return [self.critics.own_order(kind, first), *rest]
 
     def _actor_step(self, figures: bool) -> tuple[Tensor | None, Tensor | None]:

@@ -9,7 +9,7 @@ from common.seeds import stream
 from common.team import TeamSpec
 from learner.networks.compiled_pass import make_pass
 from learner.networks.inputs import Inputs, critic_width
-from learner.networks.stacked import Bank, Parameters, Stack
+from learner.networks.stacked import Networks, Parameters, Stack
 
 
 class Ensemble:
@@ -34,8 +34,8 @@ class Ensemble:
             for _ in range(k_s)
             for g, width in zip(team.groups, self._widths, strict=True)
         ]
-        self.bank = Bank(stacks, config.hidden)
-        self._pass = make_pass(self.bank, like, cores=cores)
+        self.networks = Networks(stacks, config.hidden)
+        self._pass = make_pass(self.networks, like, cores=cores)
         self.values = self._pass.output.view(k_s, team.agents, batch)
         kinds = [kind for kind, group in enumerate(team.groups) for _ in range(group.count)]
         self._kinds = torch.tensor(kinds, device=like.device)
@@ -45,10 +45,10 @@ class Ensemble:
         for k in range(self._config.ensemble_members):
             for kind, (group, width) in enumerate(zip(self._team.groups, self._widths, strict=True)):
                 draw = initial_parameters(width, self._config.hidden, 1, stream(seed, "ensemble", group.name, k))
-                self.bank.load(flat, self.index(k, kind), torch.from_numpy(draw[None]))
+                self.networks.load(flat, self.index(k, kind), torch.from_numpy(draw[None]))
 
     def index(self, k: int, kind: int) -> int:
-        """Return which stack of the bank the k-th member of a type is."""
+        """Return which stack of the networks the k-th member of a type is."""
         return k * len(self._team.groups) + kind
 
     def by_agent(self, numbers: Tensor) -> Tensor:

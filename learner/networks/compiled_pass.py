@@ -26,12 +26,12 @@ from learner.networks.kernels import (
     Table,
 )
 from learner.networks.matrix_products import piece_size
-from learner.networks.stacked import Bank, Parameters, Pass, StackedPass
+from learner.networks.stacked import Networks, Parameters, Pass, StackedPass
 
 
-def make_pass(bank: Bank, like: Tensor, *, cores: int) -> Pass:
-    """Return the pass of a bank: compiled for so many processor cores, or stacked where that is 0."""
-    return CompiledPass(bank, like, cores) if cores else StackedPass(bank, like)
+def make_pass(networks: Networks, like: Tensor, *, cores: int) -> Pass:
+    """Return the pass of a networks: compiled for so many processor cores, or stacked where that is 0."""
+    return CompiledPass(networks, like, cores) if cores else StackedPass(networks, like)
 
 
 def shares(costs: Sequence[float], cores: int) -> tuple[Table, Table]:
@@ -71,19 +71,19 @@ def storage(tensor: Tensor) -> NDArray[Any]:
 class CompiledPass:
     """A `Pass` by the functions of `learner.networks.kernels`; see there."""
 
-    def __init__(self, bank: Bank, like: Tensor, cores: int) -> None:
-        self.bank = bank
-        table = _table(bank)
+    def __init__(self, networks: Networks, like: Tensor, cores: int) -> None:
+        self.networks = networks
+        table = _table(networks)
         costs = table[:, ROWS] * table[:, WIDTH] * (table[:, FAN_IN] + table[:, WIDTH] + table[:, FAN_OUT])
         self._order, self._bounds = shares(costs.tolist(), cores)
         self._table, self._parts = table[self._order], self._bounds.shape[0] - 1
-        size, kind = bank.rows * bank.hidden, like.new_empty(0).numpy().dtype
+        size, kind = networks.rows * networks.hidden, like.new_empty(0).numpy().dtype
         hidden = np.zeros(2 * size + kernels.APART, kind)
         self._h1, self._h2 = hidden[:size], hidden[size + kernels.APART :]
-        space = max(kernels.scratch_size(s.rows, bank.hidden, s.action_size) for s in bank.stacks)
+        space = max(kernels.scratch_size(s.rows, networks.hidden, s.action_size) for s in networks.stacks)
         self._piece = piece_size()
         self._scratch = np.zeros(self._parts * space, self._h1.dtype)
-        self.output = like.new_empty(bank.outputs)
+        self.output = like.new_empty(networks.outputs)
         self._output = self.output.numpy()
         self._nothing = (self._h1[:0], np.zeros(table.shape[0], np.int64))
         self._known: dict[tuple[int, ...], tuple[NDArray[Any], Table, Sequence[Tensor]]] = {}
@@ -133,15 +133,15 @@ class CompiledPass:
             kernels.action_gradient(*work, self._piece)
 
 
-def _table(bank: Bank) -> Table:
+def _table(networks: Networks) -> Table:
     """Return where each network's parts are; see `learner.networks.kernels`."""
-    rows = np.zeros((sum(stack.count for stack in bank.stacks), COLUMNS), np.int64)
+    rows = np.zeros((sum(stack.count for stack in networks.stacks), COLUMNS), np.int64)
     n = output = 0
-    for stack, first, second, head in zip(bank.stacks, *bank.typed, strict=True):
+    for stack, first, second, head in zip(networks.stacks, *networks.typed, strict=True):
         for index in range(stack.count):
             line = rows[n]
             line[ROWS], line[FAN_IN], line[FAN_OUT] = stack.rows, 1 + stack.inputs, stack.outputs
-            line[WIDTH] = bank.hidden
+            line[WIDTH] = networks.hidden
             for column, block in ((FIRST, first), (SECOND, second), (HEAD, head)):
                 line[column] = block.parameter + index * block.size
             line[ROW], line[OUTPUT] = first.row + index * stack.rows, output

@@ -1,7 +1,7 @@
 """Stacked perceptrons with written-out gradients: many small networks as a few batched matrix products.
 
-A `Bank` lays out the parameters of networks of one role (all actors, say) in one flat vector, layer by layer and type
-by type inside a layer. A layer of n networks is one tensor [n, 1 + fan_in, fan_out] whose row 0 is the bias, and
+`Networks` lays out the parameters of networks of one role (all actors, say) in one flat vector, layer by layer and
+type by type inside a layer. A layer of n networks is one tensor [n, 1 + fan_in, fan_out] whose row 0 is the bias, and
 inputs carry a leading one, so a product with the tensor adds the bias. Types whose layer has the same shape are
 neighbours and are multiplied together; the hidden layer of all types is one product.
 
@@ -25,7 +25,7 @@ from common.actors import layer_shapes
 
 @dataclass(frozen=True)
 class Stack:
-    """The networks of one type in a bank.
+    """The networks of one type.
 
     Attributes:
         count: networks.
@@ -56,7 +56,7 @@ class Block:
         fan_in: inputs of the layer, without the leading one.
         fan_out: outputs of the layer.
         parameter: where the layer's parameters start in the flat vector.
-        row: where the networks' rows start among all rows of the bank.
+        row: where the networks' rows start among all rows of the networks.
     """
 
     count: int
@@ -98,7 +98,7 @@ class Parameters:
     own: list[Tensor]
 
 
-class Bank:
+class Networks:
     """The layout of all networks of one role.
 
     Args:
@@ -119,8 +119,8 @@ class Bank:
         self.outputs = sum(stack.count * stack.rows * stack.outputs for stack in self.stacks)
         self.blocks = [self.typed[0], _joined(self.typed[1]), _joined(self.typed[2])]
 
-    def part(self, stacks: int) -> "Bank":
-        """Return the first so many stacks as a bank of their own, at the same places of the same flat vector."""
+    def part(self, stacks: int) -> "Networks":
+        """Return the first so many stacks as a networks of their own, at the same places of the same flat vector."""
         part = copy.copy(self)
         part.stacks, part.typed = self.stacks[:stacks], [blocks[:stacks] for blocks in self.typed]
         part._count()
@@ -198,7 +198,7 @@ def _joined(blocks: list[Block]) -> list[Block]:
 
 
 class Pass(Protocol):
-    """One bank's forward pass and its gradients, in buffers that are allocated once.
+    """One networks's forward pass and its gradients, in buffers that are allocated once.
 
     Inputs are [count, rows, 1 + fan_in], one tensor for each stack, all of them views of one storage; networks that
     see the same rows have a first stride of 0. `gradient` calls belong to the forward pass before them.
@@ -230,20 +230,20 @@ class Pass(Protocol):
 class StackedPass:
     """A `Pass` by batched products of torch, on any device; see there."""
 
-    def __init__(self, bank: Bank, like: Tensor) -> None:
-        self.bank = bank
-        hidden, rows = bank.hidden, bank.rows
+    def __init__(self, networks: Networks, like: Tensor) -> None:
+        self.networks = networks
+        hidden, rows = networks.hidden, networks.rows
         self._h1, self._h2 = like.new_ones(rows, 1 + hidden), like.new_ones(rows, 1 + hidden)
         self._z, self._dh = like.new_empty(rows, hidden), like.new_empty(rows, hidden)
-        _, second, head = bank.blocks
-        self._z1, self._z2, self._z3 = ([b.data(self._z) for b in blocks] for blocks in bank.blocks)
+        _, second, head = networks.blocks
+        self._z1, self._z2, self._z3 = ([b.data(self._z) for b in blocks] for blocks in networks.blocks)
         self._matrices = [like.new_empty(block.count, hidden, hidden) for block in second]
         self._h1_second = [block.data(self._h1) for block in second]
         self._h2_head = [block.data(self._h2) for block in head]
         self._dh_second = [block.data(self._dh) for block in second]
         self._dh_head = [block.data(self._dh) for block in head]
-        self.scalar = all(stack.outputs == 1 for stack in bank.stacks)
-        self.output = like.new_empty(bank.outputs)
+        self.scalar = all(stack.outputs == 1 for stack in networks.stacks)
+        self.output = like.new_empty(networks.outputs)
         starts = [0, *itertools.accumulate(b.count * b.rows * b.fan_out for b in head)]
         self._slots = [slice(a, b) for a, b in itertools.pairwise(starts)]
         self._outputs = self._split(self.output)
@@ -252,7 +252,7 @@ class StackedPass:
         """View a flat [outputs] tensor as [n, 1, rows] for scalar networks, else [n, rows, outputs], for each block."""
         return [
             flat[slot].view(b.count, 1, b.rows) if self.scalar else flat[slot].view(b.count, b.rows, b.fan_out)
-            for b, slot in zip(self.bank.blocks[2], self._slots, strict=True)
+            for b, slot in zip(self.networks.blocks[2], self._slots, strict=True)
         ]
 
     def forward(self, parameters: Parameters, inputs: Sequence[Tensor], delta: Sequence[Tensor] = ()) -> Tensor:

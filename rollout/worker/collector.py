@@ -7,7 +7,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import RunConfig
 from common.seeds import derive, stream
 from common.team import Float32
@@ -64,11 +64,11 @@ class Collector:
         for index in range(count):
             self._begin(index)
 
-    def collect(self, bank: ActorBank, deviation: float, uniform: bool) -> Chunk:
+    def collect(self, actors: TeamActors, deviation: float, uniform: bool) -> Chunk:
         """Fly one chunk.
 
         Args:
-            bank: the actors.
+            actors: the actors.
             deviation: standard deviation of the Gaussian noise on a deterministic head's action, 0..1.
             uniform: draw actions uniformly instead (warm-up).
 
@@ -82,7 +82,7 @@ class Collector:
         episodes: list[EpisodeSummary] = []
         for step in range(steps):
             rows.observation[:, step] = environments.observation
-            action = self._act(bank, deviation, uniform)
+            action = self._act(actors, deviation, uniform)
             self._shaping.look()
             environments.step(self.team.steer(environments.observation, action))
             if self.lens is not None:
@@ -97,12 +97,12 @@ class Collector:
         self.environment_steps += len(environments.time) * steps
         return Chunk(rows.rows(reward), tuple(episodes))
 
-    def _act(self, bank: ActorBank, deviation: float, uniform: bool) -> Float32:
+    def _act(self, actors: TeamActors, deviation: float, uniform: bool) -> Float32:
         environments = self.environments
         if uniform:
             return 2.0 * self._uniform.at(self._episode, environments.time, normal=False) - 1.0
         noise = self._noise.at(self._episode, environments.time, normal=True)
-        return bank.explore(environments.observation, noise, deviation)
+        return actors.explore(environments.observation, noise, deviation)
 
     def _begin(self, index: int) -> None:
         self._episode[index] += 1
@@ -168,13 +168,13 @@ class _Draws:
 
 
 def fly_noise_free(
-    config: RunConfig, bank: ActorBank, farms: Sequence[int], episodes: Sequence[int]
+    config: RunConfig, actors: TeamActors, farms: Sequence[int], episodes: Sequence[int]
 ) -> tuple[Float32, NDArray[np.int64]]:
     """Fly one noise-free episode on each farm.
 
     Args:
         config: the run.
-        bank: the actors.
+        actors: the actors.
         farms: farm seeds.
         episodes: episode seeds, one for each farm.
 
@@ -186,6 +186,6 @@ def fly_noise_free(
             batch.reset(index, farm, episode)
         rewards: list[Float32] = []
         while not batch.ended.all():
-            batch.step(bank.command(batch.observation))
+            batch.step(actors.command(batch.observation))
             rewards.append(batch.reward.copy())
         return np.stack(rewards, axis=1), batch.time.copy()

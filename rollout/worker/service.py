@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config.files import from_toml
 from common.config.run import RunConfig
 from common.errors import ProtocolError, UsageError
@@ -107,9 +107,9 @@ class Worker:
             self._listen()
             self._evaluate()
             self._showing.tend(self._store.version, *self._exploration())
-            bank = self._store.bank
-            if bank is not None and self._state in ("starting", "training") and self._may_fly():
-                self._fly(bank)
+            actors = self._store.actors
+            if actors is not None and self._state in ("starting", "training") and self._may_fly():
+                self._fly(actors)
             else:
                 self._idle()
             if time.monotonic() - self._clock.reported >= REPORT_SECONDS:
@@ -138,9 +138,9 @@ class Worker:
             return f"nothing was heard of the learner for {silence:.0f} s"
         return ""
 
-    def _fly(self, bank: ActorBank) -> None:
+    def _fly(self, actors: TeamActors) -> None:
         started = time.monotonic()
-        chunk = self._collector.collect(bank, *self._exploration())
+        chunk = self._collector.collect(actors, *self._exploration())
         self._sender.flown = self._collector.environment_steps
         self._sender.offer(chunk, self._store.version)
         self._clock.simulating += time.monotonic() - started
@@ -200,14 +200,14 @@ class Worker:
         except ProtocolError as error:
             incoming.refuse(str(error))
             return
-        bank = self._store.bank
-        if bank is not None and order.epoch < self._store.epoch:
+        actors = self._store.actors
+        if actors is not None and order.epoch < self._store.epoch:
             incoming.refuse("the order is of a learner that has been replaced.")
             return
-        if bank is None or (self._store.epoch, self._store.version) < (order.epoch, order.version):
+        if actors is None or (self._store.epoch, self._store.version) < (order.epoch, order.version):
             self._postponed.append(incoming)
             return
-        reward, steps = fly_noise_free(self._config, bank, order.farms, order.episodes)
+        reward, steps = fly_noise_free(self._config, actors, order.farms, order.episodes)
         self._clock.evaluations += len(order.farms)
         incoming.reply(EvaluationResult(order.event, self._store.version, reward, steps).encode())
 

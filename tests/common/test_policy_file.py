@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.errors import PolicyError
 from common.policy_file import MAX_FILE_BYTES, MAX_HEADER_BYTES, load_policy, save_policy
 from common.team import GroupSpec, TeamSpec
@@ -14,13 +14,13 @@ PROVENANCE = {"command": "eia-sec train", "seed": "0", "commit": "abc"}
 
 
 @pytest.fixture
-def bank():
-    return ActorBank.initial(TEAM, hidden=8, seed=1, per_type=False)
+def actors():
+    return TeamActors.initial(TEAM, hidden=8, seed=1, per_type=False)
 
 
 @pytest.fixture
-def path(tmp_path, bank):
-    save_policy(tmp_path / "policy.safetensors", bank, PROVENANCE)
+def path(tmp_path, actors):
+    save_policy(tmp_path / "policy.safetensors", actors, PROVENANCE)
     return tmp_path / "policy.safetensors"
 
 
@@ -33,39 +33,39 @@ def rewrite_header(path, change):
     path.write_bytes(len(text).to_bytes(8, "little") + text + data[8 + length :])
 
 
-def test_a_policy_comes_back_bit_equal_with_its_provenance(path, bank):
+def test_a_policy_comes_back_bit_equal_with_its_provenance(path, actors):
     """Saving and loading changes no parameter, and gives back exactly the metadata that went in."""
     loaded, metadata = load_policy(path)
     assert loaded.team == TEAM
     assert loaded.hidden == 8
-    assert loaded.digest() == bank.digest()
+    assert loaded.digest() == actors.digest()
     assert metadata == PROVENANCE
 
 
 def test_half_storage_halves_the_file_and_rounds_to_sixteen_bits(tmp_path):
     """With `half` the parameters come back as float32 rounded to 11 significant bits, from half the bytes."""
-    bank = ActorBank.initial(TEAM, hidden=64, seed=1)
-    save_policy(tmp_path / "whole", bank, {})
-    save_policy(tmp_path / "half", bank, {}, half=True)
+    actors = TeamActors.initial(TEAM, hidden=64, seed=1)
+    save_policy(tmp_path / "whole", actors, {})
+    save_policy(tmp_path / "half", actors, {}, half=True)
     loaded, _ = load_policy(tmp_path / "half")
-    for was, now in zip(bank.flat, loaded.flat, strict=True):
+    for was, now in zip(actors.flat, loaded.flat, strict=True):
         assert now.dtype == np.float32
         np.testing.assert_array_equal(now, was.astype(np.float16).astype(np.float32))
     assert (tmp_path / "half").stat().st_size < 0.55 * (tmp_path / "whole").stat().st_size
 
 
-def test_half_storage_refuses_what_sixteen_bits_cannot_hold(tmp_path, bank):
+def test_half_storage_refuses_what_sixteen_bits_cannot_hold(tmp_path, actors):
     """A parameter beyond float16 is an error and leaves no file."""
-    bank.flat[0][0, 0] = 1e6
+    actors.flat[0][0, 0] = 1e6
     with pytest.raises(PolicyError, match="16-bit"):
-        save_policy(tmp_path / "half", bank, {}, half=True)
+        save_policy(tmp_path / "half", actors, {}, half=True)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_reserved_metadata_is_refused(tmp_path, bank):
+def test_reserved_metadata_is_refused(tmp_path, actors):
     """Provenance cannot overwrite the keys that describe the policy."""
     with pytest.raises(PolicyError, match="'team'"):
-        save_policy(tmp_path / "policy", bank, {"team": "mine"})
+        save_policy(tmp_path / "policy", actors, {"team": "mine"})
 
 
 def test_a_file_cut_anywhere_is_refused(path):
@@ -137,23 +137,23 @@ def test_a_missing_file_is_a_usage_error(tmp_path):
         load_policy(tmp_path / "nothing")
 
 
-def test_an_unwritable_place_leaves_nothing_behind(tmp_path, bank):
+def test_an_unwritable_place_leaves_nothing_behind(tmp_path, actors):
     """Saving into a folder that does not exist is a PolicyError."""
     with pytest.raises(PolicyError, match="cannot be written"):
-        save_policy(tmp_path / "no" / "policy", bank, {})
+        save_policy(tmp_path / "no" / "policy", actors, {})
 
 
-def test_saving_replaces_the_old_policy(path, bank):
+def test_saving_replaces_the_old_policy(path, actors):
     """A second save leaves one file, the new one."""
-    other = ActorBank.initial(TEAM, hidden=8, seed=2)
+    other = TeamActors.initial(TEAM, hidden=8, seed=2)
     save_policy(path, other, {})
-    assert load_policy(path)[0].digest() == other.digest() != bank.digest()
+    assert load_policy(path)[0].digest() == other.digest() != actors.digest()
     assert [file.name for file in path.parent.iterdir()] == [path.name]
 
 
-def test_not_a_number_cannot_be_saved(tmp_path, bank):
+def test_not_a_number_cannot_be_saved(tmp_path, actors):
     """Actors that hold NaN make no file."""
-    bank.flat[1][0, 0] = math.nan
+    actors.flat[1][0, 0] = math.nan
     with pytest.raises(PolicyError, match="finite"):
-        save_policy(tmp_path / "policy", bank, {})
+        save_policy(tmp_path / "policy", actors, {})
     assert list(tmp_path.iterdir()) == []

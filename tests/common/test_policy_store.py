@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from common.actors import ActorBank, imitate
+from common.actors import TeamActors, imitate
 from common.errors import ProtocolError, SchemaError, VersionError
 from common.imitation import ImitationEvent
 from common.policy_store import PolicyStore
@@ -16,8 +16,8 @@ TEAM = TeamSpec((GroupSpec("a", 3, 4, 2), GroupSpec("b", 2, 5, 1)))
 
 
 def parameters(version: int, event: int = 0, epoch: int = 1, seed: int = 0) -> ParametersMessage:
-    bank = ActorBank.initial(TEAM, 8, seed, per_type=False)
-    return ParametersMessage(epoch, version, event, 100, 0.5, TEAM.digest, 8, bank.head, bank.flat)
+    actors = TeamActors.initial(TEAM, 8, seed, per_type=False)
+    return ParametersMessage(epoch, version, event, 100, 0.5, TEAM.digest, 8, actors.head, actors.flat)
 
 
 def event(number: int, rate: float = 0.25) -> ImitationEvent:
@@ -31,8 +31,8 @@ def test_newer_parameters_are_taken_and_older_ones_counted() -> None:
     assert not store.offer_parameters(parameters(5, seed=1))
     assert not store.offer_parameters(parameters(4, seed=1))
     assert (store.version, store.stale) == (5, 2)
-    assert store.bank is not None
-    assert store.bank.digest() == ActorBank.initial(TEAM, 8, 0, per_type=False).digest()
+    assert store.actors is not None
+    assert store.actors.digest() == TeamActors.initial(TEAM, 8, 0, per_type=False).digest()
 
 
 def test_a_lower_epoch_never_returns() -> None:
@@ -48,10 +48,10 @@ def test_an_event_is_applied_once() -> None:
     store = PolicyStore(TEAM)
     store.offer_parameters(parameters(1))
     assert store.offer_imitation(event(1), 1)
-    assert store.bank is not None
-    digest = store.bank.digest()
+    assert store.actors is not None
+    digest = store.actors.digest()
     assert not store.offer_imitation(event(1), 1)
-    assert store.bank.digest() == digest
+    assert store.actors.digest() == digest
     assert store.event == 1
 
 
@@ -61,13 +61,13 @@ def test_an_event_follows_parameters_that_lack_it() -> None:
     store.offer_parameters(parameters(1))
     store.offer_imitation(event(1), 1)
     store.offer_parameters(parameters(2, event=0, seed=3))
-    wanted = ActorBank.initial(TEAM, 8, 3, per_type=False)
+    wanted = TeamActors.initial(TEAM, 8, 3, per_type=False)
     for flat, elite in zip(wanted.flat, (1, 0), strict=True):
         imitate(flat, elite, 0.25)
-    assert store.bank is not None
-    assert store.bank.digest() == wanted.digest()
+    assert store.actors is not None
+    assert store.actors.digest() == wanted.digest()
     store.offer_parameters(parameters(3, event=1, seed=4))
-    assert store.bank.digest() == ActorBank.initial(TEAM, 8, 4, per_type=False).digest()
+    assert store.actors.digest() == TeamActors.initial(TEAM, 8, 4, per_type=False).digest()
 
 
 def test_an_event_of_another_epoch_waits_or_is_dropped() -> None:
@@ -102,7 +102,7 @@ def test_parameters_that_do_not_fit_are_refused(message: ParametersMessage) -> N
     store = PolicyStore(TEAM)
     with pytest.raises(ProtocolError):
         store.offer_parameters(message)
-    assert store.bank is None
+    assert store.actors is None
 
 
 def test_events_that_do_not_fit_are_refused() -> None:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import RunConfig
 from common.config.files import from_toml
 from common.protocol import keys
@@ -32,7 +32,7 @@ class Learner:
     def __init__(self, toml: str, control: Bus, bulk: Bus) -> None:
         self._toml = toml
         self._team = farm_team(from_toml(toml, RunConfig()).farm)
-        self._bank = ActorBank.initial(self._team, 16, 0)
+        self._actors = TeamActors.initial(self._team, 16, 0)
         self._commands = control.serve(keys.COMMAND.pattern(RUN), 16)
         self._chunks = bulk.serve(keys.TRANSITION.pattern(RUN), 16)
         self._parameters = control.publish_state(keys.PARAMETERS.key(RUN))
@@ -44,7 +44,7 @@ class Learner:
 
     def publish(self, version: int) -> None:
         """Publish actors of a version."""
-        message = ParametersMessage(1, version, 0, 1000, 0.5, self._team.digest, 16, "deterministic", self._bank.flat)
+        message = ParametersMessage(1, version, 0, 1000, 0.5, self._team.digest, 16, "deterministic", self._actors.flat)
         self._parameters.put(message.encode())
 
     def pump(self) -> None:

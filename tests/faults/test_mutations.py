@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.history import Entry, History
 from common.policy_store import PolicyStore
 from common.protocol import frame
@@ -20,11 +20,13 @@ from tests.learner.checkpoint import test_recovery
 def stale_parameters_are_refused() -> None:
     """Assert that a store takes nothing of a learner that has been replaced."""
     store = PolicyStore(TEAM)
-    banks = [ActorBank.initial(TEAM, 4, seed, per_type=False) for seed in (0, 1)]
-    for epoch, version, bank in ((2, 5, banks[0]), (1, 999, banks[1])):
-        store.offer_parameters(ParametersMessage(epoch, version, 0, 1, 0.0, TEAM.digest, 4, "deterministic", bank.flat))
-    assert store.bank is not None
-    assert np.array_equal(store.bank.flat[0], banks[0].flat[0])
+    both_actors = [TeamActors.initial(TEAM, 4, seed, per_type=False) for seed in (0, 1)]
+    for epoch, version, actors in ((2, 5, both_actors[0]), (1, 999, both_actors[1])):
+        store.offer_parameters(
+            ParametersMessage(epoch, version, 0, 1, 0.0, TEAM.digest, 4, "deterministic", actors.flat)
+        )
+    assert store.actors is not None
+    assert np.array_equal(store.actors.flat[0], both_actors[0].flat[0])
     assert store.stale == 1
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from common.actors import ActorBank, parameter_views
+from common.actors import TeamActors, parameter_views
 from common.config import AlgorithmConfig, ReplayConfig, RunConfig
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Rows
@@ -52,7 +52,7 @@ def test_spread_is_the_members_standard_deviation():
     for agent in range(TEAM.agents):
         kind = 0 if agent < 2 else 1
         sec, flat = engine.algorithm.ensemble, engine.algorithm.members.flat
-        members = [sec.bank.export(flat, sec.index(k, kind))[0].numpy() for k in range(3)]
+        members = [sec.actors.export(flat, sec.index(k, kind))[0].numpy() for k in range(3)]
         x = np.concatenate([seen[agent], action[agent]], axis=1)
         values = [critic(flat, x, 8) for flat in members]
         np.testing.assert_allclose(figures.spread[agent], np.std(values, axis=0), rtol=1e-3, atol=1e-6)
@@ -60,7 +60,7 @@ def test_spread_is_the_members_standard_deviation():
 
 
 def engine_actions(engine, rows):
-    return ActorBank(TEAM, 8, engine.export_actors()).act(rows.observation.numpy())
+    return TeamActors(TEAM, 8, engine.export_actors()).act(rows.observation.numpy())
 
 
 def test_gradient_norms_are_of_each_agents_own_networks():
@@ -70,7 +70,7 @@ def test_gradient_norms_are_of_each_agents_own_networks():
     figures = engine.round(batch(16), figures=True)
     wanted = []
     for kind, group in enumerate(TEAM.groups):
-        layers = engine.algorithm.critics.bank.layers_of(engine.algorithm.gradient_views.flat, kind)
+        layers = engine.algorithm.critics.networks.layers_of(engine.algorithm.gradient_views.flat, kind)
         wanted += [float(sum(layer[i].square().sum() for layer in layers)) ** 0.5 for i in range(group.count)]
     np.testing.assert_allclose(figures.critic_gradient, wanted, rtol=1e-5)
     assert len({round(float(norm), 7) for norm in figures.actor_gradient}) == TEAM.agents

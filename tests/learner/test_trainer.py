@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from common.actors import ActorBank, imitate
+from common.actors import TeamActors, imitate
 from common.config import AlgorithmConfig, ReplayConfig, RunConfig
 from common.errors import CheckpointError, SchemaError
 from common.imitation import ImitationEvent
@@ -101,11 +101,11 @@ def test_published_actors_are_a_copy():
     """Actors handed out do not change when training goes on, and training does change the trainer's."""
     trainer = Trainer(CONFIG, TEAM)
     trainer.absorb(chunk(200))
-    bank = trainer.actors()
-    before = bank.digest()
-    assert before == ActorBank.initial(TEAM, 12, 11).digest()
+    actors = trainer.actors()
+    before = actors.digest()
+    assert before == TeamActors.initial(TEAM, 12, 11).digest()
     trainer.train(3)
-    assert bank.digest() == before
+    assert actors.digest() == before
     assert trainer.actors().digest() != before
 
 

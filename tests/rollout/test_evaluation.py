@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import FarmConfig, WorldConfig
 from common.errors import ConfigError, PolicyError
 from common.team import farm_team
@@ -19,7 +19,7 @@ SMALL = FarmConfig(
 
 def policy(name):
     if name == "actors":
-        return ActorPolicy(ActorBank.initial(farm_team(SMALL), 32, 5, per_type=False))
+        return ActorPolicy(TeamActors.initial(farm_team(SMALL), 32, 5, per_type=False))
     return policy_of(name, SMALL)
 
 

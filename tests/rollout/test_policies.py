@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import ControlConfig, FarmConfig, ObservationConfig
 from common.errors import PolicyError
 from common.policy_file import save_policy
@@ -53,17 +53,17 @@ def test_random_depends_on_the_episode_alone():
         assert not np.array_equal(rows[0], rows[1])
 
 
-def test_actor_policy_equals_its_bank():
-    """The actor policy does what the bank computes from the observation."""
-    bank = ActorBank.initial(farm_team(SMALL), 16, 3, per_type=False)
-    policy = ActorPolicy(bank)
+def test_actor_policy_equals_its_actors():
+    """The actor policy does what the actors computes from the observation."""
+    actors = TeamActors.initial(farm_team(SMALL), 16, 3, per_type=False)
+    policy = ActorPolicy(actors)
     farms = begin(SMALL, policy)
-    np.testing.assert_allclose(policy.act(farms), bank.command(farms.observation), atol=1e-6)
+    np.testing.assert_allclose(policy.act(farms), actors.command(farms.observation), atol=1e-6)
 
 
 def test_actors_of_another_team_are_refused():
     """A policy for other observations or counts is a PolicyError that names both teams."""
-    policy = ActorPolicy(ActorBank.initial(farm_team(FarmConfig()), 16, 3))
+    policy = ActorPolicy(TeamActors.initial(farm_team(FarmConfig()), 16, 3))
     farms = FarmBatch(SMALL, 1)
     farms.reset(0, 1, 1)
     with pytest.raises(PolicyError, match=r"4 monitoring agents .* here are .* 2 monitoring agents"):
@@ -72,11 +72,11 @@ def test_actors_of_another_team_are_refused():
 
 def test_a_policy_file_is_a_policy(tmp_path):
     """A path in place of a name gives the file's actors."""
-    bank = ActorBank.initial(farm_team(SMALL), 16, 3)
-    save_policy(tmp_path / "mine.safetensors", bank, {})
-    farms = begin(SMALL, ActorPolicy(bank))
+    actors = TeamActors.initial(farm_team(SMALL), 16, 3)
+    save_policy(tmp_path / "mine.safetensors", actors, {})
+    farms = begin(SMALL, ActorPolicy(actors))
     flown = policy_of(str(tmp_path / "mine.safetensors"), SMALL)
-    np.testing.assert_array_equal(flown.act(farms), ActorPolicy(bank).act(farms))
+    np.testing.assert_array_equal(flown.act(farms), ActorPolicy(actors).act(farms))
 
 
 def test_the_trained_policy_is_that_of_the_package(tmp_path, monkeypatch):
@@ -84,7 +84,7 @@ def test_the_trained_policy_is_that_of_the_package(tmp_path, monkeypatch):
     monkeypatch.setattr(policies, "TRAINED", tmp_path / "default.safetensors")
     with pytest.raises(PolicyError, match="no trained policy is part of this installation"):
         policy_of("trained", SMALL)
-    save_policy(policies.TRAINED, ActorBank.initial(farm_team(SMALL), 16, 3), {})
+    save_policy(policies.TRAINED, TeamActors.initial(farm_team(SMALL), 16, 3), {})
     assert isinstance(policy_of("trained", SMALL), ActorPolicy)
     with pytest.raises(PolicyError, match="here are 4 communication agents"):
         policy_of("trained", FarmConfig())
@@ -131,12 +131,12 @@ def test_other_combinations_are_refused(name):
 def test_a_policy_steers_by_the_lattice_of_the_farm_that_it_flies_over():
     """Actors of one field fly over a wider one by its own lattice; those that command velocities are another kind."""
     wide = FarmConfig(world=replace(FarmConfig().world, field_x=500.0, field_y=300.0))
-    policy = ActorPolicy(ActorBank.initial(farm_team(FarmConfig()), 16, 3))
+    policy = ActorPolicy(TeamActors.initial(farm_team(FarmConfig()), 16, 3))
     farms = begin(wide, policy)
     lattice = farms.team.groups[1].lattice
     assert lattice is not None
     assert (lattice.columns, lattice.rows) == (50, 30)
-    action = np.concatenate([ActorBank.initial(farms.team, 16, 3).command(row[None]) for row in farms.observation])
+    action = np.concatenate([TeamActors.initial(farms.team, 16, 3).command(row[None]) for row in farms.observation])
     np.testing.assert_array_equal(policy.act(farms), action)
     printed = FarmConfig(control=ControlConfig(monitoring="velocity"))
     with pytest.raises(PolicyError, match="and a lattice"):
@@ -150,7 +150,7 @@ def test_a_mirrored_policy_is_another_kind_even_where_sizes_are_the_same():
     mirrored = FarmConfig(world=one, observation=ObservationConfig(mirrored=True, identity=False, clock=False))
     teams = farm_team(plain), farm_team(mirrored)
     assert teams[0].observation_size == teams[1].observation_size
-    policy = ActorPolicy(ActorBank.initial(teams[1], 16, 3))
+    policy = ActorPolicy(TeamActors.initial(teams[1], 16, 3))
     begin(mirrored, policy)
     with pytest.raises(PolicyError, match="mirrored axes"):
         begin(plain, policy)

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import FarmConfig
 from common.protocol import keys
 from common.protocol.messages import Envelope, SetpointMessage
@@ -24,7 +24,7 @@ SECONDS = 30.0
 def test_a_vehicle_flies_alone_under_its_own_name(keys_folder):
     """The vehicle's own observations are decided on; another vehicle's in its name never arrive, nor do set-points."""
     where = str(free_endpoint())
-    pilot = Pilot(ActorBank.initial(TEAM, 8, 0), {"uav": AGENT}, SPEED, Limits())
+    pilot = Pilot(TeamActors.initial(TEAM, 8, 0), {"uav": AGENT}, SPEED, Limits())
     with (
         Bus.listen(Endpoint.parse(where, keys_folder / "flight.main"), "control") as bus,
         Bus.connect(Endpoint.parse(where, keys_folder / "vehicle.uav"), "control", wait=SECONDS) as own,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.policy_file import save_policy
 from common.process import StopSignal
 from common.protocol import keys
@@ -37,13 +37,13 @@ class Node:
     """An `eia-sec fly` process and its policy."""
 
     def __init__(self, folder: Path) -> None:
-        self.bank = ActorBank.initial(TEAM, 16, 5, per_type=False)
-        for parameters in self.bank.flat:
+        self.actors = TeamActors.initial(TEAM, 16, 5, per_type=False)
+        for parameters in self.actors.flat:
             np.multiply(parameters, 8.0, out=parameters)  # fresh actors hardly move
         self.endpoint: Endpoint = free_endpoint()
         self.config = folder / "farm.toml"
         self.config.write_text(TINY, encoding="utf-8")
-        save_policy(folder / "actors.safetensors", self.bank, {})
+        save_policy(folder / "actors.safetensors", self.actors, {})
         self.log = folder / "fly.log"
         command = ["fly", "--policy", str(folder / "actors.safetensors"), "--config", str(self.config)]
         command += ["--run", RUN, "--listen", str(self.endpoint), "--rate", str(RATE)]
@@ -73,7 +73,7 @@ def test_decisions_over_the_path_are_those_in_one_process_bit_for_bit(node: Node
     with node.bus() as bus:
         links = {agent: VehicleLink(bus, RUN, agent, agent, FASTEST) for agent in TEAM.agent_names}
         flight = SimulatedFleet(FARM, links, SECONDS).fly(1003, 0, StopSignal())
-    alone, policy = FarmBatch(FARM, 1), ActorPolicy(node.bank)
+    alone, policy = FarmBatch(FARM, 1), ActorPolicy(node.actors)
     alone.reset(0, 1003, episode_seed(1003, 0))
     actions = []
     while not alone.ended.all():
@@ -121,7 +121,7 @@ def test_the_simulator_command_flies_over_the_path(node: Node) -> None:
     )
     assert done.returncode == 0, done.stderr + node.log.read_text()
     found = json.loads(done.stdout)
-    wanted = evaluate(FARM, ActorPolicy(node.bank), [1001], 1, name="x").total
+    wanted = evaluate(FARM, ActorPolicy(node.actors), [1001], 1, name="x").total
     assert (found["steps"], found["refused"]) == (FARM.world.steps, 0)
     assert found["reward"] == pytest.approx(wanted.reward, rel=1e-12)
     assert 0 < found["round_trip_ms"]["median"] <= found["round_trip_ms"]["most"]

@@ -20,8 +20,8 @@ def test_lockstep_is_bit_equal_to_one_process(processes: Processes) -> None:
     (end,) = processes.records("end")
     assert end["state"] == "finished"
     assert end["digest"] == alone.actors().digest()
-    bank, _ = load_policy(processes.directory / "run" / "policy.safetensors")
-    assert bank.digest() == alone.actors().digest()
+    actors, _ = load_policy(processes.directory / "run" / "policy.safetensors")
+    assert actors.digest() == alone.actors().digest()
     assert processes.wait("rollout-0") == 0
     assert processes.wait("elite") == 0
 

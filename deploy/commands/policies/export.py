@@ -35,7 +35,7 @@ def command(arguments: Sequence[str]) -> int:
     path = options.run_dir / POLICY
     if not path.is_file():
         raise RunDirError(f"{options.run_dir} holds no {POLICY}: the run has not saved a policy yet.")
-    bank, metadata = load_policy(path)
-    written = FORMATS[options.format](options.out or options.run_dir / "export", config, bank, metadata)
+    actors, metadata = load_policy(path)
+    written = FORMATS[options.format](options.out or options.run_dir / "export", config, actors, metadata)
     sys.stdout.write("".join(f"{file}\n" for file in written))
     return DONE

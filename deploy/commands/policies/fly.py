@@ -97,10 +97,10 @@ def make_pilot(options: FlyArguments) -> tuple[Pilot, tuple[str, ...]]:
     name = options.policy or (str(options.run_dir / POLICY) if options.run_dir else None)
     if name is None:
         raise UsageError("nothing to fly: give --policy FILE, --policy trained or --run-dir DIR.")
-    bank = fitted(load_policy(TRAINED if name == "trained" else Path(name))[0], farm_team(farm))
-    agents = vehicles_of(options.vehicle) or {agent: agent for agent in bank.team.agent_names}
+    actors = fitted(load_policy(TRAINED if name == "trained" else Path(name))[0], farm_team(farm))
+    agents = vehicles_of(options.vehicle) or {agent: agent for agent in actors.team.agent_names}
     speed = farm.world.speed_x_max, farm.world.speed_y_max
-    return Pilot(bank, agents, speed, Limits(options.hold, options.max_age)), tuple(agents)
+    return Pilot(actors, agents, speed, Limits(options.hold, options.max_age)), tuple(agents)
 
 
 def farm_of(run_dir: Path | None, config: Path | None) -> FarmConfig:

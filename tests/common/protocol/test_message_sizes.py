@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import AlgorithmConfig, EliteConfig, EnvConfig, ReplayConfig, RolloutConfig, RunConfig
 from common.errors import ConfigError
 from common.protocol.chunk_messages import to_message
@@ -51,8 +51,8 @@ def test_the_largest_chunk_is_as_large_as_told(name, environments, steps, length
 @pytest.mark.parametrize("head", ["deterministic", "gaussian"])
 def test_the_actors_are_as_large_as_told(hidden, head):
     """All actors take the bytes that are told, but for the room beside them."""
-    bank = ActorBank.initial(TEAM, hidden, 0, head=head)
-    size = len(ParametersMessage(1, 1, 0, 0, 0.0, TEAM.digest, bank.hidden, bank.head, bank.flat).encode())
+    actors = TeamActors.initial(TEAM, hidden, 0, head=head)
+    size = len(ParametersMessage(1, 1, 0, 0, 0.0, TEAM.digest, actors.hidden, actors.head, actors.flat).encode())
     assert size <= actor_bytes(RunConfig(algorithm=AlgorithmConfig(hidden=hidden)), TEAM) + 1000 <= 1.2 * size
 
 

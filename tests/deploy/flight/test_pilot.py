@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import FarmConfig, ObservationConfig
 from common.errors import ConfigError
 from common.protocol import frame
@@ -15,7 +15,7 @@ from common.team import SIGNS, farm_team
 from deploy.flight.pilot import LARGEST, ROWS, Limits, Pilot
 
 TEAM = farm_team(FarmConfig())
-BANK = ActorBank.initial(TEAM, 16, 7, per_type=False)
+BANK = TeamActors.initial(TEAM, 16, 7, per_type=False)
 NOW = 1_700_000_000.0
 SPEED = (10.0, 8.3)
 UAV, AGENT, SIZE = "uav-7", "collection_1", TEAM.groups[2].observation_size
@@ -54,8 +54,8 @@ def test_set_points_are_the_actors_actions_in_metres_per_second():
 def test_a_mirrored_agents_signs_are_1_or_minus_1(bad):
     """Others are refused, and the set-point of what is accepted points along the field's axes."""
     team = farm_team(FarmConfig(observation=ObservationConfig(mirrored=True)))
-    bank = ActorBank.initial(team, 16, 7, per_type=False)
-    pilot = Pilot(bank, {UAV: AGENT}, SPEED, Limits())
+    actors = TeamActors.initial(team, 16, 7, per_type=False)
+    pilot = Pilot(actors, {UAV: AGENT}, SPEED, Limits())
     size = team.groups[2].observation_size
     values, row = seen(1, size), np.zeros((1, team.observation_size), np.float32)
     values[SIGNS] = 1.0, bad
@@ -65,7 +65,7 @@ def test_a_mirrored_agents_signs_are_1_or_minus_1(bad):
     assert offer(pilot, 2, values=values)
     place = team.observation_slices()[2].start + size
     row[0, place : place + size] = values
-    across, along = bank.act(row)[0].reshape(-1, 2)[team.agent_names.index(AGENT)]
+    across, along = actors.act(row)[0].reshape(-1, 2)[team.agent_names.index(AGENT)]
     np.testing.assert_allclose(pilot.decide(NOW)[UAV].velocity, (across * SPEED[0], -along * SPEED[1]), rtol=1e-6)
 
 
@@ -187,8 +187,8 @@ def test_the_report_is_bounded_declared_and_names_who_hovers():
     """Its figures are those of `common.protocol.metrics`, at most ROWS vehicles one by one, hovering ones first."""
     wide = dataclasses.replace(FarmConfig().world, communication_uavs=20, monitoring_uavs=20, collection_uavs=20)
     team = farm_team(dataclasses.replace(FarmConfig(), world=wide))
-    bank = ActorBank.initial(team, 4, 0)
-    pilot = Pilot(bank, {name: name for name in team.agent_names}, SPEED, Limits())
+    actors = TeamActors.initial(team, 4, 0)
+    pilot = Pilot(actors, {name: name for name in team.agent_names}, SPEED, Limits())
     for index in range(2, 60):
         name = team.agent_names[index]
         size = next(group.observation_size for group in team.groups if name.startswith(group.name))

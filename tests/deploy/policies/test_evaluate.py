@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config.files import from_toml, to_toml
 from common.config.presets import PRESETS, WRITTEN
 from common.errors import ConfigError, PolicyError, RunDirError, UsageError
@@ -30,7 +30,7 @@ def run_dir(tmp_path):
     folder = tmp_path / "my-run"
     folder.mkdir()
     (folder / "config.toml").write_text(to_toml(config))
-    save_policy(folder / "policy.safetensors", ActorBank.initial(farm_team(config.farm), 8, 0), {})
+    save_policy(folder / "policy.safetensors", TeamActors.initial(farm_team(config.farm), 8, 0), {})
     return folder
 
 
@@ -66,7 +66,7 @@ def test_a_run_of_an_older_version_flies_what_it_was_trained_on(tmp_path):
     kept = [line for line in lines if not line.startswith(("mirrored", "potential_discount"))]
     assert len(kept) == len(lines) - 2
     (tmp_path / "config.toml").write_text("".join(kept))
-    save_policy(tmp_path / "policy.safetensors", ActorBank.initial(farm_team(config.farm), 8, 0), {})
+    save_policy(tmp_path / "policy.safetensors", TeamActors.initial(farm_team(config.farm), 8, 0), {})
     assert len(run(EvaluateArguments(run_dir=tmp_path, farms="5:6")).per_farm) == 1
     assert farm_of(tmp_path, None) == config.farm
     assert RunDirectory(tmp_path).configuration() == config

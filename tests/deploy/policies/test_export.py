@@ -11,7 +11,7 @@ import onnxruntime
 import pytest
 from safetensors.numpy import load_file
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import AlgorithmConfig, EnvConfig, FarmConfig, ObservationConfig, ReplayConfig, RunConfig
 from common.config.files import to_toml
 from common.policy_file import save_policy
@@ -29,7 +29,7 @@ PAGE = Path(__file__).resolve().parents[3] / "docs" / "export.md"
 
 @pytest.fixture(params=["farm", "mirrored", "other"])
 def run(request, tmp_path):
-    """A run directory with a policy of random parameters, its bank, and rows of observations."""
+    """A run directory with a policy of random parameters, its actors, and rows of observations."""
     config, draw = RunConfig(), np.random.default_rng(4)
     if request.param == "mirrored":
         config = replace(config, farm=FarmConfig(observation=ObservationConfig(mirrored=True)))
@@ -37,30 +37,30 @@ def run(request, tmp_path):
     if request.param == "other":
         config = replace(config, env=EnvConfig("some.module:env"))
         team = TeamSpec((GroupSpec("walker", 2, 5, 3), GroupSpec("flyer", 1, 4, 1)))
-    bank = ActorBank.initial(team, 24, 3, per_type=False)
-    bank = ActorBank(team, 24, tuple(flat * np.float32(5.0) for flat in bank.flat))
+    actors = TeamActors.initial(team, 24, 3, per_type=False)
+    actors = TeamActors(team, 24, tuple(flat * np.float32(5.0) for flat in actors.flat))
     (tmp_path / "config.toml").write_text(to_toml(config))
-    save_policy(tmp_path / "policy.safetensors", bank, {"seed": "3", "episodes": "12"})
+    save_policy(tmp_path / "policy.safetensors", actors, {"seed": "3", "episodes": "12"})
     rows = draw.uniform(-1, 1, (50, team.observation_size)).astype(np.float32)
     for group, own in zip(team.groups, team.split_observations(rows), strict=True):
         if group.mirrored:
             own[..., SIGNS] = draw.choice([-1.0, 1.0], own[..., SIGNS].shape)
-    return tmp_path, bank, rows
+    return tmp_path, actors, rows
 
 
-def by_agent(bank, rows):
+def by_agent(actors, rows):
     """Return each agent's observations and actions by its name."""
-    seen, done = bank.team.split_observations(rows), bank.team.split_actions(bank.command(rows))
+    seen, done = actors.team.split_observations(rows), actors.team.split_actions(actors.command(rows))
     both = [(o[:, i], a[:, i]) for o, a in zip(seen, done, strict=True) for i in range(o.shape[1])]
-    return dict(zip(agent_names(bank), both, strict=True))
+    return dict(zip(agent_names(actors), both, strict=True))
 
 
 def test_onnx_models_act_as_the_policy_does(run, capsys):
-    """In onnxruntime every agent's model returns the bank's actions, for one observation and for many."""
-    directory, bank, rows = run
+    """In onnxruntime every agent's model returns the actors's actions, for one observation and for many."""
+    directory, actors, rows = run
     assert dispatch(["export", "--run-dir", str(directory)]) == 0
     told = capsys.readouterr().out.split()
-    for name, (observation, action) in by_agent(bank, rows).items():
+    for name, (observation, action) in by_agent(actors, rows).items():
         path = directory / "export" / f"{name}.onnx"
         assert str(path) in told
         model = onnxruntime.InferenceSession(path)
@@ -71,7 +71,7 @@ def test_onnx_models_act_as_the_policy_does(run, capsys):
         metadata = model.get_modelmeta().custom_metadata_map
         assert len(json.loads(metadata["observation"])) == observation.shape[1]
         assert len(json.loads(metadata["action"])) == action.shape[1]
-        assert metadata["sha256"] == bank.digest()
+        assert metadata["sha256"] == actors.digest()
         assert json.loads(metadata["origin"])["seed"] == "3"
 
 
@@ -90,12 +90,12 @@ def test_what_was_trained_with_every_aid_is_exported(tmp_path):
     trainer = Trainer(config, team)
     trainer.absorb(Chunk(Rows(seen, tried, draw.normal(size=(200, team.agents)).astype(np.float32), flag)))
     trainer.train(20)
-    bank = trainer.actors()
-    assert bank.head == "gaussian"
+    actors = trainer.actors()
+    assert actors.head == "gaussian"
     (tmp_path / "config.toml").write_text(to_toml(config))
-    save_policy(tmp_path / "policy.safetensors", bank, {"seed": "3"})
+    save_policy(tmp_path / "policy.safetensors", actors, {"seed": "3"})
     assert dispatch(["export", "--run-dir", str(tmp_path)]) == 0
-    for name, (observation, action) in by_agent(bank.noise_free(), seen).items():
+    for name, (observation, action) in by_agent(actors.noise_free(), seen).items():
         (found,) = onnxruntime.InferenceSession(tmp_path / "export" / f"{name}.onnx").run(
             ["action"], {"observation": observation}
         )
@@ -104,26 +104,26 @@ def test_what_was_trained_with_every_aid_is_exported(tmp_path):
 
 
 def test_plain_tensors_are_the_policys_own(run, tmp_path_factory):
-    """The file holds six arrays for each agent, whose arithmetic gives the bank's actions."""
-    directory, bank, rows = run
+    """The file holds six arrays for each agent, whose arithmetic gives the actors's actions."""
+    directory, actors, rows = run
     out = tmp_path_factory.mktemp("elsewhere")
     assert dispatch(["export", "--run-dir", str(directory), "--format", "safetensors", "--out", str(out)]) == 0
     tensors = load_file(out / "actors.safetensors")
-    assert len(tensors) == 6 * bank.team.agents
-    for name, (observation, action) in by_agent(bank, rows).items():
+    assert len(tensors) == 6 * actors.team.agents
+    for name, (observation, action) in by_agent(actors, rows).items():
         h = observation
         for layer in "123":
             h = h @ tensors[f"{name}.w{layer}"] + tensors[f"{name}.b{layer}"]
             h = np.tanh(h) if layer == "3" else np.maximum(h, 0)
-        group = next(group for group in bank.team.groups if name.startswith(group.name))
+        group = next(group for group in actors.team.groups if name.startswith(group.name))
         if not group.lattice:  # the next test has the arithmetic of those who steer by one
             np.testing.assert_allclose(h * (observation[:, SIGNS] if group.mirrored else 1.0), action, atol=2e-6)
 
 
 def test_the_pages_code_runs_and_gives_the_policys_actions(run, monkeypatch, capsys):
     """What docs/export.md shows is run as it stands there."""
-    directory, bank, rows = run
-    if not bank.team.groups[0].name.startswith("communication"):
+    directory, actors, rows = run
+    if not actors.team.groups[0].name.startswith("communication"):
         pytest.skip("the page's code names a UAV of the farm")
     for kind in ("onnx", "safetensors"):
         dispatch(["export", "--run-dir", str(directory), "--format", kind])
@@ -132,9 +132,9 @@ def test_the_pages_code_runs_and_gives_the_policys_actions(run, monkeypatch, cap
     first, second = {}, {}
     exec(onnx_code, first)
     exec(plain_code, second)
-    zeros = by_agent(bank, np.zeros_like(rows[:1]))
+    zeros = by_agent(actors, np.zeros_like(rows[:1]))
     np.testing.assert_allclose(first["action"], zeros["communication-0"][1], atol=2e-6)
-    for name, (observation, action) in by_agent(bank, rows).items():
+    for name, (observation, action) in by_agent(actors, rows).items():
         np.testing.assert_allclose(second["act"](name, observation), action, atol=2e-6)
     assert "collection-" in capsys.readouterr().out
 

@@ -21,7 +21,7 @@ from deploy.reports.film import Film, find_ffmpeg
 from rollout.evaluation import evaluate
 from rollout.policies import policy_of
 from rollout.rendering.side_by_side import ContestPicture
-from tests.deploy.monitor.web.stage import CONFIG, a_bank
+from tests.deploy.monitor.web.stage import CONFIG, some_actors
 
 WORLD = CONFIG.farm.world
 BOTH = Contest(CONFIG.farm, ("greedy", "lawnmower"), ("one", "other"), 1003, 1)
@@ -145,7 +145,7 @@ def test_a_run_is_replayed_with_its_own_policy(tmp_path, ffmpeg, capsys):
     run = tmp_path / "mine"
     short = replace(CONFIG, farm=replace(CONFIG.farm, world=replace(WORLD, steps=12)))
     RunDirectory(run).prepare(short, resume=False)
-    save_policy(run / POLICY, a_bank(), {"seed": "0"})
+    save_policy(run / POLICY, some_actors(), {"seed": "0"})
     words = ["replay", str(run), "--farm", "1004", "--film", "gif", "--every", "4"]
     assert run_command(lambda: dispatch(words)) == 0
     made = run / "replay"

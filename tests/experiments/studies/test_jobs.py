@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import EliteConfig
 from common.config.presets import PRESETS
 from common.errors import UsageError
@@ -176,8 +176,8 @@ def test_a_training_that_is_flown_needs_its_policy(bench):
     bench.records.put(job, MADE, 1.0, trained(FIRST_FARM, [1.0, 2.0, 3.0]))
     assert bench.records.missing([job]) == []
     assert bench.records.missing([job], flown=True) == [job]
-    bank = ActorBank.initial(farm_team(job.config.farm), 16, 0)
-    save_policy(bench.records.path(job, POLICY_SUFFIX), bank, {})
+    actors = TeamActors.initial(farm_team(job.config.farm), 16, 0)
+    save_policy(bench.records.path(job, POLICY_SUFFIX), actors, {})
     assert bench.records.missing([job], flown=True) == []
     assert [name for name, study in STUDIES.items() if study.flies] == ["trajectories"]
     bench.records.forget(job)
@@ -285,7 +285,7 @@ def test_farms_that_had_their_say_are_left_out_of_all_results(bench):
     assert (random.tolist(), best.tolist()) == ([-10.0, -30.0], [100.0, 300.0])
     (run,) = bench.runs(EIA_SEC, 1)
     bench.records.put(run, MADE, 1.0, trained(first, [1e6, 20.0, 40.0]))
-    save_policy(bench.records.path(run, POLICY_SUFFIX), ActorBank.initial(farm_team(run.config.farm), 16, 0), {})
+    save_policy(bench.records.path(run, POLICY_SUFFIX), TeamActors.initial(farm_team(run.config.farm), 16, 0), {})
     assert bench.scores([run]).tolist() == [[20.0, 40.0]]
     (found,) = bench.evaluations([run])
     assert (found["types"]["monitoring"], found["figures"]["aoi"]) == ([20.0, 40.0], [0.2, 0.4])

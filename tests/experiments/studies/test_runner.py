@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.errors import RunDirError
 from common.process import StopSignal
 from common.team import farm_team
@@ -78,8 +78,8 @@ def test_a_full_disk_costs_no_training(bench, monkeypatch, capfd):
     """The policy and the record of a run, and a study's jobs, wait for room; that is no part of the run's time."""
     full_disk(monkeypatch, {".safetensors": 2, ".json": 1, ".job.json": 1})
     job, shares = bench.runs(EIA_SEC, 1)[0], []
-    result, bank = trained(FIRST_FARM, [1.0, 2.0, 3.0]), ActorBank.initial(farm_team(job.config.farm), 16, 0)
-    monkeypatch.setattr(perform, "train", lambda config, options, told: (result, bank))
+    result, actors = trained(FIRST_FARM, [1.0, 2.0, 3.0]), TeamActors.initial(farm_team(job.config.farm), 16, 0)
+    monkeypatch.setattr(perform, "train", lambda config, options, told: (result, actors))
     kept(lambda: bench.records.hand_over(job), shares.append)
     perform.perform(job, bench.records, "eia-sec reproduce training", shares.append)
     assert shares == [1.0] * 4

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.errors import SchemaError, SimulationError, UsageError
 from common.policy_file import load_policy
 from common.process import StopSignal
@@ -54,8 +54,8 @@ def plan(bench, study, write, told):
 def test_a_run_is_that_of_one_process(bench, trained):
     """Actors, counters and evaluation are those of the trainer that the lockstep test holds the processes to."""
     alone = train_inprocess(trained.config)
-    bank, metadata = load_policy(bench.records.path(trained, POLICY_SUFFIX))
-    assert bank.digest() == alone.actors().digest()
+    actors, metadata = load_policy(bench.records.path(trained, POLICY_SUFFIX))
+    assert actors.digest() == alone.actors().digest()
     assert metadata["job"] == trained.digest
     result = bench.records.result(trained)
     assert {name: result[name] for name in ("episodes", "updates", "events", "evaluation_steps")} == {
@@ -65,7 +65,7 @@ def test_a_run_is_that_of_one_process(bench, trained):
         "evaluation_steps": alone.evaluation_steps,
     }
     farms = range(FIRST_FARM, FIRST_FARM + TINY.farms)
-    flown = evaluate(trained.config.farm, ActorPolicy(bank), farms, 1, name="")
+    flown = evaluate(trained.config.farm, ActorPolicy(actors), farms, 1, name="")
     np.testing.assert_allclose(result["evaluation"]["reward"], [s.reward for s in flown.per_farm], atol=1e-4)
     np.testing.assert_allclose(
         result["evaluation"]["figures"]["aoi"], [s.figures["aoi"] for s in flown.per_farm], atol=1e-4
@@ -102,9 +102,9 @@ def test_a_curve_is_made_of_the_finished_episodes(bench, trained):
 def test_evaluations_on_the_way_are_on_farms_of_choice(bench, trained):
     """The last of them is the trained policy on these farms."""
     result = bench.records.result(trained)
-    bank, _ = load_policy(bench.records.path(trained, POLICY_SUFFIX))
+    actors, _ = load_policy(bench.records.path(trained, POLICY_SUFFIX))
     farms = range(CHOICE_FARM, CHOICE_FARM + TINY.choice_farms)
-    flown = evaluate(trained.config.farm, ActorPolicy(bank), farms, 1, name="").total
+    flown = evaluate(trained.config.farm, ActorPolicy(actors), farms, 1, name="").total
     assert len(result["checks"]) == TINY.evaluations
     assert result["checks"][-1]["reward"] == pytest.approx(flown.reward, abs=1e-3)
     assert result["checks"][-1]["episodes"] == result["episodes"]
@@ -112,7 +112,7 @@ def test_evaluations_on_the_way_are_on_farms_of_choice(bench, trained):
 
 def newest_actors(config):
     """Train alone until a loss is beyond the bound, or an actor's number is not finite; return the last finite ones."""
-    found = [ActorBank.initial(farm_team(config.farm), config.algorithm.hidden, config.seed)]
+    found = [TeamActors.initial(farm_team(config.farm), config.algorithm.hidden, config.seed)]
 
     class EndedError(Exception):
         pass
@@ -138,11 +138,11 @@ def test_a_run_that_diverges_is_cut_short_and_said_so(bench, rate, moved):
     result = bench.records.result(job)
     assert result["diverged"] is True
     assert result["episodes"] < job.config.episodes
-    bank, _ = load_policy(bench.records.path(job, POLICY_SUFFIX))
-    assert bank.digest() == newest_actors(job.config).digest()
-    assert (bank.digest() != ActorBank.initial(bank.team, bank.hidden, job.config.seed).digest()) is moved
+    actors, _ = load_policy(bench.records.path(job, POLICY_SUFFIX))
+    assert actors.digest() == newest_actors(job.config).digest()
+    assert (actors.digest() != TeamActors.initial(actors.team, actors.hidden, job.config.seed).digest()) is moved
     farms = range(FIRST_FARM, FIRST_FARM + TINY.farms)
-    flown = evaluate(job.config.farm, ActorPolicy(bank), farms, 1, name="")
+    flown = evaluate(job.config.farm, ActorPolicy(actors), farms, 1, name="")
     np.testing.assert_allclose(result["evaluation"]["reward"], [s.reward for s in flown.per_farm], atol=1e-4)
     text = bench.records.path(job).read_text()
     assert "NaN" not in text
@@ -186,15 +186,15 @@ def test_a_reference_is_the_heuristics_evaluation(bench):
 @pytest.mark.parametrize("method", [EIA_SEC, PEERS[2]], ids=lambda method: method.name)
 def test_timed_networks_decide_what_the_actors_decide(method, bench):
     """One network after another gives the actions of the stacked actors, with either kind of last layer."""
-    from common.actors import ActorBank  # noqa: PLC0415  (only here)
+    from common.actors import TeamActors  # noqa: PLC0415  (only here)
     from learner.algorithms import ALGORITHMS  # noqa: PLC0415  (only here)
 
     job = bench.timing(method, 6)[0]
     batch = FarmBatch(job.config.farm, 1)
     head = ALGORITHMS[job.config.algorithm.name].head
-    bank = ActorBank.initial(batch.team, 16, 0, per_type=False, head=head)
+    actors = TeamActors.initial(batch.team, 16, 0, per_type=False, head=head)
     batch.reset(0, 1, 1)
-    np.testing.assert_allclose(separate_actors(bank)(batch.observation), bank.command(batch.observation), atol=1e-6)
+    np.testing.assert_allclose(separate_actors(actors)(batch.observation), actors.command(batch.observation), atol=1e-6)
     perform(job, bench.records, "test")
     assert all(bench.records.result(job)[piece]["median"] > 0.0 for piece in ("decide", "separate", "simulate"))
 

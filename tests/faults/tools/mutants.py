@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.errors import ProtocolError
 from common.policy_store import PolicyStore
 from common.protocol import codec, frame, messages
@@ -26,7 +26,7 @@ _PREFIX: Final = struct.Struct("<4sBBHIQI")
 
 def samples() -> dict[str, bytes]:
     """Return one whole frame of each kind of message by the kind's name, and a request of two chunks."""
-    flat = ActorBank.initial(TEAM, 4, 0).flat
+    flat = TeamActors.initial(TEAM, 4, 0).flat
     found = [
         messages.Envelope("rollout", "w", 1, 1, 1),
         to_message(a_chunk(1), TEAM, 1, 1),

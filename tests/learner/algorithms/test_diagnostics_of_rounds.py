@@ -89,7 +89,7 @@ def test_losses_and_norms_are_those_of_autograd(form, clip):
     if "member_gradient" in means:
         members = [np.mean([member.norm for member in oracle.members[kind]]) for kind in oracle.kind]
         torch.testing.assert_close(means["member_gradient"], torch.tensor(members, dtype=torch.float32))
-    shortened = engine.algorithm.critics.bank.norms(engine.algorithm.gradient_views.flat)
+    shortened = engine.algorithm.critics.networks.norms(engine.algorithm.gradient_views.flat)
     if clip:
         assert max(critics) > 2 * clip
         torch.testing.assert_close(shortened, torch.tensor(critics).clamp_max(clip).double())

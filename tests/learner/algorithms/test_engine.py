@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import AlgorithmConfig
 from common.team import GroupSpec, TeamSpec
 from learner.engine import Batch, Engine
@@ -67,16 +67,18 @@ def batches(team, config, count, dtype=torch.float64, seed=1):
 
 def critic_stacks(engine, flat):
     method, kinds = engine.algorithm, range(len(engine.team.groups))
-    size = method.critics.bank.size
+    size = method.critics.networks.size
     local = [method.critics.export(flat[:size], 0, kind) for kind in kinds]
     if not getattr(method, "ensemble", None):
         return local, [torch.empty(0, 0) for _ in kinds]
     members, k_s = method.ensemble, range(engine.config.ensemble_members)
-    return local, [torch.cat([members.bank.export(flat[size:], members.index(k, kind)) for k in k_s]) for kind in kinds]
+    return local, [
+        torch.cat([members.networks.export(flat[size:], members.index(k, kind)) for k in k_s]) for kind in kinds
+    ]
 
 
 def actor_stacks(engine, flat):
-    return [engine.algorithm.actors.bank.export(flat, kind) for kind in range(len(engine.team.groups))]
+    return [engine.algorithm.actors.networks.export(flat, kind) for kind in range(len(engine.team.groups))]
 
 
 def twins(team, config, dtype=torch.float64, seed=3, cores=None):
@@ -178,12 +180,12 @@ def test_figures_change_nothing(switch, cores):
 
 
 def test_actors_start_as_everybody_draws_them():
-    """The engine's first actors are ActorBank.initial's, of one type alike or each its own."""
+    """The engine's first actors are TeamActors.initial's, of one type alike or each its own."""
     for alike in (True, False):
         config = replace(BASE, initialisation="type" if alike else "independent")
-        bank = ActorBank.initial(TEAM, BASE.hidden, 5, per_type=alike)
+        actors = TeamActors.initial(TEAM, BASE.hidden, 5, per_type=alike)
         exported = Engine(config, TEAM, 5).export_actors()
-        for mine, theirs in zip(exported, bank.flat, strict=True):
+        for mine, theirs in zip(exported, actors.flat, strict=True):
             assert np.array_equal(mine, theirs)
             assert (mine[0] == mine[1]).all() == alike
 

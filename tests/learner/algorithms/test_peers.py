@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import AlgorithmConfig
 from common.seeds import stream
 from learner.engine import NOISE, Engine
@@ -95,15 +95,15 @@ def test_twin_critics_start_apart_and_agents_alike():
 
 def test_gaussian_actors_act_by_their_mean_and_explore_by_their_deviation():
     """MASAC's exported actors decide tanh(m), and their samples are tanh(m + s n)."""
-    bank = Engine(replace(BASE, name="masac"), TEAM, 5).actors()
+    actors = Engine(replace(BASE, name="masac"), TEAM, 5).actors()
     draw = np.random.default_rng(0)
     observation = draw.normal(size=(4000, TEAM.observation_size)).astype(np.float32)
     noise = draw.normal(size=(4000, TEAM.action_size)).astype(np.float32)
-    action, sample = bank.act(observation), bank.explore(observation, noise, 0.0)
-    assert bank.head == "gaussian"
-    assert bank.noise_free().head == "deterministic"
-    np.testing.assert_allclose(bank.noise_free().act(observation), action, atol=1e-6)
-    np.testing.assert_array_equal(bank.explore(observation, np.zeros_like(noise), 1.0), action)
+    action, sample = actors.act(observation), actors.explore(observation, noise, 0.0)
+    assert actors.head == "gaussian"
+    assert actors.noise_free().head == "deterministic"
+    np.testing.assert_allclose(actors.noise_free().act(observation), action, atol=1e-6)
+    np.testing.assert_array_equal(actors.explore(observation, np.zeros_like(noise), 1.0), action)
     deviation = (np.arctanh(sample.astype(np.float64)) - np.arctanh(action.astype(np.float64))) / noise
     deviation = deviation[np.abs(noise) > 0.5]
     assert (deviation > 0).all()
@@ -112,12 +112,12 @@ def test_gaussian_actors_act_by_their_mean_and_explore_by_their_deviation():
 
 def test_deterministic_actors_explore_by_the_given_deviation():
     """A deterministic head adds deviation times noise and stays in range."""
-    bank = ActorBank.initial(TEAM, 8, 0)
+    actors = TeamActors.initial(TEAM, 8, 0)
     draw = np.random.default_rng(0)
     observation = draw.normal(size=(50, TEAM.observation_size)).astype(np.float32)
     noise = draw.normal(size=(50, TEAM.action_size)).astype(np.float32)
-    expected = np.clip(bank.act(observation) + np.float32(0.7) * noise, -1, 1)
-    np.testing.assert_array_equal(bank.explore(observation, noise, 0.7), expected)
+    expected = np.clip(actors.act(observation) + np.float32(0.7) * noise, -1, 1)
+    np.testing.assert_array_equal(actors.explore(observation, noise, 0.7), expected)
     assert np.abs(expected).max() == 1
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
 from common.errors import ConfigError, SimulationError
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED
@@ -148,7 +148,7 @@ def test_environments_of_an_evaluation_are_closed():
     import toy_env  # noqa: PLC0415  # only importable inside the fixture
 
     config = run_config(relay())
-    fly_noise_free(config, ActorBank.initial(team_of(config), 4, 0), (0, 1), (5, 6))
+    fly_noise_free(config, TeamActors.initial(team_of(config), 4, 0), (0, 1), (5, 6))
     evaluate_run(config, RandomPolicy(), (7,), 1, name="random")
     assert toy_env.Relay.opened == toy_env.Relay.closed > 0
 
@@ -186,11 +186,11 @@ def test_chunks_hold_whole_segments_wherever_episodes_end(steps):
     """Cut anywhere, the rows are those of the episodes one after the other, each with its last observation."""
     config = run_config(relay('{"cut": true}'), steps, 3)
     collector = Collector(config, "w", 0)
-    bank = ActorBank.initial(collector.team, 4, 0)
+    actors = TeamActors.initial(collector.team, 4, 0)
     per_environment: list[list[tuple]] = [[] for _ in range(3)]
     episodes = []
     for _ in range(12):
-        chunk = collector.collect(bank, 0.1, uniform=False)
+        chunk = collector.collect(actors, 0.1, uniform=False)
         chunk.rows.check(collector.team)
         assert chunk.rows.steps == 3 * steps
         episodes += chunk.episodes
@@ -223,9 +223,9 @@ def test_chunks_hold_whole_segments_wherever_episodes_end(steps):
 def test_collecting_does_not_depend_on_where_chunks_are_cut():
     """The same episodes and the same noise, whatever the chunk's length."""
     long, short = (Collector(run_config(relay(), steps), "w", 0) for steps in (20, 5))
-    bank = ActorBank.initial(long.team, 4, 0)
-    whole = long.collect(bank, 0.3, uniform=False)
-    parts = [short.collect(bank, 0.3, uniform=False) for _ in range(4)]
+    actors = TeamActors.initial(long.team, 4, 0)
+    whole = long.collect(actors, 0.3, uniform=False)
+    parts = [short.collect(actors, 0.3, uniform=False) for _ in range(4)]
     acted = [chunk.rows.reward[chunk.rows.flag & TRANSITION != 0] for chunk in (whole, *parts)]
     first = np.concatenate([part[:5] for part in acted[1:]])
     np.testing.assert_array_equal(acted[0][:20], first)
@@ -234,8 +234,8 @@ def test_collecting_does_not_depend_on_where_chunks_are_cut():
 def test_noise_free_flights_may_differ_in_length():
     """Rewards behind an episode's end are zeros, and the steps of each are told."""
     config = run_config(EnvConfig("toy_env:Relay", steps=4))
-    bank = ActorBank.initial(team_of(config), 4, 0)
-    reward, steps = fly_noise_free(config, bank, (0, 1), (5, 6))
+    actors = TeamActors.initial(team_of(config), 4, 0)
+    reward, steps = fly_noise_free(config, actors, (0, 1), (5, 6))
     assert reward.shape == (2, 4, 3)
     np.testing.assert_array_equal(steps, 4)
     assert not reward[:, 3, :2].any()

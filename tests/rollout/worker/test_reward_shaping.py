@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import AlgorithmConfig, EnvConfig, RewardConfig, RolloutConfig, RunConfig
 from common.errors import ConfigError
 from common.team import farm_team
@@ -48,8 +48,8 @@ def flown(config):
     witness = Witness(collector.environments)
     witness.note()
     collector.lens = witness
-    bank = ActorBank.initial(collector.team, config.algorithm.hidden, 0)
-    return collector.collect(bank, 0.5, uniform=False), witness.seen
+    actors = TeamActors.initial(collector.team, config.algorithm.hidden, 0)
+    return collector.collect(actors, 0.5, uniform=False), witness.seen
 
 
 def paid(chunk):
@@ -107,8 +107,8 @@ def test_chunks_and_threads_change_nothing():
     threaded, _ = flown(configured(0.995, threads=2))
     assert np.array_equal(threaded.rows.reward, whole.rows.reward)
     collector = Collector(configured(0.995, chunk=STEPS // 2), "w", 0)
-    bank = ActorBank.initial(collector.team, 4, 0)
-    halves = [collector.collect(bank, 0.5, uniform=False).rows for _ in range(2)]
+    actors = TeamActors.initial(collector.team, 4, 0)
+    halves = [collector.collect(actors, 0.5, uniform=False).rows for _ in range(2)]
     steps = [rows.reward[(rows.flag & TRANSITION) > 0][: STEPS // 2] for rows in halves]
     assert np.array_equal(np.concatenate(steps), paid(whole))
 
@@ -116,8 +116,8 @@ def test_chunks_and_threads_change_nothing():
 def test_elites_are_chosen_by_what_farms_pay():
     """Noise-free episodes, by which agents are scored, earn the same whatever rows pay."""
     plain, shaped = configured(0.0), configured(0.995)
-    bank = ActorBank.initial(farm_team(plain.farm), 4, 0)
-    found = [fly_noise_free(config, bank, [3, 4], [5, 6])[0] for config in (plain, shaped)]
+    actors = TeamActors.initial(farm_team(plain.farm), 4, 0)
+    found = [fly_noise_free(config, actors, [3, 4], [5, 6])[0] for config in (plain, shaped)]
     assert np.array_equal(*found)
     assert np.abs(found[0][..., :2]).max() > 1.0
 
@@ -128,8 +128,8 @@ def test_other_environments_pay_what_they_pay():
     for discount in (0.0, 0.9):
         config = replace(configured(discount), env=EnvConfig(name="tests.rollout.envs.toy_env:Relay"))
         collector = Collector(config, "w", 0)
-        bank = ActorBank.initial(collector.team, config.algorithm.hidden, 0)
-        chunks.append(collector.collect(bank, 0.5, uniform=False))
+        actors = TeamActors.initial(collector.team, config.algorithm.hidden, 0)
+        chunks.append(collector.collect(actors, 0.5, uniform=False))
     assert np.array_equal(chunks[0].rows.reward, chunks[1].rows.reward)
     assert np.abs(chunks[0].rows.reward).max() > 0.0
 

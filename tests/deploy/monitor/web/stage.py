@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from common.actors import ActorBank
+from common.actors import TeamActors
 from common.config import FarmConfig, RunConfig, WorldConfig
 from common.config.files import to_toml
 from common.config.run import RolloutConfig
@@ -42,11 +42,11 @@ CONFIG = RunConfig(
 )
 
 
-def a_bank() -> ActorBank:
+def some_actors() -> TeamActors:
     """Return actors that fly somewhere."""
     team = farm_team(CONFIG.farm)
-    bank = ActorBank.initial(team, 8, seed=0)
-    return ActorBank(team, 8, tuple(flat * np.float32(8.0) for flat in bank.flat))
+    actors = TeamActors.initial(team, 8, seed=0)
+    return TeamActors(team, 8, tuple(flat * np.float32(8.0) for flat in actors.flat))
 
 
 def a_collector() -> Collector:
@@ -122,7 +122,7 @@ class AWorker:
     """
 
     def __init__(self) -> None:
-        self.bus, self.now, self.bank = ABus(), 100.0, a_bank()
+        self.bus, self.now, self.actors = ABus(), 100.0, some_actors()
         self.collector = a_collector()
         self.showing = Showing(self.bus, RUN, "w", 1, self.collector, to_toml(CONFIG), lambda: self.now)
 
@@ -130,10 +130,10 @@ class AWorker:
         """Fly so many chunks, each of which takes so long."""
         for _ in range(chunks):
             self.showing.tend(3, 0.1, False)
-            self.collector.collect(self.bank, 0.1, False)
+            self.collector.collect(self.actors, 0.1, False)
             self.now += seconds
 
 
 def flying(name: str = "w", endpoint: Endpoint | None = None) -> AbstractContextManager[tuple[Endpoint, Showing]]:
     """Fly and show the small farm, as a worker does."""
-    return pictures.flying(CONFIG, a_bank(), RUN, name, endpoint, noise=0.1)
+    return pictures.flying(CONFIG, some_actors(), RUN, name, endpoint, noise=0.1)

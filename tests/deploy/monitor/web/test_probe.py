@@ -5,7 +5,7 @@ import numpy as np
 from common.protocol.view_checks import FRAMES, check_view
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
 from rollout.worker.probe import HELD, Lens
-from tests.deploy.monitor.web.stage import CONFIG, a_bank, a_collector
+from tests.deploy.monitor.web.stage import CONFIG, a_collector, some_actors
 
 WORLD = CONFIG.farm.world
 
@@ -73,14 +73,14 @@ def test_a_lens_that_nobody_empties_closes():
 
 def test_what_is_flown_does_not_depend_on_who_looks():
     """The rows of a collector with a lens are bit-equal to those of one without."""
-    bank, chunks = a_bank(), []
+    actors, chunks = some_actors(), []
     for watched in (False, True):
         collector = a_collector()
         if watched:
             lens = Lens(collector.environments, 0)
             lens.open(at_once=True)
             collector.lens = lens
-        chunks.append([collector.collect(bank, 0.3, False).rows for _ in range(6)])
+        chunks.append([collector.collect(actors, 0.3, False).rows for _ in range(6)])
     assert sum(len(message.position) for message in lens.take(0, 0.3, False)) == 61
     for bare, seen in zip(*chunks, strict=True):
         for name, array in vars(bare).items():
