@@ -19,7 +19,6 @@ from torch import Tensor
 
 from common.actors import Head
 from common.config import AlgorithmConfig
-from common.config.learning import AlgorithmName
 from common.team import TeamSpec
 from learner.algorithms.actors import Actors
 from learner.algorithms.critics import Critics
@@ -90,14 +89,12 @@ class Algorithm(ABC):
         cores: processor cores to compute on by compiled kernels; 0 to compute by torch.
 
     Attributes:
-        names: what `algorithm.name` may call it.
         head: kind of the actors' last layer.
         critics_each: critics of one agent.
         climbed_each: how many of these the actors climb.
         noise_blocks: standard normal numbers that a round takes, in action layouts.
     """
 
-    names: ClassVar[tuple[AlgorithmName, ...]] = ()
     head: ClassVar[Head] = "deterministic"
     critics_each: ClassVar[int] = 1
     climbed_each: ClassVar[int] = 1

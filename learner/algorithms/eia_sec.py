@@ -36,8 +36,6 @@ from learner.networks.optimiser import Adam
 class EiaSec(Algorithm):
     """EIA-SEC, or without its ensemble; see the module."""
 
-    names = ("eia-sec", "eia", "sec", "base")
-
     def has_target_actors(self) -> bool:
         """See `Algorithm`."""
         return self.config.target_actor

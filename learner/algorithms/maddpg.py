@@ -17,8 +17,6 @@ from learner.algorithms.base import Algorithm, Batch, Figures
 class Maddpg(Algorithm):
     """MADDPG; see the module."""
 
-    names = ("maddpg",)
-
     def has_target_actors(self) -> bool:
         """See `Algorithm`."""
         return True

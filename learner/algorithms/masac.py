@@ -50,7 +50,6 @@ class Sample(NamedTuple):
 class Masac(Algorithm):
     """MASAC; see the module."""
 
-    names = ("masac",)
     head = "gaussian"
     critics_each = 2
     climbed_each = 2

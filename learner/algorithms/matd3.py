@@ -19,7 +19,6 @@ from learner.algorithms.base import Algorithm, Batch, Figures
 class Matd3(Algorithm):
     """MATD3; see the module."""
 
-    names = ("matd3",)
     critics_each = 2
     noise_blocks = 1
 
