@@ -52,7 +52,7 @@ def test_spread_is_the_members_standard_deviation():
     for agent in range(TEAM.agents):
         kind = 0 if agent < 2 else 1
         sec, flat = engine.algorithm.ensemble, engine.algorithm.members.flat
-        members = [sec.actors.export(flat, sec.index(k, kind))[0].numpy() for k in range(3)]
+        members = [sec.networks.export(flat, sec.index(k, kind))[0].numpy() for k in range(3)]
         x = np.concatenate([seen[agent], action[agent]], axis=1)
         values = [critic(flat, x, 8) for flat in members]
         np.testing.assert_allclose(figures.spread[agent], np.std(values, axis=0), rtol=1e-3, atol=1e-6)
