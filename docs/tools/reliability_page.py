@@ -3,7 +3,7 @@
     EIA_SEC_FIGURES=docs/results/reliability python -m pytest -m nightly tests/faults     # the doses, about an hour
     python -m docs.tools.reliability_page                                                     # the page
 
-What the page says besides its table is in `docs/tools/reliability.md`.
+What the page says besides its table is in `docs/tools/reliability_page.md`.
 """
 
 import json

@@ -18,13 +18,15 @@ PAGE = ROOT / "docs" / "simulator_properties.md"
 PROPERTIES = [f"test_properties_{name}.py" for name in ("flight", "counters", "symmetry", "batch", "reference")]
 """The reference, which notices almost everything, comes last."""
 
+TESTS = "tests/rollout/sim"
+
 ABOUT_FARMS = ("-k", "not drawn")
 """Leaves out the tests about what is drawn, which half the examples need not satisfy."""
 
 HEAD = """# What the property tests notice
 
 Written by `python -m tests.rollout.sim.properties.mutations`; do not edit. Every row is an error that was put into a
-copy of the simulator on purpose, and the first of the property tests (`tests/rollout/test_properties_*.py`) that failed
+copy of the simulator on purpose, and the first of the property tests (`tests/rollout/sim/properties`) that failed
 because of it, with half the examples of the default dose.
 
 | Error | In | Noticed first by |
@@ -53,121 +55,129 @@ CAPACITY = "relay.capacity_for(world)"
 MUTATIONS = (
     one(
         "an image is also paid for the rise of its own step",
-        "kernel/camera.py",
+        "sim/kernel/camera.py",
         "utility[u] += level[column, row]",
         "utility[u] += level[column, row] + (1.0 if due[column, row] == step else 0.0)",
     ),
     one(
         "a plot in reach is also paid to UAVs that are not the nearest",
-        "kernel/camera.py",
+        "sim/kernel/camera.py",
         "                if _succeeds(",
         "                utility[u] += level[column, row]\n                if _succeeds(",
     ),
     one(
         "VDF is due one step later each time",
-        "kernel/camera.py",
+        "sim/kernel/camera.py",
         "due[column, row] += camera.cycle",
         "due[column, row] += camera.cycle + 1",
     ),
-    one("AoI has no cap", "kernel/radio.py", "min(age[j] + 1.0, radio.level_max)", "age[j] + 1.0"),
+    one("AoI has no cap", "sim/kernel/radio.py", "min(age[j] + 1.0, radio.level_max)", "age[j] + 1.0"),
     one(
-        "packets are drawn alike in every step", "kernel/radio.py", "(np.uint64(step) <<", "(np.uint64(1 + 0 * step) <<"
+        "packets are drawn alike in every step",
+        "sim/kernel/radio.py",
+        "(np.uint64(step) <<",
+        "(np.uint64(1 + 0 * step) <<",
     ),
     one(
         "a UAV's own sensor disturbs it",
-        "kernel/radio.py",
+        "sim/kernel/radio.py",
         "if other != k and woken[other] >= 0:",
         "if woken[other] >= 0:",
     ),
     one(
         "sensors at the edge of the reach are missed",
-        "kernel/link.py",
+        "sim/kernel/link.py",
         "return high * (1.0 + 1e-9)",
         "return 0.7 * high",
     ),
     one(
         "of UAVs equally near the last serves",
-        "kernel/neighbours.py",
+        "sim/kernel/spatial/neighbours.py",
         "rival == square and other < u",
         "rival == square and other > u",
     ),
     Mutation(
         "relays take one UAV more than their capacity",
         (
-            ("kernel/constants.py", f"capacity={CAPACITY}", f"capacity={CAPACITY} + 1"),
-            ("kernel/arrays.py", "config.relay.capacity_for(world)", "(config.relay.capacity_for(world) + 1)"),
+            ("sim/kernel/constants.py", f"capacity={CAPACITY}", f"capacity={CAPACITY} + 1"),
+            ("sim/kernel/arrays.py", "config.relay.capacity_for(world)", "(config.relay.capacity_for(world) + 1)"),
         ),
     ),
     one(
         "the assignment forgets the columns' prices",
-        "kernel/assignment.py",
+        "sim/kernel/assignment/hungarian.py",
         "cost[row, column] - u[row] - v[column]",
         "cost[row, column] - u[row]",
     ),
     one(
         "images and packets count without a relay in range",
-        "kernel/relays.py",
+        "sim/kernel/relays.py",
         "1.0 if distance <= relay.link_range else 0.0",
         "1.0",
     ),
     one(
         "the relays' centroid keeps what the last environment left",
-        "kernel/relays.py",
+        "sim/kernel/relays.py",
         "    centroid[:, :] = 0.0\n",
         "",
     ),
     one(
         "the last part of the reward is not added",
-        "kernel/rewards.py",
+        "sim/kernel/rewards.py",
         "    for part in range(parts.shape[1]):\n            total",
         "    for part in range(parts.shape[1] - 1):\n            total",
     ),
-    one("energy is paid for", "kernel/constants.py", "energy=-reward.energy", "energy=reward.energy"),
+    one("energy is paid for", "sim/kernel/constants.py", "energy=-reward.energy", "energy=reward.energy"),
     one(
         "the border along y is not flagged",
-        "kernel/motion.py",
+        "sim/kernel/motion.py",
         "if position[u, 0] != x or position[u, 1] != y else",
         "if position[u, 0] != x else",
     ),
     one(
         "y is clipped at the field's width",
-        "kernel/motion.py",
+        "sim/kernel/motion.py",
         "min(fleet.depth, max(0.0, y))",
         "min(fleet.width, max(0.0, y))",
     ),
-    one("two quadrants are exchanged", "kernel/quadrants.py", "length if best in (0, 3)", "length if best in (0, 2)"),
+    one(
+        "two quadrants are exchanged",
+        "sim/kernel/spatial/quadrants.py",
+        "length if best in (0, 3)",
+        "length if best in (0, 2)",
+    ),
     one(
         "offsets along y have the wrong sign",
-        "kernel/observation.py",
+        "sim/kernel/observation.py",
         "sy * dy * fleet.per_depth",
         "-sy * dy * fleet.per_depth",
     ),
-    one("a mirrored window is not turned", "kernel/observation.py", "row + int(sy) * step_y", "row + step_y"),
+    one("a mirrored window is not turned", "sim/kernel/observation.py", "row + int(sy) * step_y", "row + step_y"),
     one(
         "a monitor's axis points the wrong way",
-        "kernel/observation.py",
+        "sim/kernel/observation.py",
         "_sign(what, across), _sign(what, along)\n        x, y",
         "_sign(what, -across), _sign(what, along)\n        x, y",
     ),
     one(
         "a relay's axes stay the field's",
-        "kernel/observation.py",
+        "sim/kernel/observation.py",
         "sx, sy = _sign(what, x), _sign(what, y)",
         "sx, sy = 1.0, 1.0",
     ),
     one(
         "a mirrored place in the plot is not turned",
-        "kernel/observation.py",
+        "sim/kernel/observation.py",
         "sx * across, sy * along\n            at += 2",
         "across, along\n            at += 2",
     ),
     one(
         "a mirrored offset of a sensor is not turned",
-        "kernel/observation.py",
+        "sim/kernel/observation.py",
         "sx * (sensor[0, j] - x)",
         "sensor[0, j] - x",
     ),
-    one("sums of the last episode stay after a reset", "farms.py", "state.returns, state.sums)", "state.returns)"),
+    one("sums of the last episode stay after a reset", "sim/batch.py", "state.returns, state.sums)", "state.returns)"),
 )
 
 
@@ -176,9 +186,7 @@ def copy_sources(folder: Path) -> None:
     ignore = shutil.ignore_patterns("__pycache__")
     for package in ("common", "rollout"):
         shutil.copytree(ROOT / package, folder / package, ignore=ignore)
-    (folder / "tests" / "rollout").mkdir(parents=True)
-    for name in ("strategies.py", "course.py", *PROPERTIES):
-        shutil.copy(ROOT / "tests" / "rollout" / name, folder / "tests" / "rollout" / name)
+    shutil.copytree(ROOT / TESTS, folder / TESTS, ignore=ignore)
     shutil.copy(ROOT / "pyproject.toml", folder / "pyproject.toml")
 
 
@@ -198,7 +206,7 @@ def run_properties(folder: Path, dose: str, *arguments: str) -> tuple[int, list[
     """Run the property tests of a folder's sources; return the exit code, the tests that failed, and what was said."""
     environment = os.environ | {"EIA_SEC_PROPERTIES": dose, "PYTHONPATH": str(folder)}
     environment.pop("NUMBA_CACHE_DIR", None)
-    files = [f"tests/rollout/{name}" for name in PROPERTIES]
+    files = [f"{TESTS}/properties/{name}" for name in PROPERTIES]
     command = [sys.executable, "-m", "pytest", "-q", "-o", "timeout=7200", "-p", "no:cacheprovider", *arguments, *files]
     result = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     failed = re.findall(r"^FAILED \S+::(\w+)", result.stdout, re.MULTILINE)

@@ -38,7 +38,7 @@ def test_every_property_file_is_run():
 def test_properties_hold_on_many_random_farms():
     """Twelve times the examples of the default dose, other ones every night; the seed is printed to repeat them."""
     seed = secrets.randbelow(2**32)
-    repeat = f"EIA_SEC_PROPERTIES=many python -m pytest tests/rollout/test_properties_*.py --hypothesis-seed={seed}"
+    repeat = f"EIA_SEC_PROPERTIES=many python -m pytest tests/rollout/sim/properties --hypothesis-seed={seed}"
     print(repeat)  # noqa: T201 - the seed belongs into the night's log
     code, failed, said = run_properties(ROOT, "many", f"--hypothesis-seed={seed}")
     assert (code, failed) == (0, []), f"{repeat}\n{said}"
