@@ -11,7 +11,7 @@ from common.transport.bus import Incoming, Server
 from learner.lease import Lease
 
 
-class Desk:
+class CommandServer:
     """Answers commands.
 
     Args:
@@ -28,7 +28,7 @@ class Desk:
         self._server, self._configuration = server, configuration.encode()
         self.lease, self.draining, self.malformed = Lease(), False, 0
         self._verbs: dict[str, Callable[[Incoming, str], None]] = {
-            "configuration": self._tell,
+            "configuration": self._send_configuration,
             "lead": self._grant,
             "drain": self._drain,
         }
@@ -48,7 +48,7 @@ class Desk:
             else:
                 incoming.refuse(f"the learner knows no command {verb}.")
 
-    def _tell(self, incoming: Incoming, sender: str) -> None:
+    def _send_configuration(self, incoming: Incoming, sender: str) -> None:
         incoming.reply(self._configuration)
 
     def _drain(self, incoming: Incoming, sender: str) -> None:

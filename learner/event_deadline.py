@@ -16,7 +16,7 @@ ALARM_SECONDS: Final = 5.0
 """Time for which an event may be late before anybody is told."""
 
 
-class Overdue:
+class EventDeadline:
     """Watches one run's events.
 
     Args:

@@ -25,17 +25,17 @@ from common.protocol.messages import (
 from common.team import TeamSpec
 from common.transitions import FARM_FIGURES
 from common.transport.bus import Bus
-from learner.checkpoint.recovery import take_up
+from learner.checkpoint.recovery import recover_losses
 from learner.checkpoint.storage import RunStorage
-from learner.command_server import Desk
-from learner.event_deadline import Overdue
+from learner.command_server import CommandServer
+from learner.event_deadline import EventDeadline
 from learner.intake.ledger import Intake
 from learner.intake.receiver import Arrival, Receiver
 from learner.options import LearnerOptions
 from learner.reports import Curves, Journal, diverging, imitation_record
-from learner.tensorboard import Board, flattened
+from learner.tensorboard import TensorBoardWriter, flattened
 from learner.trainer import Trainer
-from learner.warm_up import rehearse
+from learner.warm_up import warm_up
 
 HISTORY = Path("history", "learner.jsonl")
 """The learner's own account of chunks, in the run directory."""
@@ -58,20 +58,20 @@ class Learner:
 
     def __init__(self, options: LearnerOptions, config: RunConfig, team: TeamSpec, control: Bus, bulk: Bus) -> None:
         self._options, self._config, self._team = options, config, team
-        rehearse(config, team)
+        warm_up(config, team)
         self.trainer = Trainer(config, self._team)
         self._absorbed = Intake()
         self._storage = RunStorage(options.run_dir, config)
         elapsed, before = self._storage.restore(self.trainer, self._absorbed) if options.resume else (0.0, 0)
         self._epoch = max(incarnation(), before + 1)
         self._history = History(options.run_dir / HISTORY if options.run_dir else None)
-        take_up(self._history, self._absorbed, self._epoch, resumed=options.resume)
+        recover_losses(self._history, self._absorbed, self._epoch, resumed=options.resume)
         self._schedule = ImitationSchedule.of(config)
-        self._overdue = Overdue(self._schedule)
-        self._board = Board(options.run_dir)
+        self._deadline = EventDeadline(self._schedule)
+        self._tensorboard = TensorBoardWriter(options.run_dir)
         self._journal, self._curves = Journal(options.run_dir, elapsed), Curves(self._team, self.trainer.recent)
         if options.resume:
-            self._tell_resumption()
+            self._log_resumption()
         self._state = "training"
         self._waited = {"data": 0.0, "imitation": 0.0, "producers": 0.0, "training": 0.0, "checkpoint": 0.0}
         self._lag = 0.0
@@ -79,11 +79,11 @@ class Learner:
         self._published_updates = -1
         self._open(control, bulk)
 
-    def _tell_resumption(self) -> None:
+    def _log_resumption(self) -> None:
         """Say from where the run goes on: what an earlier start told beyond that did not come to stay."""
         counters = ("episodes", "environment_steps", "updates", "events")
         self._journal.write("resume", **{name: getattr(self.trainer, name) for name in counters})
-        self._board.resume(self.trainer.environment_steps)
+        self._tensorboard.resume(self.trainer.environment_steps)
 
     def _open(self, control: Bus, bulk: Bus) -> None:
         run = self._options.run
@@ -91,7 +91,7 @@ class Learner:
         self._progress = control.publish_state(keys.PROGRESS.key(run))
         self._others = control.subscribe_state(keys.PROGRESS.key(run))
         told = ConfigurationMessage(self._epoch, to_toml(self._config), self._team.to_dict(), self._options.lockstep)
-        self._desk = Desk(control.serve(keys.COMMAND.pattern(run), 64), told)
+        self._commands = CommandServer(control.serve(keys.COMMAND.pattern(run), 64), told)
         self._imitations = control.serve(keys.IMITATION.key(run), 4)
         self._presence = Presence(control, run, "learner", "learner", self._epoch)
         intake = Intake()
@@ -109,9 +109,9 @@ class Learner:
         """
         self._publish()
         turn = self._lockstep_turn if self._options.lockstep else self._turn
-        while not (stop or self._desk.draining or self._finished()):
+        while not (stop or self._commands.draining or self._finished()):
             turn(stop)
-            self._keep_house()
+            self._do_periodic_work()
         finished = self._finished()
         self._end("finished" if finished else "draining")
         return finished
@@ -142,8 +142,8 @@ class Learner:
             self._absorb(arrival)
 
     def _awaits_elite(self) -> bool:
-        trainer, expected = self.trainer, self._options.await_elite or self._desk.lease.holder is not None
-        return self._overdue.holds(trainer.events, trainer.episodes, expected=expected, now=time.monotonic())
+        trainer, expected = self.trainer, self._options.await_elite or self._commands.lease.holder is not None
+        return self._deadline.holds(trainer.events, trainer.episodes, expected=expected, now=time.monotonic())
 
     def _await_arrival(self) -> Arrival | None:
         """Return the next chunk, or None after a short wait, which is counted."""
@@ -161,9 +161,11 @@ class Learner:
         self.trainer.train(max(0, self.trainer.rounds_due()))
         self._waited["training"] += time.monotonic() - started
         self._publish()
-        while self._schedule.is_due(self.trainer.events, self.trainer.episodes) and not (stop or self._desk.draining):
+        while self._schedule.is_due(self.trainer.events, self.trainer.episodes) and not (
+            stop or self._commands.draining
+        ):
             started = time.monotonic()
-            self._keep_house()
+            self._do_periodic_work()
             time.sleep(HELD_SECONDS)
             self._waited["imitation"] += time.monotonic() - started
         self._receiver.required_version = self.trainer.version
@@ -186,26 +188,26 @@ class Learner:
             counters = {"episodes": trainer.episodes, "environment_steps": trainer.environment_steps}
             self._journal.write("episodes", **counters, updates=trainer.updates, **means)
 
-    def _keep_house(self) -> None:
+    def _do_periodic_work(self) -> None:
         now = time.monotonic()
         if not self._receiver.alive:
             raise BusError("the receiving thread has ended; no more chunks can come in.")
         if self.trainer.leads():
             self._waited["producers"] += now - self._times["held"]
         self._times["held"] = now
-        self._give_way()
-        self._desk.answer()
+        self._stop_if_replaced()
+        self._commands.answer()
         self._apply_imitations()
         if not self._options.lockstep and now - self._times["publish"] >= self._config.learner.publish_seconds:
             self._publish()
         if now - self._times["progress"] >= PROGRESS_SECONDS:
-            self._tell_progress()
+            self._publish_progress()
         if now - self._times["report"] >= REPORT_SECONDS:
             self._report()
         if now - self._times["checkpoint"] >= self._config.learner.checkpoint_seconds:
             self._checkpoint()
 
-    def _give_way(self) -> None:
+    def _stop_if_replaced(self) -> None:
         """End when a newer start of the learner tells of its progress: this one was taken for dead and replaced."""
         try:
             sample = self._others.poll()
@@ -222,7 +224,7 @@ class Learner:
                 if message.epoch != self._epoch:
                     raise ProtocolError("the event is for another start of the learner.")
                 sender = Envelope.decode(incoming.attachment)
-                if not self._desk.lease.holds(sender.name, sender.incarnation):
+                if not self._commands.lease.holds(sender.name, sender.incarnation):
                     raise ProtocolError("another coordinator leads.")
                 event = message.to_event()
                 applied = self.trainer.imitate(event)
@@ -257,9 +259,9 @@ class Learner:
         )
         self._parameters.put(message.encode())
         self._receiver.version = version
-        self._tell_progress()
+        self._publish_progress()
 
-    def _tell_progress(self) -> None:
+    def _publish_progress(self) -> None:
         self._times["progress"] = time.monotonic()
         t = self.trainer
         counters = (t.version, t.events, t.episodes, t.environment_steps, t.updates)
@@ -267,7 +269,7 @@ class Learner:
 
     def _report(self) -> None:
         self._times["report"] = time.monotonic()
-        self._receiver.tarpit.release()
+        self._receiver.throttle.release()
         t = self.trainer
         ledger, ledgers = self._receiver.intake.accounts()
         values = {
@@ -280,7 +282,7 @@ class Learner:
             "event": t.events,
             "lag_versions": self._lag,
             **self._receiver.figures(),
-            "malformed_commands": self._desk.malformed,
+            "malformed_commands": self._commands.malformed,
             "elapsed": self._journal.elapsed,
             "waits": dict(self._waited),
             "ledger": {**ledger, "unexplained": self._unexplained()},
@@ -295,15 +297,17 @@ class Learner:
         self._presence.report(values, t.version)
         agents = t.figures.by_agent()
         told = ("lag_versions", "queue", "curves", "statistics", "checkpoints", "waits", "ledger")
-        self._board.write(t.environment_steps, flattened({name: values[name] for name in told} | {"agents": agents}))
+        self._tensorboard.write(
+            t.environment_steps, flattened({name: values[name] for name in told} | {"agents": agents})
+        )
         del values["alarms"], values["imitations"]
         self._journal.write("status", **values, agents=agents)
 
     def _alarms(self) -> list[str]:
-        late = self._overdue.alarm(self.trainer.events, self.trainer.episodes, time.monotonic())
-        written = (self._storage.alarm, self._journal.failure, self._board.failure, self._history.failure)
+        late = self._deadline.alarm(self.trainer.events, self.trainer.episodes, time.monotonic())
+        written = (self._storage.alarm, self._journal.failure, self._tensorboard.failure, self._history.failure)
         found = (diverging(self.trainer.statistics()), *written, late)
-        return [text for text in found if text] + self._receiver.offenders.alarms()
+        return [text for text in found if text] + self._receiver.peer_penalties.alarms()
 
     def _unexplained(self) -> int:
         """Return by how many steps the ledger fails to close, and misses replay and queue; anything but 0 is a defect.
@@ -322,7 +326,7 @@ class Learner:
         self._times["checkpoint"] = time.monotonic()
         self._waited["checkpoint"] += self._times["checkpoint"] - started
 
-    def _take_in_what_is_held(self) -> None:
+    def _absorb_remaining(self) -> None:
         """Absorb what workers still hold, who stop flying when they hear of it, until nothing comes any more."""
         started = quiet = time.monotonic()
         while (now := time.monotonic()) - started < DRAIN_SECONDS and now - quiet < QUIET_SECONDS:
@@ -330,28 +334,28 @@ class Learner:
             if arrival is not None:
                 self._absorb(arrival)
                 quiet = time.monotonic()
-            self._give_way()
-            self._desk.answer()
+            self._stop_if_replaced()
+            self._commands.answer()
 
     def _end(self, state: str) -> None:
         self._state = state
-        self._tell_progress()
+        self._publish_progress()
         if state == "draining" and not self._options.lockstep:
-            self._take_in_what_is_held()
+            self._absorb_remaining()
         self._receiver.close()
         while not self._receiver.arrivals.empty():
             self._absorb(arrival := self._receiver.arrivals.get_nowait())
             self._settle(arrival)
         self._publish()
-        self._tell_progress()
+        self._publish_progress()
         self._checkpoint(wait=True)
         missing = self._storage.write_policy(self.trainer)
         self._report()
         self._journal.write("end", state=state, episodes=self.trainer.episodes, digest=self.trainer.actors().digest())
         time.sleep(FAREWELL_SECONDS)
-        self._desk.answer()
+        self._commands.answer()
         self._journal.close()
-        self._board.close()
+        self._tensorboard.close()
         self._history.close()
         if missing:
             raise EiaSecError(missing)

@@ -19,7 +19,7 @@ RETRY_SECONDS = 60.0
 """Pause after a failure until the next file is begun: a full disk may take the file and not what goes into it."""
 
 
-class Board:
+class TensorBoardWriter:
     """Appends scalars to an event file; without a directory it writes nothing.
 
     Args:

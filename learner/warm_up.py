@@ -14,7 +14,7 @@ from learner.algorithms import ALGORITHMS
 from learner.trainer import Trainer
 
 
-def rehearse(config: RunConfig, team: TeamSpec) -> None:
+def warm_up(config: RunConfig, team: TeamSpec) -> None:
     """Take in one chunk and do every kind of update round once; on an accelerator nothing is compiled ahead.
 
     Args:

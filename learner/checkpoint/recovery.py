@@ -5,7 +5,7 @@ from common.protocol.messages import Envelope
 from learner.intake.ledger import Intake
 
 
-def take_up(history: History, intake: Intake, epoch: int, *, resumed: bool) -> int:
+def recover_losses(history: History, intake: Intake, epoch: int, *, resumed: bool) -> int:
     """Begin a start of the learner in its history, and book what an earlier one had accepted too late to keep it.
 
     A chunk that was acknowledged after the last checkpoint does not come again, because its worker has let go of it.

@@ -9,7 +9,7 @@ from learner.data import replay_kernels
 Places = NDArray[np.int64]
 
 
-class PlaceSet:
+class IndexSet:
     """A subset of the places 0 .. capacity - 1, held compactly, so that a draw is one index into an array.
 
     What is removed leaves a hole, which the last place of the array fills; the order is a function of the calls alone.

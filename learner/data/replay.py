@@ -24,7 +24,7 @@ from common.errors import CheckpointError, ConfigError, EiaSecError
 from common.team import Float32, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, Rows
 from learner.data import replay_kernels
-from learner.data.index_set import Places, PlaceSet
+from learner.data.index_set import IndexSet, Places
 from learner.data.segments import Indices, OpenEnds
 from learner.data.tensor_snapshot import Frozen
 from learner.engine import Batch
@@ -77,7 +77,7 @@ class Replay:
         self.oldest_version = self.drawn_oldest = 0
         self.drawn_version = 0.0
         self.drawn_places: Places = np.zeros(0, np.int64)
-        self._drawable = PlaceSet(capacity)
+        self._drawable = IndexSet(capacity)
         self._ends = OpenEnds()
         self._frozen: list[Frozen] = []
         self._steps = steps
@@ -233,7 +233,7 @@ class Replay:
             CheckpointError: when it does not fit this ring.
         """
         counts, used = self._checked(tensors, plain)
-        drawable, ends = PlaceSet(self.capacity), OpenEnds()
+        drawable, ends = IndexSet(self.capacity), OpenEnds()
         drawable.restore(tensors["drawable"].numpy())
         ends.restore(plain["ends"])
         for name, target in self._targets().items():

@@ -27,7 +27,7 @@ class _Account:
     until: float | None = None
 
 
-class Offenders:
+class PeerPenalties:
     """The account of bad requests, by the name in the key, which no certificate but the worker's own may use.
 
     Args:

@@ -19,8 +19,8 @@ from common.team import TeamSpec
 from common.transitions import FARM_FIGURES, Chunk
 from common.transport.bus import Incoming, Server
 from learner.intake.ledger import Intake, WorkerLedger
-from learner.intake.peer_penalties import CUT_SECONDS, Offenders
-from learner.intake.throttle import Tarpit
+from learner.intake.peer_penalties import CUT_SECONDS, PeerPenalties
+from learner.intake.throttle import Throttle
 
 FULL_SECONDS: Final = 0.001
 """Pause between two looks at a full queue."""
@@ -90,8 +90,8 @@ class Receiver:
         arrivals: the queue.
         intake: deduplication and ledger.
         malformed: requests that could not even be attributed to a worker.
-        offenders: who sends what brings nothing.
-        tarpit: requests of those who are cut off; whoever owns the receiver calls its `release` now and then.
+        peer_penalties: who sends what brings nothing.
+        throttle: requests of those who are cut off; whoever owns the receiver calls its `release` now and then.
         server: where chunks come in.
         gate: held while a chunk is booked and queued, so that ledger and queue can be seen together.
         required_version: parameter version that a worker must hold before it flies on (lockstep), else 0.
@@ -120,7 +120,7 @@ class Receiver:
         self.arrivals: queue.Queue[Arrival] = queue.Queue(replay.intake_chunks)
         self.intake = intake
         self.malformed = 0
-        self.offenders, self.tarpit = Offenders(), Tarpit()
+        self.peer_penalties, self.throttle = PeerPenalties(), Throttle()
         self.required_version = self.version = 0
         self._history = history or History(None)
         self._damaged: dict[str, tuple[int, int, int]] = {}
@@ -163,8 +163,8 @@ class Receiver:
         return {
             "queue": self.arrivals.qsize(),
             "malformed": self.malformed + self.server.wild,
-            "malformed_by": self.offenders.counts(),
-            "turned_away": self.tarpit.turned_away,
+            "malformed_by": self.peer_penalties.counts(),
+            "turned_away": self.throttle.turned_away,
         }
 
     def join(self) -> None:
@@ -188,8 +188,8 @@ class Receiver:
 
     def _receive(self, incoming: Incoming) -> None:
         worker = keys.parse(incoming.key).variables.get("worker", "")
-        if (refusal := self.offenders.refusal(worker)) is not None:
-            self.tarpit.hold(incoming, refusal)
+        if (refusal := self.peer_penalties.refusal(worker)) is not None:
+            self.throttle.hold(incoming, refusal)
             return
         sender = self._identified(incoming, worker)
         try:
@@ -246,7 +246,7 @@ class Receiver:
         status = self.intake.judge(sender, delivery.oldest)
         if status != "accepted":
             if status == "duplicate":
-                self._tell("duplicate", sender, 1)
+                self._record("duplicate", sender, 1)
             return status, ""
         try:
             chunk = from_message(message, self._team, self._figures)
@@ -260,8 +260,8 @@ class Receiver:
         if 0 < self._most_lag < lag:
             steps = chunk.rows.steps
             lost = self.intake.refuse_aged(sender, steps, message.produced, flown)
-            self._tell("missing", sender, lost)
-            self._tell("refused", sender, steps, message.produced, flown)
+            self._record("missing", sender, lost)
+            self._record("refused", sender, steps, message.produced, flown)
             return "refused", f"its policy is {lag} versions old, more than {self._most_lag}."
         return self._queue(sender, chunk, message.produced, flown, Owed(incoming) if self._lockstep else None)
 
@@ -274,7 +274,7 @@ class Receiver:
         self._log(f"a chunk of worker {sender.name} came damaged: {error}")
         expected = self.intake.expected(sender)
         if sender.sequence < expected:
-            self._tell("duplicate", sender, 1)  # its worker is told so, as of one that came whole
+            self._record("duplicate", sender, 1)  # its worker is told so, as of one that came whole
             return "duplicate", ""
         self._bad(sender.name, str(error))
         start, sequence, times = self._damaged.get(sender.name, (0, 0, 0))
@@ -287,19 +287,19 @@ class Receiver:
     def _refuse(self, sender: Envelope, error: ProtocolError) -> Verdict:
         self._damaged.pop(sender.name, None)
         self.intake.refuse(sender)
-        self._tell("refused", sender, 0)
+        self._record("refused", sender, 0)
         self._log(f"refused a chunk of worker {sender.name}: {error}")
         return "refused", str(error)[:REASON]
 
     def _answer(self, incoming: Incoming, sender: Envelope, verdicts: list[Verdict]) -> None:
-        """Tell the verdicts, after booking the request against its sender when it brought nothing."""
+        """Send the verdicts, after booking the request against its sender when it brought nothing."""
         version = 0 if verdicts[-1][0] == "refused" else self.required_version
         told, reasons = zip(*verdicts, strict=True)
         if not set(told) & WORTH_LOOKING:
             self._bad(sender.name, f"chunk {sender.sequence} is a {told[0]}.")
         incoming.reply(ChunkAck(told, reasons, self.intake.expected(sender), version).encode())
 
-    def _tell(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:
+    def _record(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:
         """Write a verdict into the history; of missing steps only when there are any."""
         if verdict == "missing" and steps == 0:
             return
@@ -316,9 +316,9 @@ class Receiver:
                     # This thread alone puts, so the free place stays free.
                     steps = chunk.rows.steps
                     lost = self.intake.accept(sender, steps, produced, flown)
-                    self._tell("missing", sender, lost)
-                    self._tell("accepted", sender, steps, produced, flown)
-                    self.offenders.good(sender.name)
+                    self._record("missing", sender, lost)
+                    self._record("accepted", sender, steps, produced, flown)
+                    self.peer_penalties.good(sender.name)
                     self._owed = owed
                     self.arrivals.put_nowait(Arrival(chunk, sender, *self.intake.now(), owed))
                     return TAKEN
@@ -326,8 +326,8 @@ class Receiver:
             self._closing.wait(FULL_SECONDS)
 
     def _bad(self, worker: str, reason: str) -> None:
-        if self.offenders.bad(worker, reason):
-            log(f"{self.offenders.refusal(worker)}; looked at again in {CUT_SECONDS:.0f} s.")
+        if self.peer_penalties.bad(worker, reason):
+            log(f"{self.peer_penalties.refusal(worker)}; looked at again in {CUT_SECONDS:.0f} s.")
 
     def _log(self, text: str) -> None:
         self._logged += 1

@@ -27,7 +27,7 @@ class _Held:
     size: int
 
 
-class Tarpit:
+class Throttle:
     """Requests whose refusal is decided and waits; any thread may call.
 
     Attributes:

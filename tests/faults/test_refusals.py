@@ -118,7 +118,7 @@ def test_one_bad_chunk_among_good_ones_is_refused_alone():
     assert answer.expected == 4
     totals = receiver.intake.totals()
     assert (totals["accepted"], totals["rejected"], totals["lost"], totals["in_flight"]) == (2, 1, 0, 0)
-    assert receiver.offenders.counts() == {"w": 1}
+    assert receiver.peer_penalties.counts() == {"w": 1}
     assert [receiver.arrivals.get_nowait().sender.sequence for _ in range(2)] == [1, 3]
     shut(receiver, door)
 
@@ -201,7 +201,7 @@ def test_requests_beyond_the_limits_are_refused_and_counted(what):
     """A request that breaks the declared limits is not looked into; its first number is spent, its sender noted."""
     receiver, door = front_door()
     assert door.pass_on(request(TOO_MUCH[what])).verdict == "refused"
-    assert receiver.offenders.counts() == {"w": 1}
+    assert receiver.peer_penalties.counts() == {"w": 1}
     assert door.pass_on(parcel(of(a_chunk(2), 2), number=2)).verdict == "accepted"
     shut(receiver, door)
 
@@ -242,8 +242,8 @@ def test_whoever_keeps_sending_what_brings_nothing_is_cut_off(sent, answer):
     late = Parcel(sent.key, sent.payload, sent.attachment)
     door.push(late)
     assert door.pass_on(parcel(of(a_chunk(1)), name="other")).verdict == "accepted"
-    assert (late.answer, late.refused, receiver.tarpit.turned_away) == (None, "", 1)
-    assert "worker w is cut off" in receiver.offenders.alarms()[0]
+    assert (late.answer, late.refused, receiver.throttle.turned_away) == (None, "", 1)
+    assert "worker w is cut off" in receiver.peer_penalties.alarms()[0]
     shut(receiver, door)
 
 
@@ -284,14 +284,14 @@ def flood(directory: Path, seconds: float) -> dict[str, Any]:
             else:
                 made = _junk(fleet, seconds)
             rates[case] = (fleet.taken() - before) / (time.monotonic() - started)
-        offenders = fleet.status()["malformed_by"]
+        peer_penalties = fleet.status()["malformed_by"]
         fleet.end()
         audited = fleet.audit()
     return {
         "share_kept": round(rates["with a flood"] / rates["alone"], 3),
         **{f"chunks_per_second {case}": round(rate, 1) for case, rate in rates.items()},
         "junk_requests": made,
-        "offenders": offenders,
+        "peer penalties": peer_penalties,
         "unexplained": len(audited.unexplained),
     }
 
@@ -308,7 +308,7 @@ def test_a_flood_of_junk_by_one_worker(tmp_path):
     """While one worker floods, everything of the others is taken, exactly; who floods is cut off and named."""
     figures = flood(tmp_path, 2.0)
     assert figures["junk_requests"] > 20
-    assert figures["offenders"]["flood"] >= 20
+    assert figures["peer penalties"]["flood"] >= 20
     assert figures["unexplained"] == 0
 
 

@@ -13,7 +13,7 @@ from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Rows
 from learner.data.replay import Replay
 from learner.diagnostics import RETURN_ROUNDS, RunningFigures, horizon, newest_returns, realised_returns
 from learner.engine import Batch, Engine, Figures
-from learner.tensorboard import FOLDER, Board, Event, flattened
+from learner.tensorboard import FOLDER, Event, TensorBoardWriter, flattened
 from learner.trainer import Trainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
@@ -186,10 +186,10 @@ def events(folder):
 def test_scalars_are_in_the_event_file(tmp_path):
     """Nested maps become names with slashes; numbers come back with their step, and a second start adds a file."""
     for step in (7, 9):
-        board = Board(tmp_path)
-        board.write(step, flattened({"reward": {"mean": 1.5 * step, "note": "text"}, "queue": 3}))
-        board.close()
-        assert board.failure == ""
+        tensorboard = TensorBoardWriter(tmp_path)
+        tensorboard.write(step, flattened({"reward": {"mean": 1.5 * step, "note": "text"}, "queue": 3}))
+        tensorboard.close()
+        assert tensorboard.failure == ""
     told = [(e.step, {v.tag: v.simple_value for v in e.summary.value}) for e in events(tmp_path / FOLDER)]
     assert [entry for entry in told if entry[1]] == [
         (7, {"reward/mean": 10.5, "queue": 3.0}),
@@ -200,8 +200,8 @@ def test_scalars_are_in_the_event_file(tmp_path):
 def test_a_board_that_cannot_be_written_says_so(tmp_path):
     """A file in the folder's place is told as a failure, and writing on is harmless; no folder is no failure."""
     (tmp_path / FOLDER).write_text("in the way")
-    board = Board(tmp_path)
-    board.write(1, {"a": 1.0})
-    assert "cannot be written: File exists; 1 are lost" in board.failure
-    Board(None).write(1, {"a": 1.0})
-    assert Board(None).failure == ""
+    tensorboard = TensorBoardWriter(tmp_path)
+    tensorboard.write(1, {"a": 1.0})
+    assert "cannot be written: File exists; 1 are lost" in tensorboard.failure
+    TensorBoardWriter(None).write(1, {"a": 1.0})
+    assert TensorBoardWriter(None).failure == ""

@@ -2,12 +2,12 @@
 
 from common.config import EliteConfig
 from common.imitation import ImitationSchedule
-from learner.event_deadline import ALARM_SECONDS, HOLD_SECONDS, Overdue
+from learner.event_deadline import ALARM_SECONDS, HOLD_SECONDS, EventDeadline
 
 
-def overdue(**settings: object) -> Overdue:
+def overdue(**settings: object) -> EventDeadline:
     """Return the watch over a schedule of 10, 20, 40, 80 ... episodes."""
-    return Overdue(ImitationSchedule(EliteConfig(**settings)))
+    return EventDeadline(ImitationSchedule(EliteConfig(**settings)))
 
 
 def test_an_event_holds_from_a_cycle_after_its_episode_until_it_is_applied():

@@ -10,7 +10,7 @@ from common.transitions import EpisodeSummary
 from deploy.reports.run_report import read_metrics
 from learner import reports, tensorboard
 from learner.reports import SMOOTHED_EPISODES, Curves, Journal, _continued, diverging
-from learner.tensorboard import FOLDER, Board
+from learner.tensorboard import FOLDER, TensorBoardWriter
 from tests.learner.test_diagnostics import events
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
@@ -81,9 +81,9 @@ def test_moving_averages_go_on_with_the_episodes_before():
 
 def test_tensorboard_is_told_from_where_a_run_goes_on(tmp_path):
     """It leaves out what it has at the step of a session's start or beyond; the checkpoint's own step stays."""
-    board = Board(tmp_path)
-    board.resume(700)
-    board.close()
+    tensorboard = TensorBoardWriter(tmp_path)
+    tensorboard.resume(700)
+    tensorboard.close()
     starts = [event for event in events(tmp_path / FOLDER) if event.session_log.status == SessionLog.START]
     assert [event.step for event in starts] == [701]
 
@@ -132,7 +132,7 @@ def test_a_journal_on_a_full_disk_closes(tmp_path):
 
 def test_scalars_go_on_in_another_file_after_a_full_disk(tmp_path, monkeypatch):
     """After a pause a new event file is begun, and what was lost meanwhile is counted."""
-    made = Board(tmp_path)
+    made = TensorBoardWriter(tmp_path)
     made.write(1, {"a": 1.0})
     monkeypatch.setattr(made._writer, "flush", refuse_to_write)
     made.write(2, {"a": 2.0})

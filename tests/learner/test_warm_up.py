@@ -15,7 +15,7 @@ import json, sys
 from dataclasses import replace
 from numba.core.dispatcher import Dispatcher
 from common.config import RunConfig
-from learner.warm_up import rehearse
+from learner.warm_up import warm_up
 from learner.trainer import Trainer
 from rollout.worker.collector import Collector
 
@@ -33,7 +33,7 @@ config = replace(
 collector = Collector(config, "0", 0)
 before = compiled()
 if sys.argv[2] == "rehearsed":
-    rehearse(config, collector.team)
+    warm_up(config, collector.team)
 rehearsed = compiled()
 trainer = Trainer(config, collector.team)
 while trainer.updates < 40:

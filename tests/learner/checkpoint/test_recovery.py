@@ -4,7 +4,7 @@ import pytest
 
 from common.history import Entry, History
 from common.protocol.messages import Envelope
-from learner.checkpoint.recovery import take_up
+from learner.checkpoint.recovery import recover_losses
 from learner.intake.ledger import Intake
 
 
@@ -20,7 +20,7 @@ def test_what_was_acknowledged_after_the_checkpoint_is_lost_exactly(tmp_path, ke
     """Whatever the cut, accepted and lost together are what had been acknowledged, before any worker comes back."""
     path, intake = tmp_path / "learner.jsonl", Intake()
     history = History(path)
-    take_up(history, intake, 1, resumed=False)
+    recover_losses(history, intake, 1, resumed=False)
     saved = intake.state()
     for number in range(1, 6):
         accepted(intake, history, "a", number)
@@ -30,7 +30,7 @@ def test_what_was_acknowledged_after_the_checkpoint_is_lost_exactly(tmp_path, ke
             saved = intake.state()
     again = Intake()
     again.restore(saved)
-    lost = take_up(History(path), again, 2, resumed=True)
+    lost = recover_losses(History(path), again, 2, resumed=True)
     totals = again.totals()
     assert totals["accepted"] + totals["lost"] == 60
     assert totals["lost"] == lost == 60 - Intake.totals(again)["accepted"]
@@ -43,14 +43,14 @@ def test_a_new_start_of_a_worker_after_the_checkpoint(tmp_path):
     """Chunks of a start that the checkpoint does not know are lost too, and its own are not forgotten."""
     path, intake = tmp_path / "learner.jsonl", Intake()
     history = History(path)
-    take_up(history, intake, 1, resumed=False)
+    recover_losses(history, intake, 1, resumed=False)
     accepted(intake, history, "a", 1)
     saved = intake.state()
     accepted(intake, history, "a", 2)
     accepted(intake, history, "a", 1, incarnation=2)
     again = Intake()
     again.restore(saved)
-    assert take_up(History(path), again, 2, resumed=True) == 20
+    assert recover_losses(History(path), again, 2, resumed=True) == 20
     assert (again.totals()["accepted"], again.totals()["lost"]) == (10, 20)
     assert again.workers["a"].incarnation == 2
 
@@ -59,17 +59,17 @@ def test_killed_twice_before_the_next_checkpoint(tmp_path):
     """A second kill before a new checkpoint books the losses of the first once more in the old ledger, not twice."""
     path, intake = tmp_path / "learner.jsonl", Intake()
     history = History(path)
-    take_up(history, intake, 1, resumed=False)
+    recover_losses(history, intake, 1, resumed=False)
     accepted(intake, history, "a", 1)
     saved = intake.state()
     accepted(intake, history, "a", 2)
     second, history = Intake(), History(path)
     second.restore(saved)
-    assert take_up(history, second, 2, resumed=True) == 10
+    assert recover_losses(history, second, 2, resumed=True) == 10
     accepted(second, history, "a", 3)
     third = Intake()
     third.restore(saved)
-    assert take_up(History(path), third, 3, resumed=True) == 20
+    assert recover_losses(History(path), third, 3, resumed=True) == 20
     assert third.totals()["produced"] == 30
 
 
@@ -84,5 +84,5 @@ def test_a_long_range_is_gone_through_from_where_the_checkpoint_ends(tmp_path):
     history = History(path)
     assert len(history.before) == 2
     before = intake.totals()["lost"]
-    assert take_up(history, intake, 2, resumed=True) == 10
+    assert recover_losses(history, intake, 2, resumed=True) == 10
     assert intake.totals()["lost"] == before + 10

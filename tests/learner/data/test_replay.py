@@ -10,7 +10,7 @@ from common.errors import CheckpointError, ConfigError, EiaSecError
 from common.seeds import stream
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
-from learner.data.index_set import PlaceSet
+from learner.data.index_set import IndexSet
 from learner.data.replay import Replay
 from learner.data.tensor_snapshot import PIECE_ROWS, whole
 
@@ -283,7 +283,7 @@ def test_reuse_is_the_mean_number_of_draws_before_overwriting():
 @given(st.lists(st.tuples(st.booleans(), st.sets(st.integers(0, 30)), st.sets(st.integers(0, 30))), max_size=20))
 def test_a_place_set_is_a_set(calls):
     """After any exchanges and removals the set holds what a Python set holds, each once, and draws only that."""
-    places, twin = PlaceSet(31), set()
+    places, twin = IndexSet(31), set()
     for exchanged, chosen, others in calls:
         if exchanged:
             twin -= others

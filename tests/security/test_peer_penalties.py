@@ -11,9 +11,9 @@ from common.protocol.messages import Envelope
 from common.transport.bus import Bus, Sample, Server, Subscription
 from common.transport.endpoint import free_endpoint
 from learner.intake.ledger import Intake
-from learner.intake.peer_penalties import CUT_SECONDS, LIMIT, MOST_PEERS, Offenders
+from learner.intake.peer_penalties import CUT_SECONDS, LIMIT, MOST_PEERS, PeerPenalties
 from learner.intake.receiver import Receiver
-from learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Tarpit
+from learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Throttle
 from rollout.envs.base import team_of
 
 RUN = "run"
@@ -29,28 +29,28 @@ class Clock:
 def test_a_row_of_bad_requests_cuts_off_for_a_while():
     """LIMIT in a row cut off; after the pause one more bad one does; a good one clears."""
     clock = Clock()
-    offenders = Offenders(clock)
-    assert [offenders.bad("w", "cut") for _ in range(LIMIT)] == [False] * (LIMIT - 1) + [True]
-    assert f"after {LIMIT} bad requests in a row; the last: cut" in str(offenders.refusal("w"))
-    assert offenders.alarms() == [offenders.refusal("w")]
-    assert offenders.refusal("other") is None
+    peer_penalties = PeerPenalties(clock)
+    assert [peer_penalties.bad("w", "cut") for _ in range(LIMIT)] == [False] * (LIMIT - 1) + [True]
+    assert f"after {LIMIT} bad requests in a row; the last: cut" in str(peer_penalties.refusal("w"))
+    assert peer_penalties.alarms() == [peer_penalties.refusal("w")]
+    assert peer_penalties.refusal("other") is None
     clock.now = CUT_SECONDS
-    assert (offenders.refusal("w"), offenders.alarms()) == (None, [])
-    assert offenders.bad("w", "again")
-    assert offenders.refusal("w") is not None
+    assert (peer_penalties.refusal("w"), peer_penalties.alarms()) == (None, [])
+    assert peer_penalties.bad("w", "again")
+    assert peer_penalties.refusal("w") is not None
     clock.now = 2 * CUT_SECONDS
-    offenders.good("w")
-    assert not offenders.bad("w", "once")
-    assert offenders.counts() == {"w": LIMIT + 2}
+    peer_penalties.good("w")
+    assert not peer_penalties.bad("w", "once")
+    assert peer_penalties.counts() == {"w": LIMIT + 2}
 
 
 def test_the_account_is_bounded_and_loses_no_count():
     """Beyond MOST_PEERS names the oldest goes, and the sum stays."""
-    offenders = Offenders()
+    peer_penalties = PeerPenalties()
     for index in range(MOST_PEERS + 50):
-        offenders.bad(f"w{index}", "bad")
-    assert sum(offenders.counts().values()) == MOST_PEERS + 50
-    assert len(offenders.counts()) <= 9
+        peer_penalties.bad(f"w{index}", "bad")
+    assert sum(peer_penalties.counts().values()) == MOST_PEERS + 50
+    assert len(peer_penalties.counts()) <= 9
 
 
 class Request:
@@ -67,26 +67,26 @@ class Request:
 def test_refusals_are_held_back_for_a_while():
     """Each is refused HOLD_SECONDS after it came, with its reason, and counted; its payload is not kept."""
     clock, requests = Clock(), [Request(10), Request(10)]
-    tarpit = Tarpit(clock)
-    tarpit.hold(requests[0], "first")
+    throttle = Throttle(clock)
+    throttle.hold(requests[0], "first")
     clock.now = HOLD_SECONDS / 2
-    tarpit.hold(requests[1], "second")
+    throttle.hold(requests[1], "second")
     assert [request.refused for request in requests] == [None, None]
     clock.now = HOLD_SECONDS
-    tarpit.release()
+    throttle.release()
     assert [request.refused for request in requests] == ["first", None]
     clock.now *= 2
-    tarpit.release()
+    throttle.release()
     assert requests[1].refused == "second"
-    assert (tarpit.turned_away, requests[0].payload) == (2, b"")
+    assert (throttle.turned_away, requests[0].payload) == (2, b"")
 
 
 @pytest.mark.parametrize(("size", "most"), [(0, MOST_HELD), (MOST_BYTES // 4, 4), (2 * MOST_BYTES, 0)])
 def test_what_is_held_back_is_bounded(size, most):
     """Beyond so many requests, or so much memory, the oldest is refused at once."""
-    tarpit, requests = Tarpit(Clock()), [Request(size) for _ in range(most + 3)]
+    throttle, requests = Throttle(Clock()), [Request(size) for _ in range(most + 3)]
     for request in requests:
-        tarpit.hold(request, "no")
+        throttle.hold(request, "no")
     assert [request.refused for request in requests] == ["no"] * 3 + [None] * most
 
 
@@ -104,8 +104,8 @@ def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
             assert "cut off" in told[-1]
             assert not any("cut off" in text for text in told[:LIMIT])
             assert "cut off" not in send(worker, "other", 1)
-            assert "cut off" in receiver.offenders.alarms()[0]
-            assert receiver.offenders.counts() == {"bad": LIMIT, "other": 1}
+            assert "cut off" in receiver.peer_penalties.alarms()[0]
+            assert receiver.peer_penalties.counts() == {"bad": LIMIT, "other": 1}
         finally:
             bus.close()
             receiver.join()
