@@ -5,7 +5,7 @@ Run `python -m benchmarks.watch --write docs/results/watch.json`, then `make doc
 One worker flies the default farm as fast as it can; stretches in which nobody watches, one watcher watches and four
 watch take turns in one run. The listener and the watchers are a process of their own, as they are in a run. Counted is
 the worker's whole processor time for each environment step, which is as noisy as the machine; and, exactly, the part of
-it that watching takes: the main thread's time in `Showing` and the lens, and that of all other threads, Zenoh's.
+it that watching takes: the main thread's time in `ViewService` and the probe, and that of all other threads, Zenoh's.
 
 Where cores share caches or are two halves of one, a step takes longer because the watchers' process works beside it,
 whatever that does. As a control, there are stretches in which nobody watches and the other process is kept as busy as
@@ -35,8 +35,8 @@ from deploy.monitor.web.hub import Hub, Seat
 from deploy.monitor.web.source import Source
 from deploy.reports.provenance import provenance
 from rollout.worker.collector import Collector
-from rollout.worker.probe import Lens
-from rollout.worker.view_service import Showing
+from rollout.worker.probe import Probe
+from rollout.worker.view_service import ViewService
 
 RUN: Final = "watch"
 CHECK_SECONDS: Final = 0.05
@@ -75,15 +75,15 @@ class _Tally:
     other: float = 0.0
 
 
-class _TimedLens(Lens):
-    """A lens that knows how long it has looked."""
+class _TimedProbe(Probe):
+    """A probe that knows how long it has looked."""
 
     seconds = 0.0
 
-    def note(self) -> None:
+    def record(self) -> None:
         """Look, and count the time."""
         started = time.thread_time()
-        super().note()
+        super().record()
         self.seconds += time.thread_time() - started
 
 
@@ -128,8 +128,8 @@ def measure(arguments: Arguments) -> dict[str, Any]:
 def _rounds(arguments: Arguments, bus: Bus, other: "subprocess.Popen[str]") -> dict[int, list[_Tally]]:
     config = RunConfig()
     collector = Collector(config, "w", 1)
-    showing = Showing(bus, RUN, "w", 1, collector, to_toml(config))
-    lens = showing._lens = _TimedLens(collector.environments, 0)  # type: ignore[arg-type]  # a worker of farms
+    view_service = ViewService(bus, RUN, "w", 1, collector, to_toml(config))
+    probe = view_service._probe = _TimedProbe(collector.environments, 0)  # type: ignore[arg-type]  # a worker of farms
     presence = Presence(bus, RUN, "rollout", "w", 1)
     actors = TeamActors.initial(collector.team, config.algorithm.hidden, seed=0)
     cases = (*arguments.watchers, CONTROL)
@@ -141,32 +141,34 @@ def _rounds(arguments: Arguments, bus: Bus, other: "subprocess.Popen[str]") -> d
             assert other.stdin is not None
             other.stdin.write(f"{max(0, number)} {busy}\n")
             other.stdin.flush()
-            while showing.watchers != max(0, number):
-                _fly(collector, showing, actors, CHECK_SECONDS, _Tally())
+            while view_service.watchers != max(0, number):
+                _fly(collector, view_service, actors, CHECK_SECONDS, _Tally())
             before = sum(beside.cpu_times()[:2])
-            found[number].append(_stretch(collector, showing, lens, actors, arguments.seconds))
+            found[number].append(_stretch(collector, view_service, probe, actors, arguments.seconds))
             found[number][-1].other = (sum(beside.cpu_times()[:2]) - before) / found[number][-1].wall
     del presence
     return found
 
 
-def _stretch(collector: Collector, showing: Showing, lens: _TimedLens, actors: TeamActors, seconds: float) -> _Tally:
+def _stretch(
+    collector: Collector, view_service: ViewService, probe: _TimedProbe, actors: TeamActors, seconds: float
+) -> _Tally:
     tally = _Tally()
-    steps, frames, looked = collector.environment_steps, showing.shown, lens.seconds
+    steps, frames, looked = collector.environment_steps, view_service.shown, probe.seconds
     processor, own, started = time.process_time(), time.thread_time(), time.monotonic()
-    _fly(collector, showing, actors, seconds, tally)
+    _fly(collector, view_service, actors, seconds, tally)
     tally.processor, tally.wall = time.process_time() - processor, time.monotonic() - started
     tally.beside = tally.processor - (time.thread_time() - own)
-    tally.steps, tally.frames = collector.environment_steps - steps, showing.shown - frames
-    tally.watching += lens.seconds - looked
+    tally.steps, tally.frames = collector.environment_steps - steps, view_service.shown - frames
+    tally.watching += probe.seconds - looked
     return tally
 
 
-def _fly(collector: Collector, showing: Showing, actors: TeamActors, seconds: float, tally: _Tally) -> None:
+def _fly(collector: Collector, view_service: ViewService, actors: TeamActors, seconds: float, tally: _Tally) -> None:
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         started = time.thread_time()
-        showing.tend(1, 0.1, False)
+        view_service.poll(1, 0.1, False)
         tally.watching += time.thread_time() - started
         collector.collect(actors, 0.1, False)
 

@@ -23,8 +23,8 @@ from deploy.reports.provenance import provenance
 from experiments.reporting import farm_range, tell
 from rollout.evaluation import episode_seed
 from rollout.heuristics import lawnmower
-from rollout.heuristics.crews import COLLECTORS, MONITORS, CrewPolicy, Situation
-from rollout.heuristics.horizon import Effort, HorizonCrew
+from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy, FarmState
+from rollout.heuristics.horizon import Effort, HorizonGroupPolicy
 from rollout.heuristics.relays import CentroidRelays
 from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
@@ -34,27 +34,27 @@ AHEAD: Final = 16
 KINDS: Final = {MONITORING: MONITORS, COLLECTION: COLLECTORS}
 
 
-class PartialCrew(HorizonCrew):
+class PartialGroupPolicy(HorizonGroupPolicy):
     """A crew of which the first few search, one after the other; the rest have no plans and stay where they are.
 
     Args:
-        situation: the start.
+        state: the start.
         kind: the crew's type.
         searching: how many search.
     """
 
-    def __init__(self, situation: Situation, kind: int, searching: int) -> None:
-        super().__init__(situation, kind, Effort(horizon=AHEAD, last_horizon=AHEAD, last_width=32))
+    def __init__(self, state: FarmState, kind: int, searching: int) -> None:
+        super().__init__(state, kind, Effort(horizon=AHEAD, last_horizon=AHEAD, last_width=32))
         self._searching = searching
 
-    def goals(self, situation: Situation) -> NDArray[np.float64]:
+    def goals(self, state: FarmState) -> NDArray[np.float64]:
         """Return the next place of each plan, [n_v, 2] m; the own place of those that have none."""
         self._plans = [plan[1:] for plan in self._plans]
-        goals = situation.of(self._kind).copy()
+        goals = state.of(self._kind).copy()
         for uav in range(self._searching):
-            if situation.time % len(self._plans) == uav or len(self._plans[uav]) == 0:
-                self._plans[uav] = self._plan(situation, uav)
-            goals[uav] = self._lattice.place[self._plans[uav][0]]
+            if state.time % len(self._plans) == uav or len(self._plans[uav]) == 0:
+                self._plans[uav] = self._plan(state, uav)
+            goals[uav] = self._grid.place[self._plans[uav][0]]
         return goals
 
 
@@ -68,11 +68,11 @@ class Exchange:
     """
 
     def __init__(self, config: FarmConfig, kind: str, searching: int) -> None:
-        crew = partial(PartialCrew, kind=KINDS[kind], searching=searching)
+        crew = partial(PartialGroupPolicy, kind=KINDS[kind], searching=searching)
         monitors = crew if kind == MONITORING else lawnmower.monitors
         collectors = crew if kind == COLLECTION else lawnmower.collectors
         self._learned = policy_of("trained", config)
-        self._search = CrewPolicy(config, CentroidRelays, monitors, collectors)
+        self._search = CompositePolicy(config, CentroidRelays, monitors, collectors)
         first = farm_team(config).agent_slices()[KINDS[kind]].start
         self._columns = slice(2 * first, 2 * (first + searching))
 

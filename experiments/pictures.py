@@ -32,9 +32,9 @@ from deploy.monitor.web.source import Source
 from deploy.policies.replay import Contest, scenes_of
 from deploy.reports.provenance import provenance
 from rollout.policies import TRAINED
-from rollout.rendering.side_by_side import ContestPicture
+from rollout.rendering.side_by_side import SideBySidePicture
 from rollout.worker.collector import Collector
-from rollout.worker.view_service import Showing
+from rollout.worker.view_service import ViewService
 
 FOLDER = Path("docs/images")
 RUN, WORKER = "farm", "0"
@@ -56,7 +56,7 @@ def replay_picture(path: Path) -> None:
     contest = Contest(preset("default").farm, ("trained", "horizon"), names, FARM, 0)
     picture = None
     for scenes in scenes_of(contest):
-        picture = picture or ContestPicture(contest.names, scenes)
+        picture = picture or SideBySidePicture(contest.names, scenes)
         picture.note(scenes)
         if scenes[0].step == STEP:
             image.imsave(path, picture.draw(scenes))
@@ -66,23 +66,23 @@ def replay_picture(path: Path) -> None:
 @contextmanager
 def flying(
     config: RunConfig, actors: TeamActors, run: str, name: str, endpoint: Endpoint | None = None, noise: float = 0.0
-) -> Iterator[tuple[Endpoint, Showing]]:
+) -> Iterator[tuple[Endpoint, ViewService]]:
     """Fly and show on a thread, as a worker does, with a listening bus of its own and no learner."""
     where, over = endpoint or free_endpoint(), threading.Event()
     with Bus.listen(where, "control") as bus:
         collector = Collector(config, name, 1)
-        showing = Showing(bus, run, name, 1, collector, to_toml(config))
+        view_service = ViewService(bus, run, name, 1, collector, to_toml(config))
         presence = Presence(bus, run, "rollout", name, 1)
 
         def loop() -> None:
             while not over.wait(0.005):
-                showing.tend(0, noise, False)
+                view_service.poll(0, noise, False)
                 collector.collect(actors, noise, False)
 
         thread = threading.Thread(target=loop)
         thread.start()
         try:
-            yield where, showing
+            yield where, view_service
         finally:
             over.set()
             thread.join()

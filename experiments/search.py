@@ -16,8 +16,8 @@ from deploy.reports.provenance import provenance
 from experiments.reporting import farm_range, tell
 from rollout.evaluation import evaluate
 from rollout.heuristics import horizon
-from rollout.heuristics.crews import COLLECTORS, MONITORS, CrewPolicy
-from rollout.heuristics.horizon import Effort, HorizonCrew
+from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
+from rollout.heuristics.horizon import Effort, HorizonGroupPolicy
 from rollout.heuristics.relays import SearchRelays
 from rollout.policies import policy_of
 
@@ -36,9 +36,11 @@ def fly(config: FarmConfig, form: str, farms: range) -> dict[str, Any]:
     """Fly a form on farms; return its rewards and figures."""
     efforts, policy = FORMS[form], policy_of("horizon", config)
     if efforts:
-        crew = partial(HorizonCrew, kind=COLLECTORS, effort=efforts["collectors"])
-        sweep = partial(HorizonCrew, kind=MONITORS, effort=efforts["monitors"]) if "monitors" in efforts else None
-        policy = CrewPolicy(config, SearchRelays, sweep or horizon.monitors, crew)
+        crew = partial(HorizonGroupPolicy, kind=COLLECTORS, effort=efforts["collectors"])
+        sweep = (
+            partial(HorizonGroupPolicy, kind=MONITORS, effort=efforts["monitors"]) if "monitors" in efforts else None
+        )
+        policy = CompositePolicy(config, SearchRelays, sweep or horizon.monitors, crew)
     total = evaluate(config, policy, farms, 1, name=form).total
     told = {"reward": total.reward, **total.types, **total.figures}
     return {"form": form, **{name: round(value, 4) for name, value in told.items()}}

@@ -14,7 +14,7 @@ from common.seeds import derive
 from common.team import LETTERS, TeamSpec
 from common.transitions import EpisodeSummary
 from rollout.envs.base import Environments, make_environments
-from rollout.policies import Decider, Policy
+from rollout.policies import BatchPolicy, Policy
 from rollout.sim.batch import FarmBatch
 
 BATCH: Final = 32
@@ -110,9 +110,9 @@ class Trajectory:
     summary: EpisodeSummary
 
 
-def evaluate_worlds(
+def evaluate_environments(
     make: Callable[[int], World],
-    policy: Decider[World],
+    policy: BatchPolicy[World],
     farms: Sequence[int],
     episodes: int,
     *,
@@ -151,15 +151,17 @@ def evaluate_worlds(
 def evaluate(
     config: FarmConfig, policy: Policy, farms: Sequence[int], episodes: int, *, name: str, batch: int = BATCH
 ) -> Evaluation:
-    """Fly a policy over farms of a configuration; see `evaluate_worlds`."""
-    return evaluate_worlds(lambda count: FarmBatch(config, count), policy, farms, episodes, name=name, batch=batch)
+    """Fly a policy over farms of a configuration; see `evaluate_environments`."""
+    return evaluate_environments(
+        lambda count: FarmBatch(config, count), policy, farms, episodes, name=name, batch=batch
+    )
 
 
 def evaluate_run(
-    config: RunConfig, policy: Decider[Environments], farms: Sequence[int], episodes: int, *, name: str
+    config: RunConfig, policy: BatchPolicy[Environments], farms: Sequence[int], episodes: int, *, name: str
 ) -> Evaluation:
-    """Let a policy act in the environment of a run, whichever it is; see `evaluate_worlds`."""
-    return evaluate_worlds(lambda count: make_environments(config, count), policy, farms, episodes, name=name)
+    """Let a policy act in the environment of a run, whichever it is; see `evaluate_environments`."""
+    return evaluate_environments(lambda count: make_environments(config, count), policy, farms, episodes, name=name)
 
 
 def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Trajectory:
@@ -197,7 +199,7 @@ def episode_seed(farm: int, episode: int) -> int:
     return derive(farm, "evaluation", episode)
 
 
-def _begin(environments: World, policy: Decider[World], jobs: Sequence[tuple[int, int]]) -> World:
+def _begin(environments: World, policy: BatchPolicy[World], jobs: Sequence[tuple[int, int]]) -> World:
     """Start one environment on each (farm, episode) and return them."""
     for index, (farm, episode) in enumerate(jobs):
         environments.reset(index, farm, episode_seed(farm, episode))

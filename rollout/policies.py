@@ -22,7 +22,7 @@ from common.policy_file import load_policy
 from common.team import Float32, GroupSpec, TeamSpec, farm_team
 from rollout.envs.base import Environments
 from rollout.heuristics import greedy, horizon, hungarian, lawnmower, tour
-from rollout.heuristics.crews import CrewPolicy, MakeCrew
+from rollout.heuristics.composite import CompositePolicy, GroupPolicyFactory
 from rollout.heuristics.random import RandomPolicy
 from rollout.heuristics.relays import CentroidRelays, SearchRelays
 from rollout.heuristics.static import StaticPolicy
@@ -35,7 +35,7 @@ TRAINED: Final = Path(__file__).parent / "trained" / "default.safetensors"
 World_contra = TypeVar("World_contra", contravariant=True)
 
 
-class Decider(Protocol[World_contra]):
+class BatchPolicy(Protocol[World_contra]):
     """Decides for all agents of all environments of a batch."""
 
     def reset(self, world: World_contra, index: int, /) -> None:
@@ -45,7 +45,7 @@ class Decider(Protocol[World_contra]):
         """Return the actions [E, A] in [-1, 1] for the present state of all environments."""
 
 
-Policy = Decider[FarmBatch]
+Policy = BatchPolicy[FarmBatch]
 """A policy for farms."""
 
 
@@ -106,7 +106,7 @@ def _shipped(config: FarmConfig) -> Policy:
     return trained_policy(TRAINED, config)
 
 
-TASKS: Final[dict[str, tuple[MakeCrew, MakeCrew]]] = {
+TASKS: Final[dict[str, tuple[GroupPolicyFactory, GroupPolicyFactory]]] = {
     "lawnmower": (lawnmower.monitors, lawnmower.collectors),
     "greedy": (greedy.monitors, greedy.collectors),
     "tour": (tour.monitors, tour.collectors),
@@ -115,12 +115,12 @@ TASKS: Final[dict[str, tuple[MakeCrew, MakeCrew]]] = {
 }
 """Heuristics of the monitors and of the collectors."""
 
-RELAYS: Final[dict[str, MakeCrew]] = {"search": SearchRelays, "centroid": CentroidRelays}
+RELAYS: Final[dict[str, GroupPolicyFactory]] = {"search": SearchRelays, "centroid": CentroidRelays}
 """Heuristics of the relays; the first one flies where none is named."""
 
 
 def _crews(task: str, relays: str = next(iter(RELAYS))) -> Callable[[FarmConfig], Policy]:
-    return lambda config: CrewPolicy(config, RELAYS[relays], *TASKS[task])
+    return lambda config: CompositePolicy(config, RELAYS[relays], *TASKS[task])
 
 
 POLICIES: Final[dict[str, Callable[[FarmConfig], Policy]]] = {

@@ -12,7 +12,7 @@ from common.transitions import Chunk
 from elite.evaluation_plan import evaluation_plan
 from elite.scoring import decide
 from learner.trainer import Trainer
-from rollout.worker.collector import Collector, fly_noise_free
+from rollout.worker.collector import Collector, run_noise_free_episodes
 
 WORKER = "0"
 """Name of the one worker; the first worker of `eia-sec train` has the same."""
@@ -45,7 +45,7 @@ def train_inprocess(
         while schedule.is_due(trainer.events, trainer.episodes):
             number = trainer.events + 1
             due = schedule.due_episode(number) or 0
-            reward, steps = fly_noise_free(config, trainer.actors(), *evaluation_plan(config, number))
+            reward, steps = run_noise_free_episodes(config, trainer.actors(), *evaluation_plan(config, number))
             rewards = [episode[:length] for episode, length in zip(reward, steps, strict=True)]
             trainer.imitate(decide(trainer.team, config.elite, number, version, due, rewards))
             version = trainer.next_version()

@@ -20,7 +20,7 @@ from deploy.reports.comparison_tables import comparison_table
 from rollout.envs.base import Environments
 from rollout.evaluation import Evaluation, evaluate, evaluate_run
 from rollout.heuristics.random import RandomPolicy
-from rollout.policies import ActorPolicy, Decider, policy_of
+from rollout.policies import ActorPolicy, BatchPolicy, policy_of
 
 MAX_FARMS: Final = 100_000
 
@@ -94,7 +94,7 @@ def policy_name(arguments: EvaluateArguments) -> str:
     return str(path)
 
 
-def _decider(name: str) -> Decider[Environments]:
+def _decider(name: str) -> BatchPolicy[Environments]:
     """Return a policy for an environment other than the farm."""
     if name == "random":
         return RandomPolicy()

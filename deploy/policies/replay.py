@@ -12,7 +12,7 @@ from deploy.reports.plots import save_contest
 from rollout.evaluation import episode_seed, record
 from rollout.policies import policy_of
 from rollout.rendering.scene import Observer, Scene
-from rollout.rendering.side_by_side import ContestPicture
+from rollout.rendering.side_by_side import SideBySidePicture
 from rollout.sim.batch import FarmBatch
 
 
@@ -59,7 +59,7 @@ def film(contest: Contest, path: Path, rate: float, every: int, told: Callable[[
     with ExitStack() as stack:
         for scenes in scenes_of(contest):
             if picture is None:
-                picture = ContestPicture(contest.names, scenes)
+                picture = SideBySidePicture(contest.names, scenes)
                 reel = stack.enter_context(Film(path, picture.size, rate))
             picture.note(scenes)
             if scenes[0].step % every == 0 or scenes[0].step == last:

@@ -1,4 +1,4 @@
-"""Beam search for the path of one UAV over a lattice of places that lie one step apart."""
+"""Beam search for the path of one UAV over a grid of places that lie one step apart."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-class Lattice(NamedTuple):
+class SearchGrid(NamedTuple):
     """Places, and the sites that can be served from each.
 
     Attributes:
@@ -29,7 +29,7 @@ class Lattice(NamedTuple):
     chance: Array
 
 
-class Worth(NamedTuple):
+class StepReward(NamedTuple):
     """What a step is worth, in units of reward.
 
     Attributes:
@@ -50,20 +50,20 @@ class Worth(NamedTuple):
 
 
 @compiled
-def _units(lattice: Lattice, level: Array, rest: Array, node: int) -> float:
+def _units(grid: SearchGrid, level: Array, rest: Array, node: int) -> float:
     """Return the units that a step over a place is expected to serve."""
     total = 0.0
-    for entry in range(lattice.first[node], lattice.first[node + 1]):
-        site = lattice.site[entry]
-        total += level[site] * rest[site] * lattice.chance[entry]
+    for entry in range(grid.first[node], grid.first[node + 1]):
+        site = grid.site[entry]
+        total += level[site] * rest[site] * grid.chance[entry]
     return total
 
 
 @compiled
-def _serve(lattice: Lattice, rest: Array, node: int) -> None:
+def _serve(grid: SearchGrid, rest: Array, node: int) -> None:
     """Take from the shares [S] that are left what a step over a place serves."""
-    for entry in range(lattice.first[node], lattice.first[node + 1]):
-        rest[lattice.site[entry]] *= 1.0 - lattice.chance[entry]
+    for entry in range(grid.first[node], grid.first[node + 1]):
+        rest[grid.site[entry]] *= 1.0 - grid.chance[entry]
 
 
 @compiled
@@ -80,8 +80,8 @@ def _closing(place: Array, node: int, before: int, others: Array, earlier: Array
 
 @compiled
 def _expand(
-    lattice: Lattice,
-    worth: Worth,
+    grid: SearchGrid,
+    worth: StepReward,
     level: Array,
     others: Array,
     earlier: Array,
@@ -95,7 +95,7 @@ def _expand(
     """Score every move of every path that is kept.
 
     Args:
-        lattice: places and sites.
+        grid: places and sites.
         worth: what counts.
         level: [S] counters that this step would be credited with.
         others: [m, 2] where the other UAVs are after the step, m.
@@ -110,16 +110,16 @@ def _expand(
     Returns:
         how many there are.
     """
-    count, columns = 0, len(lattice.place) // lattice.rows
+    count, columns = 0, len(grid.place) // grid.rows
     for b in range(len(node)):
-        column, row = node[b] // lattice.rows, node[b] % lattice.rows
+        column, row = node[b] // grid.rows, node[b] % grid.rows
         for x in range(max(0, column - 1), min(columns, column + 2)):
-            for y in range(max(0, row - 1), min(lattice.rows, row + 2)):
-                to = x * lattice.rows + y
-                units = _units(lattice, level, rest[b], to)
+            for y in range(max(0, row - 1), min(grid.rows, row + 2)):
+                to = x * grid.rows + y
+                units = _units(grid, level, rest[b], to)
                 value = worth.unit * units + worth.flight[abs(x - column) + abs(y - row)]
                 value += worth.idle if units < 0.5 else 0.0
-                value += worth.risk * _closing(lattice.place, to, node[b], others, earlier, worth.safety)
+                value += worth.risk * _closing(grid.place, to, node[b], others, earlier, worth.safety)
                 candidate[count] = score[b] + factor * value
                 move[count, 0], move[count, 1] = b, to
                 count += 1
@@ -145,12 +145,19 @@ def _choose(candidate: Array, move: Indices, width: int, same: int, used: Indice
 
 @compiled_entry
 def best_path(
-    lattice: Lattice, worth: Worth, start: int, level: Array, claimed: Indices, others: Array, width: int, same: int
+    grid: SearchGrid,
+    worth: StepReward,
+    start: int,
+    level: Array,
+    claimed: Indices,
+    others: Array,
+    width: int,
+    same: int,
 ) -> Indices:
     """Return the best path that a beam search finds.
 
     Args:
-        lattice: places and sites.
+        grid: places and sites.
         worth: what counts.
         start: place of the UAV.
         level: [H, S] counters with which each of the H steps would be credited if nobody served anything.
@@ -165,14 +172,14 @@ def best_path(
     horizon, sites = level.shape
     node, score, rest = np.full(1, start), np.zeros(1), np.ones((1, sites))
     for place in claimed:
-        _serve(lattice, rest[0], place)
+        _serve(grid, rest[0], place)
     path = np.zeros((1, horizon), np.int64)
     candidate, move = np.empty(9 * width), np.empty((9 * width, 2), np.int64)
-    used, chosen = np.zeros(len(lattice.place), np.int64), np.empty(width, np.int64)
+    used, chosen = np.zeros(len(grid.place), np.int64), np.empty(width, np.int64)
     factor = 1.0
     for step in range(horizon):
         count = _expand(
-            lattice, worth, level[step], others[step + 1], others[step], factor, node, score, rest, candidate, move
+            grid, worth, level[step], others[step + 1], others[step], factor, node, score, rest, candidate, move
         )
         kept = _choose(candidate[:count], move, width, same, used, chosen)
         score = candidate[chosen[:kept]]
@@ -180,7 +187,7 @@ def best_path(
         rest, path = rest[parent], path[parent]
         for k in range(kept):
             path[k, step] = node[k]
-            _serve(lattice, rest[k], node[k])
+            _serve(grid, rest[k], node[k])
         factor *= worth.discount
     best: Indices = path[0].copy()
     return best

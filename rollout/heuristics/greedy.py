@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
+from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
 from rollout.heuristics.steering import Array, aim, steps_to
 from rollout.heuristics.targets import Targets
 
@@ -18,33 +18,33 @@ SEPARATION: Final = 60.0
 """Targets of two UAVs of a type are at least this far apart, m, so that none is shared and paths stay apart."""
 
 
-def monitors(situation: Situation) -> Crew:
+def monitors(state: FarmState) -> GroupPolicy:
     """Return monitors that choose among plots."""
-    return GreedyCrew(situation, MONITORS)
+    return GreedyGroupPolicy(state, MONITORS)
 
 
-def collectors(situation: Situation) -> Crew:
+def collectors(state: FarmState) -> GroupPolicy:
     """Return collectors that choose among stops."""
-    return GreedyCrew(situation, COLLECTORS)
+    return GreedyGroupPolicy(state, COLLECTORS)
 
 
-class GreedyCrew:
+class GreedyGroupPolicy:
     """UAVs that look one target ahead.
 
     Args:
-        situation: the start.
+        state: the start.
         kind: the crew's type.
     """
 
-    def __init__(self, situation: Situation, kind: int) -> None:
+    def __init__(self, state: FarmState, kind: int) -> None:
         self._kind = kind
-        self._targets = Targets(situation, kind)
-        self._chosen: NDArray[np.int64] = np.full(len(situation.of(kind)), -1)
+        self._targets = Targets(state, kind)
+        self._chosen: NDArray[np.int64] = np.full(len(state.of(kind)), -1)
 
-    def goals(self, situation: Situation) -> Array:
+    def goals(self, state: FarmState) -> Array:
         """Return a place in each UAV's target, or its own place when nothing is worth a flight: [n_v, 2] m."""
-        position, world, box = situation.of(self._kind), situation.config.world, self._targets.box
-        value = self._targets.value(situation)
+        position, world, box = state.of(self._kind), state.config.world, self._targets.box
+        value = self._targets.value(state)
         steps = steps_to(position[:, None], box[:, None], world)
         self._chosen = best_targets(value, steps, self._targets.centre, self._chosen, OFFSET, SEPARATION)
         goals = position.copy()

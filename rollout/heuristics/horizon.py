@@ -1,6 +1,6 @@
 """Every UAV plans some steps ahead for what the reward pays, flies the first few of them, and plans anew.
 
-Source: receding-horizon control with beam search over a lattice, as for informative paths (Binney and Sukhatme 2012);
+Source: receding-horizon control with beam search over a grid, as for informative paths (Binney and Sukhatme 2012);
 one robot after the other as in sequential allocation (Singh et al. 2009).
 """
 
@@ -13,8 +13,8 @@ import numpy as np
 from common.config import FarmConfig
 from common.lattice import fewest
 from rollout.heuristics import lawnmower
-from rollout.heuristics.beam import Array, Indices, Lattice, Worth, best_path
-from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
+from rollout.heuristics.beam import Array, Indices, SearchGrid, StepReward, best_path
+from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
 from rollout.heuristics.sites import images_succeed, packet_chances, pairs_within, plot_centres, radio_range
 from rollout.heuristics.steering import reach
 from rollout.sim.kernel.constants import constants
@@ -54,75 +54,75 @@ EFFORT: Final = Effort()
 """The effort with which the heuristic flies; `experiments.search` shows what more of it gives."""
 
 
-def monitors(situation: Situation) -> Crew:
+def monitors(state: FarmState) -> GroupPolicy:
     """Return monitors that sweep until the last steps: all plots are alike, so no plan finds a better round."""
-    return Handover(situation, lawnmower.monitors(situation), HorizonCrew(situation, MONITORS))
+    return Handover(state, lawnmower.monitors(state), HorizonGroupPolicy(state, MONITORS))
 
 
-def collectors(situation: Situation) -> Crew:
+def collectors(state: FarmState) -> GroupPolicy:
     """Return collectors that plan ahead."""
-    return HorizonCrew(situation, COLLECTORS)
+    return HorizonGroupPolicy(state, COLLECTORS)
 
 
 class Handover:
     """One crew flies until the last steps of the episode, another one from there on.
 
     Args:
-        situation: the start.
+        state: the start.
         early: flies first.
         late: flies the last LAST steps.
     """
 
-    def __init__(self, situation: Situation, early: Crew, late: Crew) -> None:
-        self._change = situation.config.world.steps - LAST
+    def __init__(self, state: FarmState, early: GroupPolicy, late: GroupPolicy) -> None:
+        self._change = state.config.world.steps - LAST
         self._early, self._late = early, late
 
-    def goals(self, situation: Situation) -> Array:
+    def goals(self, state: FarmState) -> Array:
         """Return the goals of whoever flies now, [n_v, 2] m."""
-        return (self._early if situation.time < self._change else self._late).goals(situation)
+        return (self._early if state.time < self._change else self._late).goals(state)
 
 
-class HorizonCrew:
+class HorizonGroupPolicy:
     """One UAV after the other plans, one in each step; what the plans of the others will serve is left to them.
 
     Args:
-        situation: the start.
+        state: the start.
         kind: the crew's type.
         effort: how hard the plans are sought.
     """
 
-    def __init__(self, situation: Situation, kind: int, effort: Effort = EFFORT) -> None:
-        world, layout = situation.config.world, situation.layout
+    def __init__(self, state: FarmState, kind: int, effort: Effort = EFFORT) -> None:
+        world, layout = state.config.world, state.layout
         self._kind = kind
         self._effort = effort
-        self._worth = worth_of(situation.config, kind, effort.discount)
+        self._worth = step_reward(state.config, kind, effort.discount)
         if kind == MONITORS:
-            self._lattice = plot_lattice(situation.config)
+            self._grid = plot_grid(state.config)
             self._cycle: Indices = np.full(layout.plot_phase.size, round(world.vdf_cycle / world.step_seconds))
             self._phase: Indices = layout.plot_phase.reshape(-1)
             self._most = float(world.vdf_max)
         else:
-            self._lattice = sensor_lattice(situation.config, layout.sensor_xy)
+            self._grid = sensor_grid(state.config, layout.sensor_xy)
             self._cycle, self._phase = layout.sensor_cycle_steps, layout.sensor_phase
             self._most = float(world.aoi_max)
-        self._plans: list[Indices] = [NOBODY] * len(situation.of(kind))
+        self._plans: list[Indices] = [NOBODY] * len(state.of(kind))
 
-    def goals(self, situation: Situation) -> Array:
+    def goals(self, state: FarmState) -> Array:
         """Return the next place of each plan, [n_v, 2] m."""
         count = len(self._plans)
         self._plans = [plan[1:] for plan in self._plans]
         for uav in range(count):
-            if situation.time % count == uav or len(self._plans[uav]) == 0:
-                self._plans[uav] = self._plan(situation, uav)
-        return self._lattice.place[[plan[0] for plan in self._plans]]
+            if state.time % count == uav or len(self._plans[uav]) == 0:
+                self._plans[uav] = self._plan(state, uav)
+        return self._grid.place[[plan[0] for plan in self._plans]]
 
-    def _plan(self, situation: Situation, uav: int) -> Indices:
+    def _plan(self, state: FarmState, uav: int) -> Indices:
         """Return the places [H] that a UAV will fly over."""
-        ahead, effort = situation.config.world.steps - situation.time, self._effort
+        ahead, effort = state.config.world.steps - state.time, self._effort
         late = ahead <= LAST
         most, width = (effort.last_horizon, effort.last_width) if late else (effort.horizon, effort.width)
         horizon = max(1, min(most, ahead))
-        position, place = situation.of(self._kind), self._lattice.place
+        position, place = state.of(self._kind), self._grid.place
         others = np.empty((horizon + 1, len(position) - 1, 2))
         for column, other in enumerate(np.flatnonzero(np.arange(len(position)) != uav)):
             plan = self._plans[other][:horizon]
@@ -131,26 +131,26 @@ class HorizonCrew:
             others[1 + len(plan) :, column] = others[len(plan), column]
         claimed = np.concatenate([plan for index, plan in enumerate(self._plans) if index != uav] or [NOBODY])
         start = int(np.abs(place - position[uav]).max(axis=1).argmin())
-        levels = self._levels(situation, horizon)
-        return best_path(self._lattice, self._worth, start, levels, claimed, others, width, effort.same)
+        levels = self._levels(state, horizon)
+        return best_path(self._grid, self._worth, start, levels, claimed, others, width, effort.same)
 
-    def _levels(self, situation: Situation, horizon: int) -> Array:
+    def _levels(self, state: FarmState, horizon: int) -> Array:
         """Return the counters [horizon, S] with which the steps to come are credited if nobody serves anything."""
-        now = situation.vdf if self._kind == MONITORS else situation.aoi
-        then = situation.time + np.arange(horizon)[:, None]
-        rises = (then - self._phase) // self._cycle - (situation.time - self._phase) // self._cycle
+        now = state.vdf if self._kind == MONITORS else state.aoi
+        then = state.time + np.arange(horizon)[:, None]
+        rises = (then - self._phase) // self._cycle - (state.time - self._phase) // self._cycle
         levels: Array = np.minimum(now + rises, self._most)
         return levels
 
 
-def worth_of(config: FarmConfig, kind: int, discount: float) -> Worth:
+def step_reward(config: FarmConfig, kind: int, discount: float) -> StepReward:
     """Return what the reward pays UAVs of a type; closing in is paid for by both of a pair."""
     reward, world = config.reward, config.world
     flight, across = constants(config, cell_counts(world)).flight, reach(world) / world.step_seconds
     speeds = 0.0, float(across.mean()), float(np.hypot(*across))
     still, straight, diagonal = (-reward.energy * flight_power(flight, v) * world.step_seconds for v in speeds)
     monitoring = kind == MONITORS
-    return Worth(
+    return StepReward(
         unit=float(reward.monitoring if monitoring else reward.collection),
         idle=-float(reward.monitoring_idle if monitoring else reward.collection_idle),
         risk=-2.0 * reward.collision_risk,
@@ -161,36 +161,36 @@ def worth_of(config: FarmConfig, kind: int, discount: float) -> Worth:
 
 
 @functools.lru_cache(maxsize=8)
-def plot_lattice(config: FarmConfig) -> Lattice:
-    """Return the lattice with the plots that are imaged from each place."""
+def plot_grid(config: FarmConfig) -> SearchGrid:
+    """Return the grid with the plots that are imaged from each place."""
     place, rows = _places(config)
     far = config.camera.image_distance + 2.0 * reach(config.world).max()
     node, plot, _ = pairs_within(place, plot_centres(config.world), far)
-    return _lattice(place, rows, node, plot, images_succeed(config, place[node], plot).astype(np.float64))
+    return _grid(place, rows, node, plot, images_succeed(config, place[node], plot).astype(np.float64))
 
 
 @functools.lru_cache(maxsize=64)
-def _sensor_lattice(config: FarmConfig, sensors: bytes) -> Lattice:
+def _sensor_grid(config: FarmConfig, sensors: bytes) -> SearchGrid:
     place, rows = _places(config)
     node, sensor, distance = pairs_within(place, np.frombuffer(sensors).reshape(-1, 2), radio_range(config, FAINT))
     chance = packet_chances(config, distance)
-    return _lattice(place, rows, node, sensor, np.where(chance > FAINT, chance, 0.0))
+    return _grid(place, rows, node, sensor, np.where(chance > FAINT, chance, 0.0))
 
 
-def sensor_lattice(config: FarmConfig, xy: Array) -> Lattice:
-    """Return the lattice with the sensors [S, 2] that are heard from each place."""
-    return _sensor_lattice(config, xy.tobytes())
+def sensor_grid(config: FarmConfig, xy: Array) -> SearchGrid:
+    """Return the grid with the sensors [S, 2] that are heard from each place."""
+    return _sensor_grid(config, xy.tobytes())
 
 
 def _places(config: FarmConfig) -> tuple[Array, int]:
-    """Return the fewest places of an even lattice whose neighbours are one step apart, [K, 2] m, and those along y."""
+    """Return the fewest places of an even grid whose neighbours are one step apart, [K, 2] m, and those along y."""
     size, counts = (config.world.field_x, config.world.field_y), [fewest(share) for share in config.world.reach]
     x, y = ((np.arange(count) + 0.5) * width / count for count, width in zip(counts, size, strict=True))
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2), int(counts[1])
 
 
-def _lattice(place: Array, rows: int, node: Indices, site: Indices, chance: Array) -> Lattice:
-    """Return a lattice from which each node serves a site with a chance, all [P], where that is above 0."""
+def _grid(place: Array, rows: int, node: Indices, site: Indices, chance: Array) -> SearchGrid:
+    """Return a grid from which each node serves a site with a chance, all [P], where that is above 0."""
     node, site, chance = node[chance > 0.0], site[chance > 0.0], chance[chance > 0.0]
     first = np.searchsorted(node, np.arange(len(place) + 1)).astype(np.int64)
-    return Lattice(place, rows, first, site, chance)
+    return SearchGrid(place, rows, first, site, chance)

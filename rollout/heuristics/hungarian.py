@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
+from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
 from rollout.heuristics.steering import Array, aim, steps_to
 from rollout.heuristics.targets import Targets
 
@@ -28,43 +28,43 @@ FOREIGN: Final = 0.1
 """Worth of a target that is nearer to another UAV of the type."""
 
 
-def monitors(situation: Situation) -> Crew:
+def monitors(state: FarmState) -> GroupPolicy:
     """Return monitors that are assigned to plots."""
-    return HungarianCrew(situation, MONITORS)
+    return HungarianGroupPolicy(state, MONITORS)
 
 
-def collectors(situation: Situation) -> Crew:
+def collectors(state: FarmState) -> GroupPolicy:
     """Return collectors that are assigned to stops."""
-    return HungarianCrew(situation, COLLECTORS)
+    return HungarianGroupPolicy(state, COLLECTORS)
 
 
-class HungarianCrew:
+class HungarianGroupPolicy:
     """All UAVs are assigned anew whenever one of them has done its work.
 
     Args:
-        situation: the start.
+        state: the start.
         kind: the crew's type.
     """
 
-    def __init__(self, situation: Situation, kind: int) -> None:
+    def __init__(self, state: FarmState, kind: int) -> None:
         self._kind = kind
-        self._targets = Targets(situation, kind)
-        self._world, number = situation.config.world, len(self._targets.centre)
+        self._targets = Targets(state, kind)
+        self._world, number = state.config.world, len(self._targets.centre)
         self._known = self._discounts(np.arange(number)) if number <= MOST_KNOWN else None
-        self.chosen: Indices = np.full(len(situation.of(kind)), -1)
+        self.chosen: Indices = np.full(len(state.of(kind)), -1)
         self._second = self.chosen
 
-    def goals(self, situation: Situation) -> Array:
+    def goals(self, state: FarmState) -> Array:
         """Return a place in each UAV's target, or its own place when nothing is worth a flight: [n_v, 2] m."""
-        position, box = situation.of(self._kind), self._targets.box
-        value = self._targets.value(situation)
+        position, box = state.of(self._kind), self._targets.box
+        value = self._targets.value(state)
         if ((self.chosen < 0) | (value[self.chosen] <= 0.0)).any():
-            steps = steps_to(position[:, None], box[:, None], situation.config.world)
+            steps = steps_to(position[:, None], box[:, None], state.config.world)
             self.chosen, self._second = self._assign(value, steps)
         goals = position.copy()
         for uav in np.flatnonzero(self.chosen >= 0):
             after = box[:, self._second[uav]]
-            goals[uav] = aim(position[uav], box[:, self.chosen[uav]], after, situation.config.world)
+            goals[uav] = aim(position[uav], box[:, self.chosen[uav]], after, state.config.world)
         return goals
 
     def _between(self, at: Indices) -> Array:
@@ -84,7 +84,7 @@ class HungarianCrew:
         considered = min(CANDIDATES, number)
         first = np.argpartition(-share * DISCOUNT**steps, considered - 1, axis=1)[:, :considered].reshape(-1)
         uav = np.repeat(np.arange(uavs), considered)
-        total, onward = chain_worth(first, DISCOUNT ** steps[uav, first], share[uav], self._between, CHAIN)
+        total, onward = chain_value(first, DISCOUNT ** steps[uav, first], share[uav], self._between, CHAIN)
         worth, second = np.zeros((uavs, number)), np.full((uavs, number), -1)
         worth[uav, first], second[uav, first] = total, onward
         chosen, after = np.full(uavs, -1), np.full(uavs, -1)
@@ -93,7 +93,7 @@ class HungarianCrew:
         return chosen, after
 
 
-def chain_worth(
+def chain_value(
     first: Indices, factor: Array, value: Array, between: Callable[[Indices], Array], length: int
 ) -> tuple[Array, Indices]:
     """Return what chains of visits are worth, and where each goes second.

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from common.config import FarmConfig, WorldConfig
-from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
-from rollout.heuristics.rounds import Rounds
+from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
 from rollout.heuristics.sites import plot_boxes
 from rollout.heuristics.steering import Array, aim, steps_to
+from rollout.heuristics.tour_follower import TourFollower
 
 LANE_PLOTS: Final = 2
 """Plots side by side in a monitor's lane. A step is half a plot long, and a plot is imaged from anywhere around its
@@ -27,14 +27,14 @@ Block = tuple[int, int, int, int]
 """First and past-the-last column and row of a part of the field."""
 
 
-def monitors(situation: Situation) -> Crew:
+def monitors(state: FarmState) -> GroupPolicy:
     """Return monitors that weave along lanes of LANE_PLOTS plots."""
-    return Rounds(monitoring_routes(situation.config), MONITORS, situation)
+    return TourFollower(monitoring_routes(state.config), MONITORS, state)
 
 
-def collectors(situation: Situation) -> Crew:
+def collectors(state: FarmState) -> GroupPolicy:
     """Return collectors that fly along lanes at most LANE wide."""
-    return Rounds(collection_routes(situation.config.world), COLLECTORS, situation)
+    return TourFollower(collection_routes(state.config.world), COLLECTORS, state)
 
 
 def monitoring_routes(config: FarmConfig) -> list[Array]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from common.config import WorldConfig
-from rollout.heuristics.crews import Situation
+from rollout.heuristics.composite import FarmState
 from rollout.heuristics.steering import Array
 from rollout.sim.kernel.constants import LEAST_LINK, RelayConstants, constants
 from rollout.sim.layout import cell_counts
@@ -25,14 +25,14 @@ MOVES: Final = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1
 class CentroidRelays:
     """Each relay follows the centre of the UAVs that it serves, and stays where it is when it serves none."""
 
-    def __init__(self, _: Situation) -> None:
+    def __init__(self, _: FarmState) -> None:
         """Remember nothing."""
 
-    def goals(self, situation: Situation) -> Array:
+    def goals(self, state: FarmState) -> Array:
         """Return places on the way to the centres, [n_c, 2] m."""
-        first = situation.agents[0].stop
-        own = situation.position[:first]
-        centre = served_centres(own, situation.position[first:], situation.assignment)
+        first = state.agents[0].stop
+        own = state.position[:first]
+        centre = served_centres(own, state.position[first:], state.assignment)
         goals: Array = own + GAIN * (centre - own)
         return goals
 
@@ -44,24 +44,24 @@ class SearchRelays:
     flies no faster than it must.
 
     Args:
-        situation: the start.
+        state: the start.
     """
 
-    def __init__(self, situation: Situation) -> None:
-        self._relay = constants(situation.config, cell_counts(situation.config.world)).relay
+    def __init__(self, state: FarmState) -> None:
+        self._relay = constants(state.config, cell_counts(state.config.world)).relay
         self._places: Array | None = None
 
-    def goals(self, situation: Situation) -> Array:
+    def goals(self, state: FarmState) -> Array:
         """Return places on the way to those that the search has found so far, [n_c, 2] m."""
-        first = situation.agents[0].stop
-        own, served = situation.position[:first], situation.position[first:]
-        left = situation.config.world.steps - situation.time
+        first = state.agents[0].stop
+        own, served = state.position[:first], state.position[first:]
+        left = state.config.world.steps - state.time
         if left > LAST:
             return own.copy()
         if self._places is None:
-            self._places = served_centres(own, served, situation.assignment)
+            self._places = served_centres(own, served, state.assignment)
         stride = STRIDES[(left - 1) % len(STRIDES)]
-        self._places = self._improved(situation.config.world, self._places, served, stride)
+        self._places = self._improved(state.config.world, self._places, served, stride)
         goals: Array = own + (self._places - own) / left
         return goals
 

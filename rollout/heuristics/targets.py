@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rollout.heuristics.crews import MONITORS, Situation
+from rollout.heuristics.composite import MONITORS, FarmState
 from rollout.heuristics.sites import plot_boxes, sensor_stops
 from rollout.heuristics.steering import Array
 
@@ -13,7 +13,7 @@ class Targets:
     """For monitors every plot, worth its VDF; for collectors every stop, worth the AoI of the sensors nearest to it.
 
     Args:
-        situation: the start.
+        state: the start.
         kind: the type of UAV.
 
     Attributes:
@@ -21,18 +21,18 @@ class Targets:
         centre: of the boxes, [K, 2] m.
     """
 
-    def __init__(self, situation: Situation, kind: int) -> None:
+    def __init__(self, state: FarmState, kind: int) -> None:
         self._stop: NDArray[np.int64] | None = None
         if kind == MONITORS:
-            self.box = plot_boxes(situation.config)
+            self.box = plot_boxes(state.config)
         else:
-            self.box = sensor_stops(situation.config, situation.layout.sensor_xy)
-            _, self._stop = cKDTree(self.box.mean(axis=0)).query(situation.layout.sensor_xy)
+            self.box = sensor_stops(state.config, state.layout.sensor_xy)
+            _, self._stop = cKDTree(self.box.mean(axis=0)).query(state.layout.sensor_xy)
         self.centre: Array = self.box.mean(axis=0)
 
-    def value(self, situation: Situation) -> Array:
+    def value(self, state: FarmState) -> Array:
         """Return what a visit of each target is worth now, [K] units."""
         if self._stop is None:
-            return situation.vdf
-        value: Array = np.bincount(self._stop, situation.aoi, len(self.centre)).astype(np.float64)
+            return state.vdf
+        value: Array = np.bincount(self._stop, state.aoi, len(self.centre)).astype(np.float64)
         return value

@@ -13,10 +13,10 @@ from scipy.cluster.vq import kmeans2
 
 from common.config import WorldConfig
 from common.seeds import stream
-from rollout.heuristics.crews import COLLECTORS, MONITORS, Crew, Situation
-from rollout.heuristics.rounds import Rounds
+from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
 from rollout.heuristics.sites import plot_boxes, plot_centres, sensor_stops, steps_between
 from rollout.heuristics.steering import Array
+from rollout.heuristics.tour_follower import TourFollower
 
 Indices = NDArray[np.int64]
 
@@ -34,19 +34,19 @@ STRAIGHT: Final = 0.001
 """Weight of the way along both axes inside a block of plots, 1/m: among equal ends, few diagonals are flown."""
 
 
-def monitors(situation: Situation) -> Crew:
+def monitors(state: FarmState) -> GroupPolicy:
     """Return monitors whose stops are blocks of two by two plots; one plot is imaged per step."""
-    boxes = plot_boxes(situation.config)
-    return Rounds([boxes[:, list(plots)] for plots in plot_tours(situation.config.world)], MONITORS, situation)
+    boxes = plot_boxes(state.config)
+    return TourFollower([boxes[:, list(plots)] for plots in plot_tours(state.config.world)], MONITORS, state)
 
 
-def collectors(situation: Situation) -> Crew:
+def collectors(state: FarmState) -> GroupPolicy:
     """Return collectors whose stops are places from which sensors are heard well."""
-    world = situation.config.world
-    boxes = sensor_stops(situation.config, situation.layout.sensor_xy)
-    random = stream("tour", "sensors", *situation.seeds)
+    world = state.config.world
+    boxes = sensor_stops(state.config, state.layout.sensor_xy)
+    random = stream("tour", "sensors", *state.seeds)
     tours = grouped_tours(boxes.mean(axis=0), world.collection_uavs, world, random, RESTARTS)
-    return Rounds([boxes[:, tour] for tour in tours], COLLECTORS, situation)
+    return TourFollower([boxes[:, tour] for tour in tours], COLLECTORS, state)
 
 
 @functools.lru_cache(maxsize=8)

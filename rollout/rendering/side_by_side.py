@@ -28,7 +28,7 @@ LINES: Final[tuple[tuple[str, LineStyle, float], ...]] = (("#000000", "-", 2.0),
 CHARTS: Final = (("reward", "reward per agent so far"), ("aoi", "mean AoI, units"), ("vdf", "mean VDF, units"))
 
 
-class ContestPicture:
+class SideBySidePicture:
     """Draws scenes of two environments that fly the same episode under two policies.
 
     Args:

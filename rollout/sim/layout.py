@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from common.config import FarmConfig, WorldConfig
 from common.seeds import stream
 from rollout.sim.densities import density_of
-from rollout.sim.poisson_disk import throw_sensors
+from rollout.sim.poisson_disk import sample_positions
 
 CELL: Final = 25.0
 """Edge of the cells by which sensors are numbered, m; larger when that would give more than MAX_CELLS an axis."""
@@ -60,7 +60,7 @@ def make_layout(farm: FarmConfig, seed: int) -> Layout:
     world = farm.world
     density = GIVEN if world.sites else density_of(world, seed)
     given = np.array(world.sites, np.float64)
-    place = given[:, :2] if world.sites else throw_sensors(world, seed, density)
+    place = given[:, :2] if world.sites else sample_positions(world, seed, density)
     order, (cells, start) = _number(world, place)
     random = stream(seed, "layout", "types")
     kind = random.permutation(np.arange(world.sensors) % len(world.sensor_cycles))

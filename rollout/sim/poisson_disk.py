@@ -18,7 +18,7 @@ MAX_BINS: Final = 128
 """Most bins along one axis in which neighbours are looked for."""
 
 
-def throw_sensors(world: WorldConfig, seed: int, kind: str) -> NDArray[np.float64]:
+def sample_positions(world: WorldConfig, seed: int, kind: str) -> NDArray[np.float64]:
     """Return places [S, 2] m: candidates thinned by a density, each kept if it is far enough from all before it.
 
     Args:
@@ -40,7 +40,7 @@ def throw_sensors(world: WorldConfig, seed: int, kind: str) -> NDArray[np.float6
         candidate = random.uniform(0.0, 1.0, (max(1024, 4 * world.sensors), 2))
         share = density(candidate)
         kept = candidate[random.uniform(0.0, 1.0, len(candidate)) < share] * size
-        placed = _throw(kept, size, world.sensor_spacing, place, placed, first, after)
+        placed = _keep_spaced(kept, size, world.sensor_spacing, place, placed, first, after)
         if placed == world.sensors:
             return place
     raise ConfigError(
@@ -49,9 +49,9 @@ def throw_sensors(world: WorldConfig, seed: int, kind: str) -> NDArray[np.float6
     )
 
 
-def _compile_throw(digest: int) -> Callable[..., int]:
+def _compile_keep(digest: int) -> Callable[..., int]:
     @compiled_entry
-    def throw(
+    def keep_spaced(
         candidate: NDArray[np.float64],
         size: NDArray[np.float64],
         spacing: float,
@@ -84,7 +84,7 @@ def _compile_throw(digest: int) -> Callable[..., int]:
                 break
         return placed
 
-    return throw
+    return keep_spaced
 
 
-_throw = _compile_throw(sources_digest())
+_keep_spaced = _compile_keep(sources_digest())

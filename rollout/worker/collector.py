@@ -13,18 +13,18 @@ from common.seeds import derive, stream
 from common.team import Float32
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from rollout.envs.base import make_environments
-from rollout.worker.reward_shaping import Shaping
+from rollout.worker.reward_shaping import RewardShaping
 
 BLOCK: Final = 128
 """Steps for which random numbers are drawn at once."""
 
 
-class Onlooker(Protocol):
-    """Looks at one environment, as `rollout.worker.probe.Lens` does."""
+class StepObserver(Protocol):
+    """Looks at one environment, as `rollout.worker.probe.Probe` does."""
 
     index: int
 
-    def note(self) -> None:
+    def record(self) -> None:
         """Look; called after every reset of the environment and every step."""
 
 
@@ -43,7 +43,7 @@ class Collector:
         environments: the batch.
         team: layout of a row.
         environment_steps: steps flown, all environments together.
-        lens: who looks on, if anybody does; what is flown does not depend on it.
+        probe: who looks on, if anybody does; what is flown does not depend on it.
 
     Raises:
         ConfigError: the environment does not exist or cannot be trained.
@@ -55,12 +55,12 @@ class Collector:
         count = config.rollout.environments
         self.environments = make_environments(config, count)
         self.team = self.environments.team
-        self._shaping = Shaping(self.environments, config.algorithm.potential_discount)
+        self._shaping = RewardShaping(self.environments, config.algorithm.potential_discount)
         self.environment_steps = 0
-        self.lens: Onlooker | None = None
+        self.probe: StepObserver | None = None
         self._episode: NDArray[np.int64] = np.full(count, -1, np.int64)
-        self._noise = _Draws((*self._identity, "noise"), count, self.team.action_size)
-        self._uniform = _Draws((*self._identity, "uniform"), count, self.team.action_size)
+        self._noise = _NoiseRows((*self._identity, "noise"), count, self.team.action_size)
+        self._uniform = _NoiseRows((*self._identity, "uniform"), count, self.team.action_size)
         for index in range(count):
             self._begin(index)
 
@@ -77,17 +77,17 @@ class Collector:
             rows pay may be shaped (`rollout.worker.reward_shaping`), what the episodes tell is not.
         """
         environments, steps = self.environments, self._config.rollout.chunk_steps
-        rows = _Rectangle(len(environments.time), steps, self.team.observation_size, self.team.action_size)
+        rows = _ChunkRows(len(environments.time), steps, self.team.observation_size, self.team.action_size)
         reward = np.zeros((len(environments.time), steps + 1, self.team.agents), np.float32)
         episodes: list[EpisodeSummary] = []
         for step in range(steps):
             rows.observation[:, step] = environments.observation
             action = self._act(actors, deviation, uniform)
-            self._shaping.look()
+            self._shaping.before_step()
             environments.step(self.team.steer(environments.observation, action))
-            if self.lens is not None:
-                self.lens.note()
-            rows.action[:, step], reward[:, step] = action, self._shaping.reward()
+            if self.probe is not None:
+                self.probe.record()
+            rows.action[:, step], reward[:, step] = action, self._shaping.shaped_reward()
             over = np.flatnonzero(environments.ended)
             rows.observation[:, step + 1] = environments.observation
             for index in over:
@@ -109,11 +109,11 @@ class Collector:
         parts = (*self._identity, index, int(self._episode[index]))
         farm = int(stream(*parts, "farm").integers(self._config.rollout.train_farms))
         self.environments.reset(index, farm, derive(*parts, "episode"))
-        if self.lens is not None and index == self.lens.index:
-            self.lens.note()
+        if self.probe is not None and index == self.probe.index:
+            self.probe.record()
 
 
-class _Rectangle:
+class _ChunkRows:
     """The rows of one chunk: environments by steps, and the last observations of episodes that ended on the way."""
 
     def __init__(self, count: int, steps: int, observations: int, actions: int) -> None:
@@ -145,7 +145,7 @@ class _Rectangle:
         return Rows(observation, action, earned, flag)
 
 
-class _Draws:
+class _NoiseRows:
     """Random rows for every step of every environment's episode, whatever was drawn for other episodes or steps."""
 
     def __init__(self, name: tuple[Any, ...], count: int, size: int) -> None:
@@ -167,7 +167,7 @@ class _Draws:
         return found
 
 
-def fly_noise_free(
+def run_noise_free_episodes(
     config: RunConfig, actors: TeamActors, farms: Sequence[int], episodes: Sequence[int]
 ) -> tuple[Float32, NDArray[np.int64]]:
     """Fly one noise-free episode on each farm.

@@ -11,7 +11,7 @@ from common.protocol.view_checks import FRAMES
 from rollout.sim.batch import FarmBatch
 
 HELD: Final = 1024
-"""Frames that are held until somebody takes them; a lens that is full closes."""
+"""Frames that are held until somebody takes them; a probe that is full closes."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class _Frame:
     parts: NDArray[np.float64]
 
 
-class Lens:
+class Probe:
     """Keeps frames of one environment from when it is opened up to the end of an episode.
 
     Args:
@@ -57,7 +57,7 @@ class Lens:
         """Keep no more frames."""
         self.is_open = False
 
-    def note(self) -> None:
+    def record(self) -> None:
         """Look; to be called after every reset of the environment and every step."""
         batch, e = self._batch, self.index
         step = int(batch.time[e])

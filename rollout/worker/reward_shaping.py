@@ -15,7 +15,7 @@ from common.team import Float32
 from rollout.envs.base import Environments
 
 
-class Shaping:
+class RewardShaping:
     """Follows a batch of environments from step to step.
 
     Args:
@@ -28,12 +28,12 @@ class Shaping:
         self._discount = discount
         self._before = environments.potential.copy()
 
-    def look(self) -> None:
+    def before_step(self) -> None:
         """Note Phi before a step."""
         if self._discount:
             self._before = self._environments.potential.copy()
 
-    def reward(self) -> Float32:
+    def shaped_reward(self) -> Float32:
         """Return what rows pay for the last step, [E, agents]."""
         environments = self._environments
         if not self._discount:

@@ -23,9 +23,9 @@ from common.protocol.messages import (
 )
 from common.transport.bus import Bus, Incoming
 from common.transport.endpoint import Endpoint
-from rollout.worker.collector import Collector, fly_noise_free
+from rollout.worker.collector import Collector, run_noise_free_episodes
 from rollout.worker.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, Sender
-from rollout.worker.view_service import Showing
+from rollout.worker.view_service import ViewService
 
 REPORT_SECONDS = 1.0
 DRAIN_SECONDS = 5.0
@@ -90,7 +90,7 @@ class Worker:
         self._events = control.subscribe_state(keys.IMITATION_EVENT.key(options.run))
         self._progress = control.subscribe_state(keys.PROGRESS.key(options.run))
         self._orders = control.serve(keys.EVALUATION.key(options.run, worker=options.name), 16)
-        self._showing = Showing(control, options.run, options.name, start, self._collector, told.toml)
+        self._view_service = ViewService(control, options.run, options.name, start, self._collector, told.toml)
         self._presence = Presence(control, options.run, "rollout", options.name, start)
         self._postponed: list[Incoming] = []
         self._state, self._stop = "starting", StopSignal()
@@ -106,7 +106,7 @@ class Worker:
         while not stop and self._state != "finished":
             self._listen()
             self._evaluate()
-            self._showing.tend(self._store.version, *self._exploration())
+            self._view_service.poll(self._store.version, *self._exploration())
             actors = self._store.actors
             if actors is not None and self._state in ("starting", "training") and self._may_fly():
                 self._fly(actors)
@@ -207,7 +207,7 @@ class Worker:
         if actors is None or (self._store.epoch, self._store.version) < (order.epoch, order.version):
             self._postponed.append(incoming)
             return
-        reward, steps = fly_noise_free(self._config, actors, order.farms, order.episodes)
+        reward, steps = run_noise_free_episodes(self._config, actors, order.farms, order.episodes)
         self._clock.evaluations += len(order.farms)
         incoming.reply(EvaluationResult(order.event, self._store.version, reward, steps).encode())
 
@@ -231,9 +231,9 @@ class Worker:
             "stale": self._store.stale,
             "missed": self._parameters.missed,
             "malformed": self._malformed,
-            "watchers": self._showing.watchers,
-            "shown": self._showing.shown,
-            "skipped": self._showing.skipped,
+            "watchers": self._view_service.watchers,
+            "shown": self._view_service.shown,
+            "skipped": self._view_service.skipped,
             "paused": self._paused,
             "paused_seconds": clock.too_old,
             "alarms": [text for text in (self._history.failure, self._paused) if text],

@@ -16,14 +16,14 @@ from common.protocol.messages import Envelope, ViewMessage, WatchRequest, WatchT
 from common.transport.bus import Bus, Incoming
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
 from rollout.worker.collector import Collector
-from rollout.worker.probe import Lens
+from rollout.worker.probe import Probe
 
 LEASE_SECONDS: Final = 4.0
 """Time after its last request that a watcher counts as gone."""
 STEPS_PER_SECOND: Final = 25.0
 """Frames that are published in a second, on average."""
 SLACK_SECONDS: Final = 1.0
-"""Time by which publishing may be ahead of its allowance before the lens rests after an episode."""
+"""Time by which publishing may be ahead of its allowance before the probe rests after an episode."""
 GREETING_SECONDS: Final = 2.0
 """Least time between two episodes that are shown early because somebody new has come."""
 MAX_WATCHERS: Final = 16
@@ -31,7 +31,7 @@ CAPACITY: Final = 32
 """Requests that may wait."""
 
 
-class Showing:
+class ViewService:
     """Shows the first environment of a worker to whoever asks.
 
     Args:
@@ -65,7 +65,7 @@ class Showing:
         self._collector, self._clock = collector, clock
         self._terms = WatchTerms(toml, REWARD_PARTS, LEASE_SECONDS, STEPS_PER_SECOND).encode()
         farms = collector.environments
-        self._lens = Lens(farms, 0) if isinstance(farms, FarmBatch) else None
+        self._probe = Probe(farms, 0) if isinstance(farms, FarmBatch) else None
         self._until: dict[str, float] = {}
         self._sequence = self.shown = self.skipped = self.refused = 0
         self._flown = self._seen = 0
@@ -76,7 +76,7 @@ class Showing:
         """Return how many watch."""
         return len(self._until)
 
-    def tend(self, version: int, deviation: float, uniform: bool) -> None:
+    def poll(self, version: int, deviation: float, uniform: bool) -> None:
         """Answer requests, let go of watchers that are gone, and publish what has been seen since the last call.
 
         Args:
@@ -86,26 +86,26 @@ class Showing:
         """
         for incoming in self._requests.waiting():
             self._answer(incoming)
-        if not self._until or self._lens is None:
+        if not self._until or self._probe is None:
             return
         now = self._clock()
         self._until = {name: until for name, until in self._until.items() if until > now}
         if not self._until:
-            self._lens.close()
-            self._lens.take(0, 0.0, False)
-            self._collector.lens = None
+            self._probe.close()
+            self._probe.take(0, 0.0, False)
+            self._collector.probe = None
             return
-        self._publish(self._lens, now, version, deviation, uniform)
-        if not self._lens.is_open:
-            self._collector.lens = None
+        self._publish(self._probe, now, version, deviation, uniform)
+        if not self._probe.is_open:
+            self._collector.probe = None
             if now >= self._paid:
-                self._open(self._lens, at_once=False)
+                self._open(self._probe, at_once=False)
 
     def _answer(self, incoming: Incoming) -> None:
         try:
             request = WatchRequest.decode(incoming.payload)
             check_name(request.watcher, "watcher")
-            if self._lens is None:
+            if self._probe is None:
                 raise ConfigError("this run is not about the farm, and only the farm has a picture.")
             if request.stay and request.watcher not in self._until and len(self._until) >= MAX_WATCHERS:
                 raise ConfigError(f"{MAX_WATCHERS} watchers are watching already.")
@@ -115,36 +115,36 @@ class Showing:
             return
         incoming.reply(self._terms)
         if not request.stay:
-            # It goes with the next call of `tend`, which also closes the lens behind the last one.
+            # It goes with the next call of `poll`, which also closes the probe behind the last one.
             if request.watcher in self._until:
                 self._until[request.watcher] = 0.0
             return
         new = request.watcher not in self._until
         self._until[request.watcher] = self._clock() + LEASE_SECONDS
         if new:
-            self._greet(self._lens)
+            self._greet(self._probe)
 
-    def _greet(self, lens: Lens) -> None:
+    def _greet(self, probe: Probe) -> None:
         """Let somebody new see something soon: the running episode if nobody watched, else the next one."""
         now = self._clock()
         if len(self._until) == 1:
             self._flown = self._steps() - self._seen - self.skipped
             self._paid = now
-            self._open(lens, at_once=True)
-        elif not lens.is_open and now - self._greeted >= GREETING_SECONDS:
+            self._open(probe, at_once=True)
+        elif not probe.is_open and now - self._greeted >= GREETING_SECONDS:
             self._paid = now
         self._greeted = now
 
-    def _open(self, lens: Lens, *, at_once: bool) -> None:
-        lens.open(at_once=at_once)
-        self._collector.lens = lens
+    def _open(self, probe: Probe, *, at_once: bool) -> None:
+        probe.open(at_once=at_once)
+        self._collector.probe = probe
 
-    def _publish(self, lens: Lens, now: float, version: int, deviation: float, uniform: bool) -> None:
-        for message in lens.take(self.skipped, deviation, uniform):
+    def _publish(self, probe: Probe, now: float, version: int, deviation: float, uniform: bool) -> None:
+        for message in probe.take(self.skipped, deviation, uniform):
             self._put(message, version)
             self._paid = max(now, self._paid) + len(message.position) / STEPS_PER_SECOND
         self.skipped = max(self.skipped, self._steps() - self._flown - self._seen)
-        lens.again = self._paid - now <= SLACK_SECONDS
+        probe.again = self._paid - now <= SLACK_SECONDS
 
     def _put(self, message: ViewMessage, version: int) -> None:
         self._sequence += 1

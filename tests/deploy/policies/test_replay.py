@@ -20,7 +20,7 @@ from deploy.reports import film
 from deploy.reports.film import Film, find_ffmpeg
 from rollout.evaluation import evaluate
 from rollout.policies import policy_of
-from rollout.rendering.side_by_side import ContestPicture
+from rollout.rendering.side_by_side import SideBySidePicture
 from tests.deploy.monitor.web.stage import CONFIG, some_actors
 
 WORLD = CONFIG.farm.world
@@ -62,7 +62,7 @@ def test_both_fly_the_episode_that_an_evaluation_flies():
 def test_the_picture_shows_each_farm_on_its_own_side():
     """What moves on one farm changes its map and not the other one."""
     scenes = [scenes for scenes, _ in zip(scenes_of(BOTH), range(10), strict=False)]
-    picture = ContestPicture(BOTH.names, scenes[0])
+    picture = SideBySidePicture(BOTH.names, scenes[0])
     for pair in scenes:
         picture.note(pair)
     same, left = picture.draw((scenes[9][0], scenes[9][1])), picture.draw((scenes[5][0], scenes[9][1]))

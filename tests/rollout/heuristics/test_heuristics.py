@@ -6,9 +6,9 @@ import pytest
 from common.config import EnergyConfig, FarmConfig, WorldConfig
 from rollout.evaluation import evaluate
 from rollout.heuristics import greedy, hungarian
-from rollout.heuristics.crews import COLLECTORS, MONITORS, CrewPolicy
+from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
 from rollout.heuristics.greedy import best_targets
-from rollout.heuristics.hungarian import HungarianCrew, chain_worth
+from rollout.heuristics.hungarian import HungarianGroupPolicy, chain_value
 from rollout.heuristics.lawnmower import INSET, collection_routes, monitoring_routes, round_steps
 from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centres, total_service
 from rollout.heuristics.sites import (
@@ -50,14 +50,14 @@ def course(config, policy, farms, steps):
     return np.stack(actions)
 
 
-def situation(config=SMALL, farm=7, steps=0):
+def state(config=SMALL, farm=7, steps=0):
     policy = StaticPolicy()
     farms = begin(config, policy, [(farm, 1)])
     for _ in range(steps):
         farms.step(policy.act(farms))
-    crews = CrewPolicy(config, CentroidRelays, greedy.monitors, greedy.collectors)
+    crews = CompositePolicy(config, CentroidRelays, greedy.monitors, greedy.collectors)
     crews.reset(farms, 0)
-    return crews._situation(farms, 0)
+    return crews._farm_state(farms, 0)
 
 
 @pytest.mark.parametrize("name", HEURISTICS)
@@ -274,10 +274,10 @@ def test_a_tour_visits_all_its_stops():
 @pytest.mark.parametrize("kind", [MONITORS, COLLECTORS])
 def test_hungarian_flies_alike_whether_ways_are_held_or_not(kind, monkeypatch):
     """Fields with so many targets that the ways between them are computed anew each time get the same goals."""
-    now = situation(SMALL, 7, 90)
-    held = HungarianCrew(now, kind)
+    now = state(SMALL, 7, 90)
+    held = HungarianGroupPolicy(now, kind)
     monkeypatch.setattr(hungarian, "MOST_KNOWN", 3)
-    anew = HungarianCrew(now, kind)
+    anew = HungarianGroupPolicy(now, kind)
     assert (held._known is None, anew._known is None) == (False, True)
     np.testing.assert_array_equal(held.goals(now), anew.goals(now))
     assert (held.chosen >= 0).all()
@@ -285,11 +285,11 @@ def test_hungarian_flies_alike_whether_ways_are_held_or_not(kind, monkeypatch):
 
 @pytest.mark.parametrize("kind", [MONITORS, COLLECTORS])
 def test_hungarian_sends_no_two_to_one_target(kind):
-    """In any situation with work, every UAV has a target of its own."""
+    """In any state with work, every UAV has a target of its own."""
     config = FarmConfig(world=WorldConfig(monitoring_uavs=8, collection_uavs=8, steps=300))
     for farm in range(5):
-        now = situation(config, farm, 130)
-        crew = HungarianCrew(now, kind)
+        now = state(config, farm, 130)
+        crew = HungarianGroupPolicy(now, kind)
         crew.goals(now)
         assert (crew.chosen >= 0).all()
         assert len(set(crew.chosen.tolist())) == 8
@@ -299,17 +299,17 @@ def test_a_chain_is_worth_its_discounted_visits():
     """Three targets in a row, one step apart: the chain from the first visits each once, none twice."""
     value = np.array([[4.0, 2.0, 1.0]])
     between = 0.5 ** np.array([[1.0, 1.0, 2.0], [1.0, 1.0, 1.0], [2.0, 1.0, 1.0]])
-    worth, second = chain_worth(np.array([0]), np.array([0.5]), value, between.__getitem__, 3)
+    worth, second = chain_value(np.array([0]), np.array([0.5]), value, between.__getitem__, 3)
     assert worth[0] == pytest.approx(0.5 * 4.0 + 0.25 * 2.0 + 0.125 * 1.0)
     assert second[0] == 1
-    worth, second = chain_worth(np.array([0]), np.array([0.5]), value, between.__getitem__, 5)
+    worth, second = chain_value(np.array([0]), np.array([0.5]), value, between.__getitem__, 5)
     assert worth[0] == pytest.approx(2.625)
 
 
 def test_centroid_relays_follow_those_they_serve():
     """A relay's goal lies on the way to the centre of its UAVs; one that serves nobody stays."""
     config = FarmConfig(world=WorldConfig(communication_uavs=4, monitoring_uavs=1, collection_uavs=1))
-    now = situation(config)
+    now = state(config)
     own, served = now.position[:4], now.position[4:]
     centres = served_centres(own, served, now.assignment)
     for relay in range(4):
@@ -342,7 +342,7 @@ def test_relays_bring_d_c_down(relays):
 def test_search_relays_wait_for_the_last_steps():
     """Until its last steps the search goes nowhere; then its places are no worse than the centres."""
     config = FarmConfig(world=WorldConfig(steps=60))
-    early, late = situation(config, 3, 0), situation(config, 3, 50)
+    early, late = state(config, 3, 0), state(config, 3, 50)
     crew = SearchRelays(early)
     np.testing.assert_array_equal(crew.goals(early), early.position[:4])
     for time in range(50, 60):

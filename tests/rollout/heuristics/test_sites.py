@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from common.config import FarmConfig, WorldConfig
-from rollout.heuristics.horizon import plot_lattice, sensor_lattice
+from rollout.heuristics.horizon import plot_grid, sensor_grid
 from rollout.heuristics.sites import (
     images_succeed,
     packet_chances,
@@ -70,7 +70,7 @@ def test_a_wide_field_takes_memory_for_what_is_near():
     wide = FarmConfig(world=WorldConfig(field_x=5000.0, field_y=5000.0, sensors=1000))
     xy = np.random.default_rng(0).uniform(0.0, 5000.0, (1000, 2))
     tracemalloc.start()
-    stops, heard = sensor_stops(wide, xy), sensor_lattice(wide, xy)
+    stops, heard = sensor_stops(wide, xy), sensor_grid(wide, xy)
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert most < 200e6
@@ -80,12 +80,12 @@ def test_a_wide_field_takes_memory_for_what_is_near():
 
 def test_lattices_know_who_is_served():
     """A lattice place serves the plot that holds it, and hears near sensors with the chance of their distance."""
-    plots = plot_lattice(SMALL)
+    plots = plot_grid(SMALL)
     assert np.abs(np.diff(plots.place[[0, 1]], axis=0)).max() == pytest.approx(10.0)
     assert (np.diff(plots.first) == 1).all()
     np.testing.assert_array_equal((plots.place // 20.0) @ (10, 1), plots.site)
     xy = make_layout(SMALL, 7).sensor_xy
-    heard = sensor_lattice(SMALL, xy)
+    heard = sensor_grid(SMALL, xy)
     node = 210
     sites = heard.site[heard.first[node] : heard.first[node + 1]]
     distance = np.linalg.norm(xy - heard.place[node], axis=1)

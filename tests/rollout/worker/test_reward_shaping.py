@@ -11,7 +11,7 @@ from common.errors import ConfigError
 from common.team import farm_team
 from common.transitions import TRANSITION
 from rollout.sim.batch import REWARD_PARTS
-from rollout.worker.collector import Collector, fly_noise_free
+from rollout.worker.collector import Collector, run_noise_free_episodes
 from tests.rollout.heuristics.small_farm import SMALL
 
 STEPS = 40
@@ -28,7 +28,7 @@ class Witness:
         self.farms = farms
         self.seen = []
 
-    def note(self):
+    def record(self):
         """Look."""
         farms = self.farms
         self.seen.append((int(farms.time[0]), farms.service[0].copy(), farms.parts[0].copy()))
@@ -46,8 +46,8 @@ def flown(config):
     """Return one chunk, flown by actors that nothing has trained, and what was seen of its first farm."""
     collector = Collector(config, "w", 0)
     witness = Witness(collector.environments)
-    witness.note()
-    collector.lens = witness
+    witness.record()
+    collector.probe = witness
     actors = TeamActors.initial(collector.team, config.algorithm.hidden, 0)
     return collector.collect(actors, 0.5, uniform=False), witness.seen
 
@@ -117,7 +117,7 @@ def test_elites_are_chosen_by_what_farms_pay():
     """Noise-free episodes, by which agents are scored, earn the same whatever rows pay."""
     plain, shaped = configured(0.0), configured(0.995)
     actors = TeamActors.initial(farm_team(plain.farm), 4, 0)
-    found = [fly_noise_free(config, actors, [3, 4], [5, 6])[0] for config in (plain, shaped)]
+    found = [run_noise_free_episodes(config, actors, [3, 4], [5, 6])[0] for config in (plain, shaped)]
     assert np.array_equal(*found)
     assert np.abs(found[0][..., :2]).max() > 1.0
 

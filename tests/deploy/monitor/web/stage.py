@@ -17,7 +17,7 @@ from common.team import farm_team
 from common.transport.endpoint import Endpoint
 from experiments import pictures
 from rollout.worker.collector import Collector
-from rollout.worker.view_service import Showing
+from rollout.worker.view_service import ViewService
 
 RUN = "watched"
 SECONDS = 60.0
@@ -82,7 +82,7 @@ class ARequest:
 
 
 class ABus:
-    """What `Showing` uses of a bus: requests that the test makes, and puts that it reads."""
+    """What `ViewService` uses of a bus: requests that the test makes, and puts that it reads."""
 
     def __init__(self) -> None:
         self.requests: deque[ARequest] = deque()
@@ -124,16 +124,16 @@ class AWorker:
     def __init__(self) -> None:
         self.bus, self.now, self.actors = ABus(), 100.0, some_actors()
         self.collector = a_collector()
-        self.showing = Showing(self.bus, RUN, "w", 1, self.collector, to_toml(CONFIG), lambda: self.now)
+        self.view_service = ViewService(self.bus, RUN, "w", 1, self.collector, to_toml(CONFIG), lambda: self.now)
 
     def fly(self, chunks: int = 1, seconds: float = 0.01) -> None:
         """Fly so many chunks, each of which takes so long."""
         for _ in range(chunks):
-            self.showing.tend(3, 0.1, False)
+            self.view_service.poll(3, 0.1, False)
             self.collector.collect(self.actors, 0.1, False)
             self.now += seconds
 
 
-def flying(name: str = "w", endpoint: Endpoint | None = None) -> AbstractContextManager[tuple[Endpoint, Showing]]:
+def flying(name: str = "w", endpoint: Endpoint | None = None) -> AbstractContextManager[tuple[Endpoint, ViewService]]:
     """Fly and show the small farm, as a worker does."""
     return pictures.flying(CONFIG, some_actors(), RUN, name, endpoint, noise=0.1)

@@ -1,35 +1,35 @@
-"""A lens sees what the simulator does, and the simulator does not notice."""
+"""A probe sees what the simulator does, and the simulator does not notice."""
 
 import numpy as np
 
 from common.protocol.view_checks import FRAMES, check_view
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
-from rollout.worker.probe import HELD, Lens
+from rollout.worker.probe import HELD, Probe
 from tests.deploy.monitor.web.stage import CONFIG, a_collector, some_actors
 
 WORLD = CONFIG.farm.world
 
 
 def flown(steps, opened=0, again=True):
-    """Return the messages of a lens that was opened before a step of an episode, and the batch's own states."""
+    """Return the messages of a probe that was opened before a step of an episode, and the batch's own states."""
     batch = FarmBatch(CONFIG.farm, 2)
-    lens = Lens(batch, 1)
-    lens.again = again
+    probe = Probe(batch, 1)
+    probe.again = again
     for index in range(2):
         batch.reset(index, 3 + index, 7)
     states = []
     random = np.random.default_rng(0)
     for step in range(steps):
         if step == opened:
-            lens.open(at_once=True)
+            probe.open(at_once=True)
         if batch.time[1] == WORLD.steps:
             for index in range(2):
                 batch.reset(index, 3 + index, 8)
-            lens.note()
+            probe.record()
         batch.step(random.uniform(-1, 1, (2, batch.team.action_size)).astype(np.float32))
-        lens.note()
+        probe.record()
         states.append((batch.position[1].copy(), batch.aoi[1].copy(), batch.vdf[1].copy(), batch.reward[1].copy()))
-    return lens.take(5, 0.25, False), states
+    return probe.take(5, 0.25, False), states
 
 
 def test_frames_are_the_simulators_states():
@@ -66,22 +66,22 @@ def test_a_lens_that_does_not_go_on_closes_with_the_episode():
 
 
 def test_a_lens_that_nobody_empties_closes():
-    """A lens holds HELD frames and no more."""
+    """A probe holds HELD frames and no more."""
     messages, _ = flown(HELD + 100)
     assert sum(len(message.position) for message in messages) == HELD
 
 
 def test_what_is_flown_does_not_depend_on_who_looks():
-    """The rows of a collector with a lens are bit-equal to those of one without."""
+    """The rows of a collector with a probe are bit-equal to those of one without."""
     actors, chunks = some_actors(), []
     for watched in (False, True):
         collector = a_collector()
         if watched:
-            lens = Lens(collector.environments, 0)
-            lens.open(at_once=True)
-            collector.lens = lens
+            probe = Probe(collector.environments, 0)
+            probe.open(at_once=True)
+            collector.probe = probe
         chunks.append([collector.collect(actors, 0.3, False).rows for _ in range(6)])
-    assert sum(len(message.position) for message in lens.take(0, 0.3, False)) == 61
+    assert sum(len(message.position) for message in probe.take(0, 0.3, False)) == 61
     for bare, seen in zip(*chunks, strict=True):
         for name, array in vars(bare).items():
             np.testing.assert_array_equal(getattr(seen, name), array)

@@ -14,10 +14,10 @@ def frames(worker):
 
 
 def test_nothing_is_published_unless_somebody_asks():
-    """A worker that nobody watches has no lens in its collector and publishes nothing."""
+    """A worker that nobody watches has no probe in its collector and publishes nothing."""
     worker = AWorker()
     worker.fly(20)
-    assert (worker.bus.views, worker.collector.lens, worker.showing.watchers) == ([], None, 0)
+    assert (worker.bus.views, worker.collector.probe, worker.view_service.watchers) == ([], None, 0)
 
 
 def test_a_watcher_sees_the_running_episode_at_once_and_then_whole_ones():
@@ -36,7 +36,7 @@ def test_a_watcher_sees_the_running_episode_at_once_and_then_whole_ones():
     starts = [view.first for view, before in zip(views[1:], views, strict=False) if view.episode != before.episode]
     assert len(starts) >= 3
     assert set(starts) == {0}
-    assert worker.showing.skipped == 0
+    assert worker.view_service.skipped == 0
 
 
 def test_it_stops_when_the_lease_ends():
@@ -49,7 +49,7 @@ def test_it_stops_when_the_lease_ends():
     seen = frames(worker)
     worker.fly(30)
     assert frames(worker) == seen
-    assert (worker.collector.lens, worker.showing.watchers) == (None, 0)
+    assert (worker.collector.probe, worker.view_service.watchers) == (None, 0)
 
 
 def test_it_stops_at_once_when_the_last_watcher_says_so():
@@ -60,12 +60,12 @@ def test_it_stops_at_once_when_the_last_watcher_says_so():
     worker.fly(2, seconds=0.4)
     worker.bus.ask("a", stay=False)
     worker.fly(2, seconds=0.4)
-    assert worker.showing.watchers == 1
+    assert worker.view_service.watchers == 1
     worker.bus.ask("b", stay=False)
     worker.fly(1, seconds=0.4)
     seen = frames(worker)
     worker.fly(10, seconds=0.4)
-    assert (frames(worker), worker.showing.watchers, worker.collector.lens) == (seen, 0, None)
+    assert (frames(worker), worker.view_service.watchers, worker.collector.probe) == (seen, 0, None)
 
 
 @pytest.mark.parametrize(("seconds", "chunks"), [(0.01, 400), (0.05, 300), (1.0, 60)])
@@ -77,10 +77,10 @@ def test_the_rate_is_bounded_and_what_is_not_shown_is_counted(seconds, chunks):
         worker.fly(1, seconds=seconds)
     allowed = (worker.now - started) * STEPS_PER_SECOND
     assert 0 < frames(worker) <= allowed + 2 * STEPS + STEPS_PER_SECOND
-    worker.showing.tend(3, 0.1, False)
+    worker.view_service.poll(3, 0.1, False)
     resets = sum(view.first == 0 for view in worker.bus.views)
-    assert frames(worker) - resets + worker.showing.skipped == worker.collector.environment_steps // 2
-    assert (worker.showing.skipped > 0) == (seconds < 0.4)
+    assert frames(worker) - resets + worker.view_service.skipped == worker.collector.environment_steps // 2
+    assert (worker.view_service.skipped > 0) == (seconds < 0.4)
     assert worker.bus.sequences == list(range(1, len(worker.bus.views) + 1))
 
 
@@ -114,5 +114,5 @@ def test_too_many_watchers_and_strange_requests_are_refused():
     assert [bool(request.answer) for request in asked] == [True] * MAX_WATCHERS + [False]
     assert "watching already" in asked[-1].refusal
     assert all(request.refusal and request.answer is None for request in (*odd, spoilt))
-    assert worker.showing.refused == 4
-    assert worker.showing.watchers == MAX_WATCHERS
+    assert worker.view_service.refused == 4
+    assert worker.view_service.watchers == MAX_WATCHERS

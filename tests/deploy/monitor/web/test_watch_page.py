@@ -28,7 +28,7 @@ if (f.step > 5 && new Set(a.subarray(f.i * w, (f.i + 1) * w)).size > 1) return n
 def looking():
     """Open the page of a worker that flies; yield the page, the worker and what the browser complained of."""
     with (
-        flying() as (endpoint, showing),
+        flying() as (endpoint, view_service),
         serving(endpoint, RUN) as address,
         playwright.sync_playwright() as driver,
     ):
@@ -40,14 +40,14 @@ def looking():
         page.on("requestfailed", lambda request: complaints.append(request.url))
         page.goto(address)
         until(lambda: page.evaluate("window.watching && watching.past.frames.length > 45"), "frames in the page")
-        yield page, showing, complaints
+        yield page, view_service, complaints
         browser.close()
-        until(lambda: showing.watchers == 0, "the end of the watching")
+        until(lambda: view_service.watchers == 0, "the end of the watching")
 
 
 def test_the_page_shows_what_the_worker_flies():
     """Numbers, colours on the map and words are those of the frames; pause, slider and speeds do what they say."""
-    with looking() as (page, showing, complaints):
+    with looking() as (page, view_service, complaints):
         page.click("#play")
         until(lambda: page.inner_text("#play") == "play", "the pause")
         target = until(lambda: page.evaluate(VARIED), "a frame with plots of several ages")
@@ -83,7 +83,7 @@ def test_the_page_shows_what_the_worker_flies():
         page.click("#newest")
         until(lambda: page.evaluate("watching.view.head") != step, "playing again")
         assert "run watched, worker w" in page.inner_text("#who")
-        assert showing.watchers == 1
+        assert view_service.watchers == 1
         assert complaints == []
 
 

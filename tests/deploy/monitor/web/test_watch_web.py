@@ -149,20 +149,20 @@ def test_a_port_that_is_taken_is_a_users_mistake():
 
 def test_a_worker_publishes_only_while_somebody_looks():
     """Frames come when a browser is there, two watchers see the same worker, and it ends with the last."""
-    with flying() as (endpoint, showing):
+    with flying() as (endpoint, view_service):
         pairs = []
         for _ in range(2):
             bus, hub = Bus.connect(endpoint, "control", wait=30.0), Hub()
             pairs.append((bus, hub, Source(bus, RUN, None, hub)))
         for _, _, source in pairs:
             source.tend(False)
-        assert (showing.watchers, showing.shown) == (0, 0)
+        assert (view_service.watchers, view_service.shown) == (0, 0)
         seats = [hub.enter(1) for _, hub, _ in pairs]
 
         def tend():
             for _, hub, source in pairs:
                 source.tend(hub.seats > 0)
-            return showing.watchers == 2 and showing.shown > 90
+            return view_service.watchers == 2 and view_service.shown > 90
 
         until(tend, "frames for two watchers")
         for seat in seats:
@@ -179,10 +179,10 @@ def test_a_worker_publishes_only_while_somebody_looks():
         for _, _, source in pairs:
             source.tend(False)
             assert source.lost == source.malformed == 0
-        until(lambda: showing.watchers == 0, "the end of the watching")
-        shown = showing.shown
-        until(lambda: showing._steps() > shown + 300, "more steps")
-        assert showing.shown == shown
+        until(lambda: view_service.watchers == 0, "the end of the watching")
+        shown = view_service.shown
+        until(lambda: view_service._steps() > shown + 300, "more steps")
+        assert view_service.shown == shown
         for bus, _, _ in pairs:
             bus.close()
 

@@ -7,34 +7,34 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from rollout.heuristics.crews import Situation
+from rollout.heuristics.composite import FarmState
 from rollout.heuristics.steering import Array, aim, inside, steps_to
 
 PATIENCE: Final = 3
 """Steps without coming nearer, when another UAV is in the way, after which a box is left to the next round."""
 
 
-class Rounds:
+class TourFollower:
     """Each UAV flies one route round and round, through boxes in their order.
 
     Args:
         routes: one for each UAV of the crew, [2, L, 2] m: lowest and highest corners of its boxes.
         kind: the crew's type.
-        situation: the start; each UAV gets the route, and enters it at the box, to which the fleet's way is shortest.
+        state: the start; each UAV gets the route, and enters it at the box, to which the fleet's way is shortest.
     """
 
-    def __init__(self, routes: Sequence[Array], kind: int, situation: Situation) -> None:
+    def __init__(self, routes: Sequence[Array], kind: int, state: FarmState) -> None:
         self._kind = kind
-        way = [steps_to(situation.of(kind)[:, None], route[:, None], situation.config.world) for route in routes]
+        way = [steps_to(state.of(kind)[:, None], route[:, None], state.config.world) for route in routes]
         _, chosen = linear_sum_assignment(np.stack([steps.min(axis=1) for steps in way], axis=1))
         self._routes = [routes[index] for index in chosen]
         self._next: NDArray[np.int64] = np.array([way[route][uav].argmin() for uav, route in enumerate(chosen)])
         self._nearest = np.full(len(routes), np.inf)
         self._waited = np.zeros(len(routes), np.int64)
 
-    def goals(self, situation: Situation) -> Array:
+    def goals(self, state: FarmState) -> Array:
         """Return a place in the box that is next, on the side of the one after it, [n_v, 2] m."""
-        position, world = situation.of(self._kind), situation.config.world
+        position, world = state.of(self._kind), state.config.world
         places = np.empty_like(position)
         for uav, route in enumerate(self._routes):
             at, length = self._next[uav], route.shape[1]

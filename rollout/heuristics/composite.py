@@ -20,11 +20,11 @@ from rollout.sim.layout import Layout
 RELAYS: Final = 0
 MONITORS: Final = 1
 COLLECTORS: Final = 2
-"""The three types, as `Situation.agents` has them."""
+"""The three types, as `FarmState.agents` has them."""
 
 
 @dataclass(frozen=True)
-class Situation:
+class FarmState:
     """One environment as a heuristic sees it.
 
     Attributes:
@@ -54,18 +54,18 @@ class Situation:
         return self.position[self.agents[kind]]
 
 
-class Crew(Protocol):
+class GroupPolicy(Protocol):
     """The UAVs of one type in one environment, for one episode."""
 
-    def goals(self, situation: Situation) -> Array:
+    def goals(self, state: FarmState) -> Array:
         """Return where each UAV should be after this step, or later where that is too far: [n_v, 2] m."""
 
 
-MakeCrew = Callable[[Situation], Crew]
-"""Makes a crew for the episode that begins with a situation."""
+GroupPolicyFactory = Callable[[FarmState], GroupPolicy]
+"""Makes a crew for the episode that begins with a state."""
 
 
-class CrewPolicy:
+class CompositePolicy:
     """Crews fly every environment of a batch.
 
     Args:
@@ -75,21 +75,27 @@ class CrewPolicy:
         collectors: makes the crew of data collection UAVs.
     """
 
-    def __init__(self, config: FarmConfig, relays: MakeCrew, monitors: MakeCrew, collectors: MakeCrew) -> None:
+    def __init__(
+        self,
+        config: FarmConfig,
+        relays: GroupPolicyFactory,
+        monitors: GroupPolicyFactory,
+        collectors: GroupPolicyFactory,
+    ) -> None:
         self._config = config
         self._loiter = loiter_speed(config) * config.world.step_seconds
         self._make = relays, monitors, collectors
         self._layouts: dict[int, Layout] = {}
         self._seeds: dict[int, tuple[int, int]] = {}
-        self._crews: dict[int, list[Crew]] = {}
+        self._crews: dict[int, list[GroupPolicy]] = {}
 
     def reset(self, farms: FarmBatch, index: int) -> None:
         """Make new crews for one environment."""
         episode = farms.summary(index)
         self._layouts[index] = farms.layout(index)
         self._seeds[index] = episode.farm, episode.episode
-        situation = self._situation(farms, index)
-        self._crews[index] = [make(situation) for make in self._make]
+        state = self._farm_state(farms, index)
+        self._crews[index] = [make(state) for make in self._make]
 
     def act(self, farms: FarmBatch) -> Float32:
         """Return the actions [E, A] of this step."""
@@ -101,12 +107,12 @@ class CrewPolicy:
         return np.concatenate(parts, axis=1).reshape(count, -1).astype(np.float32)
 
     def _goals(self, farms: FarmBatch, index: int) -> Array:
-        situation = self._situation(farms, index)
-        return np.concatenate([crew.goals(situation) for crew in self._crews[index]])
+        state = self._farm_state(farms, index)
+        return np.concatenate([crew.goals(state) for crew in self._crews[index]])
 
-    def _situation(self, farms: FarmBatch, index: int) -> Situation:
+    def _farm_state(self, farms: FarmBatch, index: int) -> FarmState:
         relays, monitors, collectors = farms.team.agent_slices()
-        return Situation(
+        return FarmState(
             config=self._config,
             layout=self._layouts[index],
             seeds=self._seeds[index],
