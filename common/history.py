@@ -1,21 +1,22 @@
-"""A process's own account of chunks, line by line, so that an audit can hold the accounts against one another.
+"""What a process did with each chunk, line by line, so that an audit can compare the processes' histories.
 
 One JSON array per line:
 
     ["start", role, name, incarnation]                   a process began; the learner's incarnation is its epoch
-    ["resume", {worker: [incarnation, expected], ...}]   the learner took up a checkpoint; each worker in it
+    ["resume", {worker: [incarnation, expected], ...}]   the learner resumed from a checkpoint; each worker in it
     ["end"]                                              the process ended as it should
     [verdict, worker, incarnation, first, last, steps, produced, flown]
 
-The last kind is about chunks `first` to `last` of one start of a worker, each of `steps` environment steps; `produced`
-and `flown` are the worker's counts (see `common.protocol.messages.ChunkMessage`) with the last of them. Verdicts of a
-worker are *made*, and what it was told: *told* (accepted), *again* (a duplicate, whatever became of it when it first
-came) and *refused*; those of the learner *accepted*, *refused*, *duplicate* and *missing* (it learnt that these can no
-longer arrive), and for the last two `steps` is the count of chunks or steps together.
+The last form is about chunks `first` to `last` of one start of a worker, each of `steps` environment steps; `produced`
+and `flown` are the worker's counts with the last of them (see `common.protocol.messages.ChunkMessage`).
 
-A line is written before whatever it tells of is told to anybody, and reaches the operating system at once: it survives
-a killed process, though not a power cut. The file stays small because consecutive chunks are joined into one line
-whenever it has grown by REWRITE_LINES.
+A worker writes *produced* for each chunk, and the answer that it got: *acknowledged*, *repeated* (the learner had it
+already) or *refused*. The learner writes *accepted*, *refused*, *duplicate* and *missing* (the chunks can no longer
+arrive); for the last two, `steps` is the total of the line. Earlier versions wrote made, told and again
+for the first three.
+
+A line reaches the operating system before the process acts on it: it survives a killed process, but not a power cut.
+The file stays small because consecutive chunks are merged into one line every REWRITE_LINES lines.
 """
 
 import json
@@ -33,9 +34,11 @@ MAX_BYTES: Final = 256 * 2**20
 """Largest history that is read, bytes."""
 MOST_JOINED: Final = 2**24
 """Most chunks of one line; a longer range is two."""
-VERDICTS: Final = ("made", "told", "again", "refused", "accepted", "duplicate", "missing")
+VERDICTS: Final = ("produced", "acknowledged", "repeated", "refused", "accepted", "duplicate", "missing")
 SUMMED: Final = ("duplicate", "missing")
-"""Verdicts of which a line tells a sum, and not one chunk after another."""
+"""Verdicts whose lines hold a total, not one chunk after another."""
+_FORMER: Final = {"made": "produced", "told": "acknowledged", "again": "repeated"}
+"""Verdicts as earlier versions wrote them."""
 
 
 @dataclass(frozen=True)
@@ -98,8 +101,11 @@ def parse(line: str) -> Record:
                 return Resume({str(name): _whole(inc, expected) for name, (inc, expected) in workers.items()})
             case ["end"]:
                 return End()
-            case [str(verdict), str(worker), *numbers] if verdict in VERDICTS and len(numbers) == 6:
+            case [str(written), str(worker), *numbers] if len(numbers) == 6:
+                verdict = _FORMER.get(written, written)
                 entry = Entry(verdict, worker, *_whole(*numbers))
+                if verdict not in VERDICTS:
+                    raise ValueError("the line has an unknown verdict")
                 if verdict in SUMMED or 0 <= entry.last - entry.first < MOST_JOINED:
                     return entry
     except (TypeError, RecursionError) as error:

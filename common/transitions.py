@@ -30,7 +30,7 @@ _WHOLE: Final = re.compile(
 
 LARGEST: Final = 1e7
 """Largest size of a number in a row: observations are of about 1, rewards of some hundreds."""
-FARM_FIGURES: Final = ("aoi", "vdf", "collisions", "boundary", "energy_j")
+FARM_METRICS: Final = ("aoi", "vdf", "collisions", "boundary", "energy_j")
 """Of a farm's episode: mean AoI over sensors and steps and mean VDF over plots and steps, units; UAV steps spent closer
 than the collision distance to a UAV of the same plane; UAV steps that ran against the field's edge; energy of all
 UAVs, J."""
@@ -86,15 +86,15 @@ class EpisodeSummary:
         episode: the episode's seed.
         steps: environment steps.
         reward: [agents] sum of each agent's rewards.
-        figures: what else the environment tells of an episode, by name; the same names for all its episodes. The
-            farm's are FARM_FIGURES.
+        metrics: the episode metrics of the environment, by name; the same names for every episode. The farm's are
+            FARM_METRICS.
     """
 
     farm: int
     episode: int
     steps: int
     reward: tuple[float, ...]
-    figures: Mapping[str, float]
+    metrics: Mapping[str, float]
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def summarised(evaluation: Evaluation, seconds: float) -> dict[str, Any]:
 
 
 def _field(score: Score, name: str) -> float:
-    return score.reward if name == "reward" else {**score.types, **score.figures}[name]
+    return score.reward if name == "reward" else {**score.types, **score.metrics}[name]
 
 
 def draw(data: dict[str, Any], path: Path) -> None:

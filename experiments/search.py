@@ -42,7 +42,7 @@ def fly(config: FarmConfig, form: str, farms: range) -> dict[str, Any]:
         )
         policy = CompositePolicy(config, SearchRelays, sweep or horizon.monitors, crew)
     total = evaluate(config, policy, farms, 1, name=form).total
-    told = {"reward": total.reward, **total.types, **total.figures}
+    told = {"reward": total.reward, **total.types, **total.metrics}
     return {"form": form, **{name: round(value, 4) for name, value in told.items()}}
 
 

@@ -107,7 +107,7 @@ class Curves:
         reward = {"mean": sum(episode.reward) / len(episode.reward)}
         for group, part in zip(self._team.groups, self._team.agent_slices(), strict=True):
             reward[group.name] = sum(episode.reward[part]) / group.count
-        return {**episode.figures, "reward": reward, "steps": episode.steps}
+        return {**episode.metrics, "reward": reward, "steps": episode.steps}
 
 
 def diverging(statistics: Mapping[str, Any]) -> str:

@@ -23,7 +23,7 @@ from common.protocol.messages import (
     ReceiptMessage,
 )
 from common.team import TeamSpec
-from common.transitions import FARM_FIGURES
+from common.transitions import FARM_METRICS
 from common.transport.bus import Bus
 from learner.checkpoint.recovery import recover_losses
 from learner.checkpoint.storage import RunStorage
@@ -98,8 +98,8 @@ class Learner:
         intake.restore(self._absorbed.state())
         server = bulk.serve(keys.TRANSITION.pattern(run), 256)
         lockstep, replay = self._options.lockstep, self._config.replay
-        figures = FARM_FIGURES if self._config.env.is_farm else ()
-        self._receiver = Receiver(server, self._team, intake, replay, lockstep, self._history, figures)
+        episode_metrics = FARM_METRICS if self._config.env.is_farm else ()
+        self._receiver = Receiver(server, self._team, intake, replay, lockstep, self._history, episode_metrics)
 
     def run(self, stop: StopSignal) -> bool:
         """Train until the run's episodes are done, a signal comes or somebody asks to drain.

@@ -31,13 +31,13 @@ class Score:
         reward: sum of an episode's rewards, mean over all agents.
         types: the same over the agents of each type, by the type's name.
         steps: steps of an episode.
-        figures: what else the environment tells of an episode, by name; a farm's are `FARM_FIGURES`.
+        metrics: the episode metrics of the environment, by name.
     """
 
     reward: float
     types: Mapping[str, float]
     steps: float
-    figures: Mapping[str, float]
+    metrics: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ class Evaluation:
             "episodes": self.episodes,
             "reward": {"mean": total.reward, **_lettered(total)},
             "steps": total.steps,
-            **total.figures,
+            **total.metrics,
             "per_farm": [
-                {"farm": farm, "reward": score.reward, **_lettered(score), "steps": score.steps, **score.figures}
+                {"farm": farm, "reward": score.reward, **_lettered(score), "steps": score.steps, **score.metrics}
                 for farm, score in zip(self.farms, self.per_farm, strict=True)
             ],
         }
@@ -218,7 +218,7 @@ def _score(team: TeamSpec, summary: EpisodeSummary) -> Score:
     types = {
         group.name: float(reward[agents].mean()) for group, agents in zip(team.groups, team.agent_slices(), strict=True)
     }
-    return Score(float(reward.mean()), types, float(summary.steps), dict(summary.figures))
+    return Score(float(reward.mean()), types, float(summary.steps), dict(summary.metrics))
 
 
 def _mean(scores: Sequence[Score]) -> Score:
@@ -227,7 +227,7 @@ def _mean(scores: Sequence[Score]) -> Score:
         reward=float(np.mean([score.reward for score in scores])),
         types={name: float(np.mean([score.types[name] for score in scores])) for name in first.types},
         steps=float(np.mean([score.steps for score in scores])),
-        figures={name: float(np.mean([score.figures[name] for score in scores])) for name in first.figures},
+        metrics={name: float(np.mean([score.metrics[name] for score in scores])) for name in first.metrics},
     )
 
 

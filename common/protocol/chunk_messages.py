@@ -19,8 +19,8 @@ LARGEST = 1e30
 def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> ChunkMessage:
     """Return the message of a chunk; see `ChunkMessage` for `version` and `produced`."""
     done = chunk.episodes
-    names = tuple(done[0].figures) if done else ()
-    figures = [[e.figures[name] for name in names] for e in done]
+    names = tuple(done[0].metrics) if done else ()
+    values = [[e.metrics[name] for name in names] for e in done]
     rewards = [e.reward for e in done]
     return ChunkMessage(
         team=team.digest,
@@ -34,23 +34,23 @@ def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> Chu
         episode=np.array([e.episode for e in done], np.int64),
         steps=np.array([e.steps for e in done], np.int64),
         episode_reward=np.array(rewards, np.float32).reshape(len(done), team.agents),
-        episode_figures=np.array(figures, np.float64).reshape(len(done), len(names)),
-        figure_names=names,
+        episode_metrics=np.array(values, np.float64).reshape(len(done), len(names)),
+        metric_names=names,
     )
 
 
-def from_message(message: ChunkMessage, team: TeamSpec, figures: Collection[str]) -> Chunk:
+def from_message(message: ChunkMessage, team: TeamSpec, episode_metrics: Collection[str]) -> Chunk:
     """Return the chunk of a message, checked against the team.
 
     Args:
         message: the message.
         team: what its rows must fit.
-        figures: names of what an episode of the run's environment comes to; a finished episode has exactly these.
+        episode_metrics: names of the environment's episode metrics; a finished episode has exactly these.
 
     Raises:
         VersionError: when it is for another team.
         SchemaError: when a shape does not fit, a number is not finite, an action leaves [-1, 1], or the steps that the
-            worker says it produced cannot be, or a finished episode's figures are others or beyond LARGEST.
+            worker says it produced cannot be, or a finished episode has other metrics or beyond LARGEST.
     """
     if message.team != team.digest:
         raise VersionError(f"rows for team {message.team[:16]} sent to a learner of team {team.digest}.")
@@ -59,16 +59,16 @@ def from_message(message: ChunkMessage, team: TeamSpec, figures: Collection[str]
     if not rows.steps <= message.produced <= MOST_COUNT:
         raise SchemaError(f"{rows.steps} steps of {message.produced} produced so far are impossible.")
     count = message.farm.shape[0] if message.farm.ndim == 1 else -1
-    names = message.figure_names
-    if len(set(names)) != len(names) or (count > 0 and set(names) != set(figures)):
-        raise SchemaError("the finished episodes' figures are not those of the run's environment.")
-    shapes = (message.episode.shape, message.steps.shape, message.episode_reward.shape, message.episode_figures.shape)
+    names = message.metric_names
+    if len(set(names)) != len(names) or (count > 0 and set(names) != set(episode_metrics)):
+        raise SchemaError("the finished episodes' metrics are not those of the run's environment.")
+    shapes = (message.episode.shape, message.steps.shape, message.episode_reward.shape, message.episode_metrics.shape)
     ends = np.count_nonzero(rows.flag & (TERMINATED | TRUNCATED))
     if count != ends or shapes != ((count,), (count,), (count, team.agents), (count, len(names))):
         raise SchemaError("the finished episodes' arrays do not fit together, or the rows.")
     if count and message.steps.min() < 1:
         raise SchemaError("a finished episode has no steps.")
-    if count and not all((np.abs(part) <= LARGEST).all() for part in (message.episode_reward, message.episode_figures)):
+    if count and not all((np.abs(part) <= LARGEST).all() for part in (message.episode_reward, message.episode_metrics)):
         raise SchemaError("a finished episode holds a number that is not finite, or far too large.")
     episodes = tuple(
         EpisodeSummary(
@@ -76,7 +76,7 @@ def from_message(message: ChunkMessage, team: TeamSpec, figures: Collection[str]
             int(message.episode[k]),
             int(message.steps[k]),
             tuple(message.episode_reward[k].tolist()),
-            dict(zip(names, message.episode_figures[k].tolist(), strict=True)),
+            dict(zip(names, message.episode_metrics[k].tolist(), strict=True)),
         )
         for k in range(count)
     )

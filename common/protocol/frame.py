@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from common.errors import FrameError, SchemaError, VersionError
 
-PROTOCOL: Final = 2
+PROTOCOL: Final = 3
 """Version of the protocol; it also stands in every key."""
 MAX_FRAME: Final = 256 * 1024 * 1024
 """Largest frame that is ever looked into, bytes."""

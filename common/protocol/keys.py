@@ -1,18 +1,18 @@
 """Every key expression of the protocol: the whole table, one formatter, one parser.
 
-    eia-sec/v2/{run}/transition/{worker}        request   worker -> learner        DeliveryMessage, ChunkMessages, ack
-    eia-sec/v2/{run}/params/actors              state     learner -> everybody     ParametersMessage
-    eia-sec/v2/{run}/ctl/progress               state     learner -> everybody     ProgressMessage
-    eia-sec/v2/{run}/ctl/learner/{verb}         request   anybody -> learner       CommandMessage, an answer back
-    eia-sec/v2/{run}/eval/{worker}              request   coordinator -> worker    EvaluationOrder, result back
-    eia-sec/v2/{run}/imitation/learner          request   coordinator -> learner   ImitationMessage, receipt
-    eia-sec/v2/{run}/imitation/event            state     coordinator -> everybody ImitationMessage
-    eia-sec/v2/{run}/watch/{worker}             request   watcher -> worker        WatchRequest, WatchTerms back
-    eia-sec/v2/{run}/view/{worker}              lossy     worker -> watchers       ViewMessage, while it is watched
-    eia-sec/v2/{run}/metric/{role}/{name}       lossy     every process            MetricMessage
-    eia-sec/v2/{run}/live/{role}/{name}         token     every process            presence
-    eia-sec/v2/{run}/flight/{vehicle}/observation  lossy  vehicle -> flight node   ObservationMessage
-    eia-sec/v2/{run}/flight/{vehicle}/setpoint     lossy  flight node -> vehicle   SetpointMessage
+    eia-sec/v3/{run}/transition/{worker}        request   worker -> learner        DeliveryMessage, ChunkMessages, ack
+    eia-sec/v3/{run}/params/actors              state     learner -> everybody     ParametersMessage
+    eia-sec/v3/{run}/ctl/progress               state     learner -> everybody     ProgressMessage
+    eia-sec/v3/{run}/ctl/learner/{verb}         request   anybody -> learner       CommandMessage, an answer back
+    eia-sec/v3/{run}/eval/{worker}              request   coordinator -> worker    EvaluationOrder, result back
+    eia-sec/v3/{run}/imitation/learner          request   coordinator -> learner   ImitationMessage, receipt
+    eia-sec/v3/{run}/imitation/event            state     coordinator -> everybody ImitationMessage
+    eia-sec/v3/{run}/watch/{worker}             request   watcher -> worker        WatchRequest, WatchTerms back
+    eia-sec/v3/{run}/view/{worker}              lossy     worker -> watchers       ViewMessage, while it is watched
+    eia-sec/v3/{run}/metric/{role}/{name}       lossy     every process            MetricMessage
+    eia-sec/v3/{run}/live/{role}/{name}         token     every process            presence
+    eia-sec/v3/{run}/flight/{vehicle}/observation  lossy  vehicle -> flight node   ObservationMessage
+    eia-sec/v3/{run}/flight/{vehicle}/setpoint     lossy  flight node -> vehicle   SetpointMessage
 
 *request*: acknowledged, resent until answered. *state*: latest wins, late joiners get it. *lossy*: may be dropped, a
 running counter shows the gaps. *token*: Zenoh liveliness.

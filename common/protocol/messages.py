@@ -53,8 +53,8 @@ class ChunkMessage(Message):
         observation, action, reward, flag: the rows, see `common.transitions.Rows`.
         farm, episode, steps: [K] int64 for each finished episode.
         episode_reward: [K, agents] float32.
-        episode_figures: [K, F] float64, what else each episode came to.
-        figure_names: F names.
+        episode_metrics: [K, F] float64, the episode metrics of the environment.
+        metric_names: F names.
     """
 
     KIND = 2
@@ -69,8 +69,8 @@ class ChunkMessage(Message):
     episode: NDArray[np.int64]
     steps: NDArray[np.int64]
     episode_reward: Float32
-    episode_figures: NDArray[np.float64]
-    figure_names: tuple[str, ...]
+    episode_metrics: NDArray[np.float64]
+    metric_names: tuple[str, ...]
 
 
 @dataclass(frozen=True)

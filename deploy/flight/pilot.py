@@ -150,7 +150,7 @@ class Pilot:
         return {vehicle: self._hover(held) for vehicle, held in self._vehicles.items()}
 
     def report(self) -> dict[str, Any]:
-        """Return the figures of `common.protocol.metrics` that are the pilot's."""
+        """Return the metrics of `common.protocol.metrics` that are the pilot's."""
         worst = sorted(self._vehicles.items(), key=lambda item: (not item[1].reason, -item[1].hovers, item[0]))
         return {
             "periods": self.period,

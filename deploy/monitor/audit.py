@@ -23,10 +23,10 @@ NAMED: Final = 20
 """Sentences that the command prints one by one; it counts the rest, and as JSON it prints all."""
 FATES: Final = ("accepted", "lost", "rejected", "in_flight")
 _TOLD: Final = {
-    "told": ("accepted", ("accepted", "rolled back")),
+    "acknowledged": ("accepted", ("accepted", "rolled back")),
     "refused": ("refused", ("refused",)),
     # An answer was lost on its way, and the chunk came again.
-    "again": ("a duplicate", ("accepted", "rolled back", "refused")),
+    "repeated": ("a duplicate", ("accepted", "rolled back", "refused")),
 }
 """For each verdict in a worker's history how it is said, and the learner's verdicts that it may stand for."""
 
@@ -237,7 +237,7 @@ def _worker(records: list[Record], made: dict[Source, _Made]) -> None:
             case Entry():
                 for source, number in _numbers(record):
                     part = made.setdefault(source, _Made())
-                    if record.verdict == "made":
+                    if record.verdict == "produced":
                         part.steps[number] = record.steps
                     elif record.verdict in _TOLD:
                         part.told[number] = record.verdict

@@ -9,14 +9,14 @@ from rich.table import Table
 from common.team import LETTERS
 from rollout.evaluation import Evaluation
 
-FIGURES: Final[dict[str, tuple[str, Callable[[float], str]]]] = {
+FORMS: Final[dict[str, tuple[str, Callable[[float], str]]]] = {
     "aoi": ("AoI", lambda value: f"{value:.2f}"),
     "vdf": ("VDF", lambda value: f"{value:.2f}"),
     "collisions": ("collisions", lambda value: f"{value:.1f}"),
     "boundary": ("boundary", lambda value: f"{value:.1f}"),
     "energy_j": ("energy, kJ", lambda value: f"{value / 1000.0:.0f}"),
 }
-"""The farm's figures: heading and form. Collisions and boundary are UAV steps."""
+"""The farm's metrics: heading and form. Collisions and boundary are UAV steps."""
 
 
 def comparison_table(evaluations: Sequence[Evaluation]) -> Table:
@@ -37,10 +37,10 @@ def comparison_markdown(evaluations: Sequence[Evaluation]) -> str:
 
 
 def _columns(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return the headings: reward over all agents and over each type, then the figures or the length of episodes."""
+    """Return the headings: reward over all agents and over each type, then the metrics or the length of episodes."""
     first = evaluations[0].total
-    figures = [FIGURES[name][0] if name in FIGURES else name for name in first.figures] or ["steps"]
-    return ["policy", "reward", *(LETTERS.get(name, name) for name in first.types), *figures]
+    metrics = [FORMS[name][0] if name in FORMS else name for name in first.metrics] or ["steps"]
+    return ["policy", "reward", *(LETTERS.get(name, name) for name in first.types), *metrics]
 
 
 def _rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
@@ -50,15 +50,15 @@ def _rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
         [
             evaluation.policy,
             *(f"{value:.{digits}f}" for value in (total.reward, *total.types.values())),
-            *([_figure(name, value) for name, value in total.figures.items()] or [f"{total.steps:.0f}"]),
+            *([_shown(name, value) for name, value in total.metrics.items()] or [f"{total.steps:.0f}"]),
         ]
         for evaluation in sorted(evaluations, key=lambda item: -item.total.reward)
         for total in [evaluation.total]
     ]
 
 
-def _figure(name: str, value: float) -> str:
-    return FIGURES[name][1](value) if name in FIGURES else f"{value:.2f}"
+def _shown(name: str, value: float) -> str:
+    return FORMS[name][1](value) if name in FORMS else f"{value:.2f}"
 
 
 def _title(evaluations: Sequence[Evaluation]) -> str:

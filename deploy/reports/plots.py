@@ -279,7 +279,7 @@ def _headline(trajectory: Trajectory) -> str:
     summary = trajectory.summary
     return (
         f"farm {trajectory.farm}, {summary.steps} steps: reward {np.mean(summary.reward):.0f} per agent, "
-        f"AoI {summary.figures['aoi']:.2f}, VDF {summary.figures['vdf']:.2f}"
+        f"AoI {summary.metrics['aoi']:.2f}, VDF {summary.metrics['vdf']:.2f}"
     )
 
 

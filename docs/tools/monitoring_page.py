@@ -12,7 +12,7 @@ from common.protocol import keys, messages
 from common.protocol.codec import Message
 from common.protocol.frame import PROTOCOL
 from common.protocol.messages import Envelope
-from common.protocol.metrics import FIGURES
+from common.protocol.metrics import METRICS
 from deploy.monitor.snapshot import Imitation, ImitationRow, Ledger, ProcessRow, Snapshot
 
 EXAMPLE: Final = Path(__file__).resolve().parents[2] / "docs" / "examples" / "subscriber.py"
@@ -80,7 +80,7 @@ Reading is safe with any msgpack library; nothing is pickled. `common.protocol.m
 
 """
 
-_FIGURES: Final = """## Figures of each role
+_METRICS: Final = """## Figures of each role
 
 `MetricMessage.values`, one message a second. Names of nested maps are joined by a slash here, and `*` is any name.
 `metrics.jsonl` in the run directory holds the learner's figures too, without `alarms` and `imitations`, in its records
@@ -118,9 +118,9 @@ def monitoring_page() -> str:
     readable = [name for family in keys.FAMILIES if family.delivery in ("state", "lossy") for name in family.messages]
     parts = [head]
     parts += [_message(getattr(messages, name)) for name in ("Envelope", *dict.fromkeys(readable))]
-    parts.append(_FIGURES)
-    for role, figures in FIGURES.items():
-        rows = [[f"`{figure.name}`", figure.unit, figure.meaning] for figure in figures]
+    parts.append(_METRICS)
+    for role, declared in METRICS.items():
+        rows = [[f"`{metric.name}`", metric.unit, metric.meaning] for metric in declared]
         parts.append(f"### {role}\n\n{_table(['name', 'unit', 'meaning'], rows)}\n\n")
     parts.append(_JSON)
     parts += [_kind(kind, f"### {kind.__name__}") for kind in (Snapshot, Ledger, Imitation, ImitationRow, ProcessRow)]

@@ -67,8 +67,8 @@ def described(trajectory: Trajectory) -> dict[str, Any]:
     collected = trajectory.collected[-1]
     return {
         "reward": round(float(np.mean(summary.reward)), DIGITS),
-        "aoi": round(summary.figures["aoi"], DIGITS),
-        "vdf": round(summary.figures["vdf"], DIGITS),
+        "aoi": round(summary.metrics["aoi"], DIGITS),
+        "vdf": round(summary.metrics["vdf"], DIGITS),
         "collected": {name: collected[types[name]].round(1).tolist() for name in (MONITORING, COLLECTION)},
         "supplied": supply(trajectory),
         "visited": visited,

@@ -213,7 +213,7 @@ class _Log:
         if self.checks and self.checks[-1]["episodes"] == trainer.episodes:
             return
         score = evaluate(self.config.farm, ActorPolicy(self.actors), self.farms, 1, name="").total
-        named = {"reward": score.reward, "aoi": score.figures["aoi"], "vdf": score.figures["vdf"]}
+        named = {"reward": score.reward, "aoi": score.metrics["aoi"], "vdf": score.metrics["vdf"]}
         self.checks.append({"episodes": trainer.episodes, **{name: round(v, DIGITS) for name, v in named.items()}})
 
 
@@ -238,7 +238,7 @@ def curve(team: TeamSpec, episodes: Sequence[EpisodeSummary], points: int) -> di
         group.name: reward[:, agents].mean(axis=1)
         for group, agents in zip(team.groups, team.agent_slices(), strict=True)
     }
-    figures = {name: np.array([episode.figures[name] for episode in episodes]) for name in ("aoi", "vdf")}
+    figures = {name: np.array([episode.metrics[name] for episode in episodes]) for name in ("aoi", "vdf")}
 
     def binned(values: Any) -> list[float]:
         return [round(float(values[share].mean()), DIGITS) for share in shares if share.size]
@@ -258,7 +258,7 @@ def compact(evaluation: Evaluation) -> dict[str, Any]:
         "farms": len(evaluation.farms),
         "reward": [round(score.reward, DIGITS) for score in scores],
         "types": {name: [round(score.types[name], DIGITS) for score in scores] for name in scores[0].types},
-        "figures": {name: [round(score.figures[name], DIGITS) for score in scores] for name in scores[0].figures},
+        "figures": {name: [round(score.metrics[name], DIGITS) for score in scores] for name in scores[0].metrics},
     }
 
 

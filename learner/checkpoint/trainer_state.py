@@ -67,7 +67,7 @@ def restored_random(state: Any) -> np.random.Generator:
 
 def episode_record(episode: EpisodeSummary) -> dict[str, Any]:
     """Return an episode's summary as plain values."""
-    return {**asdict(episode), "reward": list(episode.reward), "figures": dict(episode.figures)}
+    return {**asdict(episode), "reward": list(episode.reward), "metrics": dict(episode.metrics)}
 
 
 def episode_summaries(records: Any) -> list[EpisodeSummary]:
@@ -77,9 +77,16 @@ def episode_summaries(records: Any) -> list[EpisodeSummary]:
         CheckpointError: when they are no such records.
     """
     try:
-        return [EpisodeSummary(**{**r, "reward": tuple(float(value) for value in r["reward"])}) for r in records]
+        return [_episode_summary(record) for record in records]
     except (KeyError, TypeError, ValueError) as error:
         raise CheckpointError(f"the checkpoint's record of an episode is not readable: {error}.") from error
+
+
+def _episode_summary(record: Mapping[str, Any]) -> EpisodeSummary:
+    values = dict(record)
+    if "figures" in values:  # as earlier versions wrote it
+        values["metrics"] = values.pop("figures")
+    return EpisodeSummary(**{**values, "reward": tuple(float(value) for value in values["reward"])})
 
 
 def counter(state: Mapping[str, Any], name: str) -> int:

@@ -16,7 +16,7 @@ from common.protocol.chunk_messages import MOST_COUNT, from_message, from_reques
 from common.protocol.frame import Data
 from common.protocol.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from common.team import TeamSpec
-from common.transitions import FARM_FIGURES, Chunk
+from common.transitions import FARM_METRICS, Chunk
 from common.transport.bus import Incoming, Server
 from learner.intake.ledger import Intake, WorkerLedger
 from learner.intake.peer_penalties import CUT_SECONDS, PeerPenalties
@@ -104,7 +104,7 @@ class Receiver:
         replay: bounds.
         lockstep: whether the learner answers itself, when it has trained; a request then holds one chunk.
         history: where each verdict is written before it is told.
-        figures: names of what a finished episode comes to.
+        episode_metrics: names of the environment's episode metrics.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class Receiver:
         replay: ReplayConfig,
         lockstep: bool,
         history: History | None = None,
-        figures: Collection[str] = FARM_FIGURES,
+        episode_metrics: Collection[str] = FARM_METRICS,
     ) -> None:
         self.arrivals: queue.Queue[Arrival] = queue.Queue(replay.intake_chunks)
         self.intake = intake
@@ -125,7 +125,7 @@ class Receiver:
         self._history = history or History(None)
         self._damaged: dict[str, tuple[int, int, int]] = {}
         self._most_lag = replay.max_lag_versions
-        self.server, self._team, self._lockstep, self._figures = server, team, lockstep, figures
+        self.server, self._team, self._lockstep, self._episode_metrics = server, team, lockstep, episode_metrics
         self._most_rows = replay.capacity
         self._closing, self._dealt_with = threading.Event(), threading.Event()
         self.gate = threading.Lock()
@@ -249,7 +249,7 @@ class Receiver:
                 self._record("duplicate", sender, 1)
             return status, ""
         try:
-            chunk = from_message(message, self._team, self._figures)
+            chunk = from_message(message, self._team, self._episode_metrics)
             if chunk.rows.flag.shape[0] > self._most_rows:
                 raise SchemaError(f"{chunk.rows.flag.shape[0]} rows at once, more than a replay of {self._most_rows}.")
         except ProtocolError as error:

@@ -14,7 +14,7 @@ from common.config import FarmConfig, WorldConfig
 from common.errors import SimulationError
 from common.seeds import derive, stream
 from common.team import Float32, TeamSpec, farm_team
-from common.transitions import FARM_FIGURES, EpisodeSummary
+from common.transitions import FARM_METRICS, EpisodeSummary
 from rollout.sim.kernel.arrays import make_scratch
 from rollout.sim.kernel.compiler.argument_pack import FrozenFrame, make_frame
 from rollout.sim.kernel.rewards import REWARD_PARTS
@@ -189,13 +189,13 @@ class FarmBatch:
         farm, episode = self._seeds[index]
         steps = int(self.time[index])
         aoi, vdf, *rest = self._state.sums[index].tolist()
-        figures = (aoi / max(steps, 1), vdf / max(steps, 1), *rest)
+        metrics = (aoi / max(steps, 1), vdf / max(steps, 1), *rest)
         return EpisodeSummary(
             farm=farm,
             episode=episode,
             steps=steps,
             reward=tuple(self._state.returns[index].tolist()),
-            figures=dict(zip(FARM_FIGURES, figures, strict=True)),
+            metrics=dict(zip(FARM_METRICS, metrics, strict=True)),
         )
 
     def close(self) -> None:

@@ -97,7 +97,7 @@ class Sender:
             self._sequence += 1
             self.produced += steps
             number = self._sequence
-            made = Entry("made", self._worker, self._incarnation, number, number, steps, self.produced, self.flown)
+            made = Entry("produced", self._worker, self._incarnation, number, number, steps, self.produced, self.flown)
             self._history.add(made)
             self._held.append(_Held(number, version, self.produced, steps, sealed))
             self._changed.notify_all()
@@ -201,7 +201,7 @@ class Sender:
         with self._changed:
             # Before the spool looks empty: in lockstep the worker flies on as soon as it does.
             self.required_version = required_version
-            kept = {"refused": "refused", "duplicate": "again"}.get(verdict, "told")
+            kept = {"refused": "refused", "duplicate": "repeated"}.get(verdict, "acknowledged")
             self._history.add(Entry(kept, self._worker, self._incarnation, number, number, steps))
             self._held.popleft()
             if verdict == "refused":

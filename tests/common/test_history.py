@@ -20,12 +20,23 @@ def test_every_record_comes_back():
 
 
 @pytest.mark.parametrize(
+    ("written", "verdict"), [("made", "produced"), ("told", "acknowledged"), ("again", "repeated")]
+)
+def test_verdicts_of_earlier_versions_are_read(written, verdict):
+    """A history that an earlier version began is continued with today's words."""
+    record = parse(f'["{written}","w",1,2,2,10,20,20]')
+    assert record == Entry(verdict, "w", 1, 2, 2, 10, 20, 20)
+    assert text(record).startswith(f'["{verdict}",')
+
+
+@pytest.mark.parametrize(
     "line",
     [
-        '["made","w",1,1,9000000000000000000,1,1,1]',
-        '["made","w",1,5,4,1,1,1]',
-        '["made","w",1,1,1,1,1,1e3]',
-        '["made","w",1,1,1,1,1,18446744073709551616]',
+        '["heard","w",1,1,1,1,1,1]',
+        '["produced","w",1,1,9000000000000000000,1,1,1]',
+        '["produced","w",1,5,4,1,1,1]',
+        '["produced","w",1,1,1,1,1,1e3]',
+        '["produced","w",1,1,1,1,1,18446744073709551616]',
         '["resume",{"w":[1e999,1]}]',
         '["resume",{"w":[1,1,1]}]',
         '["resume",{"w":["1",1]}]',

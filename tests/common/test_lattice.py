@@ -75,7 +75,7 @@ def test_a_farms_monitors_reach_the_lattice_and_never_leave_the_field():
         if step > 40:
             off = (farms.position[..., :2] - 5.0) / 10.0
             np.testing.assert_allclose(off, np.rint(off), atol=1e-3)
-    assert all(farms.summary(index).figures["boundary"] == 0 for index in range(3))
+    assert all(farms.summary(index).metrics["boundary"] == 0 for index in range(3))
 
 
 def test_only_those_with_a_lattice_are_steered():

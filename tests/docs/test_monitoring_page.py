@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from common.protocol import codec, keys, messages, metrics
-from common.protocol.metrics import Figure, undeclared
+from common.protocol.metrics import Metric, undeclared
 from deploy.monitor import snapshot
 from docs.tools.monitoring_page import attribute_docs, monitoring_page
 from elite import service as elite
@@ -32,7 +32,7 @@ def test_what_the_page_says_of_paces_is_so():
     paces = {learner.REPORT_SECONDS, rollout.REPORT_SECONDS, elite.REPORT_SECONDS}
     assert (paces, keys.METRIC.pace) == ({1.0}, "1 per second")
     assert f"{1.0 / learner.PROGRESS_SECONDS:.0f} per second" == keys.PROGRESS.pace
-    text = " ".join(figure.meaning for figure in metrics.FIGURES["learner"])
+    text = " ".join(metric.meaning for metric in metrics.METRICS["learner"])
     assert f"of at most {ledger.ROWS}, the others in `{ledger.OTHERS}`" in text
     assert (reports.IMITATIONS, reports.SMOOTHED_EPISODES) == (4, 40)
 
@@ -50,8 +50,8 @@ def test_every_field_on_the_page_is_explained():
 
 def test_names_are_held_against_the_declaration(monkeypatch):
     """Nested names are joined, a star covers one name or a rest with slashes, and anything else is found."""
-    declared = tuple(Figure(name, "", "") for name in ("a", "b/c", "d/*", "e/*/f"))
-    monkeypatch.setitem(metrics.FIGURES, "learner", declared)
+    declared = tuple(Metric(name, "", "") for name in ("a", "b/c", "d/*", "e/*/f"))
+    monkeypatch.setitem(metrics.METRICS, "learner", declared)
     assert undeclared("learner", {"a": 1, "b": {"c": 2}, "d": {"x/y": 3}, "e": {"g": {"f": 4}}}) == []
     assert undeclared("learner", {"b": 1, "e": {"g": {"h": 2}}, "z": {}}) == ["b", "e/g/h"]
     assert undeclared("nobody", {"a": 1}) == ["a"]

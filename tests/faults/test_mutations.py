@@ -88,7 +88,7 @@ def test_acknowledgement_before_booking(tmp_path, monkeypatch):
         if not (isinstance(record, Entry) and record.verdict == "accepted"):
             kept(self, record)
 
-    entries = [("accepted", 1, 2, 10)], [("made", 1, 2, 10), ("told", 1, 2, 10)]
+    entries = [("accepted", 1, 2, 10)], [("produced", 1, 2, 10), ("acknowledged", 1, 2, 10)]
     assert write(tmp_path / "whole", *entries).clean
     monkeypatch.setattr(History, "add", forgetful)
     assert len(write(tmp_path / "forgetful", *entries).unexplained) == 2

@@ -64,7 +64,7 @@ def test_means_are_those_of_the_episodes():
     assert result["reward"]["m"] == pytest.approx(reward[1:3].mean())
     assert result["reward"]["d"] == pytest.approx(reward[3:].mean())
     for key in ("aoi", "vdf", "collisions", "boundary", "energy_j"):
-        assert result[key] == pytest.approx(np.mean([summary.figures[key] for summary in summaries]))
+        assert result[key] == pytest.approx(np.mean([summary.metrics[key] for summary in summaries]))
         assert result["per_farm"][0][key] == pytest.approx(result[key])
 
 

@@ -15,7 +15,7 @@ from common.policy_file import save_policy
 from common.process import StopSignal
 from common.protocol import keys
 from common.protocol.messages import MetricMessage, SetpointMessage
-from common.protocol.metrics import FIGURES, undeclared
+from common.protocol.metrics import METRICS, undeclared
 from common.team import SIGNS, farm_team
 from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint, free_endpoint
@@ -145,7 +145,7 @@ def test_the_node_publishes_its_latencies_and_ends_with_hover(node: Node) -> Non
         assert node.process.wait(SECONDS) == 0
     values = told[-1].values
     assert undeclared("flight", values) == []
-    assert {figure.name.split("/")[0] for figure in FIGURES["flight"]} == set(values)
+    assert {metric.name.split("/")[0] for metric in METRICS["flight"]} == set(values)
     assert values["decisions"] > 0
     assert 0 < values["latency"]["median"] <= values["latency"]["most"]
     assert last[-1].hover

@@ -12,7 +12,7 @@ import pytest
 
 from common.protocol import keys
 from common.protocol.messages import MetricMessage
-from common.protocol.metrics import FIGURES, undeclared
+from common.protocol.metrics import METRICS, undeclared
 from common.transport.bus import Bus
 from deploy.exit_codes import PIPE_CLOSED
 from deploy.monitor.snapshot import Snapshot, record
@@ -115,7 +115,7 @@ def test_every_figure_of_a_run_is_declared(watched: Processes) -> None:
         until(everybody, "a message of each role")
     for role, message in told.items():
         assert undeclared(role, message.values) == []
-        missing = {figure.name.split("/")[0] for figure in FIGURES[role]} - set(message.values)
+        missing = {metric.name.split("/")[0] for metric in METRICS[role]} - set(message.values)
         assert missing == set()
 
 

@@ -31,9 +31,9 @@ def test_a_chunk_may_finish_as_many_episodes_as_it_has_steps():
 def test_episodes_end_where_the_rows_say():
     """As many summaries as flags of an end, each of at least one step: their count decides the end of a run."""
     whole = of_short_episodes(8, 3)
-    for told in (whole.episodes[:2], (), whole.episodes + whole.episodes[:1]):
+    for episodes in (whole.episodes[:2], (), whole.episodes + whole.episodes[:1]):
         with pytest.raises(SchemaError, match="do not fit together"):
-            from_message(to_message(Chunk(whole.rows, told), TEAM, 1, 8), TEAM, ())
+            from_message(to_message(Chunk(whole.rows, episodes), TEAM, 1, 8), TEAM, ())
     odd = (*whole.episodes[:2], dataclasses.replace(whole.episodes[2], steps=-5))
     with pytest.raises(SchemaError, match="no steps"):
         from_message(to_message(Chunk(whole.rows, odd), TEAM, 1, 8), TEAM, ())
@@ -50,15 +50,17 @@ def test_numbers_that_would_spoil_the_training_are_refused(part, value):
 
 
 @pytest.mark.parametrize(
-    "figures",
+    "metrics",
     [{}, {"aoi": 1.0}, {"aoi": 1.0, "updates": 2.0}, {"aoi": 1.0, "vdf": 2.0, "kind": 3.0}, {"aoi": 1.0, "vdf": 1e31}],
 )
-def test_an_episode_comes_to_what_the_environment_tells(figures):
-    """Names of others would meet those of the learner's own records; and no figure makes a mean infinite."""
+def test_a_finished_episode_has_the_metrics_of_the_environment(metrics):
+    """Other names could collide with those of the learner's records, and no value may make a mean infinite."""
     whole = of_short_episodes(1, 1)
-    told = EpisodeSummary(0, 0, 1, (1.0,) * TEAM.agents, {"vdf": 2.0, "aoi": 1.0})
-    assert from_message(to_message(Chunk(whole.rows, (told,)), TEAM, 1, 1), TEAM, ("aoi", "vdf")).episodes == (told,)
-    odd = Chunk(whole.rows, (EpisodeSummary(0, 0, 1, (1.0,) * TEAM.agents, figures),))
+    whole_episode = EpisodeSummary(0, 0, 1, (1.0,) * TEAM.agents, {"vdf": 2.0, "aoi": 1.0})
+    assert from_message(to_message(Chunk(whole.rows, (whole_episode,)), TEAM, 1, 1), TEAM, ("aoi", "vdf")).episodes == (
+        whole_episode,
+    )
+    odd = Chunk(whole.rows, (EpisodeSummary(0, 0, 1, (1.0,) * TEAM.agents, metrics),))
     with pytest.raises(SchemaError, match="finished"):
         from_message(to_message(odd, TEAM, 1, 1), TEAM, ("aoi", "vdf"))
     none = of_short_episodes(1, 0)

@@ -21,14 +21,14 @@ def test_parse_reverses_key(family: keys.KeyFamily) -> None:
 @pytest.mark.parametrize(
     "key",
     [
-        "eia-sec/v2/run/transition/*",
-        "eia-sec/v2/**",
+        "eia-sec/v3/run/transition/*",
+        "eia-sec/v3/**",
         "eia-sec/v1/run/transition/w",
-        "eia-sec/v2/run/transition",
-        "eia-sec/v2/run/transition/w/x",
-        "eia-sec/v2/run/params/other",
+        "eia-sec/v3/run/transition",
+        "eia-sec/v3/run/transition/w/x",
+        "eia-sec/v3/run/params/other",
         "other/v1/run/transition/w",
-        "eia-sec/v2/run/transition/$*",
+        "eia-sec/v3/run/transition/$*",
         "",
     ],
 )
@@ -47,5 +47,5 @@ def test_names_that_cannot_be_segments_are_refused(name: str) -> None:
 
 def test_pattern_covers_the_family_or_the_named_part() -> None:
     """Variables that are not given become a one-segment wildcard."""
-    assert keys.LIVE.pattern("r") == "eia-sec/v2/r/live/*/*"
-    assert keys.LIVE.pattern("r", role="rollout") == "eia-sec/v2/r/live/rollout/*"
+    assert keys.LIVE.pattern("r") == "eia-sec/v3/r/live/*/*"
+    assert keys.LIVE.pattern("r", role="rollout") == "eia-sec/v3/r/live/rollout/*"

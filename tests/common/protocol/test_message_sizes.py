@@ -13,7 +13,7 @@ from common.protocol.chunk_messages import to_message
 from common.protocol.message_sizes import actor_bytes, chunk_bytes, evaluation_bytes, require_frames
 from common.protocol.messages import EvaluationResult, ParametersMessage
 from common.team import GroupSpec, TeamSpec, farm_team
-from common.transitions import FARM_FIGURES, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from common.transitions import FARM_METRICS, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from rollout.envs.base import team_of
 
 TEAM = farm_team(RunConfig().farm)
@@ -31,7 +31,7 @@ def chunk_size(config, ends):
     shapes = (TEAM.observation_size, TEAM.action_size, TEAM.agents)
     rows = Rows(*(np.zeros((count * len(flag), size), np.float32) for size in shapes), np.array(flag * count, np.uint8))
     rows.check(TEAM)
-    ended = EpisodeSummary(0, 0, 1, (0.0,) * TEAM.agents, dict.fromkeys(FARM_FIGURES, 0.0))
+    ended = EpisodeSummary(0, 0, 1, (0.0,) * TEAM.agents, dict.fromkeys(FARM_METRICS, 0.0))
     return len(to_message(Chunk(rows, (ended,) * (count * ends)), TEAM, 1, count * steps).encode())
 
 

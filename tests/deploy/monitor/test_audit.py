@@ -26,13 +26,15 @@ def write(tmp_path, learner, worker=None, *, ended=False):
 
 
 def made(count):
-    return ("made", 1, count, 10)
+    return ("produced", 1, count, 10)
 
 
 def test_all_fates(tmp_path):
     """Accepted, rejected, lost with the learner and in flight are told apart, and their sum is what was made."""
     learner = [("accepted", 1, 4, 10), ("refused", 5, 5, 0), Resume({"a": (1, 3)}), ("accepted", 6, 6, 10)]
-    found = write(tmp_path, learner, [made(8), ("told", 1, 4, 10), ("refused", 5, 5, 10), ("told", 6, 6, 10)])
+    found = write(
+        tmp_path, learner, [made(8), ("acknowledged", 1, 4, 10), ("refused", 5, 5, 10), ("acknowledged", 6, 6, 10)]
+    )
     assert found.clean, found.unexplained
     assert dict(found.chunks) == {"accepted": 3, "lost": 2, "rejected": 1, "in_flight": 2}
     assert found.produced == 80
@@ -41,7 +43,7 @@ def test_all_fates(tmp_path):
 
 def test_what_an_ended_worker_held_is_lost(tmp_path):
     """Nothing is in flight any more when its worker has ended."""
-    found = write(tmp_path, [("accepted", 1, 1, 10)], [made(3), ("told", 1, 1, 10)], ended=True)
+    found = write(tmp_path, [("accepted", 1, 1, 10)], [made(3), ("acknowledged", 1, 1, 10)], ended=True)
     assert found.clean
     assert (found.chunks["lost"], found.chunks["in_flight"]) == (2, 0)
 
@@ -49,23 +51,27 @@ def test_what_an_ended_worker_held_is_lost(tmp_path):
 @pytest.mark.parametrize(
     ("learner", "worker", "said"),
     [
-        ([("accepted", 1, 2, 10)], [made(3), ("told", 1, 3, 10)], "chunk a/1/3 was told"),
-        ([("accepted", 1, 4, 10)], [made(3), ("told", 1, 3, 10)], "chunk a/1/4 was accepted"),
+        ([("accepted", 1, 2, 10)], [made(3), ("acknowledged", 1, 3, 10)], "chunk a/1/3 was told"),
+        ([("accepted", 1, 4, 10)], [made(3), ("acknowledged", 1, 3, 10)], "chunk a/1/4 was accepted"),
         ([("accepted", 1, 3, 20)], [made(3)], "chunk a/1/1 has 10 steps"),
         ([("accepted", 1, 2, 10), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never came"),
         ([("accepted", 5, 6, 10)], None, "chunk a/1/1 to 4 never came"),
         ([Resume({"a": (1, 4)}), ("accepted", 5, 6, 10)], None, "chunk a/1/4 to 4 never came"),
         ([("accepted", 1, 2, 10), Resume({"a": (1, 5)}), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never came"),
-        ([("refused", 1, 1, 0)], [made(1), ("told", 1, 1, 10)], "chunk a/1/1 was refused, and its worker was told"),
+        (
+            [("refused", 1, 1, 0)],
+            [made(1), ("acknowledged", 1, 1, 10)],
+            "chunk a/1/1 was refused, and its worker was told",
+        ),
         ([("accepted", 1, 1, 10)], [made(1), ("refused", 1, 1, 10)], "chunk a/1/1 was accepted, and its worker was"),
         (
             [("accepted", 1, 2, 10), Resume({"a": (1, 2)})],
-            [made(2), ("told", 1, 1, 10), ("refused", 2, 2, 10)],
+            [made(2), ("acknowledged", 1, 1, 10), ("refused", 2, 2, 10)],
             "chunk a/1/2 was rolled back, and its worker was told that it is refused",
         ),
         (
             [("accepted", 1, 1, 10)],
-            [made(1), ("told", 1, 2, 10)],
+            [made(1), ("acknowledged", 1, 2, 10)],
             "chunk a/1/2 was told to be accepted, and its worker",
         ),
     ],
@@ -81,7 +87,7 @@ def test_what_nobody_can_explain_is_named(tmp_path, learner, worker, said):
 def test_a_repeated_chunk_is_a_duplicate_whatever_became_of_it(tmp_path, fate):
     """A worker whose first answer was lost hears only that the chunk came again, also when it had been refused."""
     steps = 10 if fate == "accepted" else 0
-    found = write(tmp_path, [(fate, 1, 1, steps), ("duplicate", 1, 1, 1)], [made(1), ("again", 1, 1, 10)])
+    found = write(tmp_path, [(fate, 1, 1, steps), ("duplicate", 1, 1, 1)], [made(1), ("repeated", 1, 1, 10)])
     assert found.clean, found.unexplained
     assert found.chunks["accepted" if fate == "accepted" else "rejected"] == 1
 
@@ -97,7 +103,7 @@ def test_a_late_beginning_that_is_explained(tmp_path, before):
 @pytest.mark.parametrize("late", [True, False])
 def test_a_late_beginning_beside_workers_that_remember_all(tmp_path, late):
     """What a worker was told before the checkpoint with which the history begins is believed; without one it is not."""
-    worker = [made(6), ("told", 1, 3, 10), ("refused", 4, 4, 10), ("told", 5, 6, 10)]
+    worker = [made(6), ("acknowledged", 1, 3, 10), ("refused", 4, 4, 10), ("acknowledged", 5, 6, 10)]
     found = write(tmp_path, [*([Resume({"a": (1, 5)})] if late else []), ("accepted", 5, 6, 10)], worker)
     assert found.clean == late, found.unexplained
     assert not late or dict(found.chunks) == {"accepted": 5, "rejected": 1}
@@ -106,8 +112,8 @@ def test_a_late_beginning_beside_workers_that_remember_all(tmp_path, late):
 def test_a_start_before_a_late_beginning(tmp_path):
     """A worker's start that had ended before the checkpoint is not in it, and what it was told is believed, too."""
     learner = [Resume({"a": (2, 3)}), Entry("accepted", "a", 2, 3, 3, 10, 30, 30)]
-    worker = [made(2), ("told", 1, 2, 10), Start("rollout", "a", 2)]
-    worker += [Entry(verdict, "a", 2, 1, 3, 10, 30, 30) for verdict in ("made", "told")]
+    worker = [made(2), ("acknowledged", 1, 2, 10), Start("rollout", "a", 2)]
+    worker += [Entry(verdict, "a", 2, 1, 3, 10, 30, 30) for verdict in ("produced", "acknowledged")]
     found = write(tmp_path, learner, worker)
     assert found.clean, found.unexplained
     assert found.chunks["accepted"] == 5
@@ -134,7 +140,7 @@ def damage(path, number):
 @pytest.mark.parametrize("name", ["learner", "rollout-a"])
 def test_a_damaged_line_is_named_also_after_its_process_came_back(tmp_path, name):
     """A line in the middle that nobody can read is not clean, and going on with the file does not wipe it out."""
-    write(tmp_path, [("accepted", 1, 2, 10), ("missing", 3, 3, 0)], [made(2), ("told", 1, 2, 10)])
+    write(tmp_path, [("accepted", 1, 2, 10), ("missing", 3, 3, 0)], [made(2), ("acknowledged", 1, 2, 10)])
     path = tmp_path / "history" / f"{name}.jsonl"
     assert damage(path, 1) == 3
     said = f"line 1 of {name}.jsonl cannot be read, and is not torn off."
@@ -146,9 +152,9 @@ def test_a_damaged_line_is_named_also_after_its_process_came_back(tmp_path, name
 
 def test_a_torn_last_line_is_no_defect(tmp_path):
     """What a killed process left half written is counted, and the chunk is still in flight."""
-    write(tmp_path, [("accepted", 1, 1, 10)], [made(2), ("told", 1, 1, 10)])
+    write(tmp_path, [("accepted", 1, 1, 10)], [made(2), ("acknowledged", 1, 1, 10)])
     with (tmp_path / "history" / "rollout-a.jsonl").open("a") as file:
-        file.write('["told","a",1,2,')
+        file.write('["acknowledged","a",1,2,')
     found = audit(tmp_path)
     assert found.clean, found.unexplained
     assert (found.torn, found.damaged, found.chunks["in_flight"]) == (1, 0, 1)
@@ -166,7 +172,7 @@ def test_more_chunks_than_memory_holds_are_refused_before_they_are_counted(tmp_p
 
 def test_all_ids_are_named(tmp_path, capsys):
     """As JSON every one; as a table the first, and how many more there are."""
-    found = write(tmp_path, [("accepted", 1, 1, 10)], [made(31), ("told", 1, 31, 10)])
+    found = write(tmp_path, [("accepted", 1, 1, 10)], [made(31), ("acknowledged", 1, 31, 10)])
     names = [f"chunk a/1/{number} " for number in range(2, 32)]
     assert len(found.unexplained) == len(names)
     assert dispatch(["audit", str(tmp_path), "--json"]) == 1
@@ -180,7 +186,7 @@ def test_all_ids_are_named(tmp_path, capsys):
 
 def test_a_chunk_that_was_taken_twice_is_named(tmp_path, capsys):
     """A number that was accepted twice is doubled, and the command says so with exit code 1."""
-    found = write(tmp_path, [("accepted", 1, 3, 10), ("accepted", 2, 2, 10)], [made(3), ("told", 1, 3, 10)])
+    found = write(tmp_path, [("accepted", 1, 3, 10), ("accepted", 2, 2, 10)], [made(3), ("acknowledged", 1, 3, 10)])
     assert found.doubled == ["chunk a/1/2 was accepted after it had been accepted."]
     assert dispatch(["audit", str(tmp_path)]) == 1
     assert "counted twice: 1" in capsys.readouterr().out
@@ -198,6 +204,6 @@ def test_the_ledger_is_held_against_the_histories(tmp_path):
 
 def test_the_command_in_json(tmp_path, capsys):
     """A clean run gives exit code 0 and one object."""
-    write(tmp_path, [("accepted", 1, 2, 10)], [made(2), ("told", 1, 2, 10)])
+    write(tmp_path, [("accepted", 1, 2, 10)], [made(2), ("acknowledged", 1, 2, 10)])
     assert dispatch(["audit", str(tmp_path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["steps"]["accepted"] == 20

@@ -94,7 +94,7 @@ def test_file_and_single_values_change_the_farm(run_dir, tmp_path):
             set=("farm.world.steps=20", "farm.world.vdf_cycle=30"),
         )
     )
-    assert longer.total.figures["energy_j"] > plain.total.figures["energy_j"]
+    assert longer.total.metrics["energy_j"] > plain.total.metrics["energy_j"]
     assert again == plain
 
 

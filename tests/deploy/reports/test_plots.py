@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from common.config import FarmConfig, WorldConfig
-from common.transitions import FARM_FIGURES, EpisodeSummary
+from common.transitions import FARM_METRICS, EpisodeSummary
 from deploy.reports.comparison_tables import comparison_markdown, comparison_table
 from deploy.reports.plots import COLOURS, curves, curves_figure, smooth, trajectories, trajectories_figure
 from rollout.evaluation import Evaluation, Score, Trajectory
@@ -49,7 +49,7 @@ def evaluation(name, reward):
         reward,
         {"communication": -120.0, "monitoring": 1500.4, "collection": 1300.0},
         500.0,
-        dict(zip(FARM_FIGURES, (1.234, 2.345, 0.25, 1.0, 12345.0), strict=True)),
+        dict(zip(FARM_METRICS, (1.234, 2.345, 0.25, 1.0, 12345.0), strict=True)),
     )
     return Evaluation(name, (1000, 1001), 1, score, (score, score))
 

@@ -68,7 +68,7 @@ def test_a_run_is_that_of_one_process(bench, trained):
     flown = evaluate(trained.config.farm, ActorPolicy(actors), farms, 1, name="")
     np.testing.assert_allclose(result["evaluation"]["reward"], [s.reward for s in flown.per_farm], atol=1e-4)
     np.testing.assert_allclose(
-        result["evaluation"]["figures"]["aoi"], [s.figures["aoi"] for s in flown.per_farm], atol=1e-4
+        result["evaluation"]["figures"]["aoi"], [s.metrics["aoi"] for s in flown.per_farm], atol=1e-4
     )
 
 
@@ -93,7 +93,7 @@ def test_a_curve_is_made_of_the_finished_episodes(bench, trained):
         np.mean([e.reward for e in seen]), abs=1e-3
     )
     assert np.average(curve["vdf"], weights=shares) == pytest.approx(
-        np.mean([e.figures["vdf"] for e in seen]), abs=1e-3
+        np.mean([e.metrics["vdf"] for e in seen]), abs=1e-3
     )
     types = [curve["reward"][name] for name in ("communication", "monitoring", "collection")]
     np.testing.assert_allclose(np.mean(types, axis=0), curve["reward"]["mean"], atol=1e-3)

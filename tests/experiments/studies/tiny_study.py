@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from common.process import StopSignal
-from common.transitions import FARM_FIGURES
+from common.transitions import FARM_METRICS
 from experiments.studies.jobs import Job
 from experiments.studies.perform import perform
 from experiments.studies.record_checks import COUNTERS
@@ -67,7 +67,7 @@ TIMES = {piece: {"q05": 1.0, "median": 2.0, "mean": 2.5, "q95": 4.0} for piece i
 
 def flown(first: int, rewards: Sequence[float]) -> dict[str, Any]:
     """Return the result of a flight with these rewards, and a hundredth of them as its figures."""
-    figures = {key: [reward / 100.0 for reward in rewards] for key in FARM_FIGURES}
+    figures = {key: [reward / 100.0 for reward in rewards] for key in FARM_METRICS}
     types = {key: list(rewards) for key in ("communication", "monitoring", "collection")}
     return {"first_farm": first, "farms": len(rewards), "reward": list(rewards), "types": types, "figures": figures}
 

@@ -78,7 +78,7 @@ def test_heuristics_fly_every_team_and_field(name, world):
     config = FarmConfig(world=world)
     result = evaluate(config, policy_of(name, config), [1], 1, name=name)
     assert np.isfinite(result.total.reward)
-    assert result.total.figures["boundary"] == 0.0
+    assert result.total.metrics["boundary"] == 0.0
 
 
 @pytest.mark.parametrize("name", HEURISTICS)
@@ -101,10 +101,10 @@ def test_task_heuristics_beat_chance():
         found = totals[name]
         assert found.types["monitoring"] > 3.0 * max(chance.types["monitoring"], 100.0)
         assert found.types["collection"] > 1.5 * max(chance.types["collection"], 100.0)
-        assert found.figures["aoi"] < 0.8 * chance.figures["aoi"]
-        assert found.figures["vdf"] < 0.8 * chance.figures["vdf"]
+        assert found.metrics["aoi"] < 0.8 * chance.metrics["aoi"]
+        assert found.metrics["vdf"] < 0.8 * chance.metrics["vdf"]
         assert found.reward > 300.0 + max(chance.reward, totals["static"].reward)
-        assert found.figures["collisions"] == 0.0
+        assert found.metrics["collisions"] == 0.0
 
 
 def test_towards_flies_straight_at_full_speed_and_stops_at_the_target():

@@ -83,7 +83,7 @@ def test_a_long_episode_equals_the_reference():
         returns += reference.reward
     summary = batch.summary(0)
     sums[:2] /= SMALL.steps
-    counted = tuple(summary.figures.values())
+    counted = tuple(summary.metrics.values())
     np.testing.assert_allclose(counted, sums, rtol=1e-9)
     np.testing.assert_allclose(summary.reward, returns, rtol=1e-5, atol=1e-3)
     assert (summary.farm, summary.episode, summary.steps) == (3, 17, SMALL.steps)
@@ -97,7 +97,7 @@ def test_the_episodes_exercise_what_they_compare():
         batch.step(action[None])
         seen += np.abs(batch.parts[0]).sum(axis=0)
     assert (seen > 0).all()
-    assert batch.summary(0).figures["boundary"] > 0
+    assert batch.summary(0).metrics["boundary"] > 0
 
 
 def test_sixty_four_of_each_type_equal_the_reference():

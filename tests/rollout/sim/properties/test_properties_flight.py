@@ -33,7 +33,7 @@ def test_uavs_go_where_they_are_sent_and_stay_in_the_field(flight):
     clipped = ((course.wanted < 0.0) | (course.wanted > flight.size)).any(axis=2)
     weight = flight.config.reward.boundary * flight.config.world.step_seconds
     np.testing.assert_allclose(part(course, "boundary"), -weight * clipped, **EXACT)
-    assert course.summary.figures["boundary"] == clipped.sum()
+    assert course.summary.metrics["boundary"] == clipped.sum()
 
 
 @dose(25)
@@ -49,7 +49,7 @@ def test_energy_is_the_power_at_the_commanded_speed(flight):
     expected = np.where(near_hover, course.energy, power * flight.config.world.step_seconds)
     np.testing.assert_allclose(course.energy, expected, **EXACT)
     np.testing.assert_allclose(part(course, "energy"), -flight.config.reward.energy * course.energy, **EXACT)
-    assert course.summary.figures["energy_j"] == pytest.approx(course.energy.sum(), rel=1e-9)
+    assert course.summary.metrics["energy_j"] == pytest.approx(course.energy.sum(), rel=1e-9)
 
 
 def costs(course: Course, step: int) -> np.ndarray:
@@ -161,9 +161,9 @@ def test_the_summary_is_that_of_the_course(flight):
     others = (course.kinds[:, None] == course.kinds) & ~np.eye(len(course.kinds), dtype=bool)
     least = np.where(others, apart, np.inf).min(axis=2)
     fewest, most = ((least < flight.config.world.collision_distance + margin).sum() for margin in (-1e-9, 1e-9))
-    assert fewest <= course.summary.figures["collisions"] <= most
-    assert course.summary.figures["aoi"] == pytest.approx(course.aoi[1:].mean(), abs=1e-9)
-    assert course.summary.figures["vdf"] == pytest.approx(course.vdf[1:].mean(), abs=1e-9)
+    assert fewest <= course.summary.metrics["collisions"] <= most
+    assert course.summary.metrics["aoi"] == pytest.approx(course.aoi[1:].mean(), abs=1e-9)
+    assert course.summary.metrics["vdf"] == pytest.approx(course.vdf[1:].mean(), abs=1e-9)
     assert (course.summary.farm, course.summary.episode) == (flight.farm, flight.episode)
     assert course.summary.steps == course.steps
 
