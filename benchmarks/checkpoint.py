@@ -2,7 +2,7 @@
 
     python -m benchmarks.checkpoint [--json] [--checkpoints 5] [--width 64] [--folder DIR] [--write FILE]
 
-With `--write docs/results/checkpoint.json`, `make docs` then brings the result into docs/understanding.md.
+With `--write docs/results/checkpoint.json`, `make docs` then brings the result into docs/how-to/debug_training.md.
 
 The default team and replay buffer, full; training takes one thread. While each checkpoint is being written, training
 goes on: one chunk of the default size comes in and one update round is done, again and again. Beside the pause itself

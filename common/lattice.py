@@ -3,7 +3,7 @@
 An actor that steers by a lattice says with each of its two numbers whether to go back, stay or go on along x and y, and
 flies to the place next to it that this names. Gaussian noise on an output, in training or in its weights, then changes
 nothing until it crosses a third of the range, and what was flown last is no longer summed up into a drift. The paper's
-actors command velocities; see docs/method.md for what this changes.
+actors command velocities; see docs/explanation/method.md for what this changes.
 
 Source: an actor's output mapped to the nearest of the possible actions, Dulac-Arnold et al. (2015), Deep reinforcement
 learning in large discrete action spaces.

@@ -18,7 +18,7 @@ LOCAL_CRITICS: Final = ("eia-sec", "eia", "sec", "base")
 
 @dataclass(frozen=True)
 class AlgorithmConfig:
-    """The algorithm, its networks, losses and rates; readings A4 to A12, equations in docs/algorithms.md."""
+    """The algorithm, its networks, losses and rates; readings A4 to A12, equations in docs/reference/algorithms.md."""
 
     name: AlgorithmName = "eia-sec"
     """The algorithm: EIA-SEC, its ablations without SEC (eia), without imitation (sec) and without both (base), or

@@ -2,7 +2,7 @@
 
 The study preset is what the dataclasses say. It stays as it is: the studies' finished runs were made with it, and the
 plain farm that other people's programs see through PettingZoo and Gymnasium is its farm. The default preset stands on
-top of it and is what was found since (docs/method.md).
+top of it and is what was found since (docs/explanation/method.md).
 
 The paper preset names every printed value of the method, so that tuning the defaults leaves it alone. Where the
 printed thing cannot work at all the correction stays: the signs of W1 and W8, the rule of A1, evaluation on farms

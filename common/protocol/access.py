@@ -1,8 +1,8 @@
 """Who may do what on which keys: declared once, here.
 
-From this table come the access list of every process that listens, the table in docs/security.md, and what the tests
-expect. Everything that it does not name is denied, wildcards included: an expression passes only when one that is
-granted covers all of it.
+From this table come the access list of every process that listens, the table in docs/reference/security.md, and what
+the tests expect. Everything that it does not name is denied, wildcards included: an expression passes only when one
+that is granted covers all of it.
 """
 
 from collections.abc import Iterable, Sequence

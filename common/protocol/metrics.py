@@ -1,7 +1,7 @@
 """Every metric that a process publishes about itself: name, unit and meaning, by role.
 
-Names of nested maps are joined by a slash; `*` stands for any one name. `docs/monitoring.md` is made from this table,
-and a test holds it against what the processes of a real run report.
+Names of nested maps are joined by a slash; `*` stands for any one name. A test
+holds the table against what the processes of a real run report, and `docs/reference/monitoring.md` is made from it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -100,9 +100,9 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
             "what else an episode came to, over the same: aoi, vdf (units), collisions, boundary "
             "(UAV steps), energy_j (J) on the farm",
         ),
-        Metric("statistics/*", "", "running means of the training; docs/understanding.md says what each is"),
+        Metric("statistics/*", "", "running means of the training; docs/how-to/debug_training.md says what each is"),
         Metric("evaluation_steps", _STEPS, "flown without noise for imitation"),
-        Metric("checkpoints/*", "", "metrics of the checkpoints; docs/understanding.md"),
+        Metric("checkpoints/*", "", "metrics of the checkpoints; docs/how-to/debug_training.md"),
         _ALARMS,
     ),
     "rollout": (

@@ -85,7 +85,7 @@ class Endpoint:
         if not (self.is_loopback or insecure or self.credentials is not None):
             raise EndpointError(
                 f"listening on {self} would let anybody who reaches it join the run, read it and steer it; give a "
-                "certificate with --tls FOLDER (see docs/security.md), or add --insecure if that is meant."
+                "certificate with --tls FOLDER (see docs/reference/security.md), or add --insecure if that is meant."
             )
 
     def __str__(self) -> str:

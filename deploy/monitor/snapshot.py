@@ -188,7 +188,7 @@ class Snapshot:
 
 
 def record(snapshot: Snapshot) -> dict[str, Any]:
-    """Return a snapshot as `eia-sec monitor --json` prints it: `docs/monitoring.md` lists the fields.
+    """Return a snapshot as `eia-sec monitor --json` prints it: `docs/reference/monitoring.md` lists the fields.
 
     A series is its name and its latest value; a number that is not finite is null.
     """

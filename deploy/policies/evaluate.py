@@ -33,7 +33,7 @@ class EvaluateArguments:
     """A run's directory: its configuration and its newest policy."""
     policy: str | None = None
     """static, random, lawnmower, greedy, tour, hungarian, horizon, trained, or a policy file; with --run-dir, instead
-    of the run's policy. horizon+centroid, for instance, names the relays too (docs/heuristics.md)."""
+    of the run's policy. horizon+centroid, for instance, names the relays too (docs/reference/heuristics.md)."""
     farms: str = "1000:1020"
     """Farm seeds A:B, from A to B - 1; for other environments scenario seeds."""
     episodes: int = 1

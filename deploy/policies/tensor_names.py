@@ -5,7 +5,7 @@ from common.team import COLLECTION, COMMUNICATION, MONITORING, GroupSpec
 
 
 def observation_names(config: RunConfig, group: GroupSpec) -> list[str]:
-    """Return a name for each number of an observation, in order (W24; scales are in `docs/export.md`)."""
+    """Return a name for each number of an observation, in order (W24; scales are in `docs/how-to/export.md`)."""
     if not config.env.is_farm:
         return [f"observation_{index}" for index in range(group.observation_size)]
     seen, uav = config.farm.observation, _offset("nearest_uav")

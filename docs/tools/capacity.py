@@ -2,9 +2,9 @@
 
     python -m docs.tools.capacity [--workers 50] [--round-ms 1.2] [--link-gbit 10] ...
 
-prints the table for a plan, and `python -m docs.tools.results` writes that of the defaults into docs/capacity.md. The
-model has no queues and no contention: each part has a rate at which it is busy all the time, and the run goes at the
-least.
+prints the table for a plan; `python -m docs.tools.results` writes the one for the defaults into
+docs/explanation/capacity.md. The model has no queues and no contention: each part has a rate at which it is busy all
+the time, and the run goes at the lowest.
 """
 
 import json
@@ -183,7 +183,7 @@ def _wider() -> float:
 
 
 def block(*data: dict[str, Any]) -> str:
-    """Return the generated part of docs/capacity.md."""
+    """Return the generated part of docs/explanation/capacity.md."""
     measured, plan = Measured.of(*data), Plan()
     size = measured.step_bytes() * plan.steps
     config = PRESETS["default"]

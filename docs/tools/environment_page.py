@@ -1,4 +1,4 @@
-"""The picture and the generated tables of docs/environment.md, made by `python -m docs.tools.environment_page`."""
+"""The picture and the generated tables of docs/reference/environment.md."""
 
 import itertools
 import json
@@ -18,7 +18,7 @@ from rollout.policies import policy_of
 from rollout.rendering.render import Renderer
 from rollout.sim.batch import FarmBatch
 
-PAGE: Final = Path("docs/environment.md")
+PAGE: Final = Path("docs/reference/environment.md")
 PICTURE: Final = Path("docs/images/farm.png")
 TIMINGS: Final = Path("docs/results/environment.json")
 POLICY: Final = "trained"

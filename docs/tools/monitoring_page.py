@@ -1,4 +1,4 @@
-"""docs/monitoring.md: what any subscriber can read, from the declarations of keys, messages and figures."""
+"""docs/reference/monitoring.md: what any subscriber can read, from the declarations of keys, messages and figures."""
 
 import inspect
 import re
@@ -84,7 +84,7 @@ _METRICS: Final = """## Figures of each role
 
 `MetricMessage.values`, one message a second. Names of nested maps are joined by a slash here, and `*` is any name.
 `metrics.jsonl` in the run directory holds the learner's figures too, without `alarms` and `imitations`, in its records
-of kind `status`, and TensorBoard shows a part of them ([understanding.md](understanding.md)).
+of kind `status`, and TensorBoard shows a part of them ([debug_training.md](../how-to/debug_training.md)).
 
 """
 
@@ -102,7 +102,7 @@ eia-sec monitor --json | jq -c '[.episodes, .ledger.lost, [.processes[] | select
 
 
 def monitoring_page() -> str:
-    """Return docs/monitoring.md."""
+    """Return docs/reference/monitoring.md."""
     head = _HEAD.format(
         example=EXAMPLE.read_text(encoding="utf-8"),
         root=keys.ROOT,

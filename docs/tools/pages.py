@@ -53,7 +53,7 @@ def sections(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def configuration_page() -> str:
-    """Return docs/configuration.md: one table for each section, one row for each key."""
+    """Return docs/reference/configuration.md: one table for each section, one row for each key."""
     parts = [_HEAD]
     for name, section in sections(RunConfig()):
         rows = [_row(name, section, field.name) for field in dataclasses.fields(section)]
@@ -102,9 +102,9 @@ def _cells(cells: list[str]) -> str:
 
 
 PAGES: Final[dict[str, Callable[[], str]]] = {
-    "configuration.md": configuration_page,
-    "monitoring.md": monitoring_page,
-    "security.md": security_page,
+    "reference/configuration.md": configuration_page,
+    "reference/monitoring.md": monitoring_page,
+    "reference/security.md": security_page,
 }
 """Every generated page: its file name in docs/ and the function that returns its text."""
 
@@ -115,8 +115,8 @@ PICTURES: Final[dict[str, Callable[[Path], None]]] = {"images/densities.png": dr
 def main(arguments: list[str]) -> None:
     """Write every generated page and picture into the folder given (docs when none is)."""
     folder = Path(arguments[0]) if arguments else Path("docs")
-    folder.mkdir(parents=True, exist_ok=True)
     for name, page in PAGES.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(page(), encoding="utf-8")
     for name, draw in PICTURES.items():
         (folder / name).parent.mkdir(exist_ok=True)

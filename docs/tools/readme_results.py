@@ -37,7 +37,7 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
         "Beside the paper's baselines, every method with the plain views of the preset `study`: equal tuning,",
         f"{size['episodes']} episodes and {seeds} seeds each, flown on",
         f"farms {start}..{start + size['farms'] - 1}{early}; interquartile means, in brackets 95 % of",
-        "a bootstrap over the seeds ([what that is worth](docs/reproduce.md#statistics)), and",
+        "a bootstrap over the seeds ([what that is worth](docs/explanation/reproduce.md#statistics)), and",
         "normalised: 0 is the random policy, 1 the best heuristic. Made by",
         f"`{study['command']}`, commits {', '.join(commits)}.",
         "",
@@ -49,7 +49,7 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
         figures = [shown(method["figures"][figure], 2) for figure in ("aoi", "vdf")]
         cells = [shown(method["reward"]), shown(method["normalised"], 2), *figures, shown(better, 2) if better else ""]
         rows.append(" | ".join(["", f"**{name}**" if name == first else name, *cells, ""]).strip())
-    return [*rows, "", "[All claims of the paper, one by one](docs/reproduce.md).", ""]
+    return [*rows, "", "[All claims of the paper, one by one](docs/explanation/reproduce.md).", ""]
 
 
 def _rank(flown: dict[str, Any]) -> list[str]:
@@ -63,7 +63,7 @@ def _rank(flown: dict[str, Any]) -> list[str]:
         f"On farms {flown['first_farm']}..{flown['last_farm']} the policy that ships earns {mean:.0f}"
         f" ({low:.0f}..{high:.0f}). More earn the heuristics",
         f"{above or 'none'}; as much: {level or 'none'}",
-        "([all of them](docs/heuristics.md)).",
+        "([all of them](docs/reference/heuristics.md)).",
     ]
 
 

@@ -1,4 +1,4 @@
-"""The page of faults and full doses: docs/reliability.md from the figures in docs/results/reliability.
+"""The page of faults and full doses: docs/explanation/reliability.md from the figures in docs/results/reliability.
 
     EIA_SEC_FIGURES=docs/results/reliability python -m pytest -m nightly tests/faults     # the doses, about an hour
     python -m docs.tools.reliability_page                                                     # the page
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 FIGURES = Path("docs/results/reliability")
-PAGE = Path("docs/reliability.md")
+PAGE = Path("docs/explanation/reliability.md")
 TEXT = Path(__file__).with_suffix(".md")
 TABLE = "<!-- table -->\n"
 """Where the table stands in the text."""

@@ -1,4 +1,4 @@
-"""The blocks of docs/reproduce.md: written by `python -m docs.tools.reproduce_page` from the committed results."""
+"""The generated blocks of docs/explanation/reproduce.md, from the committed results."""
 
 import json
 import re
@@ -15,7 +15,7 @@ from experiments.studies.catalogue import STUDIES
 from experiments.studies.pages.tables import page
 from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
 
-PAGE: Final = Path("docs/reproduce.md")
+PAGE: Final = Path("docs/explanation/reproduce.md")
 RESULTS: Final = Path("docs/results/reproduce")
 HEURISTICS: Final = Path("docs/results/heuristics/results.json")
 REACH: Final = Path("docs/results/reach/results.json")
@@ -69,12 +69,12 @@ def refreshed(text: str, root: Path) -> str:
 def _origin(name: str, data: Any, root: Path) -> str:
     """Return where a study's numbers come from."""
     if data is not None:
-        made = f"[{name}](results/reproduce/{name}/README.md): `{data['command']}`, commit {data['commit']}."
+        made = f"[{name}](../results/reproduce/{name}/README.md): `{data['command']}`, commit {data['commit']}."
         farms = f"{FIRST_FARM}..{FIRST_REPORTED - 1}"
         early = f" Its numbers include farms {farms}, on which the preset was chosen." if early_farms(data) else ""
         return f"{made}{early}\n"
-    smoke = f"results/reproduce/smoke/{name}/README.md"
-    seen = f"; [a smoke run]({smoke}) shows that it works" if (root / "docs" / smoke).is_file() else ""
+    smoke = f"../results/reproduce/smoke/{name}/README.md"
+    seen = f"; [a smoke run]({smoke}) shows that it works" if (root / PAGE.parent / smoke).is_file() else ""
     return f"`eia-sec reproduce {name}`: {NOT_RUN}{seen}.\n"
 
 

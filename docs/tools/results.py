@@ -127,7 +127,7 @@ def _tasks_block(*tasks: dict[str, Any]) -> str:
         cells = (task["task"], spread, random, str(len(results)), f"{steps:,}", f"{minutes:.0f}")
         rows.append("| " + " | ".join(cells) + " |")
     commands = ", ".join(f"`{task['command']}` (commit {task['commit']})" for task in tasks)
-    pictures = [f"![{task['task']}](results/tasks/{task['task']}/curves.png)" for task in tasks]
+    pictures = [f"![{task['task']}](../results/tasks/{task['task']}/curves.png)" for task in tasks]
     return "\n".join(
         [
             "Reward of an episode per agent without noise, on scenarios that training never saw; mean over the seeds",
@@ -212,7 +212,7 @@ def _watch_block(data: dict[str, Any]) -> str:
     numbers = ", ".join(str(line["watchers"]) for line in data["watchers"])
     return "\n".join(
         [
-            f"`{data['command']}`{commit} ([results/watch.json](results/watch.json)):",
+            f"`{data['command']}`{commit} ([results/watch.json](../results/watch.json)):",
             f"{numbers} watchers take turns of {data['seconds']:.0f} s, {data['rounds']} rounds, with one worker that",
             "flies as fast as it can.",
             "",
@@ -237,7 +237,7 @@ def _fly_block(data: dict[str, Any]) -> str:
         rows.append(f"| {line['rate']:g} | {node['decisions']:,} | {latency} | {trip} | {left_out} |")
     return "\n".join(
         [
-            f"`{data['command']}`, commit {data['commit']} ([results/fly.json](results/fly.json)):",
+            f"`{data['command']}`, commit {data['commit']} ([results/fly.json](../results/fly.json)):",
             f"{data['vehicles']} UAVs, `eia-sec fly --policy trained --rate R` and `eia-sec simulator` on one machine",
             f"with {data['cores']} cores. Latencies are of the newest 1,000 decisions, round trips of all.",
             "",
@@ -257,7 +257,7 @@ def _checkpoint_block(data: dict[str, Any]) -> str:
     ]
     return "\n".join(
         [
-            f"`{data['command']}`, commit {data['commit']} ([results/checkpoint.json](results/checkpoint.json)):",
+            f"`{data['command']}`, commit {data['commit']} ([results/checkpoint.json](../results/checkpoint.json)):",
             f"{data['checkpoints']} checkpoints of {size:.0f} MiB, {data['agents']} agents of width {data['width']}",
             f"and {data['rows']:,} rows of replay; one thread trains, on a machine with {data['cores']} cores.",
             f"Another writes, for {data['write_seconds_median']:.1f} s (median). A turn takes one chunk in and does",
@@ -276,19 +276,19 @@ def _checkpoint_block(data: dict[str, Any]) -> str:
 BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
     "README.md": ("results", ("docs/results/default/evaluation.json", TRAINING, HEURISTICS, PRESET), run_block),
     "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
-    "docs/architecture.md": ("second-worker", ("docs/results/second_worker.json",), _second_worker_block),
-    "docs/capacity.md": ("capacity", capacity.SOURCES, capacity.block),
-    "docs/fly.md": ("latency", ("docs/results/fly.json",), _fly_block),
-    "docs/heuristics.md": ("heuristics", (HEURISTICS,), _heuristics_block),
-    "docs/hosts.md": ("hosts", ("docs/results/hosts/results.json",), _hosts_block),
-    "docs/method.md": ("forms", ("docs/results/critic_forms/forms.json",), _forms_block),
-    "docs/other_environments.md": (
+    "docs/explanation/architecture.md": ("second-worker", ("docs/results/second_worker.json",), _second_worker_block),
+    "docs/explanation/capacity.md": ("capacity", capacity.SOURCES, capacity.block),
+    "docs/how-to/vehicles.md": ("latency", ("docs/results/fly.json",), _fly_block),
+    "docs/reference/heuristics.md": ("heuristics", (HEURISTICS,), _heuristics_block),
+    "docs/how-to/hosts.md": ("hosts", ("docs/results/hosts/results.json",), _hosts_block),
+    "docs/explanation/method.md": ("forms", ("docs/results/critic_forms/forms.json",), _forms_block),
+    "docs/how-to/own_environment.md": (
         "tasks",
         ("docs/results/tasks/simple_spread/results.json", "docs/results/tasks/half_cheetah/results.json"),
         _tasks_block,
     ),
-    "docs/understanding.md": ("checkpoint", ("docs/results/checkpoint.json",), _checkpoint_block),
-    "docs/watch.md": ("cost", ("docs/results/watch.json",), _watch_block),
+    "docs/how-to/debug_training.md": ("checkpoint", ("docs/results/checkpoint.json",), _checkpoint_block),
+    "docs/how-to/watch.md": ("cost", ("docs/results/watch.json",), _watch_block),
 }
 """For each document: the block's name, the data that it shows, and the function that writes it."""
 

@@ -1,4 +1,4 @@
-"""docs/security.md: its text, and the access table that it shows, from `common.protocol.access`."""
+"""docs/reference/security.md: its text, and the access table that it shows, from `common.protocol.access`."""
 
 from typing import Final
 
@@ -41,7 +41,8 @@ eia-sec monitor --connect tls/farm-1:7447 --tls monitor.alice                   
 
 Both ports, 7447 and 7448, must be reachable. `eia-sec train --tls keys` does the same on one machine; it needs
 `learner.learner`, `elite.coordinator`, `operator.train` and `rollout.0`, `rollout.1`, ... With a file
-that describes the hosts, `eia-sec fleet keys` and `eia-sec up` do all of this, with a router: [hosts.md](hosts.md).
+that describes the hosts, `eia-sec fleet keys` and `eia-sec up` do all of this, with a router:
+[hosts.md](../how-to/hosts.md).
 
 **Renewal.** `eia-sec keys renew ROLE NAME` makes a new key and certificate for the same name and hosts; copy the
 folder and start that process again. A link ends when its certificate does. `eia-sec keys show` marks what ends
@@ -95,7 +96,7 @@ which and why, and exits with code 2.
 | imitation events, orders to evaluate | everybody but the coordinator |
 | stopping the run | everybody but an operator |
 | a vehicle's observations | other vehicles, and everybody else but the flight node that reads them |
-| set-points | everybody but a flight node; each is read by its own vehicle alone ([fly.md](fly.md)) |
+| set-points | everybody but a flight node; each is read by its own vehicle alone ([how](../how-to/vehicles.md)) |
 | the learner's process and memory | malformed, oversized, non-finite input of a worker |
 
 ## Not protected
@@ -123,7 +124,7 @@ _WORDS: Final = ("put", "answer", "ask", "read", "appear", "watch")
 
 
 def security_page() -> str:
-    """Return docs/security.md."""
+    """Return docs/reference/security.md."""
     return _TEXT.format(
         table=access_table(),
         limit=LIMIT,

@@ -14,8 +14,8 @@ FIRST_FARM: Final = 1000
 """First farm that trained policies and references are flown on; nothing is trained on it or any behind it."""
 FIRST_REPORTED: Final = 1020
 """First farm that full results are made from. The preset was chosen by trials flown on farms 1000..1019
-(docs/method.md), so these have had their say in what is compared. They stay in the records, whose jobs fly them, and
-are left out of every statistic; nothing at all was chosen on the farms behind them."""
+(docs/explanation/method.md), so these have had their say in what is compared. They stay in the records, whose jobs fly
+them, and are left out of every statistic; nothing at all was chosen on the farms behind them."""
 CHOICE_FARM: Final = 500
 """First farm of the evaluations that choose settings and draw curves; neither trained on nor reported."""
 

@@ -7,7 +7,7 @@
         actions = {agent: env.action_space(agent).sample() for agent in env.agents}
         observations, rewards, terminations, truncations, infos = env.step(actions)
 
-It is `FarmBatch` with one environment, bit for bit. Docs: docs/environment.md.
+It is `FarmBatch` with one environment, bit for bit. Docs: docs/reference/environment.md.
 """
 
 import itertools

@@ -9,7 +9,7 @@ from benchmarks.peers.catalogue import ROOT
 from deploy.reports.provenance import PACKAGES
 from docs.tools.results import BLOCKS, NOT_MEASURED, PAUSE_AIM, refreshed
 
-DOCUMENT = "docs/understanding.md"
+DOCUMENT = "docs/how-to/debug_training.md"
 
 
 def test_a_result_names_its_origin_and_is_shown(tmp_path):

@@ -1,4 +1,4 @@
-"""`eia-sec farm` and `--farm-file`: what docs/farms.md promises, run."""
+"""`eia-sec farm` and `--farm-file`: what docs/how-to/farms.md promises, run."""
 
 import itertools
 import json
@@ -25,7 +25,7 @@ from rollout.sim.layout import make_layout
 from rollout.sim.reference import ReferenceFarm
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-PAGE = (DOCS / "farms.md").read_text()
+PAGE = (DOCS / "how-to" / "farms.md").read_text()
 EXAMPLES = ["orchard.csv", "orchard.geojson"]
 
 

@@ -76,7 +76,7 @@ def test_an_impossible_plan_is_one_sentence(option, value):
 
 
 def test_the_page_shows_every_distance():
-    """The block of docs/capacity.md has a column for each round trip."""
+    """The block of docs/explanation/capacity.md has a column for each round trip."""
     text = capacity.block(*(json.loads(Path(source).read_text()) for source in capacity.SOURCES))
     assert all(f" {ms:,.0f} |" in text for ms in ROUND_TRIPS)
 

@@ -8,7 +8,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_page_is_up_to_date():
-    """docs/reliability.md is what the command writes from the figures that are there."""
+    """docs/explanation/reliability.md is what the command writes from the figures that are there."""
     assert (ROOT / PAGE).read_text(encoding="utf-8") == page(ROOT / FIGURES)
 
 

@@ -35,7 +35,7 @@ def test_a_block_replaces_only_itself(document: str) -> None:
 
 def test_the_cost_of_watching_tells_its_commit_when_it_is_known() -> None:
     """A file that names none is shown without; nothing is made up."""
-    block = BLOCKS["docs/watch.md"][2]
+    block = BLOCKS["docs/how-to/watch.md"][2]
     data = json.loads((ROOT / "docs" / "results" / "watch.json").read_text(encoding="utf-8"))
     without = {key: value for key, value in data.items() if key != "commit"}
     assert ", commit abc1234 (" in block({**without, "commit": "abc1234"})
@@ -58,7 +58,7 @@ def test_watching_costs_the_worker_less_than_two_percent() -> None:
     assert {line["watchers"] for line in watched} >= {1, 4}
     assert all(line["watching_percent"] < 2.0 for line in watched)
     control = {**data["watchers"][0], "other_share": 0.25, "extra_percent": 7.5}
-    block = BLOCKS["docs/watch.md"][2]({**data, "control": control})
+    block = BLOCKS["docs/how-to/watch.md"][2]({**data, "control": control})
     assert "busy with nothing for 25 % of its time |" in block
     assert "+7.5 %" in block
 

@@ -17,7 +17,7 @@ from docs.tools.results import BLOCKS
 from experiments.network import second_worker
 from experiments.network.second_worker import Arguments, Crew, measure, memory, wait_for
 
-BLOCK = BLOCKS["docs/architecture.md"][2]
+BLOCK = BLOCKS["docs/explanation/architecture.md"][2]
 SLOW = Arguments(workers=(1, 2, 4), seconds=10.0, settle=1.0)
 
 

@@ -101,7 +101,7 @@ def test_heuristics_have_one_list():
     """The registry, the files, the documentation and the command's help name the same heuristics."""
     files = {path.stem for path in (ROOT / "rollout/heuristics").glob("*.py")}
     assert set(HEURISTICS) == {*TASKS, "static", "random"} <= files
-    page = (ROOT / "docs/heuristics.md").read_text()
+    page = (ROOT / "docs/reference/heuristics.md").read_text()
     named = {line.split("`")[1] for line in page.splitlines() if line.startswith("| `")}
     assert named == {*HEURISTICS, *RELAYS}
     shown = field_docs(EvaluateArguments)["policy"]

@@ -120,7 +120,7 @@ def test_every_figure_of_a_run_is_declared(watched: Processes) -> None:
 
 
 def test_the_plain_subscriber_on_the_page_works(watched: Processes) -> None:
-    """The example of docs/monitoring.md prints the metrics of all roles, without anything of this project."""
+    """The example of docs/reference/monitoring.md prints the metrics of all roles, without anything of this project."""
     example = ROOT / "docs" / "examples" / "subscriber.py"
     command = [sys.executable, "-P", str(example), str(watched.endpoint)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd="/", env={}) as process:

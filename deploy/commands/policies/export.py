@@ -18,7 +18,7 @@ FORMATS: Final = {"onnx": export_onnx, "safetensors": export_safetensors}
 
 @dataclass(frozen=True)
 class ExportArguments:
-    """Write a run's actors as files that need nothing of this project; see docs/export.md."""
+    """Write a run's actors as files that need nothing of this project; see docs/how-to/export.md."""
 
     run_dir: Path
     """The run's directory."""

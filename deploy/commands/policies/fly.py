@@ -24,7 +24,7 @@ from rollout.policies import TRAINED, fitted
 
 @dataclass(frozen=True)
 class FlyArguments:
-    """Fly vehicles with trained actors: observations in, velocity set-points out (docs/fly.md)."""
+    """Fly vehicles with trained actors: observations in, velocity set-points out (docs/how-to/vehicles.md)."""
 
     policy: str | None = None
     """Policy file, or trained for the one that ships. Default: that of --run-dir."""

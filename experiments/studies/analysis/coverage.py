@@ -68,7 +68,7 @@ def _decided(one: Numbers, other: Numbers) -> bool:
 
 
 def block(data: dict[str, Any] | None) -> str:
-    """Return what docs/reproduce.md says of it."""
+    """Return what docs/explanation/reproduce.md says of it."""
     if data is None:
         return "How often they are right has not been counted.\n"
     lines = ["| seeds of each | interval holds the truth | equal methods told apart | by one number a seed |"]

@@ -22,7 +22,8 @@ WIDTH: Final = 118
 """Characters of a line of prose."""
 SMOKE_NOTE: Final = "This is the smoke scale: it shows that everything works, and its numbers mean nothing.\n"
 EARLY_NOTE: Final = (
-    f"These numbers include farms {FIRST_FARM}..{FIRST_REPORTED - 1}, on which the preset was chosen (docs/method.md). "
+    f"These numbers include farms {FIRST_FARM}..{FIRST_REPORTED - 1}, on which the preset was chosen "
+    "(docs/explanation/method.md). "
     "The study was kept without\nits runs' values on each farm, so they cannot be taken out; a run of today leaves them"
     " out.\n"
 )
@@ -227,7 +228,7 @@ _TIMES: Final = (
     "Other work on the machine is in them. They compare within a page: `scalability` and `inference` share timings\n"
     "that one machine made, and otherwise differ by machine, commit and what else ran.\n"
 )
-_BEYOND: Final = " The default preset stands outside of this: docs/method.md says how it was found."
+_BEYOND: Final = " The default preset stands outside of this: docs/explanation/method.md says how it was found."
 _UNEQUAL: Final = (
     "The two are not equally tuned, and their budgets differ: fewer episodes and more update rounds for each step in\n"
     "the default preset; times and steps stand below. Its seed 0 has the configuration of the policy that ships.\n"
@@ -245,8 +246,8 @@ def _legend(data: Results) -> str:
     parts = (
         "Reward per agent, noise-free on unseen farms: interquartile mean over seeds and farms "
         f"({_statistic(data)} for a policy that learns nothing). In brackets {LEVEL:.0%} of a bootstrap over the "
-        "seeds; the farms are fixed. Of few seeds that is right less often than its name says (docs/reproduce.md, "
-        "Statistics). Normalised: 0 is random, 1 the best heuristic."
+        "seeds; the farms are fixed. Of few seeds that is right less often than its name says "
+        "(docs/explanation/reproduce.md, Statistics). Normalised: 0 is random, 1 the best heuristic."
     )
     if "improvement" in data:
         parts += (

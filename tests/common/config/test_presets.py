@@ -123,7 +123,7 @@ def test_study_preset_is_the_dataclasses():
 
 
 def test_default_preset_stands_on_the_study_preset():
-    """The default preset differs from the study preset in what docs/method.md names, and in nothing else."""
+    """The default preset differs from the study preset in what the page on the method names, and in nothing else."""
     told = differences(PRESETS["study"], PRESETS["default"])
     assert {line.partition(":")[0] for line in told} == {
         "episodes",

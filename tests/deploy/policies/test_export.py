@@ -24,7 +24,7 @@ from deploy.policies.tensor_names import action_names, observation_names
 from learner.trainer import Trainer
 from rollout.sim.batch import FarmBatch
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "export.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "export.md"
 
 
 @pytest.fixture(params=["farm", "mirrored", "other"])
@@ -121,7 +121,7 @@ def test_plain_tensors_are_the_policys_own(run, tmp_path_factory):
 
 
 def test_the_pages_code_runs_and_gives_the_policys_actions(run, monkeypatch, capsys):
-    """What docs/export.md shows is run as it stands there."""
+    """What docs/how-to/export.md shows is run as it stands there."""
     directory, actors, rows = run
     if not actors.team.groups[0].name.startswith("communication"):
         pytest.skip("the page's code names a UAV of the farm")

@@ -31,7 +31,7 @@ def test_registry_files_names_and_documentation_agree():
     files = {path.stem for path in (ROOT / "learner" / "algorithms").glob("*.py")} - PARTS
     assert {method.__module__.rpartition(".")[2] for method in ALGORITHMS.values()} == files
     assert set(ALGORITHMS) == set(get_args(AlgorithmName))
-    page = (ROOT / "docs" / "algorithms.md").read_text()
+    page = (ROOT / "docs" / "reference" / "algorithms.md").read_text()
     rows = re.findall(r"^\| `([a-z0-9-]+)` \| `learner/algorithms/([a-z0-9_]+)\.py` \|", page, re.MULTILINE)
     assert dict(rows) == {name: method.__module__.rpartition(".")[2] for name, method in ALGORITHMS.items()}
     assert all(issubclass(method, Algorithm) for method in ALGORITHMS.values())

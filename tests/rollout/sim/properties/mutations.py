@@ -1,7 +1,7 @@
 """Small errors put into the simulator on purpose, to see which property tests notice.
 
 Each is made in a copy of the sources in a temporary folder. `python -m tests.rollout.sim.properties.mutations` tries
-them all, or those named on the command line, and writes docs/simulator_properties.md.
+them all, or those named on the command line, and writes docs/reference/simulator_properties.md.
 """
 
 import os
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[4]
-PAGE = ROOT / "docs" / "simulator_properties.md"
+PAGE = ROOT / "docs" / "reference" / "simulator_properties.md"
 PROPERTIES = [f"test_properties_{name}.py" for name in ("flight", "counters", "symmetry", "batch", "reference")]
 """The reference, which notices almost everything, comes last."""
 
