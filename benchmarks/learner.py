@@ -49,7 +49,7 @@ from learner.algorithms import ALGORITHMS  # noqa: E402  (as above)
 from learner.networks.compiled_pass import usable_cores  # noqa: E402  (as above)
 from learner.networks.inputs import critic_width  # noqa: E402  (as above)
 from learner.networks.product_choice import choose_products  # noqa: E402  (as above)
-from learner.trainer import FIGURE_ROUNDS, Trainer  # noqa: E402  (as above)
+from learner.trainer import DIAGNOSTIC_PERIOD, Trainer  # noqa: E402  (as above)
 
 TIMED = ("eia-sec", "base", "maddpg", "matd3", "masac")
 UAVS = (6, 12, 16, 20, 24, 96)
@@ -159,7 +159,7 @@ def measure(
     trainer = filled_trainer(config, farm, capacity, device)
     burst = burst_of(config)
     # Every kind of round, with figures and without, so that nothing is compiled or captured while the clock runs.
-    trainer.train(FIGURE_ROUNDS * burst + 1)
+    trainer.train(DIAGNOSTIC_PERIOD * burst + 1)
     seconds = fastest(lambda: trainer.train(burst), max(1, rounds // burst), device) / burst
     speed = matrix_speed(device)
     return {
@@ -220,7 +220,7 @@ def growth_page(data: dict[str, Any]) -> str:
     lines = [line for by in GROWTH_BY for line in data[by]]
     cores = lines[0]["threads"]
     where = f"{cores} thread{'s' * (cores > 1)}" if lines[0].get("device", "cpu") == "cpu" else lines[0]["device"]
-    timed = f"the least of many bursts of {lines[0]['burst']} rounds"
+    timed = f"the least of many bursts of {lines[0]['burst']} updates"
     return f"Made by `{data['command']}` (commit {data['commit']}); {timed}, {where}.\n\n{table(lines)}"
 
 
@@ -236,7 +236,7 @@ def draw_growth(data: dict[str, Any], path: Path) -> None:
             axis.plot(x, [line["limit_ms"] for line in own], ":", color=colour, label=f"{name}, arithmetic alone")
         axis.set(xscale="log", yscale="log", xlabel=by, xticks=x, xticklabels=x)
         axis.minorticks_off()
-    axes[0].set_ylabel("ms per round of all agents")
+    axes[0].set_ylabel("ms per update of all agents")
     axes[0].legend(fontsize=7)
     figure.savefig(path, dpi=140)
 

@@ -7,7 +7,7 @@ flat vector theta in this order, each matrix stored input-major:
 
 and the agents of a type are the rows of one [n_v, P] array, so that imitation is a blend of two rows.
 
-A Gaussian head has 2 a outputs: the mean m and, behind it, log s, held within LOG_DEVIATION. Its noise-free action is
+A Gaussian head has 2 a outputs: the mean m and, behind it, log s, held within LOG_STD_RANGE. Its noise-free action is
 tanh(m); a sample is tanh(m + s n) with standard normal n. Without noise both heads are therefore the same function.
 """
 
@@ -24,7 +24,7 @@ from common.team import Float32, GroupSpec, TeamSpec
 
 Head = Literal["deterministic", "gaussian"]
 HEADS: Final[tuple[Head, ...]] = get_args(Head)
-LOG_DEVIATION: Final = (-20.0, 2.0)
+LOG_STD_RANGE: Final = (-20.0, 2.0)
 """Range of the logarithm of a Gaussian head's standard deviation."""
 
 
@@ -180,7 +180,7 @@ class TeamActors:
         parts = []
         for (group, head), own in zip(self._heads(observations), self.team.split_actions(noise), strict=True):
             size = group.action_size
-            scale = np.exp(np.clip(head[..., size:], np.float32(LOG_DEVIATION[0]), np.float32(LOG_DEVIATION[1])))
+            scale = np.exp(np.clip(head[..., size:], np.float32(LOG_STD_RANGE[0]), np.float32(LOG_STD_RANGE[1])))
             parts.append(np.tanh(head[..., :size] + scale * own).reshape(observations.shape[0], -1))
         return np.concatenate(parts, axis=1)
 

@@ -1,8 +1,8 @@
-"""Running means of what update rounds tell, for each agent, and how the critics compare with what came of it.
+"""Running means of what updates report, for each agent, and how the critics compare with what came of it.
 
     critic_loss         mean of the squared errors that the local critic descends, of two critics the first
     critic_error        mean of their sizes
-    q_mean              mean Q of the batch's own actions, before the round's step; see below
+    q_mean              mean Q of the batch's own actions, before the update's step; see below
     target_mean         mean Y
     actor_objective     mean of what the actor climbs
     critic_gradient     Euclidean norm of the gradient of the agent's critic, of two critics the mean, before any clip
@@ -35,7 +35,7 @@ from common.transitions import TERMINATED, TRANSITION
 from learner.checkpoint.trainer_state import checked_tensors
 from learner.data.index_set import Places
 from learner.data.replay import Replay
-from learner.engine import Figures
+from learner.engine import Diagnostics
 
 NAMES: Final = (
     "critic_loss",
@@ -53,14 +53,14 @@ NAMES: Final = (
     "realised_return",
     "overestimation",
 )
-PREFIX: Final = "figures."
+PREFIX: Final = "diagnostics."
 """What the names of the running means begin with in a checkpoint."""
 SHARE: Final = 0.05
-"""Share of the newest figures in the running means."""
+"""Share of the newest diagnostics in the running means."""
 RETURN_SHARE: Final = 0.2
 """The same for what is compared with realised returns, which is done more rarely."""
-RETURN_ROUNDS: Final = 128
-"""Every this many rounds Q is compared with realised returns."""
+RETURN_PERIOD: Final = 128
+"""Every this many updates Q is compared with realised returns."""
 RETURN_ROWS: Final = 0.25
 """Share of the rows with a realised return that are compared, those of the newest policies."""
 REMAINDER: Final = 0.01
@@ -119,7 +119,7 @@ def newest_returns(replay: Replay, places: Places, discount: float) -> tuple[Ten
     return returns, rows[age[: math.ceil(RETURN_ROWS * rows.size)]]
 
 
-class RunningFigures:
+class RunningDiagnostics:
     """The running means of a trainer.
 
     Args:
@@ -127,48 +127,48 @@ class RunningFigures:
         device: torch device.
 
     Attributes:
-        means: those of every name that was told [agents].
-        rounds: rounds that told their figures.
+        means: those of every name that was reported [agents].
+        updates: updates that reported their diagnostics.
         comparisons: comparisons with realised returns.
     """
 
     def __init__(self, team: TeamSpec, device: str) -> None:
         self._team, self._device = team, device
         self.means: dict[str, Tensor] = {}
-        self.rounds = self.comparisons = 0
+        self.updates = self.comparisons = 0
 
-    def note(self, figures: Figures) -> None:
-        """Take in the figures of one round."""
+    def note(self, diagnostics: Diagnostics) -> None:
+        """Take in the diagnostics of one update."""
         rows = {
-            "critic_loss": figures.error.square().mean(dim=1),
-            "actor_objective": figures.value.mean(dim=1),
-            "target_mean": figures.target.mean(dim=1),
-            "critic_error": figures.error.abs().mean(dim=1),
-            "q_mean": figures.prediction.mean(dim=1),
-            "critic_gradient": figures.critic_gradient,
-            "actor_gradient": figures.actor_gradient,
-            "member_loss": figures.member_loss,
-            "member_gradient": figures.member_gradient,
-            "member_spread": None if figures.spread is None else figures.spread.mean(dim=1),
-            "temperature": figures.temperature,
-            "log_probability": figures.log_probability,
+            "critic_loss": diagnostics.error.square().mean(dim=1),
+            "actor_objective": diagnostics.value.mean(dim=1),
+            "target_mean": diagnostics.target.mean(dim=1),
+            "critic_error": diagnostics.error.abs().mean(dim=1),
+            "q_mean": diagnostics.prediction.mean(dim=1),
+            "critic_gradient": diagnostics.critic_gradient,
+            "actor_gradient": diagnostics.actor_gradient,
+            "member_loss": diagnostics.member_loss,
+            "member_gradient": diagnostics.member_gradient,
+            "member_spread": None if diagnostics.spread is None else diagnostics.spread.mean(dim=1),
+            "temperature": diagnostics.temperature,
+            "log_probability": diagnostics.log_probability,
         }
         self._take(rows, SHARE)
-        self.rounds += 1
+        self.updates += 1
 
-    def compare(self, figures: Figures, returns: Tensor, chosen: Places) -> None:
-        """Take in how Q of a round's batch compares with the realised returns [B, agents] of the chosen rows."""
+    def compare(self, diagnostics: Diagnostics, returns: Tensor, chosen: Places) -> None:
+        """Take in how Q of an update's batch compares with the realised returns [B, agents] of the chosen rows."""
         if chosen.size == 0:
             return
         rows = torch.from_numpy(chosen).to(returns.device)
         realised = returns.index_select(0, rows).mean(dim=0)
-        value = figures.prediction.float().index_select(1, rows).mean(dim=1)
-        over = None if figures.soft else value - realised
+        value = diagnostics.prediction.float().index_select(1, rows).mean(dim=1)
+        over = None if diagnostics.soft else value - realised
         self._take({"realised_return": realised, "overestimation": over}, RETURN_SHARE)
         self.comparisons += 1
 
     def _take(self, rows: Mapping[str, Tensor | None], share: float) -> None:
-        """Move the means [agents] to newer figures; a figure that is told for the first time is its mean."""
+        """Move the means [agents] to newer diagnostics; a figure that is reported for the first time is its mean."""
         for name, row in rows.items():
             if row is None:
                 continue
@@ -196,7 +196,7 @@ class RunningFigures:
         return {name: found[f"{PREFIX}{name}"].to(self._device, copy=True) for name in names}
 
     def by_type(self) -> dict[str, float]:
-        """Return NAME/TYPE: means over the type's agents; without figures that the algorithm does not tell."""
+        """Return NAME/TYPE: means over the type's agents; without diagnostics that the algorithm does not report."""
         parts = list(zip(self._team.groups, self._team.agent_slices(), strict=True))
         return {f"{name}/{group.name}": float(row[part].mean()) for name, row in self._told() for group, part in parts}
 

@@ -1,7 +1,7 @@
-"""The one engine of all algorithms: a batch in, an update round of all agents, actors out.
+"""The one engine of all algorithms: a batch in, an update of all agents, actors out.
 
-The engine holds what algorithms share: statistics, the noise of a round, the round's number, and on an accelerator the
-captured graphs. What a round computes stands in `learner/algorithms`.
+The engine holds what algorithms share: statistics, the noise of an update, the number of updates, and on an accelerator
+the captured graphs. What an update computes stands in `learner/algorithms`.
 """
 
 from typing import Final
@@ -16,19 +16,19 @@ from common.config import AlgorithmConfig
 from common.seeds import stream
 from common.team import Float32, TeamSpec
 from learner.algorithms import ALGORITHMS
-from learner.algorithms.base import Batch, Figures
+from learner.algorithms.base import Batch, Diagnostics
 from learner.networks.compiled_pass import usable_cores
 from learner.networks.cuda_graphs import Graphs
 from learner.networks.normalisation import Normalisation
 
-__all__ = ["Batch", "Engine", "Figures"]
+__all__ = ["Batch", "Diagnostics", "Engine"]
 
 NOISE: Final = "round noise"
-"""Name of the stream of random numbers that rounds take."""
+"""Name of the random stream that updates draw from; it seeds runs, so it stays as it was first written."""
 
 
 class Engine:
-    """All networks of a run and their update round.
+    """All networks of a run and their update.
 
     Args:
         config: the algorithm's configuration.
@@ -42,8 +42,8 @@ class Engine:
     Attributes:
         cores: processor cores that compiled kernels compute on; 0 where torch computes.
         algorithm: the algorithm with its networks.
-        rounds: update rounds done, int64 [].
-        random: the generator of the rounds' noise; its state is part of a run's state.
+        updates: updates done, int64 [].
+        random: the generator of the updates' noise; its state is part of a run's state.
     """
 
     def __init__(
@@ -65,14 +65,14 @@ class Engine:
         self.normalisation = Normalisation(
             team, like, observations=config.observation_normalisation, rewards=config.reward_normalisation
         )
-        self.rounds = torch.zeros((), dtype=torch.int64)
+        self.updates = torch.zeros((), dtype=torch.int64)
         self.random = stream(seed, NOISE)
         self._noise = like.new_zeros(self.algorithm.noise_blocks, config.batch * team.action_size)
         self._graphs = Graphs(self.algorithm) if like.device.type == "cuda" else None
 
     @torch.inference_mode()
-    def round(self, batch: Batch, *, figures: bool = False) -> Figures | None:
-        """Do one update round; return its figures where asked for, valid until the next round."""
+    def update(self, batch: Batch, *, diagnostics: bool = False) -> Diagnostics | None:
+        """Do one update; return its diagnostics where asked for, valid until the next update."""
         if self.algorithm.noise_blocks:
             drawn = self.random.standard_normal(self._noise.shape, np.float32)
             self._noise.copy_(torch.from_numpy(drawn))
@@ -85,11 +85,11 @@ class Engine:
             )
         if self.cores > 1:
             numba.set_num_threads(usable_cores(self.cores))  # a setting of the thread that calls
-        phase = self.algorithm.phase(int(self.rounds))
-        self.rounds.add_(1)
+        phase = self.algorithm.phase(int(self.updates))
+        self.updates.add_(1)
         if self._graphs is not None:
-            return self._graphs.round(batch, self._noise, phase, figures=figures)
-        return self.algorithm.round(batch, self._noise, phase, figures=figures)
+            return self._graphs.update(batch, self._noise, phase, diagnostics=diagnostics)
+        return self.algorithm.update(batch, self._noise, phase, diagnostics=diagnostics)
 
     def observe(self, observation: Float32, reward: Float32) -> None:
         """Take rows of observations [R, O] and rewards [R, agents] into the running statistics, where there are any."""
@@ -113,7 +113,7 @@ class Engine:
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the whole state by name but for `random`; whoever writes into them calls `restored`."""
-        return {**self.algorithm.tensors(), **self.normalisation.tensors(), "rounds": self.rounds}
+        return {**self.algorithm.tensors(), **self.normalisation.tensors(), "updates": self.updates}
 
     def restored(self) -> None:
         """Take over what was written into `tensors`."""

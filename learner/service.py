@@ -1,4 +1,4 @@
-"""The learner process: experience in, gradient rounds in the middle, parameters out, and the pace between them."""
+"""The learner process: experience in, gradient updates, parameters out, and the pace between them."""
 
 import queue
 import time
@@ -39,8 +39,8 @@ from learner.warm_up import warm_up
 
 HISTORY = Path("history", "learner.jsonl")
 """The learner's own account of chunks, in the run directory."""
-BURST_ROUNDS = 8
-"""Update rounds between two looks at the mail."""
+BURST_UPDATES = 8
+"""Updates between two polls for messages."""
 PROGRESS_SECONDS = 0.1
 REPORT_SECONDS = 1.0
 HELD_SECONDS = 0.002
@@ -121,7 +121,7 @@ class Learner:
         self._receiver.join()
 
     def _finished(self) -> bool:
-        return self.trainer.episodes >= self._config.episodes and self.trainer.rounds_due() <= 0
+        return self.trainer.episodes >= self._config.episodes and self.trainer.updates_due() <= 0
 
     def _turn(self, stop: StopSignal) -> None:
         trainer = self.trainer
@@ -131,9 +131,9 @@ class Learner:
             except queue.Empty:
                 break
         started = time.monotonic()
-        rounds = min(trainer.rounds_due(), BURST_ROUNDS)
-        if rounds > 0:
-            trainer.train(rounds)
+        updates = min(trainer.updates_due(), BURST_UPDATES)
+        if updates > 0:
+            trainer.train(updates)
             self._waited["training"] += time.monotonic() - started
         elif self._awaits_elite():
             time.sleep(HELD_SECONDS)
@@ -158,7 +158,7 @@ class Learner:
             return
         self._absorb(arrival)
         started = time.monotonic()
-        self.trainer.train(max(0, self.trainer.rounds_due()))
+        self.trainer.train(max(0, self.trainer.updates_due()))
         self._waited["training"] += time.monotonic() - started
         self._publish()
         while self._schedule.is_due(self.trainer.events, self.trainer.episodes) and not (
@@ -295,7 +295,7 @@ class Learner:
             "alarms": self._alarms(),
         }
         self._presence.report(values, t.version)
-        agents = t.figures.by_agent()
+        agents = t.diagnostics.by_agent()
         told = ("lag_versions", "queue", "curves", "statistics", "checkpoints", "waits", "ledger")
         self._tensorboard.write(
             t.environment_steps, flattened({name: values[name] for name in told} | {"agents": agents})

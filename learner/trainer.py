@@ -1,13 +1,13 @@
-"""The learner without its network: experience in, update rounds, actors out.
+"""The learner without its network: experience in, updates, actors out.
 
     trainer = Trainer(config, team)
     while trainer.episodes < config.episodes:
         trainer.absorb(chunk, version)
-        trainer.train(trainer.rounds_due())
+        trainer.train(trainer.updates_due())
         actors, version = trainer.actors(), trainer.next_version()
 
-How many rounds are due follows from the counters alone, so a run that is resumed, or played in lockstep, does the same
-rounds at the same points.
+How many updates are due follows from the counters alone, so a run that is resumed, or played in lockstep, does the same
+updates at the same points.
 """
 
 import math
@@ -29,6 +29,7 @@ from common.transitions import TRANSITION, Chunk, EpisodeSummary
 from learner.checkpoint.trainer_state import (
     checked_tensors,
     counter,
+    current_names,
     episode_record,
     episode_summaries,
     finite,
@@ -38,15 +39,15 @@ from learner.checkpoint.trainer_state import (
 )
 from learner.data.replay import Replay
 from learner.data.tensor_snapshot import Frozen, whole
-from learner.diagnostics import RETURN_ROUNDS, SHARE, RunningFigures, newest_returns
-from learner.engine import Engine, Figures
+from learner.diagnostics import RETURN_PERIOD, SHARE, RunningDiagnostics, newest_returns
+from learner.engine import Diagnostics, Engine
 from learner.networks.device import usable_device
 from learner.networks.product_choice import choose_products
 
 COUNTERS = ("environment_steps", "updates", "episodes", "version", "events", "evaluation_steps")
 RECENT_EPISODES = 100
-FIGURE_ROUNDS = 16
-"""Every this many rounds one round tells its figures."""
+DIAGNOSTIC_PERIOD = 16
+"""Every this many updates one update reports its diagnostics."""
 
 
 class Trainer:
@@ -61,13 +62,13 @@ class Trainer:
 
     Attributes:
         environment_steps: environment steps absorbed.
-        updates: update rounds done.
+        updates: updates done.
         episodes: training episodes finished.
         version: number of the newest published parameters; 0 before the first.
         events: imitation events applied.
         evaluation_steps: environment steps that these events' evaluations took; part of the run's budget (A3).
         recent: the newest finished episodes.
-        figures: running means of what rounds tell.
+        diagnostics: running means of what updates report.
     """
 
     def __init__(self, config: RunConfig, team: TeamSpec) -> None:
@@ -81,7 +82,7 @@ class Trainer:
         self.environment_steps = self.updates = self.episodes = self.version = self.events = 0
         self.evaluation_steps = 0
         self.recent: deque[EpisodeSummary] = deque(maxlen=RECENT_EPISODES)
-        self.figures = RunningFigures(team, config.learner.device)
+        self.diagnostics = RunningDiagnostics(team, config.learner.device)
         self._age = self._oldest = 0.0
 
     def absorb(self, chunk: Chunk, version: int = 0, source: str = "", number: int = 0) -> None:
@@ -100,8 +101,8 @@ class Trainer:
         self.episodes += len(chunk.episodes)
         self.recent.extend(chunk.episodes)
 
-    def rounds_due(self) -> int:
-        """Return floor(updates_per_step * steps after the warm-up) less the rounds done; 0 before a batch is there."""
+    def updates_due(self) -> int:
+        """Return floor(updates_per_step * steps after the warm-up) less the updates done; 0 before a batch is there."""
         replay = self.config.replay
         if self.replay.transitions < self.config.algorithm.batch:
             return 0
@@ -112,17 +113,17 @@ class Trainer:
         replay = self.config.replay
         if replay.updates_per_step == 0:
             return False
-        return self.rounds_due() / replay.updates_per_step > replay.slack_steps
+        return self.updates_due() / replay.updates_per_step > replay.slack_steps
 
-    def train(self, rounds: int) -> None:
-        """Do update rounds."""
+    def train(self, updates: int) -> None:
+        """Do updates."""
         with _flushed_denormals():
-            for _ in range(rounds):
+            for _ in range(updates):
                 batch = self.replay.sample(self.config.algorithm.batch, self.random)
-                wanted = self.updates % FIGURE_ROUNDS == 0
-                figures = self.engine.round(batch, figures=wanted)
-                if figures is not None:
-                    self._note(figures)
+                wanted = self.updates % DIAGNOSTIC_PERIOD == 0
+                diagnostics = self.engine.update(batch, diagnostics=wanted)
+                if diagnostics is not None:
+                    self._note(diagnostics)
                 self.updates += 1
 
     def snapshot(self) -> tuple[dict[str, Tensor | Frozen], dict[str, Any]]:
@@ -133,15 +134,15 @@ class Trainer:
         rows, counts = self.replay.snapshot()
         tensors: dict[str, Tensor | Frozen] = {f"replay.{name}": tensor for name, tensor in rows.items()}
         tensors |= {f"engine.{name}": tensor.clone().cpu() for name, tensor in self.engine.tensors().items()}
-        tensors |= self.figures.tensors()
+        tensors |= self.diagnostics.tensors()
         plain: dict[str, Any] = {name: getattr(self, name) for name in COUNTERS}
         plain |= {
-            "figure_rounds": self.figures.rounds,
-            "comparisons": self.figures.comparisons,
+            "diagnostic_updates": self.diagnostics.updates,
+            "comparisons": self.diagnostics.comparisons,
             "sample_age": self._age,
             "sample_age_most": self._oldest,
             "random": random_state(self.random),
-            "round_noise": random_state(self.engine.random),
+            "update_noise": random_state(self.engine.random),
             "recent": [episode_record(episode) for episode in self.recent],
             "replay": counts,
         }
@@ -158,12 +159,13 @@ class Trainer:
         Raises:
             CheckpointError: when something is missing or does not fit the configuration.
         """
+        tensors, state = current_names(tensors, state)
         engine = self.engine
         own = {f"engine.{name}": tensor for name, tensor in engine.tensors().items()}
-        found, means = checked_tensors(own, tensors), self.figures.kept(tensors)
-        names = (*COUNTERS, "figure_rounds", "comparisons")
+        found, means = checked_tensors(own, tensors), self.diagnostics.kept(tensors)
+        names = (*COUNTERS, "diagnostic_updates", "comparisons")
         counts = {name: counter(state, name) for name in names}
-        random, noise = restored_random(state.get("random")), restored_random(state.get("round_noise"))
+        random, noise = restored_random(state.get("random")), restored_random(state.get("update_noise"))
         recent = episode_summaries(state.get("recent"))
         age, oldest = finite(state, "sample_age"), finite(state, "sample_age_most")
         prefix = "replay."
@@ -175,20 +177,20 @@ class Trainer:
             setattr(self, name, counts[name])
         engine.random = noise
         engine.restored()
-        self.figures.means = means
-        self.figures.rounds, self.figures.comparisons = counts["figure_rounds"], counts["comparisons"]
+        self.diagnostics.means = means
+        self.diagnostics.updates, self.diagnostics.comparisons = counts["diagnostic_updates"], counts["comparisons"]
         self._age, self._oldest, self.random = age, oldest, random
         self.recent = deque(recent, maxlen=RECENT_EPISODES)
 
-    def _note(self, figures: Figures) -> None:
-        share = SHARE if self.figures.rounds else 1.0
+    def _note(self, diagnostics: Diagnostics) -> None:
+        share = SHARE if self.diagnostics.updates else 1.0
         self._age += share * (self.version - self.replay.drawn_version - self._age)
         self._oldest += share * (self.version - self.replay.drawn_oldest - self._oldest)
-        self.figures.note(figures)
-        if self.updates % RETURN_ROUNDS == 0:
+        self.diagnostics.note(diagnostics)
+        if self.updates % RETURN_PERIOD == 0:
             discount, scale = self.config.algorithm.discount, self.config.algorithm.reward_scale
             returns, chosen = newest_returns(self.replay, self.replay.drawn_places, discount)
-            self.figures.compare(figures, self.engine.normalisation.rewarded(returns) * scale, chosen)
+            self.diagnostics.compare(diagnostics, self.engine.normalisation.rewarded(returns) * scale, chosen)
 
     def actors(self) -> TeamActors:
         """Return a copy of all actors."""
@@ -228,7 +230,7 @@ class Trainer:
 
     def statistics(self) -> dict[str, float]:
         """Return running means of losses and values for each type, and the state of replay."""
-        result = self.figures.by_type()
+        result = self.diagnostics.by_type()
         result["replay_rows"] = float(self.replay.rows)
         result["replay_occupancy"] = self.replay.occupancy
         result["replay_dropped"] = float(self.replay.dropped)

@@ -1,4 +1,4 @@
-"""Update rounds of a run that is thrown away, so that what they call is compiled before anybody waits for the learner.
+"""Updates of a run that is thrown away, so that what they call is compiled before anybody waits for the learner.
 
 With an empty cache the compiler takes some ten seconds, during which a process answers nobody.
 """
@@ -15,7 +15,7 @@ from learner.trainer import Trainer
 
 
 def warm_up(config: RunConfig, team: TeamSpec) -> None:
-    """Take in one chunk and do every kind of update round once; on an accelerator nothing is compiled ahead.
+    """Take in one chunk and do every kind of update once; on an accelerator nothing is compiled ahead.
 
     Args:
         config: the run.

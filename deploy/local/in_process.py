@@ -40,7 +40,7 @@ def train_inprocess(
         chunk = collector.collect(actors, config.exploration.deviation(progress), uniform)
         chunks += 1
         trainer.absorb(chunk, version, WORKER, chunks)
-        trainer.train(max(0, trainer.rounds_due()))
+        trainer.train(max(0, trainer.updates_due()))
         version = trainer.next_version()
         while schedule.is_due(trainer.events, trainer.episodes):
             number = trainer.events + 1

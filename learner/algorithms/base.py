@@ -3,9 +3,9 @@
 An algorithm is one class in `learner/algorithms`. The engine calls
 
     for number in count():
-        figures = algorithm.round(batch, noise, algorithm.phase(number))
+        diagnostics = algorithm.update(batch, noise, algorithm.phase(number))
 
-A round has no branch that depends on data, so that each phase can be captured as one graph.
+An update has no branch that depends on data, so that each phase can be captured as one graph.
 
 The targets of all algorithms are Y_i = reward_scale r_i + discount (1 - terminated) V_i(o'), where `discount` is the
 batch's, gamma^m for its m steps.
@@ -46,8 +46,8 @@ class Batch(NamedTuple):
     discount: Tensor
 
 
-class Figures(NamedTuple):
-    """What one round can tell; None is what the algorithm does not have. Norms are those before any clip.
+class Diagnostics(NamedTuple):
+    """What one update can report; None is what the algorithm does not have. Norms are those before any clip.
 
     Attributes:
         error: the (first) critics' errors before their step, [agents, B].
@@ -79,7 +79,7 @@ class Figures(NamedTuple):
 
 
 class Algorithm(ABC):
-    """One algorithm's networks and update round.
+    """One algorithm's networks and update.
 
     Args:
         config: its configuration.
@@ -92,7 +92,7 @@ class Algorithm(ABC):
         head: kind of the actors' last layer.
         critics_each: critics of one agent.
         climbed_each: how many of these the actors climb.
-        noise_blocks: standard normal numbers that a round takes, in action layouts.
+        noise_blocks: standard normal numbers that an update takes, in action layouts.
     """
 
     head: ClassVar[Head] = "deterministic"
@@ -140,22 +140,22 @@ class Algorithm(ABC):
 
     @classmethod
     def phases(cls, config: AlgorithmConfig) -> int:
-        """Return after how many rounds the kind of round repeats; in one of so many the actors step."""
+        """Return after how many updates the kind of update repeats; in one of so many the actors step."""
         return 1
 
     def phase(self, number: int) -> int:
-        """Return which kind of round the round of this number is; 0 where all are alike."""
+        """Return which kind of update the update of this number is; 0 where all are alike."""
         return 0
 
     @abstractmethod
-    def round(self, batch: Batch, noise: Tensor, phase: int, *, figures: bool) -> Figures | None:
-        """Do one update round; return its figures where asked for.
+    def update(self, batch: Batch, noise: Tensor, phase: int, *, diagnostics: bool) -> Diagnostics | None:
+        """Do one update; return its diagnostics where asked for.
 
         Args:
             batch: the transitions.
             noise: [noise_blocks, sum n_v * B * a_v] standard normal numbers, each block in the action layout.
             phase: see `phase`.
-            figures: whether to return figures; changes nothing else.
+            diagnostics: whether to return diagnostics; changes nothing else.
         """
 
     def tensors(self) -> dict[str, Tensor]:
@@ -170,14 +170,14 @@ class Algorithm(ABC):
             "critic_steps": adam.steps,
         }
 
-    def told(self, error: Tensor, value: Tensor, target: Tensor) -> Figures:
-        """Return the figures that all algorithms tell, after the round's steps."""
+    def diagnosed(self, error: Tensor, value: Tensor, target: Tensor) -> Diagnostics:
+        """Return the diagnostics that all algorithms report, after the update's steps."""
         norms = self.critic_adam.norms
         if norms is None:
             norms = self.critics.networks.norms(self.gradient_views.flat)
         each, agents = self.critics.each, self.team.agents
         critic = norms[: each * agents].view(each, agents).mean(dim=0)
-        return Figures(error, value, target, error + target, critic, self.actors.norms())
+        return Diagnostics(error, value, target, error + target, critic, self.actors.norms())
 
     def observe(self, batch: Batch) -> None:
         """Bring a batch into the networks' inputs."""

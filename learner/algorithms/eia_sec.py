@@ -4,10 +4,10 @@ For agent i of type v, with members k = 1 .. k_s shared by the type (eq. (value)
 
     Q_P,i = eps Q_i + (1 - eps) mean_k Q_s,k                      without an ensemble Q_P,i is Q_i
 
-A round is synchronous: every agent's step uses what the others had at the same point.
+An update is synchronous: every agent's step uses what the others had at the same point.
 
  1. A batch of B rows, the same rows for all agents.
- 2. Targets with the parameters from the start of the round (A5, A8):
+ 2. Targets with the parameters from the start of the update (A5, A8):
         a'_i = pi_i(o'_i)                                  by the target actor where `target_actor`
         M'_i = eps Q'_i + (1 - eps) mean_k Q'_s,k          or Q'_i alone where `bootstrap` is local
         Y_i  = reward_scale r_i + discount (1 - terminated) M'_i
@@ -22,13 +22,13 @@ A round is synchronous: every agent's step uses what the others had at the same 
     `actor_objective` is local; in the joint scope the other agents' actions are the batch's. One Adam step at r_a;
     then the target actors follow as in 5 where there are any.
 
-Elite imitation, the other half of the method, acts on the actors between rounds (`common.imitation`).
+Elite imitation, the other half of the method, acts on the actors between updates (`common.imitation`).
 """
 
 import torch
 from torch import Tensor
 
-from learner.algorithms.base import Algorithm, Batch, Figures
+from learner.algorithms.base import Algorithm, Batch, Diagnostics
 from learner.algorithms.ensemble import Ensemble
 from learner.networks.optimiser import Adam
 
@@ -75,7 +75,7 @@ class EiaSec(Algorithm):
             networks=networks[:trained],
         )
 
-    def round(self, batch: Batch, noise: Tensor, phase: int, *, figures: bool) -> Figures | None:
+    def update(self, batch: Batch, noise: Tensor, phase: int, *, diagnostics: bool) -> Diagnostics | None:
         """See `Algorithm`."""
         config = self.config
         self.observe(batch)
@@ -85,17 +85,17 @@ class EiaSec(Algorithm):
             value = self._mixed(value, self.ensemble.forward(self.target_members, self.next))
         target = self.bootstrapped(batch, value)
         error, values = self._critic_gradients(target)
-        judged = self._judged(error, target, values) if figures else None
+        judged = self._judged(error, target, values) if diagnostics else None
         follow = self.target_phi if self.critic_adam.mean.shape == self.phi.shape and not self._copies else None
         self.critic_adam.step(follow, config.target_rate)
         if follow is None:
             self._copy_to_members()
             self.target_phi.lerp_(self.phi, config.target_rate)
-        climbed, spread = self._actor_step(figures)
+        climbed, spread = self._actor_step(diagnostics)
         if judged is None or climbed is None:
             return None
         prediction, loss = judged
-        return self.told(error, climbed, target)._replace(
+        return self.diagnosed(error, climbed, target)._replace(
             prediction=prediction, spread=spread, member_loss=loss, member_gradient=self._member_norms()
         )
 
@@ -186,12 +186,12 @@ class EiaSec(Algorithm):
         first, *rest = self.critics.networks.layers_of(self.critic_views.flat, kind)
         return [self.critics.own_order(kind, first), *rest]
 
-    def _actor_step(self, figures: bool) -> tuple[Tensor | None, Tensor | None]:
+    def _actor_step(self, diagnostics: bool) -> tuple[Tensor | None, Tensor | None]:
         """Climb (step 6); return what was climbed, and how far the members lie apart there, where asked for."""
         config, action = self.config, self.choose()
         mixture = self.ensemble is not None and config.actor_objective == "mixture"
         local = self.critics.appraise(self.climbed_views, self.current, self.change_views)
-        climbed, spread = local[0].clone() if figures else None, None
+        climbed, spread = local[0].clone() if diagnostics else None, None
         self.slopes.zero_()
         share = config.mixture_epsilon if mixture else 1.0
         local.fill_(-share / config.batch)

@@ -1,6 +1,6 @@
 """MADDPG (Lowe et al., 2017, Multi-agent actor-critic for mixed cooperative-competitive environments).
 
-One round, for every agent i at once, with x all observations and a all actions in the joint scope:
+One update, for every agent i at once, with x all observations and a all actions in the joint scope:
 
  1. a'_j = mu'_j(o'_j) by the target actors of all agents j,
     Y_i = reward_scale r_i + discount (1 - terminated) Q'_i(x', a'_1 .. a'_N).
@@ -11,7 +11,7 @@ One round, for every agent i at once, with x all observations and a all actions 
 
 from torch import Tensor
 
-from learner.algorithms.base import Algorithm, Batch, Figures
+from learner.algorithms.base import Algorithm, Batch, Diagnostics
 
 
 class Maddpg(Algorithm):
@@ -21,7 +21,7 @@ class Maddpg(Algorithm):
         """See `Algorithm`."""
         return True
 
-    def round(self, batch: Batch, noise: Tensor, phase: int, *, figures: bool) -> Figures | None:
+    def update(self, batch: Batch, noise: Tensor, phase: int, *, diagnostics: bool) -> Diagnostics | None:
         """See `Algorithm`."""
         self.observe(batch)
         self.next.decide(self.actors.forward(self.next.actor, next_action=True).tanh_())
@@ -30,8 +30,8 @@ class Maddpg(Algorithm):
         self.critic_adam.step(self.target_phi, self.config.target_rate)
         action = self.choose()
         value = self.appraise(action)
-        climbed = value[0].clone() if figures else None
+        climbed = value[0].clone() if diagnostics else None
         value.fill_(-1.0 / self.config.batch)
         self.slope(value)
         self.climb(action)
-        return self.told(error, climbed, target) if climbed is not None else None
+        return self.diagnosed(error, climbed, target) if climbed is not None else None

@@ -4,7 +4,7 @@ The actor's head gives m and log s of a Gaussian; u = m + s n with standard norm
 
     log pi(a) = sum_j [ -n_j^2 / 2 - log s_j - log(2 pi) / 2 - 2 (log 2 - u_j - softplus(-2 u_j)) ],
 
-the last term being log(1 - tanh(u_j)^2). One round, for every agent i at once:
+the last term being log(1 - tanh(u_j)^2). One update, for every agent i at once:
 
  1. a'_j sampled by the actors of all agents j,
     Y_i = reward_scale r_i + discount (1 - terminated) (min_k Q'_i,k(x', a') - alpha_i log pi_i(a'_i)), k = 1, 2.
@@ -14,7 +14,7 @@ the last term being log(1 - tanh(u_j)^2). One round, for every agent i at once:
  4. One Adam step of log alpha_i on mean_B -alpha_i (log pi_i(a_i) + H), H = entropy_target times numbers in an action.
  5. Soft targets of the critics, with xi. There are no target actors.
 
-Steps 1 and 3 use alpha_i from the start of the round.
+Steps 1 and 3 use alpha_i from the start of the update.
 """
 
 import math
@@ -24,10 +24,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import softplus
 
-from common.actors import LOG_DEVIATION
+from common.actors import LOG_STD_RANGE
 from common.config import AlgorithmConfig
 from common.team import TeamSpec
-from learner.algorithms.base import Algorithm, Batch, Figures
+from learner.algorithms.base import Algorithm, Batch, Diagnostics
 from learner.networks.optimiser import Adam
 
 
@@ -76,7 +76,7 @@ class Masac(Algorithm):
         own = {"log_alpha": self.log_alpha, "alpha_mean": adam.mean, "alpha_square": adam.square}
         return {**super().tensors(), **own, "alpha_steps": adam.steps}
 
-    def round(self, batch: Batch, noise: Tensor, phase: int, *, figures: bool) -> Figures | None:
+    def update(self, batch: Batch, noise: Tensor, phase: int, *, diagnostics: bool) -> Diagnostics | None:
         """See `Algorithm`."""
         self.observe(batch)
         alpha = self.log_alpha.exp()[:, None]
@@ -93,16 +93,16 @@ class Masac(Algorithm):
             surprise = sample.log_probability.mean(dim=1) + self._entropy_target
             torch.mul(alpha[:, 0], surprise, out=self._alpha_gradient).neg_()
             self._alpha_adam.step()
-        if not figures:
+        if not diagnostics:
             return None
-        told = self.told(error, climbed, target)
+        reported = self.diagnosed(error, climbed, target)
         density = sample.log_probability.mean(dim=1)
-        return told._replace(temperature=alpha[:, 0], log_probability=density, soft=True)
+        return reported._replace(temperature=alpha[:, 0], log_probability=density, soft=True)
 
     def _sample(self, inputs: list[Tensor], noise: Tensor) -> Sample:
         output = self.actors.forward(inputs)
         raw = output.index_select(0, self._deviation)
-        log_deviation = raw.clamp(*LOG_DEVIATION)
+        log_deviation = raw.clamp(*LOG_STD_RANGE)
         spread = log_deviation.exp() * noise
         before = output.index_select(0, self._mean) + spread
         correction = 2.0 * (math.log(2.0) - before - softplus(-2.0 * before))

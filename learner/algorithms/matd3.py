@@ -1,19 +1,19 @@
 """MATD3 (Ackermann et al., 2019, Reducing overestimation bias in multi-agent domains using double centralized critics).
 
-MADDPG with the three changes of TD3. One round, for every agent i at once:
+MADDPG with the three changes of TD3. One update, for every agent i at once:
 
  1. a'_j = clip(mu'_j(o'_j) + clip(smoothing_noise n, -smoothing_clip, smoothing_clip), -1, 1) for all agents j,
     Y_i = reward_scale r_i + discount (1 - terminated) min_k Q'_i,k(x', a'), k = 1, 2.
  2. One Adam step of both critics on mean_B (Q_i,k(x, a) - Y_i)^2.
- 3. In every `actor_delay`-th round one Adam step of each actor on -mean_B Q_i,1(x, a_1 .., mu_i(o_i), .. a_N), and soft
-    targets of critics and actors, with xi.
+ 3. In every `actor_delay`-th update one Adam step of each actor on -mean_B Q_i,1(x, a_1 .., mu_i(o_i), .. a_N), and
+    soft targets of critics and actors, with xi.
 """
 
 import torch
 from torch import Tensor
 
 from common.config import AlgorithmConfig
-from learner.algorithms.base import Algorithm, Batch, Figures
+from learner.algorithms.base import Algorithm, Batch, Diagnostics
 
 
 class Matd3(Algorithm):
@@ -32,10 +32,10 @@ class Matd3(Algorithm):
         return config.actor_delay
 
     def phase(self, number: int) -> int:
-        """Return 0 in rounds with a step of the actors."""
+        """Return 0 in updates with a step of the actors."""
         return (number + 1) % self.phases(self.config)
 
-    def round(self, batch: Batch, noise: Tensor, phase: int, *, figures: bool) -> Figures | None:
+    def update(self, batch: Batch, noise: Tensor, phase: int, *, diagnostics: bool) -> Diagnostics | None:
         """See `Algorithm`."""
         config = self.config
         self.observe(batch)
@@ -49,13 +49,13 @@ class Matd3(Algorithm):
             self.critic_adam.step()
         else:
             self.critic_adam.step(self.target_phi, config.target_rate)
-        if phase and not figures:
+        if phase and not diagnostics:
             return None
         action = self.choose()
         value = self.appraise(action)
-        climbed = value[0].clone() if figures else None
+        climbed = value[0].clone() if diagnostics else None
         if not phase:
             value.fill_(-1.0 / config.batch)
             self.slope(value)
             self.climb(action)
-        return self.told(error, climbed, target) if climbed is not None else None
+        return self.diagnosed(error, climbed, target) if climbed is not None else None

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -11,6 +11,22 @@ from torch import Tensor
 
 from common.errors import CheckpointError
 from common.transitions import EpisodeSummary
+
+RENAMED_TENSORS: Final = {"engine.rounds": "engine.updates"}
+RENAMED_STATE: Final = {"figure_rounds": "diagnostic_updates", "round_noise": "update_noise"}
+"""Names in earlier checkpoints, and their current names."""
+
+
+def current_names(tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Return a checkpoint's tensors and values under their current names."""
+    prefixed = {
+        name.replace("figures.", "diagnostics.", 1) if name.startswith("figures.") else name: tensor
+        for name, tensor in tensors.items()
+    }
+    return (
+        {RENAMED_TENSORS.get(name, name): tensor for name, tensor in prefixed.items()},
+        {RENAMED_STATE.get(name, name): value for name, value in state.items()},
+    )
 
 
 def checked_tensors(targets: Mapping[str, Tensor], source: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -1,4 +1,4 @@
-"""The benchmark of update rounds: what it prints, what it counts, and what it refuses."""
+"""The benchmark of updates: what it prints, what it counts, and what it refuses."""
 
 import json
 import os
@@ -41,7 +41,7 @@ MULTIPLICATIONS = {
     # each of two members learns as a local critic does, and the actors climb it, forward and down
     "eia-sec": 2 * (3 * 195 + 50 + 230 + 2 * (55 + 40)) + (3 * 225 + 60 + 250 + 2 * (65 + 35)),
     "maddpg": 2 * (375 + 50 + 290) + (375 + 60 + 300),
-    # two critics learn, and in every second round the actors climb one of them
+    # two critics learn, and in every second update the actors climb one of them
     "matd3": 2 * (2 * 375 + 50 + 290 / 2) + (2 * 375 + 60 + 300 / 2),
     # two critics learn and both are climbed, by Gaussian actors
     "masac": 2 * (2 * 375 + 60 + 60 + 2 * (115 + 40) + 60 + 45) + (2 * 375 + 65 + 65 + 2 * (115 + 35) + 65 + 35),
@@ -58,11 +58,11 @@ def test_operations_are_those_of_a_count_by_hand(name):
 def test_operations_are_those_that_torch_counts(name):
     """The engine's products by torch have the one that carries the bias in each layer besides, and nothing else."""
     config = replace(SMALL, name=name, hidden=64, actor_delay=3)
-    engine, rounds = Engine(config, TEAM, 0, cores=0), 6
+    engine, updates = Engine(config, TEAM, 0, cores=0), 6
     with FlopCounterMode(display=False) as counter:
-        for batch in batches(TEAM, config, rounds, torch.float32):
-            engine.round(batch)
-    counted = counter.get_total_flops() / rounds
+        for batch in batches(TEAM, config, updates, torch.float32):
+            engine.update(batch)
+    counted = counter.get_total_flops() / updates
     assert 1.0 < counted / learner.operations(config, TEAM) < 1.03
 
 
@@ -112,11 +112,11 @@ def test_what_cannot_be_is_refused(arguments, sentence, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("name", "delay", "rounds"), [("base", 3, 2), ("matd3", 1, 2), ("matd3", 2, 2), ("matd3", 3, 3)]
+    ("name", "delay", "updates"), [("base", 3, 2), ("matd3", 1, 2), ("matd3", 2, 2), ("matd3", 3, 3)]
 )
-def test_bursts_are_whole_cycles(name, delay, rounds):
-    """A burst has two rounds, or more where the kinds of round take longer to repeat."""
-    assert learner.burst_of(AlgorithmConfig(name=name, actor_delay=delay)) == rounds
+def test_bursts_are_whole_cycles(name, delay, updates):
+    """A burst has two updates, or more where the kinds of update take longer to repeat."""
+    assert learner.burst_of(AlgorithmConfig(name=name, actor_delay=delay)) == updates
 
 
 class Clock:
@@ -135,12 +135,12 @@ class Clock:
 
 
 @pytest.mark.parametrize("device", learner.DEVICES)
-def test_a_round_is_timed_in_bursts_until_the_device_is_done(device, monkeypatch):
-    """Every second round being dearer, a burst has one of each; on an accelerator its work is waited for."""
+def test_an_update_is_timed_in_bursts_until_the_device_is_done(device, monkeypatch):
+    """Every second update being dearer, a burst has one of each; on an accelerator its work is waited for."""
     clock, done = Clock(monkeypatch), []
 
-    def train(rounds):
-        for _ in range(rounds):
+    def train(updates):
+        for _ in range(updates):
             clock.give(0.003 if len(done) % 2 else 0.001)
             done.append(device)
         if device == "cpu":
@@ -158,8 +158,8 @@ def test_a_round_is_timed_in_bursts_until_the_device_is_done(device, monkeypatch
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
 @pytest.mark.parametrize("name", ["eia-sec", "matd3"])
-def test_rounds_are_timed_on_cuda(name):
-    """The engine's captured rounds and the limit are those of the device."""
+def test_updates_are_timed_on_cuda(name):
+    """The engine's captured updates and the limit are those of the device."""
     line = learner.measure(AlgorithmConfig(name=name), 4, capacity=8192, device="cuda")
     assert line["device"] == "cuda"
     assert line["ms"] > line["limit_ms"] > 0
@@ -176,11 +176,11 @@ def test_the_committed_growth_shows_the_committed_result(tmp_path):
         learner.show_growth(tmp_path / "nothing")
 
 
-def test_growth_tells_how_its_rounds_were_timed():
+def test_growth_reports_how_its_updates_were_timed():
     """The page says how long the bursts were, and where."""
     line = {"algorithm": "base", "agents": 12, "width": 64, "batch": 128, "threads": 2, "ms": 2.5, "limit_ms": 1.5}
     data = {"command": "x", "commit": "c0ffee", "agents": [line], "width": [line], "batch": [line]}
     line |= {"burst": 2, "device": "cpu"}
-    assert "(commit c0ffee); the least of many bursts of 2 rounds, 2 threads.\n" in learner.growth_page(data)
+    assert "(commit c0ffee); the least of many bursts of 2 updates, 2 threads.\n" in learner.growth_page(data)
     line |= {"device": "cuda"}
-    assert "; the least of many bursts of 2 rounds, cuda.\n" in learner.growth_page(data)
+    assert "; the least of many bursts of 2 updates, cuda.\n" in learner.growth_page(data)

@@ -1,4 +1,4 @@
-"""Figures of update rounds: what they say is what plain arithmetic says."""
+"""Diagnostics of updates: what they say is what plain arithmetic says."""
 
 import struct
 
@@ -11,8 +11,8 @@ from common.config import AlgorithmConfig, ReplayConfig, RunConfig
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Rows
 from learner.data.replay import Replay
-from learner.diagnostics import RETURN_ROUNDS, RunningFigures, horizon, newest_returns, realised_returns
-from learner.engine import Batch, Engine, Figures
+from learner.diagnostics import RETURN_PERIOD, RunningDiagnostics, horizon, newest_returns, realised_returns
+from learner.engine import Batch, Diagnostics, Engine
 from learner.tensorboard import FOLDER, Event, TensorBoardWriter, flattened
 from learner.trainer import Trainer
 
@@ -46,7 +46,7 @@ def test_spread_is_the_members_standard_deviation():
     """It equals the deviation of three members' values at the actors' own actions, computed one by one."""
     config = AlgorithmConfig(hidden=8, batch=16, ensemble_members=3, critic_rate=1e-30, actor_rate=1e-30)
     engine, rows = Engine(config, TEAM, 5), batch(16)
-    figures = engine.round(rows, figures=True)
+    diagnostics = engine.update(rows, diagnostics=True)
     action = np.split(engine_actions(engine, rows), np.cumsum([1, 1, 2, 2]), axis=1)
     seen = np.split(rows.observation.numpy(), np.cumsum([3, 3, 2, 2]), axis=1)
     for agent in range(TEAM.agents):
@@ -55,8 +55,8 @@ def test_spread_is_the_members_standard_deviation():
         members = [sec.networks.export(flat, sec.index(k, kind))[0].numpy() for k in range(3)]
         x = np.concatenate([seen[agent], action[agent]], axis=1)
         values = [critic(flat, x, 8) for flat in members]
-        np.testing.assert_allclose(figures.spread[agent], np.std(values, axis=0), rtol=1e-3, atol=1e-6)
-    assert figures.spread.min() > 0
+        np.testing.assert_allclose(diagnostics.spread[agent], np.std(values, axis=0), rtol=1e-3, atol=1e-6)
+    assert diagnostics.spread.min() > 0
 
 
 def engine_actions(engine, rows):
@@ -67,14 +67,14 @@ def test_gradient_norms_are_of_each_agents_own_networks():
     """Norms of critic and actor gradients by agent are those of the networks' slices, and all agents differ."""
     config = AlgorithmConfig(hidden=8, batch=16, initialisation="independent")
     engine = Engine(config, TEAM, 5)
-    figures = engine.round(batch(16), figures=True)
+    diagnostics = engine.update(batch(16), diagnostics=True)
     wanted = []
     for kind, group in enumerate(TEAM.groups):
         layers = engine.algorithm.critics.networks.layers_of(engine.algorithm.gradient_views.flat, kind)
         wanted += [float(sum(layer[i].square().sum() for layer in layers)) ** 0.5 for i in range(group.count)]
-    np.testing.assert_allclose(figures.critic_gradient, wanted, rtol=1e-5)
-    assert len({round(float(norm), 7) for norm in figures.actor_gradient}) == TEAM.agents
-    assert figures.actor_gradient.min() > 0
+    np.testing.assert_allclose(diagnostics.critic_gradient, wanted, rtol=1e-5)
+    assert len({round(float(norm), 7) for norm in diagnostics.actor_gradient}) == TEAM.agents
+    assert diagnostics.actor_gradient.min() > 0
 
 
 @pytest.mark.parametrize("discount", [0.0, 0.5, 0.9])
@@ -126,26 +126,28 @@ def test_the_newest_policies_rows_are_compared():
 
 def test_overestimation_is_q_less_what_was_realised():
     """With Q above the returns by one for every agent the figure is one, over the rows that count alone."""
-    running = RunningFigures(TEAM, "cpu")
+    running = RunningDiagnostics(TEAM, "cpu")
     returns = torch.randn(6, TEAM.agents)
     counted = np.array([1, 1, 0, 1, 0, 1], np.bool_)
     target = torch.zeros(TEAM.agents, 6)
     error = (returns + 1.0).t().clone()
     error[:, ~torch.from_numpy(counted)] = 1e6
-    figures = Figures(error, target, target, error + target)
-    running.note(figures)
-    running.compare(figures, returns, np.zeros(0, np.int64))
+    diagnostics = Diagnostics(error, target, target, error + target)
+    running.note(diagnostics)
+    running.compare(diagnostics, returns, np.zeros(0, np.int64))
     assert running.comparisons == 0
-    running.compare(figures, returns, np.flatnonzero(counted))
-    told = running.by_agent()
-    assert all(told[f"overestimation/{name}"] == pytest.approx(1.0, abs=1e-5) for name in ("a-0", "a-1", "b-0", "b-2"))
+    running.compare(diagnostics, returns, np.flatnonzero(counted))
+    reported = running.by_agent()
+    assert all(
+        reported[f"overestimation/{name}"] == pytest.approx(1.0, abs=1e-5) for name in ("a-0", "a-1", "b-0", "b-2")
+    )
     assert running.by_type()["realised_return/a"] == pytest.approx(float(returns[counted][:, :2].mean()), abs=1e-5)
 
 
 @pytest.mark.parametrize("normalised", [True, False])
 def test_realised_returns_are_in_the_units_of_the_targets(normalised):
-    """With reward normalisation ten times the rewards give the same figures; without it ten times as large ones."""
-    told = []
+    """With reward normalisation ten times the rewards give the same diagnostics; without it ten times as large ones."""
+    reported = []
     for factor in (1.0, 10.0):
         algorithm = AlgorithmConfig(hidden=8, batch=64, reward_normalisation=normalised, reward_scale=0.5)
         config = RunConfig(algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0))
@@ -156,16 +158,16 @@ def test_realised_returns_are_in_the_units_of_the_targets(normalised):
         flag[7::8] = 0
         flag[6::8] |= TERMINATED
         trainer.absorb(Chunk(Rows(seen, done, (paid + 1.0) * np.float32(factor), flag)))
-        trainer.train(RETURN_ROUNDS + 1)
-        told.append(trainer.figures.by_type()["realised_return/a"])
-    assert told[1] == pytest.approx(told[0] if normalised else 10.0 * told[0], rel=1e-3)
-    assert told[0] > 0.1
+        trainer.train(RETURN_PERIOD + 1)
+        reported.append(trainer.diagnostics.by_type()["realised_return/a"])
+    assert reported[1] == pytest.approx(reported[0] if normalised else 10.0 * reported[0], rel=1e-3)
+    assert reported[0] > 0.1
 
 
 def test_figures_that_an_algorithm_does_not_tell_are_left_out():
     """Without norms and members there are none of them, and the rest is there for every type and agent."""
-    running = RunningFigures(TEAM, "cpu")
-    running.note(Figures(*torch.ones(4, TEAM.agents, 4)))
+    running = RunningDiagnostics(TEAM, "cpu")
+    running.note(Diagnostics(*torch.ones(4, TEAM.agents, 4)))
     names = {name.split("/")[0] for name in running.by_type()}
     assert names == {"critic_loss", "actor_objective", "target_mean", "critic_error", "q_mean"}
     assert len(running.by_agent()) == 5 * TEAM.agents
@@ -190,15 +192,15 @@ def test_scalars_are_in_the_event_file(tmp_path):
         tensorboard.write(step, flattened({"reward": {"mean": 1.5 * step, "note": "text"}, "queue": 3}))
         tensorboard.close()
         assert tensorboard.failure == ""
-    told = [(e.step, {v.tag: v.simple_value for v in e.summary.value}) for e in events(tmp_path / FOLDER)]
-    assert [entry for entry in told if entry[1]] == [
+    reported = [(e.step, {v.tag: v.simple_value for v in e.summary.value}) for e in events(tmp_path / FOLDER)]
+    assert [entry for entry in reported if entry[1]] == [
         (7, {"reward/mean": 10.5, "queue": 3.0}),
         (9, {"reward/mean": 13.5, "queue": 3.0}),
     ]
 
 
 def test_a_board_that_cannot_be_written_says_so(tmp_path):
-    """A file in the folder's place is told as a failure, and writing on is harmless; no folder is no failure."""
+    """A file in the folder's place is reported as a failure, and writing on is harmless; no folder is no failure."""
     (tmp_path / FOLDER).write_text("in the way")
     tensorboard = TensorBoardWriter(tmp_path)
     tensorboard.write(1, {"a": 1.0})

@@ -14,7 +14,7 @@ from common.imitation import ImitationEvent
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from learner.checkpoint import files
-from learner.trainer import FIGURE_ROUNDS, Trainer
+from learner.trainer import DIAGNOSTIC_PERIOD, Trainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 CONFIG = RunConfig(
@@ -52,27 +52,27 @@ def assert_bit_equal(one, other):
         assert torch.equal(tensor, theirs[0][name]), name
 
 
-def test_rounds_follow_from_the_counters():
-    """Rounds due are updates_per_step times the steps beyond the warm-up, rounded down, less those done."""
+def test_updates_follow_from_the_counters():
+    """Updates due are updates_per_step times the steps beyond the warm-up, rounded down, less those done."""
     trainer = Trainer(CONFIG, TEAM)
-    assert trainer.rounds_due() == 0
+    assert trainer.updates_due() == 0
     trainer.absorb(chunk(40, episodes=1))
-    assert (trainer.environment_steps, trainer.episodes, trainer.rounds_due()) == (40, 1, 0)
+    assert (trainer.environment_steps, trainer.episodes, trainer.updates_due()) == (40, 1, 0)
     trainer.absorb(chunk(15, 1, episodes=2))
-    assert (trainer.environment_steps, trainer.episodes, trainer.rounds_due()) == (55, 3, 7)
+    assert (trainer.environment_steps, trainer.episodes, trainer.updates_due()) == (55, 3, 7)
     trainer.train(5)
-    assert (trainer.updates, trainer.rounds_due()) == (5, 2)
+    assert (trainer.updates, trainer.updates_due()) == (5, 2)
     assert [episode.farm for episode in trainer.recent] == [0, 0, 1]
 
 
-def test_no_round_is_due_before_a_batch_is_there():
-    """Without a warm-up, the first rounds wait until replay holds as many steps as a batch."""
+def test_no_update_is_due_before_a_batch_is_there():
+    """Without a warm-up, the first updates wait until replay holds as many steps as a batch."""
     config = replace(CONFIG, replay=replace(CONFIG.replay, warmup_steps=0))
     trainer = Trainer(config, TEAM)
     trainer.absorb(chunk(15))
-    assert trainer.rounds_due() == 0
+    assert trainer.updates_due() == 0
     trainer.absorb(chunk(1, 1))
-    assert trainer.rounds_due() == 8
+    assert trainer.updates_due() == 8
 
 
 def test_production_leads_beyond_the_slack():
@@ -87,7 +87,7 @@ def test_production_leads_beyond_the_slack():
     idle = Trainer(replace(CONFIG, replay=replace(CONFIG.replay, updates_per_step=0.0)), TEAM)
     idle.absorb(chunk(400))
     assert not idle.leads()
-    assert idle.rounds_due() == 0
+    assert idle.updates_due() == 0
 
 
 def test_versions_count_up():
@@ -153,7 +153,7 @@ def test_same_seed_same_run():
     for number in range(3):
         for trainer in trainers:
             trainer.absorb(chunk(60, number, episodes=1), trainer.next_version())
-            trainer.train(max(0, trainer.rounds_due()))
+            trainer.train(max(0, trainer.updates_due()))
     assert_bit_equal(trainers[0], trainers[1])
     assert trainers[0].actors().digest() != trainers[2].actors().digest()
 
@@ -167,7 +167,7 @@ def test_a_restored_trainer_goes_on_bit_equal(tmp_path, cut):
     def play(trainer, first, last):
         for number in range(first, last):
             trainer.absorb(chunk(150, number, episodes=1), trainer.next_version())
-            trainer.train(trainer.rounds_due())
+            trainer.train(trainer.updates_due())
             trainer.imitate(event(number + 1))
 
     play(whole, 0, cut)
@@ -184,7 +184,7 @@ def test_a_restored_trainer_goes_on_bit_equal(tmp_path, cut):
 @pytest.mark.parametrize(
     ("name", "way"),
     [
-        ("figures.q_mean", "wrong"),
+        ("diagnostics.q_mean", "wrong"),
         *itertools.product(
             ["engine.actors", "engine.critic_square", "replay.reward", "updates", "random", "recent"],
             ["missing", "wrong"],
@@ -212,27 +212,40 @@ def test_a_state_that_does_not_fit_changes_nothing(name, way):
     assert (target.updates, target.replay.rows, target.environment_steps) == (0, 0, 0)
 
 
+def test_a_checkpoint_under_the_former_names_is_read():
+    """The names that updates and diagnostics had in earlier checkpoints restore the same state."""
+    whole, resumed = Trainer(CONFIG, TEAM), Trainer(CONFIG, TEAM)
+    whole.absorb(chunk(200, episodes=1))
+    whole.train(20)
+    tensors, plain = whole.state()
+    old = {name.replace("diagnostics.", "figures."): tensor for name, tensor in tensors.items()}
+    old["engine.rounds"] = old.pop("engine.updates")
+    plain |= {"figure_rounds": plain.pop("diagnostic_updates"), "round_noise": plain.pop("update_noise")}
+    resumed.restore(old, plain)
+    assert_bit_equal(whole, resumed)
+
+
 def test_a_checkpoint_whose_figures_were_one_tensor_is_taken_up():
     """Training goes on bit-equal, and the running means, of which one meant something else, begin anew."""
     whole, resumed = Trainer(CONFIG, TEAM), Trainer(CONFIG, TEAM)
     whole.absorb(chunk(200, episodes=1))
     whole.train(20)
     tensors, plain = whole.state()
-    assert "figures.q_mean" in tensors
-    old = {name: tensor for name, tensor in tensors.items() if not name.startswith("figures.")}
+    assert "diagnostics.q_mean" in tensors
+    old = {name: tensor for name, tensor in tensors.items() if not name.startswith("diagnostics.")}
     resumed.restore(old | {"figures": torch.full((10, TEAM.agents), 1e6)}, plain)
     assert not any("/" in name for name in resumed.statistics())
     for trainer in (whole, resumed):
-        trainer.train(FIGURE_ROUNDS)
+        trainer.train(DIAGNOSTIC_PERIOD)
     ours, theirs = whole.engine.tensors(), resumed.engine.tensors()
     assert all(torch.equal(tensor, theirs[name]) for name, tensor in ours.items())
-    newest = resumed.figures.by_agent()
-    assert newest.keys() == {name for name in whole.figures.by_agent() if newest.get(name) is not None}
+    newest = resumed.diagnostics.by_agent()
+    assert newest.keys() == {name for name in whole.diagnostics.by_agent() if newest.get(name) is not None}
     assert all(abs(value) < 100 for value in newest.values())
 
 
 def test_learns_to_match_a_given_action():
-    """With reward -(a - f(o))^2 and no future, actors come close to f within a few hundred rounds."""
+    """With reward -(a - f(o))^2 and no future, actors come close to f within a few hundred updates."""
 
     def wanted(observation):
         return np.concatenate(
@@ -279,9 +292,9 @@ def test_statistics_tell_losses_and_age():
     for _ in range(4):
         trainer.next_version()
     trainer.train(20)
-    figures = trainer.statistics()
-    assert figures["sample_age_versions"] == 4
-    assert figures["replay_occupancy"] == 0.5
-    assert figures["critic_loss/a"] > 0.1
-    assert figures["critic_loss/b"] > 0.1
-    assert all(np.isfinite(value) for value in figures.values())
+    diagnostics = trainer.statistics()
+    assert diagnostics["sample_age_versions"] == 4
+    assert diagnostics["replay_occupancy"] == 0.5
+    assert diagnostics["critic_loss/a"] > 0.1
+    assert diagnostics["critic_loss/b"] > 0.1
+    assert all(np.isfinite(value) for value in diagnostics.values())

@@ -1,4 +1,4 @@
-"""A learner whose update rounds are compiled before anybody waits for it."""
+"""A learner whose updates are compiled before anybody waits for it."""
 
 import json
 import os
@@ -9,7 +9,7 @@ import pytest
 
 from deploy.local.threads import thread_environment
 
-# What a run calls after its rehearsal that was not compiled in it; in a process of its own, where nothing was before.
+# What a run calls after its warm-up that was not compiled in it; in a process of its own, where nothing was before.
 COUNT = """
 import json, sys
 from dataclasses import replace
@@ -32,14 +32,14 @@ config = replace(
 )
 collector = Collector(config, "0", 0)
 before = compiled()
-if sys.argv[2] == "rehearsed":
+if sys.argv[2] == "warmed up":
     warm_up(config, collector.team)
-rehearsed = compiled()
+warmed = compiled()
 trainer = Trainer(config, collector.team)
 while trainer.updates < 40:
     trainer.absorb(collector.collect(trainer.actors(), 0.3, False))
-    trainer.train(trainer.rounds_due())
-print(json.dumps([sum(before.values()), sum(rehearsed.values()), sum(compiled().values()), trainer.actors().digest()]))
+    trainer.train(trainer.updates_due())
+print(json.dumps([sum(before.values()), sum(warmed.values()), sum(compiled().values()), trainer.actors().digest()]))
 """
 
 
@@ -52,9 +52,9 @@ def counted(algorithm: str, how: str) -> list[object]:
 
 @pytest.mark.parametrize("algorithm", ["eia-sec", "matd3", "masac"])
 def test_a_rehearsal_compiles_what_a_run_calls_and_changes_nothing_of_it(algorithm: str) -> None:
-    """Rounds after a rehearsal find all compiled, and lead to the same weights as without it."""
-    before, rehearsed, after, digest = counted(algorithm, "rehearsed")
+    """Updates after a warm-up find all compiled, and lead to the same weights as without it."""
+    before, warmed, after, digest = counted(algorithm, "warmed up")
     nothing, still_nothing, without, same = counted(algorithm, "unprepared")
     assert before == nothing == still_nothing == 0
-    assert 0 < rehearsed == after == without
+    assert 0 < warmed == after == without
     assert digest == same

@@ -1,4 +1,4 @@
-"""The update round once more, agent by agent: autograd, one module a network, torch's own Adam, straight from the text.
+"""The update once more, agent by agent: autograd, one module a network, torch's own Adam, straight from the text.
 
 The equations are those of the paper with readings A4 to A12; nothing here is shared with the engine except the order
 of the numbers in a parameter vector.
@@ -108,8 +108,8 @@ class Oracle:
         epsilon = self.config.mixture_epsilon
         return epsilon * local + (1 - epsilon) * sum(m(x) for m in members) / len(members)
 
-    def round(self, batch) -> None:
-        """Do one update round."""
+    def update(self, batch) -> None:
+        """Do one update."""
         observations = self.split(batch.observation, "observation_size")
         actions = self.split(batch.action, "action_size")
         following = self.split(batch.next_observation, "observation_size")

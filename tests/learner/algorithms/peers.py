@@ -1,7 +1,7 @@
 """MADDPG, MATD3 and MASAC once more, agent by agent: autograd, one module a network, torch's own Adam.
 
 Straight from the papers' equations; shared with the engine are the order of the numbers in a parameter vector and the
-standard normal numbers of a round.
+standard normal numbers of an update.
 """
 
 import copy
@@ -44,7 +44,7 @@ class Peer(Oracle):
             torch.optim.Adam([p for c in self.critics for p in c[i].parameters()], lr=config.critic_rate)
             for i in agents
         ]
-        self.rounds = 0
+        self.updates = 0
 
     def noise(self, block: Tensor) -> list[Tensor]:
         """Cut a block in the action layout into one tensor [B, a] for each agent."""
@@ -57,8 +57,8 @@ class Peer(Oracle):
         views = [self.view(i, observations, actions) for i in range(len(self.kind))]
         return [torch.stack([c[i](view) for c in critics]) for i, view in enumerate(views)]
 
-    def round(self, batch, noise: Tensor) -> None:
-        """Do one update round."""
+    def update(self, batch, noise: Tensor) -> None:
+        """Do one update."""
         observations = self.split(batch.observation, "observation_size")
         actions = self.split(batch.action, "action_size")
         following = self.split(batch.next_observation, "observation_size")
@@ -75,7 +75,7 @@ class Peer(Oracle):
             self.clip([c[i] for c in self.critics])
             self.critic_optimisers[i].step()
         self.improve(observations, actions, noise)
-        self.rounds += 1
+        self.updates += 1
 
     def climb(self, i: int, loss: Tensor) -> None:
         """Take one step of actor i against the gradient of its loss."""
@@ -142,7 +142,7 @@ class Matd3Oracle(MaddpgOracle):
         return [value.min(dim=0).values for value in self.values(self.target_critics, following, decided)]
 
     def improve(self, observations, actions, noise) -> None:
-        if (self.rounds + 1) % self.config.actor_delay == 0:
+        if (self.updates + 1) % self.config.actor_delay == 0:
             super().improve(observations, actions, noise)
 
 

@@ -62,11 +62,11 @@ def test_a_name_decides_which_parts_there_are(name, ensemble, imitation, joint):
 
 
 def test_the_ablation_without_ensemble_is_the_switch():
-    """`eia` and `eia-sec` without its ensemble do the same rounds, bit for bit."""
+    """`eia` and `eia-sec` without its ensemble do the same updates, bit for bit."""
     engines = [Engine(replace(SMALL, name="eia"), TEAM, 3), Engine(replace(SMALL, ensemble=False), TEAM, 3)]
     for batch in batches(TEAM, SMALL, 3, torch.float32):
         for engine in engines:
-            engine.round(batch)
+            engine.update(batch)
     assert same_state(*engines)
 
 
@@ -80,21 +80,21 @@ def test_the_command_line_names_an_algorithm(words):
 
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_a_state_put_into_a_fresh_engine_goes_on_alike(name):
-    """An engine that takes another's tensors and generator does the same rounds from there, bit for bit."""
+    """An engine that takes another's tensors and generator does the same updates from there, bit for bit."""
     config = replace(SMALL, name=name, observation_normalisation=True, reward_normalisation=True)
     one, other = Engine(config, TEAM, 3), Engine(config, TEAM, 4)
     draw = np.random.default_rng(0)
     rows = draw.normal(3.0, 2.0, (50, TEAM.observation_size)).astype(np.float32)
     one.observe(rows, draw.normal(size=(50, TEAM.agents)).astype(np.float32))
     first, second = batches(TEAM, config, 2, torch.float32)
-    one.round(first)
+    one.update(first)
     for tensor_name, tensor in other.tensors().items():
         tensor.copy_(one.tensors()[tensor_name])
     other.random = restored_random(random_state(one.random))
     other.restored()
-    one.round(second)
+    one.update(second)
     assert not same_state(one, other)
-    other.round(second)
+    other.update(second)
     assert same_state(one, other)
 
 
@@ -129,8 +129,8 @@ def test_normalised_rewards_have_unit_deviation():
 
 
 @pytest.mark.parametrize(("name", "kinds"), [("eia-sec", 1), ("maddpg", 1), ("matd3", 3), ("masac", 1)])
-def test_kinds_of_round_repeat_after_so_many_phases(name, kinds):
-    """Every cycle has each kind once, and the actors step in exactly one of its rounds."""
+def test_kinds_of_update_repeat_after_so_many_phases(name, kinds):
+    """Every cycle has each kind once, and the actors step in exactly one of its updates."""
     config = replace(SMALL, name=name, actor_delay=3)
     assert ALGORITHMS[name].phases(config) == kinds
     engine = Engine(config, TEAM, 0)
@@ -140,6 +140,6 @@ def test_kinds_of_round_repeat_after_so_many_phases(name, kinds):
     steps = []
     for batch in batches(TEAM, config, 2 * kinds, torch.float32):
         before = engine.algorithm.actors.flat.clone()
-        engine.round(batch)
+        engine.update(batch)
         steps.append(not torch.equal(engine.algorithm.actors.flat, before))
     assert sum(steps[:kinds]) == sum(steps[kinds:]) == 1

@@ -113,34 +113,34 @@ def same_state(a, b):
 
 @pytest.mark.parametrize("team", [TEAM, UNEVEN], ids=["team", "uneven"])
 @pytest.mark.parametrize("switch", SWITCHES)
-def test_fifty_rounds_equal_the_loop_over_agents(switch, team):
-    """Fifty rounds end at the parameters of the loop over agents, by torch and on one core and three."""
+def test_fifty_updates_equal_the_loop_over_agents(switch, team):
+    """Fifty updates end at the parameters of the loop over agents, by torch and on one core and three."""
     config = replace(BASE, **SWITCHES[switch])
     engine, oracle = twins(team, config, cores=1)
     engines = [engine, *(twins(team, config, cores=cores)[0] for cores in (0, 3))]
     start = engine.algorithm.actors.flat.clone()
     for batch in batches(team, config, 50):
         for engine in engines:
-            engine.round(batch)
-        oracle.round(batch)
+            engine.update(batch)
+        oracle.update(batch)
     assert float((engines[0].algorithm.actors.flat - start).abs().max()) > 1e-3
     for engine in engines:
         for name, gap in differences(engine, oracle):
             assert gap < 1e-9, f"{name} differ by {gap}"
 
 
-def test_float32_follows_the_loop_for_a_few_rounds():
-    """In float32 the first rounds agree with the loop over agents to rounding."""
+def test_float32_follows_the_loop_for_a_few_updates():
+    """In float32 the first updates agree with the loop over agents to rounding."""
     engine, oracle = twins(TEAM, BASE, torch.float32)
     for batch in batches(TEAM, BASE, 5, torch.float32):
-        engine.round(batch)
-        oracle.round(batch)
+        engine.update(batch)
+        oracle.update(batch)
     for name, gap in differences(engine, oracle):
         assert gap < 1e-4, f"{name} differ by {gap}"
 
 
 def test_figures_are_those_of_the_equations():
-    """A round tells the errors of step 3, the value climbed in step 6 and the targets, and changes nothing by it."""
+    """An update reports the errors of step 3, the objective of step 6 and the targets, and changes nothing by it."""
     config = replace(BASE, ensemble_loss="mixture", ensemble_copy_rate=0.2)
     engine, oracle = twins(TEAM, config)
     silent, _ = twins(TEAM, config)
@@ -148,33 +148,33 @@ def test_figures_are_those_of_the_equations():
     observations = oracle.split(batch.observation, "observation_size")
     actions = oracle.split(batch.action, "action_size")
     targets = oracle._targets(batch, oracle.split(batch.next_observation, "observation_size"))
-    figures = engine.round(batch, figures=True)
-    silent.round(batch)
-    assert figures is not None
+    diagnostics = engine.update(batch, diagnostics=True)
+    silent.update(batch)
+    assert diagnostics is not None
     assert same_state(engine, silent)
     for i, critic in enumerate(oracle.critics):
         x = oracle.view(i, observations, actions)
         prediction = oracle.mix(critic(x), oracle.members[oracle.kind[i]], x, True)
-        torch.testing.assert_close(figures.target[i], targets[i])
-        torch.testing.assert_close(figures.error[i], (prediction - targets[i]).detach())
-    oracle.round(batch)
+        torch.testing.assert_close(diagnostics.target[i], targets[i])
+        torch.testing.assert_close(diagnostics.error[i], (prediction - targets[i]).detach())
+    oracle.update(batch)
     decided = [a(o) for a, o in zip(twins(TEAM, config)[1].actors, observations, strict=True)]
     for i, critic in enumerate(oracle.critics):
         x = oracle.view(i, observations, [*actions[:i], decided[i], *actions[i + 1 :]])
         climbed = oracle.mix(critic(x), oracle.members[oracle.kind[i]], x, True)
-        torch.testing.assert_close(figures.value[i], climbed.detach())
+        torch.testing.assert_close(diagnostics.value[i], climbed.detach())
 
 
 @pytest.mark.parametrize("cores", [0, 1])
 @pytest.mark.parametrize("switch", SWITCHES)
 def test_figures_change_nothing(switch, cores):
-    """Rounds that tell their figures, some or all, leave the very bits of silent ones, by torch and by kernels."""
+    """Asking for diagnostics changes no bit of the state, by torch and by kernels."""
     config = replace(BASE, **SWITCHES[switch])
     silent, some, every = (Engine(config, TEAM, 3, cores=cores) for _ in range(3))
     for number, batch in enumerate(batches(TEAM, config, 6, torch.float32)):
-        assert silent.round(batch) is None
-        assert (some.round(batch, figures=number % 2 == 1) is None) == (number % 2 == 0)
-        assert every.round(batch, figures=True) is not None
+        assert silent.update(batch) is None
+        assert (some.update(batch, diagnostics=number % 2 == 1) is None) == (number % 2 == 0)
+        assert every.update(batch, diagnostics=True) is not None
     assert same_state(silent, some)
     assert same_state(silent, every)
 
@@ -210,11 +210,11 @@ def test_parameters_survive_loading_and_exporting():
         assert np.array_equal(mine, theirs)
 
 
-def test_same_seed_same_rounds():
+def test_same_seed_same_updates():
     """Two engines of one seed stay bit-equal over the same batches, and one of another seed does not."""
     engines = [Engine(BASE, TEAM, seed) for seed in (7, 7, 8)]
     for batch in batches(TEAM, BASE, 5, torch.float32):
         for engine in engines:
-            engine.round(batch)
+            engine.update(batch)
     assert same_state(engines[0], engines[1])
     assert not same_state(engines[0], engines[2])

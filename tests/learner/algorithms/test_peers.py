@@ -33,8 +33,8 @@ def critics_of(engine, part):
 
 @pytest.mark.parametrize("option", OPTIONS)
 @pytest.mark.parametrize("name", ORACLES)
-def test_fifty_rounds_equal_the_loop_over_agents(name, option):
-    """Fifty rounds end at the parameters of the loop over agents, by torch and on one core and three."""
+def test_fifty_updates_equal_the_loop_over_agents(name, option):
+    """Fifty updates end at the parameters of the loop over agents, by torch and on one core and three."""
     team = UNEVEN if option == "apart" else TEAM
     config = replace(BASE, name=name, **OPTIONS[option])
     engines = [Engine(config, team, 3, dtype=torch.float64, cores=cores) for cores in (1, 0, 3)]
@@ -44,8 +44,8 @@ def test_fifty_rounds_equal_the_loop_over_agents(name, option):
     for batch in batches(team, config, 50):
         drawn = noise.standard_normal((method.noise_blocks, config.batch * team.action_size), np.float32)
         for engine in engines:
-            engine.round(batch)
-        oracle.round(batch, torch.from_numpy(drawn).double())
+            engine.update(batch)
+        oracle.update(batch, torch.from_numpy(drawn).double())
     assert float((method.actors.flat - start).abs().max()) > 1e-3
     for engine in engines:
         for part, gap in differences(engine, oracle):
@@ -72,15 +72,15 @@ def differences(engine, oracle):
 
 @pytest.mark.parametrize("name", ORACLES)
 def test_figures_change_nothing(name):
-    """A round that tells its figures does what a silent one does, and they are of every agent and row."""
+    """An update that reports its diagnostics does what a silent one does, and they are of every agent and row."""
     config = replace(BASE, name=name)
     telling, silent = (Engine(config, TEAM, 3) for _ in range(2))
     for batch in batches(TEAM, config, 4, torch.float32):
-        figures = telling.round(batch, figures=True)
-        assert silent.round(batch) is None
-        assert figures is not None
-        assert figures.spread is None
-    assert {tuple(tensor.shape) for tensor in figures[:3]} == {(TEAM.agents, config.batch)}
+        diagnostics = telling.update(batch, diagnostics=True)
+        assert silent.update(batch) is None
+        assert diagnostics is not None
+        assert diagnostics.spread is None
+    assert {tuple(tensor.shape) for tensor in diagnostics[:3]} == {(TEAM.agents, config.batch)}
     assert same_state(telling, silent)
 
 
@@ -123,14 +123,14 @@ def test_deterministic_actors_explore_by_the_given_deviation():
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
 @pytest.mark.parametrize("name", ["eia-sec", *ORACLES])
-def test_captured_rounds_equal_those_of_the_processor(name):
-    """Rounds replayed from CUDA graphs follow those on the CPU to rounding, through every phase."""
+def test_captured_updates_equal_those_of_the_processor(name):
+    """Updates replayed from CUDA graphs follow those on the CPU to rounding, through every phase."""
     config = replace(BASE, name=name)
     host = Engine(config, TEAM, 3, dtype=torch.float64)
     device = Engine(config, TEAM, 3, "cuda", torch.float64)
     for number, batch in enumerate(batches(TEAM, config, 12)):
-        host.round(batch, figures=number % 4 == 0)
-        device.round(type(batch)(*(tensor.cuda() for tensor in batch)), figures=number % 4 == 0)
+        host.update(batch, diagnostics=number % 4 == 0)
+        device.update(type(batch)(*(tensor.cuda() for tensor in batch)), diagnostics=number % 4 == 0)
     for tensor_name, tensor in host.tensors().items():
         torch.testing.assert_close(device.tensors()[tensor_name].cpu(), tensor, atol=1e-9, rtol=1e-7)
 
@@ -145,7 +145,7 @@ def test_where_critics_are_joint_eia_sec_still_climbs_its_own():
         ]
         for batch in batches(TEAM, config, 5):
             for engine in engines:
-                engine.round(batch)
+                engine.update(batch)
         first, second = (engine.export_actors() for engine in engines)
         for one, other in zip(first, second, strict=True):
             np.testing.assert_array_equal(one, other)

@@ -68,7 +68,7 @@ def play(trainer, intake, chunks, first, last):
         steps = chunks[number].rows.steps
         intake.accept(sender, steps, steps * sender.sequence, steps * sender.sequence)
         trainer.absorb(chunks[number], max(0, trainer.version - number % 3), sender.name, sender.sequence)
-        trainer.train(max(0, trainer.rounds_due()))
+        trainer.train(max(0, trainer.updates_due()))
         trainer.next_version()
         if number % 5 == 4:
             scores = tuple((0.0,) * group.count for group in TEAM.groups)

@@ -29,7 +29,7 @@ for name in ("eia-sec", "maddpg", "masac"):
     config = replace(BASE, name=name)
     engine = Engine(config, TEAM, 3, dtype=torch.float64)
     for batch in batches(TEAM, config, 20):
-        engine.round(batch)
+        engine.update(batch)
     found[name] = engine.algorithm.actors.flat.tolist()
 print(json.dumps({"threads": numba.get_num_threads(), "layer": cores > 1 and numba.threading_layer(), **found}))
 """
@@ -57,7 +57,7 @@ def test_even_parts_cover_a_vector():
 
 
 def test_two_cores_train_as_one_does():
-    """Twenty rounds with threads of their own on two cores end where they end on one."""
+    """Twenty updates with threads of their own on two cores end where they end on one."""
     found = []
     for cores in ("1", "2"):
         environment = {**os.environ, "OMP_NUM_THREADS": cores, "NUMBA_NUM_THREADS": cores, "OPENBLAS_NUM_THREADS": "1"}

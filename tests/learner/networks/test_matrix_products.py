@@ -73,19 +73,19 @@ def test_pieces_are_for_processors_with_long_vectors(monkeypatch, features):
 
 @pytest.mark.parametrize("name", ["eia-sec", "maddpg", "matd3", "masac"])
 def test_training_ends_where_whole_products_do(monkeypatch, name):
-    """Twenty rounds in pieces, of many sizes, end within rounding of twenty rounds with whole products."""
+    """Twenty updates in pieces, of many sizes, end within rounding of twenty updates with whole products."""
     config, ends = replace(BASE, name=name), []
     for piece in (SMALL, 500, WHOLE):
         monkeypatch.setattr(compiled_pass, "piece_size", lambda piece=piece: piece)
         engine = Engine(config, TEAM, 3, dtype=torch.float64, cores=1)
         for batch in batches(TEAM, config, 20):
-            engine.round(batch)
+            engine.update(batch)
         ends.append(engine.algorithm.actors.flat.clone())
     for end in ends[:-1]:
         torch.testing.assert_close(end, ends[-1], rtol=1e-9, atol=1e-9)
 
 
-def test_the_benchmark_tells_every_kind_of_product():
+def test_the_benchmark_reports_every_kind_of_product():
     """The command prints JSON with a speed for each product, cut and whole."""
     command = [sys.executable, "-m", "benchmarks.products", "--repeats", "2", "--widths", "16"]
     lines = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)["products"]

@@ -1,4 +1,4 @@
-"""What rounds tell of themselves, beside the per-agent oracles: values of the mixture, losses, norms and entropy."""
+"""What updates report of themselves, beside the per-agent oracles: values of the mixture, losses, norms and entropy."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from common.config import ReplayConfig, RunConfig
 from common.seeds import stream
 from common.transitions import TERMINATED, TRANSITION, Chunk, Rows
 from learner.algorithms import ALGORITHMS
-from learner.diagnostics import RETURN_ROUNDS, RunningFigures
+from learner.diagnostics import RETURN_PERIOD, RunningDiagnostics
 from learner.engine import NOISE, Engine
 from learner.trainer import Trainer
 from tests.learner.algorithms.test_engine import BASE, SWITCHES, TEAM, actor_stacks, batches, twins
@@ -23,15 +23,15 @@ READ_BACK = {"aten::item", "aten::_local_scalar_dense", "aten::is_nonzero", "ate
 FORMS = ("default", "no ensemble", "mixture loss", "copy only", "printed", "local bootstrap", "joint", "three members")
 
 
-def told(figures):
-    """Return the running means [agents] by name after one round."""
-    running = RunningFigures(TEAM, "cpu")
-    running.note(figures)
+def diagnosed(diagnostics):
+    """Return the running means [agents] by name after one update."""
+    running = RunningDiagnostics(TEAM, "cpu")
+    running.note(diagnostics)
     return running.means
 
 
 def peers(name, **options):
-    """Return an engine of a peer, its oracle, a batch and the round's noise, all in float64."""
+    """Return an engine of a peer, its oracle, a batch and the update's noise, all in float64."""
     config = replace(BASE, name=name, **options)
     engine = Engine(config, TEAM, 3, dtype=torch.float64)
     method, (batch,) = engine.algorithm, batches(TEAM, config, 1)
@@ -55,11 +55,11 @@ def test_q_is_that_of_the_mixture_whatever_the_losses(form):
     with torch.no_grad():
         pairs = zip(oracle.critics, oracle.kind, seen(oracle, batch), strict=True)
         q = torch.stack([oracle.mix(critic(x), oracle.members[kind], x, True) for critic, kind, x in pairs]).float()
-    figures = engine.round(batch, figures=True)
-    torch.testing.assert_close(told(figures)["q_mean"], q.mean(dim=1))
-    chosen, running = np.array([1, 4, 5]), RunningFigures(TEAM, "cpu")
+    diagnostics = engine.update(batch, diagnostics=True)
+    torch.testing.assert_close(diagnosed(diagnostics)["q_mean"], q.mean(dim=1))
+    chosen, running = np.array([1, 4, 5]), RunningDiagnostics(TEAM, "cpu")
     returns = torch.randn(BASE.batch, TEAM.agents, generator=torch.Generator().manual_seed(0))
-    running.compare(figures, returns, chosen)
+    running.compare(diagnostics, returns, chosen)
     wanted = q[:, chosen].mean(dim=1) - returns[chosen].mean(dim=0)
     torch.testing.assert_close(running.means["overestimation"], wanted)
 
@@ -67,7 +67,7 @@ def test_q_is_that_of_the_mixture_whatever_the_losses(form):
 @pytest.mark.parametrize("clip", [0.0, CLIP])
 @pytest.mark.parametrize("form", FORMS)
 def test_losses_and_norms_are_those_of_autograd(form, clip):
-    """A member's loss and gradient are told, and all norms are from before the clip, which acts nevertheless."""
+    """A member's loss and gradient are reported, and all norms are from before the clip, which acts nevertheless."""
     config = replace(BASE, gradient_clip=clip, **SWITCHES[form])
     engine, oracle = twins(TEAM, config)
     (batch,) = batches(TEAM, config, 1)
@@ -77,8 +77,8 @@ def test_losses_and_norms_are_those_of_autograd(form, clip):
             [(member(x) - y).square().mean() for member in oracle.members[kind]]
             for kind, x, y in zip(oracle.kind, seen(oracle, batch), targets, strict=True)
         ]
-    means = told(engine.round(batch, figures=True))
-    oracle.round(batch)
+    means = diagnosed(engine.update(batch, diagnostics=True))
+    oracle.update(batch)
     critics, actors = ([network.norm for network in networks] for networks in (oracle.critics, oracle.actors))
     torch.testing.assert_close(means["critic_gradient"], torch.tensor(critics))
     torch.testing.assert_close(means["actor_gradient"], torch.tensor(actors))
@@ -100,32 +100,32 @@ def test_losses_and_norms_are_those_of_autograd(form, clip):
 def test_norms_of_twin_critics_are_of_both(name, clip):
     """The norm of an agent's critic gradient is the mean over its critics, from before the clip; so is the actor's."""
     engine, oracle, batch, noise = peers(name, gradient_clip=clip, actor_delay=1)
-    means = told(engine.round(batch, figures=True))
-    oracle.round(batch, noise)
+    means = diagnosed(engine.update(batch, diagnostics=True))
+    oracle.update(batch, noise)
     norms = torch.tensor([[network.norm for network in critics] for critics in oracle.critics])
     assert norms.max() > 2 * CLIP
     torch.testing.assert_close(means["critic_gradient"], norms.mean(dim=0))
     torch.testing.assert_close(means["actor_gradient"], torch.tensor([actor.norm for actor in oracle.actors]))
 
 
-def test_entropy_is_told_beside_the_soft_value():
-    """MASAC tells alpha and mean log pi of every agent's draws; the others have neither."""
+def test_entropy_is_reported_beside_the_soft_value():
+    """MASAC reports alpha and mean log pi of every agent's draws; the others have neither."""
     engine, oracle, batch, noise = peers("masac", temperature=0.3)
     observations = oracle.split(batch.observation, "observation_size")
     own = zip(oracle.actors, observations, oracle.noise(noise[1]), strict=True)
     with torch.no_grad():
         density = torch.stack([oracle.sample(*given)[1].mean() for given in own]).float()
-    means = told(engine.round(batch, figures=True))
+    means = diagnosed(engine.update(batch, diagnostics=True))
     torch.testing.assert_close(means["log_probability"], density)
     torch.testing.assert_close(means["temperature"], torch.full((TEAM.agents,), 0.3))
     for name in ("maddpg", "matd3"):
         other, _, batch, _ = peers(name)
-        assert not {"log_probability", "temperature"} & told(other.round(batch, figures=True)).keys()
+        assert not {"log_probability", "temperature"} & diagnosed(other.update(batch, diagnostics=True)).keys()
 
 
 @pytest.mark.parametrize("name", ["eia-sec", *ORACLES])
 def test_a_soft_value_is_not_compared_with_rewards(name):
-    """Where Q counts entropy, the returns are told and its excess over them is not; elsewhere both are."""
+    """Where Q counts entropy, the returns are reported and its excess over them is not; elsewhere both are."""
     algorithm = replace(BASE, name=name, discount=0.5)
     trainer = Trainer(RunConfig(algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0)), TEAM)
     flag = np.full(256, TRANSITION, np.uint8)
@@ -134,8 +134,8 @@ def test_a_soft_value_is_not_compared_with_rewards(name):
     draw = np.random.default_rng(3)
     widths = TEAM.observation_size, TEAM.action_size, TEAM.agents
     trainer.absorb(Chunk(Rows(*(draw.uniform(-0.9, 0.9, (256, w)).astype(np.float32) for w in widths), flag)))
-    trainer.train(RETURN_ROUNDS + 1)
-    assert trainer.figures.comparisons == 2
+    trainer.train(RETURN_PERIOD + 1)
+    assert trainer.diagnostics.comparisons == 2
     names = {key.partition("/")[0] for key in trainer.statistics()}
     assert "realised_return" in names
     assert ("overestimation" in names) == (name != "masac")
@@ -155,13 +155,13 @@ class Operations(TorchDispatchMode):
 
 @pytest.mark.parametrize("clip", [0.0, CLIP])
 @pytest.mark.parametrize("name", sorted(ALGORITHMS))
-def test_a_round_asks_the_device_for_nothing(name, clip):
-    """No operation of a round that tells its figures reads a number back, so that it can be captured as a graph."""
+def test_an_update_asks_the_device_for_nothing(name, clip):
+    """No operation of an update with diagnostics reads a number back, so it can be captured as a graph."""
     engine = Engine(replace(BASE, name=name, gradient_clip=clip, ensemble_copy_rate=0.1), TEAM, 3, cores=0)
     for phase, batch in enumerate(batches(TEAM, BASE, 2, torch.float32)):
         noise = torch.zeros(engine.algorithm.noise_blocks, BASE.batch * TEAM.action_size)
         with torch.inference_mode(), Operations() as seen:
-            engine.algorithm.round(batch, noise, phase, figures=True)
+            engine.algorithm.update(batch, noise, phase, diagnostics=True)
         assert "aten::index_select" in seen.names
         assert not READ_BACK & seen.names
 

@@ -1,4 +1,4 @@
-"""Rounds over drawn batches: n steps and running statistics, beside the oracle with both done by plain loops."""
+"""Updates over drawn batches: n steps and running statistics, beside the oracle with both done by plain loops."""
 
 from dataclasses import replace
 
@@ -77,7 +77,7 @@ def plain_batch(rows, places, discount):
 
 
 @pytest.mark.parametrize("scope", ["local", "joint"])
-def test_fifty_rounds_equal_the_loop_over_agents(scope):
+def test_fifty_updates_equal_the_loop_over_agents(scope):
     """Rewards of three steps, observations and rewards by statistics that move: what the plain loops come to."""
     config = replace(
         BASE,
@@ -100,7 +100,7 @@ def test_fifty_rounds_equal_the_loop_over_agents(scope):
             engine.observe(chunks[-1].observation[follows], chunks[-1].reward[follows])
             rows = joined(chunks)
         drawn = replay.sample(config.batch, draw)
-        engine.round(Batch(*(tensor.double() for tensor in drawn)))
-        oracle.round(plain_batch(rows, replay.drawn_places, config.discount))
+        engine.update(Batch(*(tensor.double() for tensor in drawn)))
+        oracle.update(plain_batch(rows, replay.drawn_places, config.discount))
     for name, gap in differences(engine, oracle):
         assert gap < 1e-9, f"{name} differ by {gap}"
