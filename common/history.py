@@ -28,6 +28,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, TextIO
 
+from common.names import is_name
+
 REWRITE_LINES: Final = 20_000
 """Lines after which the file is written anew with consecutive chunks joined."""
 MAX_BYTES: Final = 256 * 2**20
@@ -96,14 +98,14 @@ def parse(line: str) -> Record:
     try:
         match json.loads(line):
             case ["start", str(role), str(name), int(incarnation)]:
-                return Start(role, name, incarnation)
+                return Start(_name(role), _name(name), incarnation)
             case ["resume", dict(workers)]:
-                return Resume({str(name): _whole(inc, expected) for name, (inc, expected) in workers.items()})
+                return Resume({_name(name): _whole(inc, expected) for name, (inc, expected) in workers.items()})
             case ["end"]:
                 return End()
             case [str(written), str(worker), *numbers] if len(numbers) == 6:
                 verdict = _FORMER.get(written, written)
-                entry = Entry(verdict, worker, *_whole(*numbers))
+                entry = Entry(verdict, _name(worker), *_whole(*numbers))
                 if verdict not in VERDICTS:
                     raise ValueError("the line has an unknown verdict")
                 if verdict in SUMMED or 0 <= entry.last - entry.first < MOST_JOINED:
@@ -111,6 +113,13 @@ def parse(line: str) -> Record:
     except (TypeError, RecursionError) as error:
         raise ValueError(str(error)) from error
     raise ValueError("the line is no record of a history")
+
+
+def _name(value: str) -> str:
+    """Return a process's name; raise ValueError for what cannot be one: an audit prints it."""
+    if not is_name(value):
+        raise ValueError("a name in the line is not a name")
+    return value
 
 
 def _whole(*numbers: Any) -> Any:

@@ -14,6 +14,7 @@ from typing import Any, Final
 from common.errors import BusError
 from common.protocol import keys
 from common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, MetricMessage
+from common.text import printable
 from common.transport.bus import Bus, Publisher
 from common.transport.endpoint import Endpoint
 
@@ -24,11 +25,6 @@ SUPERVISOR: Final = "EIA_SEC_SUPERVISOR"
 ORPHAN_SECONDS: Final = 0.5
 QUICK_SECONDS: Final = 1.0
 """A request that is empty sooner than this was taken by nobody."""
-
-
-def printable(text: str) -> str:
-    """Return a text without what a terminal would obey."""
-    return text if text.isprintable() else "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
 class StopSignal:

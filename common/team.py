@@ -19,6 +19,7 @@ from common.config.checks import within
 from common.config.control import Control
 from common.errors import ConfigError, SchemaError
 from common.lattice import Lattice
+from common.names import check_name
 
 Float32 = NDArray[np.float32]
 
@@ -44,7 +45,7 @@ class GroupSpec:
     """One type of agent.
 
     Attributes:
-        name: the type's name, "communication" for instance.
+        name: the type's name, "communication" for instance; see `common.names`.
         count: agents of the type, n_v.
         observation_size: numbers in one agent's observation.
         action_size: numbers in one agent's action, each in [-1, 1].
@@ -61,6 +62,7 @@ class GroupSpec:
 
     def __post_init__(self) -> None:
         """Refuse groups that nobody could be a member of, and a lattice for agents that do not move in a plane."""
+        check_name(self.name, "a type of agent")
         within(1, 4096, count=self.count)
         within(1, 65_536, observation_size=self.observation_size, action_size=self.action_size)
         if self.lattice is not None and (self.action_size != 2 or self.observation_size < 2):
@@ -83,9 +85,10 @@ class GroupSpec:
         mirrored = len(rest) > 1
         if mirrored and rest[1] is not True:
             raise ValueError("the sixth entry is true where a group has one")
-        sizes = int(count), int(observation_size), int(action_size)
+        if type(name) is not str or any(type(size) is not int for size in (count, observation_size, action_size)):
+            raise TypeError("a group is a name and three whole numbers")
         lattice = None if not rest or (mirrored and rest[0] is None) else Lattice.from_list(rest[0])
-        return cls(str(name), *sizes, lattice, mirrored)
+        return cls(name, count, observation_size, action_size, lattice, mirrored)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from common.errors import EiaSecError, UsageError
+from common.text import printable_lines
 from deploy.output import FULL
 
 DONE: Final = 0
@@ -52,5 +53,5 @@ def _leave_output() -> None:
 
 
 def _complain(sentence: str, code: int) -> int:
-    sys.stderr.write(f"eia-sec: {sentence}\n")
+    sys.stderr.write(f"eia-sec: {printable_lines(sentence)}\n")
     return code

@@ -1,4 +1,4 @@
-"""Standard output of a command that outlives a full disk: what cannot be written there is counted, and ends nothing."""
+"""Standard output that survives a full disk: what cannot be written there is lost and counted, and ends nothing."""
 
 import errno
 import sys

@@ -22,11 +22,11 @@ import re
 from dataclasses import dataclass
 from typing import Final
 
-from common.errors import ConfigError, KeyExpressionError
+from common.errors import KeyExpressionError
+from common.names import check_name, is_name
 from common.protocol.frame import PROTOCOL
 
 ROOT: Final = f"eia-sec/v{PROTOCOL}"
-_SEGMENT: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,62}")
 
 
 @dataclass(frozen=True)
@@ -204,17 +204,10 @@ class ParsedKey:
     variables: dict[str, str]
 
 
-def check_name(value: str, what: str) -> str:
-    """Return the value when it can be a key segment; raise ConfigError otherwise."""
-    if not _SEGMENT.fullmatch(value):
-        raise ConfigError(f"{what} {value!r} must be 1 to 63 letters, digits, '.', '_' or '-'.")
-    return value
-
-
 def parse(key: str) -> ParsedKey:
     """Take a concrete key apart; raise KeyExpressionError for wildcards and for keys of no family."""
     head, segments = key.split("/")[:2], key.split("/")[2:]
-    if "/".join(head) != ROOT or len(segments) < 3 or not all(_SEGMENT.fullmatch(part) for part in segments):
+    if "/".join(head) != ROOT or len(segments) < 3 or not all(map(is_name, segments)):
         raise KeyExpressionError(f"{key[:120]!r} is not a key of {ROOT}.")
     run, rest = segments[0], segments[1:]
     for family in FAMILIES:

@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat,
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from common.errors import CredentialsError
-from common.protocol.keys import check_name
+from common.names import check_name
 
 ROLES: Final = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "watcher", "vehicle")
 """Whom a certificate can name; only the first three listen."""

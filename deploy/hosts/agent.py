@@ -9,15 +9,14 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, Final
 
 from common.errors import HostError
-from common.protocol.keys import check_name
 from deploy.hosts import keeper
 from deploy.hosts.keeper import LOG, LOGS, PLAN, STATE, read_json, write_json
+from deploy.local import contained_files
 from deploy.local.run_directory import HISTORY, RunDirectory
-from deploy.security.authority import replace
 
 START_SECONDS: Final = 30.0
 """Time that a keeper has to take a plan up."""
@@ -52,13 +51,13 @@ def up(
 
     Raises:
         HostError: a file cannot be written, or the keeper did not come up.
+        UsageError: a file or a process has an impossible name.
     """
+    keeper.checked_names(processes)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in files.items():
-            path = folder / _inside(name)
-            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            replace(path, text.encode())
+            contained_files.write(folder, name, text.encode())
         (folder / "run" / HISTORY).mkdir(parents=True, exist_ok=True)
         over = _is_over(folder, processes)
         plan = keeper.new_plan(processes, again=again and not over)
@@ -137,16 +136,6 @@ def _is_over(folder: Path, processes: Mapping[str, dict[str, Any]]) -> bool:
     """Return whether the learner of this host is to run as it ran before, and came to the end of its run."""
     before, wanted = read_json(folder / PLAN).get("processes", {}).get(LEARNER), processes.get(LEARNER)
     return wanted is not None and wanted == before and RunDirectory(folder / "run").finished()
-
-
-def _inside(name: str) -> PurePosixPath:
-    """Return a path that stays in the folder; raise HostError for any other."""
-    path = PurePosixPath(name)
-    if path.is_absolute() or not path.parts or ".." in path.parts:
-        raise HostError(f"{name!r} is no place in a host's folder.")
-    for part in path.parts:
-        check_name(part, "file name")
-    return path
 
 
 def _ensure_keeper(folder: Path, start: str) -> None:

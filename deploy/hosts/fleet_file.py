@@ -18,7 +18,7 @@ from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_
 from common.config import RunConfig
 from common.config.files import from_toml
 from common.errors import ConfigError, UsageError
-from common.protocol.keys import check_name
+from common.names import check_name
 from common.protocol.message_sizes import require_frames
 from common.team import farm_team
 from common.transport.endpoint import DEFAULT, Endpoint

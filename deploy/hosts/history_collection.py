@@ -18,6 +18,7 @@ from typing import IO, Final
 from common.errors import ConfigError, HostError
 from deploy.hosts.fleet_file import Fleet
 from deploy.hosts.remote import Link, everywhere, links
+from deploy.local import contained_files
 from deploy.local.run_directory import CONFIG, HISTORY, METRICS, POLICY
 
 OF_THE_LEARNER: Final = (f"{HISTORY}/learner.jsonl", CONFIG, METRICS, POLICY)
@@ -122,10 +123,12 @@ def unpack(packed: IO[bytes], target: Path, own: Callable[[str], bool]) -> tuple
                     raise HostError(f"it sent {entry.name!r} twice.")
                 names.add(entry.name)
                 if own(entry.name):
-                    _copy(source, entry.size, target / entry.name)
+                    with contained_files.writing(target, entry.name, 0o644) as file:
+                        _copy(source, entry.size, file)
                 else:
                     left_out.append(entry.name)
-                    _copy(source, entry.size, None)
+                    with open(os.devnull, "wb") as nowhere:
+                        _copy(source, entry.size, nowhere)
                 _take(source, -entry.size % tarfile.BLOCKSIZE)
     except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise HostError(f"what it sent is no whole archive: {error}.") from error
@@ -153,13 +156,9 @@ def _take(source: gzip.GzipFile, size: int) -> bytes:
     return data
 
 
-def _copy(source: gzip.GzipFile, size: int, path: Path | None) -> None:
-    """Copy so many bytes into a file, which is put in place when it is whole; without one they are passed over."""
-    beside = None if path is None else path.with_name(f".{path.name}.part")
-    with open(os.devnull if beside is None else beside, "wb") as file:
-        while size:
-            piece = _take(source, min(PIECE, size))
-            file.write(piece)
-            size -= len(piece)
-    if path is not None and beside is not None:
-        os.replace(beside, path)
+def _copy(source: gzip.GzipFile, size: int, file: IO[bytes]) -> None:
+    """Copy so many bytes into a file; raise EOFError when there are not as many."""
+    while size:
+        piece = _take(source, min(PIECE, size))
+        file.write(piece)
+        size -= len(piece)

@@ -22,8 +22,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Final
 
-from common.errors import HostError
+from common.errors import HostError, UsageError
 from common.process import StopSignal, log
+from common.transport.credentials import Identity
 from deploy.hosts.plan import ORDER
 from deploy.local.supervisor import Child, Supervisor
 
@@ -70,6 +71,11 @@ def read_json(path: Path) -> dict[str, Any]:
     return found
 
 
+def checked_names(processes: Mapping[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return the processes of a plan; raise UsageError unless each name is a role and a name: it becomes a file's."""
+    return {str(Identity.parse(name)): process for name, process in dict(processes).items()}
+
+
 class Keeper:
     """The loop that makes the plan so.
 
@@ -114,13 +120,13 @@ class Keeper:
             if changed == self._read_at:
                 return
             plan = read_json(self._folder / PLAN)
-            self._issue, self._wanted, again = int(plan["issue"]), dict(plan["processes"]), bool(plan.get("again"))
-        except (OSError, HostError, KeyError, TypeError, ValueError) as error:
+            issue, wanted, again = int(plan["issue"]), checked_names(plan["processes"]), bool(plan.get("again"))
+        except (OSError, HostError, UsageError, KeyError, TypeError, ValueError) as error:
             if not self._issue:
                 raise HostError(f"{PLAN} cannot be read: {error!r}.") from error
             self._complain(PLAN, f"{PLAN} cannot be read: {error!r}")
             return
-        self._read_at = changed
+        self._issue, self._wanted, self._read_at = issue, wanted, changed
         self._complaints.pop(PLAN, None)
         for name in self._wanted:
             child = self._supervisor.children.get(name)

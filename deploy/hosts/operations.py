@@ -35,10 +35,10 @@ def up(fleet: Fleet) -> tuple[dict[str, dict[str, Any]], Failures]:
     first = fleet.learner.host
     with links(fleet) as ways:
         # The learner's host knows whether the run is over: workers that are started then would wait for nothing.
-        states, failed = everywhere({first: ways[first]}, lambda link: link.call("up", requests[link.name]))
+        states, failed = everywhere({first: ways[first]}, lambda link: _state(link, "up", requests[link.name]))
         again = not any(state.get("over") for state in states.values())
         rest = {name: way for name, way in ways.items() if name != first}
-        more, failures = everywhere(rest, lambda link: link.call("up", {**requests[link.name], "again": again}))
+        more, failures = everywhere(rest, lambda link: _state(link, "up", {**requests[link.name], "again": again}))
     states |= more
     return {name: states[name] for name in fleet.hosts if name in states}, failed | failures
 
@@ -88,7 +88,7 @@ def down(fleet: Fleet, seconds: float, kill: bool) -> tuple[list[str], list[str]
     left: list[str] = []
     failed: Failures = {}
     with links(fleet) as ways:
-        states, failures = everywhere(ways, lambda link: link.call("status", {}))
+        states, failures = everywhere(ways, partial(_state, verb="status", request={}))
         failed |= failures
         kept = {host: {name.split(".")[0] for name in state["processes"]} for host, state in states.items()}
         for role in ORDER:
@@ -97,21 +97,54 @@ def down(fleet: Fleet, seconds: float, kill: bool) -> tuple[list[str], list[str]
             answers, failures = everywhere(reachable, partial(ask, seconds=seconds))
             failed |= failures
             for host, answer in answers.items():
-                ended += [f"{host} {name}" for name in answer["ended"]]
-                left += [f"{host} {name}" for name in answer["left"]]
+                ended += [f"{host} {name}" for name in _texts(answer.get("ended"))]
+                left += [f"{host} {name}" for name in _texts(answer.get("left"))]
     return ended, left, failed
 
 
 def status(fleet: Fleet) -> tuple[dict[str, dict[str, Any]], Failures]:
     """Return the state of each host that was reached, and why the others were not."""
     with links(fleet) as ways:
-        return everywhere(ways, lambda link: link.call("status", {}))
+        return everywhere(ways, partial(_state, verb="status", request={}))
 
 
-def logs(fleet: Fleet, names: Sequence[str], lines: int) -> tuple[dict[str, dict[str, Any]], Failures]:
+def logs(fleet: Fleet, names: Sequence[str], lines: int) -> tuple[dict[str, dict[str, str]], Failures]:
     """Return the last lines of each process, by host and name, and why hosts failed."""
+
+    def ask(link: Link) -> dict[str, str]:
+        return {name: str(text) for name, text in link.call("logs", {"names": list(names), "lines": lines}).items()}
+
     with links(fleet) as ways:
-        return everywhere(ways, lambda link: link.call("logs", {"names": list(names), "lines": lines}))
+        return everywhere(ways, ask)
+
+
+def _state(link: Link, verb: str, request: dict[str, Any]) -> dict[str, Any]:
+    """Return a host's state as `deploy.hosts.agent.status` gives it; raise HostError when the answer is none."""
+    state = link.call(verb, request)
+    processes, alarms = state.get("processes"), state.get("alarms")
+    if not (
+        type(state.get("keeper")) is int
+        and isinstance(alarms, list)
+        and all(isinstance(alarm, str) for alarm in alarms)
+        and isinstance(processes, dict)
+        and all(isinstance(process, dict) and _is_process(process) for process in processes.values())
+    ):
+        raise HostError(f"{link.name}: its answer is not the state of a host.")
+    return state
+
+
+def _is_process(process: dict[str, Any]) -> bool:
+    """Return whether values have the types in which the keeper writes a process's state."""
+    return (
+        isinstance(process.get("state"), str)
+        and all(type(process.get(name)) is int for name in ("pid", "deaths"))
+        and type(process.get("since")) in (int, float)
+    )
+
+
+def _texts(value: Any) -> list[str]:
+    """Return a list of texts from a host's answer, empty for anything else."""
+    return [str(text) for text in value] if isinstance(value, list) else []
 
 
 def follow(

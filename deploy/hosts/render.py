@@ -10,8 +10,8 @@ from deploy.hosts.compose import compose
 from deploy.hosts.fleet_file import Fleet
 from deploy.hosts.kubernetes import kubernetes
 from deploy.hosts.systemd import units
+from deploy.local import contained_files
 from deploy.local.run_directory import HISTORY
-from deploy.security.authority import replace
 
 _OPEN: Final = (".service", ".target")
 """Endings of files that everybody may read; systemd wants to."""
@@ -28,12 +28,7 @@ def render(fleet: Fleet, form: str, folder: Path) -> list[Path]:
     written = []
     try:
         for name, data in sorted(files.items()):
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            replace(path, data)
-            if path.suffix in _OPEN:
-                path.chmod(0o644)
-            written.append(path)
+            written.append(contained_files.write(folder, name, data, 0o644 if name.endswith(_OPEN) else 0o600))
         if form == "compose":
             # Docker would make them for itself, and nobody in a container could write into them.
             (folder / "run" / HISTORY).mkdir(parents=True, exist_ok=True)

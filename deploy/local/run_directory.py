@@ -17,6 +17,17 @@ HISTORY = "history"
 """Folder of the processes' own accounts, see `common.history`."""
 
 
+def own_folder(run_dir: Path, name: str) -> Path:
+    """Return a folder inside a run directory, which somebody else may have made.
+
+    Raises:
+        RunDirError: it is a symbolic link, which may lead anywhere.
+    """
+    if (run_dir / name).is_symlink():
+        raise RunDirError(f"{run_dir / name} is a symbolic link; name the folder that you mean with --out.")
+    return run_dir / name
+
+
 class RunDirectory:
     """A folder with config.toml, metrics.jsonl, policy.safetensors, checkpoints/, history/ and logs/."""
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from common.errors import SchemaError
-from common.process import printable
+from common.text import printable
 
 LARGEST: Final = 1e15
 """Numbers beyond it are none that a view shows."""

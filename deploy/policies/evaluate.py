@@ -60,7 +60,7 @@ def main(arguments: EvaluateArguments) -> int:
     if arguments.json:
         sys.stdout.write(json.dumps(evaluation.to_dict(), indent=2) + "\n")
     else:
-        Console().print(comparison_table([evaluation]))
+        Console(markup=False).print(comparison_table([evaluation]))
     return DONE
 
 

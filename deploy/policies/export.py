@@ -5,8 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from safetensors import SafetensorError
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from common.actors import TeamActors, parameter_views
 from common.config import RunConfig
@@ -14,6 +13,7 @@ from common.config.files import digest
 from common.errors import PolicyError
 from common.lattice import EDGE, GAIN
 from common.team import Float32, GroupSpec
+from deploy.local import contained_files
 from deploy.policies.onnx_actions import steering
 from deploy.policies.tensor_names import action_names, action_scale, observation_names
 
@@ -93,13 +93,8 @@ def export_safetensors(folder: Path, config: RunConfig, actors: TeamActors, meta
         for name, layers in zip(agent_names(actors), agent_layers(actors), strict=True)
         for layer, array in layers.items()
     }
-    path = folder / "actors.safetensors"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        save_file(tensors, path, metadata={"description": text})
-    except (OSError, SafetensorError) as error:
-        raise PolicyError(f"{path} cannot be written: {getattr(error, 'strerror', None) or error}.") from error
-    return [path, _describe(folder, text)]
+    data = save(tensors, metadata={"description": text})
+    return [_write(folder, "actors.safetensors", data), _describe(folder, text)]
 
 
 def export_onnx(folder: Path, config: RunConfig, actors: TeamActors, metadata: Mapping[str, str]) -> list[Path]:
@@ -115,23 +110,19 @@ def export_onnx(folder: Path, config: RunConfig, actors: TeamActors, metadata: M
     for name, layers, group in zip(agent_names(actors), agent_layers(actors), kinds_of(actors), strict=True):
         shared = {key: value for key, value in told.items() if key != "agents"}
         model = _model(name, layers, group, {**shared, **told["agents"][name]})
-        path = folder / f"{name}.onnx"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(model.SerializeToString())
-        except OSError as error:
-            raise PolicyError(f"{path} cannot be written: {error.strerror}.") from error
-        paths.append(path)
+        paths.append(_write(folder, f"{name}.onnx", model.SerializeToString()))
     return [*paths, _describe(folder, json.dumps(told, indent=2))]
 
 
 def _describe(folder: Path, text: str) -> Path:
-    path = folder / "actors.json"
+    return _write(folder, "actors.json", f"{text}\n".encode())
+
+
+def _write(folder: Path, name: str, data: bytes) -> Path:
     try:
-        path.write_text(text + "\n", encoding="utf-8")
+        return contained_files.write(folder, name, data, 0o644)
     except OSError as error:
-        raise PolicyError(f"{path} cannot be written: {error.strerror}.") from error
-    return path
+        raise PolicyError(f"{folder / name} cannot be written: {error.strerror}.") from error
 
 
 def _lattice(group: GroupSpec) -> dict[str, Any] | None:

@@ -73,6 +73,10 @@ this table; with the access list switched off that test fails.
 Frames are checked for length, checksum, kind and version, then types, shapes, ranges and finiteness, before memory
 is taken for what they claim to hold ({limit_frame} MiB at most). The name in the envelope must be that in the key,
 which must be that in the certificate. Samples and requests whose key holds a wildcard are dropped and counted.
+Every name that is read from a file or a message (a run, a process, a type of agent in a policy, a worker in a history)
+is 1 to 63 letters, digits, '.', '_' or '-', or what holds it is refused. `eia-sec export`, `fleet collect`, `fleet
+render` and `up` write inside their folder only and follow no symbolic link there; texts of files and of other hosts
+are printed without control characters.
 Nothing is ever unpickled; a test forbids it in the source, and another watches whole processes with an audit hook.
 
 A worker that sends {limit} requests in a row that bring nothing (unreadable, not usable, the same chunk again, out of

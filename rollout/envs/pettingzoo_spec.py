@@ -13,6 +13,7 @@ from pettingzoo import ParallelEnv
 
 from common.config import EnvConfig
 from common.errors import ConfigError
+from common.names import is_name
 from common.team import GroupSpec, TeamSpec
 
 CONTINUOUS: Final = "continuous_actions"
@@ -75,7 +76,7 @@ def describe(environment: Parallel, prefixes: Mapping[str, str]) -> Agents:
         prefixes: from prefix to type.
 
     Raises:
-        ConfigError: when an observation cannot be flattened.
+        ConfigError: an observation cannot be flattened, or a type's name cannot be one (see `common.names`).
     """
     kinds: dict[str, list[str]] = {}
     sizes = {name: _sizes(environment, name) for name in environment.possible_agents}
@@ -83,6 +84,12 @@ def describe(environment: Parallel, prefixes: Mapping[str, str]) -> Agents:
     for name, kind in plain.items():
         alike = {sizes[other] for other, same in plain.items() if same == kind}
         kinds.setdefault(kind if len(alike) == 1 else f"{kind}-{sizes[name][0]}x{sizes[name][1]}", []).append(name)
+    for kind, members in kinds.items():
+        if not is_name(kind):
+            raise ConfigError(
+                f"agent {str(members[0])[:80]!r} is of the type {kind[:80]!r}, which must be 1 to 63 letters, digits, "
+                "'.', '_' or '-'; name another type with env.types."
+            )
     names = tuple(name for members in kinds.values() for name in members)
     team = TeamSpec(tuple(GroupSpec(kind, len(members), *sizes[members[0]]) for kind, members in kinds.items()))
     boxes = [environment.action_space(name) for name in names]
@@ -146,4 +153,4 @@ def _type_of(name: str, prefixes: Mapping[str, str]) -> str:
     fitting = [prefix for prefix in prefixes if name.startswith(prefix)]
     if fitting:
         return prefixes[max(fitting, key=len)]
-    return name.rstrip("0123456789").rstrip("_-") or NAMELESS
+    return name.rstrip("0123456789").rstrip("_- ") or NAMELESS

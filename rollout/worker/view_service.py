@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Final
 
 from common.errors import ConfigError, ProtocolError
+from common.names import check_name
 from common.protocol import keys
-from common.protocol.keys import check_name
 from common.protocol.messages import Envelope, ViewMessage, WatchRequest, WatchTerms
 from common.transport.bus import Bus, Incoming
 from rollout.sim.batch import REWARD_PARTS, FarmBatch

@@ -41,6 +41,9 @@ def test_verdicts_of_earlier_versions_are_read(written, verdict):
         '["resume",{"w":[1,1,1]}]',
         '["resume",{"w":["1",1]}]',
         '["resume",["w"]]',
+        '["resume",{"../w":[1,1]}]',
+        '["start","rollout","a\\u001b[2J",1]',
+        '["made","a b",1,1,1,1,1,1]',
     ],
 )
 def test_what_no_process_writes_is_no_record(line):

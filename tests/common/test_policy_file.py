@@ -68,6 +68,21 @@ def test_reserved_metadata_is_refused(tmp_path, actors):
         save_policy(tmp_path / "policy", actors, {"team": "mine"})
 
 
+@pytest.mark.parametrize("name", ["../../pwn", "/tmp/pwn", "..", "a/b", "a\0b", "a\x1b[2J", "a\nb", "", "x" * 64, 7])
+def test_a_type_of_agent_with_an_impossible_name_is_refused(path, name):
+    """A team's names may become files' names and words in a terminal; one that is no name makes the file none."""
+
+    def rename(header):
+        groups = json.loads(header["__metadata__"]["team"])
+        groups["groups"][0][0] = name
+        header["__metadata__"]["team"] = json.dumps(groups)
+        header[str(name)] = header.pop("communication")
+
+    rewrite_header(path, rename)
+    with pytest.raises(PolicyError, match="not a whole policy file: not a team description"):
+        load_policy(path)
+
+
 def test_a_file_cut_anywhere_is_refused(path):
     """Whatever length is left, loading says so with a PolicyError."""
     data = path.read_bytes()

@@ -31,6 +31,12 @@ def test_mistake_of_the_user_is_one_line_and_two(kind, capsys):
     assert captured.out == ""
 
 
+def test_an_error_message_commands_no_terminal(capsys):
+    """What came from a file into a message is printed without control characters."""
+    assert run_command(raising(ConfigError("the type 'a\x1b]0;owned\x07\u202e' is unknown."))) == 2
+    assert capsys.readouterr().err == "eia-sec: the type 'a?]0;owned??' is unknown.\n"
+
+
 @pytest.mark.parametrize(
     ("error", "line"),
     [

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from common.config.checks import within
+from common.text import printable_lines
 from deploy.exit_codes import DONE, FAILED
 from deploy.hosts import operations
 from deploy.hosts.fleet_file import read
@@ -35,5 +36,5 @@ def command(arguments: Sequence[str]) -> int:
     lines = [f"{name} has ended." for name in ended]
     lines += [f"{name} did not end within {options.wait:g} s; --kill ends it." for name in left]
     lines += list(failed.values())
-    sys.stdout.write("".join(f"{line}\n" for line in lines or ["nothing was running."]))
+    sys.stdout.write("".join(f"{printable_lines(line)}\n" for line in lines or ["nothing was running."]))
     return FAILED if left or failed else DONE

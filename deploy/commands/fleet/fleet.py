@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
+from common.text import printable, printable_lines
 from deploy.exit_codes import DONE, FAILED
 from deploy.hosts import operations
 from deploy.hosts.fleet_file import read
@@ -93,7 +94,7 @@ def command(arguments: Sequence[str]) -> int:
     found = collect(fleet, task.out)
     console.print(f"{found.files} files in {task.out}; eia-sec audit {task.out}")
     for name in found.left_out:
-        console.print(f"left out, because it is not that host's to tell: {name}")
+        console.print(f"left out, because it is not that host's to tell: {printable(name)}")
     for sentence in found.failed.values():
-        console.print(sentence)
+        console.print(printable_lines(sentence))
     return FAILED if found.failed else DONE

@@ -2,7 +2,7 @@
 
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +11,7 @@ import tyro
 
 from common.config.checks import within
 from common.process import StopSignal
+from common.text import printable_lines
 from deploy.exit_codes import DONE, FAILED
 from deploy.hosts import operations
 from deploy.hosts.agent import MAX_LINES
@@ -41,9 +42,8 @@ def command(arguments: Sequence[str]) -> int:
     found, failed = operations.logs(read(options.file), options.process, options.lines)
     for host, texts in found.items():
         for name, text in texts.items():
-            sys.stdout.write(f"== {host} {name}\n{text}\n")
-    sys.stderr.write("".join(f"eia-sec: {sentence}\n" for sentence in failed.values()))
-    return FAILED if failed else DONE
+            sys.stdout.write(printable_lines(f"== {host} {name}\n{text}\n"))
+    return _failed(failed)
 
 
 def _follow(options: LogsArguments) -> int:
@@ -52,12 +52,17 @@ def _follow(options: LogsArguments) -> int:
     def tell(host: str, name: str, line: str) -> None:
         with lock:
             try:
-                sys.stdout.write(f"{host} {name}: {line}\n")
+                sys.stdout.write(f"{printable_lines(f'{host} {name}: {line}')}\n")
                 sys.stdout.flush()
             except BrokenPipeError:
                 stop.event.set()
 
     stop.install()
     failed = operations.follow(read(options.file), options.process, options.lines, tell, stop)
-    sys.stderr.write("".join(f"eia-sec: {sentence}\n" for sentence in failed.values()))
+    return _failed(failed)
+
+
+def _failed(failed: Mapping[str, str]) -> int:
+    """Print why hosts failed; return the exit code."""
+    sys.stderr.write("".join(f"eia-sec: {printable_lines(sentence)}\n" for sentence in failed.values()))
     return FAILED if failed else DONE

@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from common.text import printable, printable_lines
 from deploy.exit_codes import DONE, FAILED
 from deploy.hosts import operations
 from deploy.hosts.fleet_file import Fleet, read
@@ -54,14 +55,14 @@ def show(fleet: Fleet, states: Mapping[str, dict[str, Any]], failed: Mapping[str
         state = "unknown" if host in failed else found.get("state", "down")
         pid, deaths = found.get("pid") or "", found.get("deaths", 0)
         since = _age(time.time() - found["since"]) if found.get("since") else ""
-        table.add_row(host, name, state, str(pid), since, str(deaths or ""))
+        table.add_row(host, printable(name), printable(state), str(pid), since, str(deaths or ""))
     console = Console(highlight=False, soft_wrap=True, markup=False)
     console.print(table)
     for host, state in states.items():
         for alarm in state.get("alarms", []) if state["keeper"] else []:
-            console.print(f"{host}: {alarm}")
+            console.print(printable(f"{host}: {alarm}"))
     for sentence in failed.values():
-        console.print(sentence)
+        console.print(printable_lines(sentence))
 
 
 def _age(seconds: float) -> str:

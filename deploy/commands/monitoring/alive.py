@@ -9,8 +9,8 @@ from typing import Annotated, Final
 import tyro
 
 from common.errors import CredentialsError, EndpointError, UsageError
+from common.names import check_name
 from common.protocol import keys
-from common.protocol.keys import check_name
 from common.transport.bus import Bus
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.exit_codes import DONE, FAILED

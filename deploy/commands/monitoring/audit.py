@@ -44,7 +44,7 @@ def _show(found: Audit) -> None:
         table.add_row(worker, f"{sum(counts.values()):,}", *(f"{counts[fate]:,}" for fate in FATES))
     table.add_section()
     table.add_row("all", f"{found.produced:,}", *(f"{found.steps[fate]:,}" for fate in FATES))
-    console = Console()
+    console = Console(markup=False)
     console.print(table)
     lost = ", ".join(f"{steps:,} with a {who}" for who, steps in sorted(found.lost_with.items())) or "none"
     console.print(f"lost: {lost}; {found.duplicates:,} duplicate chunks; {found.starts} starts of the learner")

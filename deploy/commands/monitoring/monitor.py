@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.live import Live
 
 from common.config.checks import within
+from common.names import check_name
 from common.process import StopSignal, denial
 from common.protocol import keys
-from common.protocol.keys import check_name
 from common.transport.bus import Bus
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.monitor.live_view import render, summary

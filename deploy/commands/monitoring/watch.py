@@ -10,8 +10,8 @@ from typing import Final
 
 from common.config.checks import within
 from common.errors import EndpointError
+from common.names import check_name
 from common.process import StopSignal
-from common.protocol.keys import check_name
 from common.transport.bus import Bus
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.exit_codes import DONE

@@ -9,7 +9,7 @@ from typing import Final, Literal
 from common.errors import RunDirError
 from common.policy_file import load_policy
 from deploy.exit_codes import DONE
-from deploy.local.run_directory import POLICY, RunDirectory
+from deploy.local.run_directory import POLICY, RunDirectory, own_folder
 from deploy.options import parse
 from deploy.policies.export import export_onnx, export_safetensors
 
@@ -36,6 +36,6 @@ def command(arguments: Sequence[str]) -> int:
     if not path.is_file():
         raise RunDirError(f"{options.run_dir} holds no {POLICY}: the run has not saved a policy yet.")
     actors, metadata = load_policy(path)
-    written = FORMATS[options.format](options.out or options.run_dir / "export", config, actors, metadata)
+    written = FORMATS[options.format](options.out or own_folder(options.run_dir, "export"), config, actors, metadata)
     sys.stdout.write("".join(f"{file}\n" for file in written))
     return DONE

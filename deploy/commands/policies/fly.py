@@ -9,9 +9,9 @@ from common.config.checks import positive, within
 from common.config.files import from_toml
 from common.config.presets import PRESETS
 from common.errors import RunDirError, UsageError
+from common.names import check_name
 from common.policy_file import load_policy
 from common.process import StopSignal, log
-from common.protocol.keys import check_name
 from common.team import farm_team
 from common.transport.bus import Bus
 from common.transport.endpoint import DEFAULT, Endpoint

@@ -12,6 +12,7 @@ from rich.progress import Progress
 from common.config.checks import within
 from common.errors import UsageError
 from deploy.exit_codes import DONE
+from deploy.local.run_directory import own_folder
 from deploy.options import parse
 from deploy.policies.evaluate import EvaluateArguments, configuration_of, policy_name
 from deploy.policies.replay import Contest, film, paper_pictures
@@ -61,7 +62,7 @@ def command(arguments: Sequence[str]) -> int:
     if not 0.1 <= options.rate <= 240.0:
         raise UsageError(f"--rate must be 0.1 to 240 pictures a second, not {options.rate:g}.")
     contest = _contest(options)
-    base = (options.out or (options.run_dir or Path()) / FOLDER) / f"farm-{options.farm}"
+    base = (options.out or own_folder(options.run_dir or Path(), FOLDER)) / f"farm-{options.farm}"
     console = Console(highlight=False, soft_wrap=True, markup=False)
     if options.film != "none":
         find_ffmpeg()

@@ -12,8 +12,8 @@ import numpy as np
 
 from common.config import FarmConfig
 from common.config.checks import positive, within
+from common.names import check_name
 from common.process import StopSignal
-from common.protocol.keys import check_name
 from common.team import farm_team
 from common.transport.bus import Bus
 from common.transport.endpoint import DEFAULT, Endpoint

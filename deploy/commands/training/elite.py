@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from common.protocol.keys import check_name
+from common.names import check_name
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.options import parse
 from elite.service import CoordinatorOptions, serve

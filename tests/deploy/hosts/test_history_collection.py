@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from common.errors import ConfigError, HostError
-from deploy.hosts import history_collection, remote
+from common.errors import ConfigError, HostError, UsageError
+from deploy.cli import dispatch
+from deploy.hosts import history_collection, operations, remote
 from deploy.hosts.fleet_file import Fleet, Host, Learner, read
 from deploy.hosts.history_collection import own_names, pack, unpack
 from deploy.hosts.remote import Link
@@ -120,6 +121,13 @@ def test_what_unpacks_to_too_much_is_refused(tmp_path, monkeypatch, name, limit)
     assert not (tmp_path / "metrics.jsonl").exists()
 
 
+def one_host(tmp_path):
+    """Return a fleet with one host, this machine."""
+    path = tmp_path / "fleet.toml"
+    path.write_text('[learner]\nhost = "one"\n[hosts.one]\nhost = "local"\nworkers = 1\n')
+    return read(path)
+
+
 def test_a_target_that_cannot_be_written_is_one_sentence(tmp_path):
     """A file where the folder should be is the user's mistake; a full disk is told with the host."""
     fleet = tmp_path / "fleet.toml"
@@ -131,9 +139,58 @@ def test_a_target_that_cannot_be_written_is_one_sentence(tmp_path):
     with pytest.raises(ConfigError, match="cannot be made"):
         history_collection.collect(read(fleet), tmp_path / "out")
     (tmp_path / "history").mkdir()
-    (tmp_path / ".config.toml.part").mkdir()
+    (tmp_path / "config.toml").mkdir()
     with pytest.raises(HostError, match="cannot be written: Is a directory"):
         unpack(io.BytesIO(archive(("config.toml", b"1"))), tmp_path, own_names(FLEET, "one"))
+
+
+def test_no_link_in_the_target_is_followed(tmp_path):
+    """A linked folder is the user's to remove, and a linked file is replaced: what a host sends stays in the target."""
+    target, outside = tmp_path / "target", tmp_path / "outside"
+    for folder in (target, outside):
+        folder.mkdir()
+    (outside / "learner.jsonl").write_text("mine")
+    (target / "history").symlink_to(outside)
+    (target / "config.toml").symlink_to(outside / "learner.jsonl")
+    own = own_names(FLEET, "one")
+    with pytest.raises(UsageError, match="history is a symbolic link"):
+        unpack(io.BytesIO(archive(("history/learner.jsonl", b"theirs"))), target, own)
+    assert unpack(io.BytesIO(archive(("config.toml", b"theirs"))), target, own) == (1, [])
+    assert (target / "config.toml").read_bytes() == b"theirs"
+    assert [(path.name, path.read_text()) for path in outside.iterdir()] == [("learner.jsonl", "mine")]
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        {},
+        {"keeper": 1, "processes": [], "alarms": []},
+        {"keeper": 1, "processes": {"a": 1}, "alarms": []},
+        {"keeper": 1, "processes": {"a": {"state": 3, "pid": 1, "deaths": 0, "since": 0}}, "alarms": []},
+        {"keeper": 1, "processes": {"a": {"state": "x", "pid": "1", "deaths": 0, "since": 0}}, "alarms": []},
+        {"keeper": 1, "processes": {}, "alarms": [1]},
+    ],
+)
+def test_a_host_that_answers_nonsense_failed(tmp_path, monkeypatch, answer):
+    """The state of such a host is unknown, in one sentence, and the command goes on."""
+    monkeypatch.setattr(Link, "call", lambda link, verb, request, seconds=0.0: answer)
+    states, failed = operations.status(one_host(tmp_path))
+    assert (states, failed) == ({}, {"one": "one: its answer is not the state of a host."})
+
+
+def test_what_a_host_tells_commands_no_terminal(tmp_path, monkeypatch, capsys):
+    """Names, states, alarms and lines of logs are printed without control characters."""
+    process = {"state": "up\x1b[2J", "pid": 1, "deaths": 0, "since": 0, "code": None}
+    state = {"keeper": 1, "processes": {"rollout.\x1b[2J": process}, "alarms": ["bad\x1b[2J"]}
+    answers = {"status": state, "logs": {"a\x1b[2J": "line\x1b[2J\nnext\tline"}}
+    monkeypatch.setattr(Link, "call", lambda link, verb, request, seconds=0.0: answers[verb])
+    fleet = one_host(tmp_path)
+    dispatch(["status", str(fleet.path)])
+    dispatch(["logs", str(fleet.path)])
+    printed = capsys.readouterr().out
+    assert "\x1b" not in printed
+    assert "bad?[2J" in printed
+    assert "line?[2J\nnext    line" in printed
 
 
 def host_that(monkeypatch, program):

@@ -139,6 +139,51 @@ def test_the_pages_code_runs_and_gives_the_policys_actions(run, monkeypatch, cap
     assert "collection-" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", ["../../pwned", "{outside}/pwned"])
+@pytest.mark.parametrize("kind", ["onnx", "safetensors"])
+def test_a_policy_cannot_name_files_elsewhere(tmp_path, capsys, name, kind):
+    """A file whose team has a path for a name is refused before anything is written."""
+    directory, outside = tmp_path / "runs" / "mine", tmp_path / "outside"
+    directory.mkdir(parents=True)
+    outside.mkdir()
+    team = TeamSpec((GroupSpec("walker", 1, 5, 3),))
+    (directory / "config.toml").write_text(to_toml(RunConfig(env=EnvConfig("some.module:env"))))
+    save_policy(directory / "policy.safetensors", TeamActors.initial(team, 8, 1, per_type=False), {})
+    data = (directory / "policy.safetensors").read_bytes()
+    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    hostile = name.format(outside=outside)
+    header["__metadata__"]["team"] = json.dumps({"groups": [[hostile, 1, 5, 3]]})
+    header[hostile] = header.pop("walker")
+    text = json.dumps(header).encode()
+    body = data[8 + int.from_bytes(data[:8], "little") :]
+    (directory / "policy.safetensors").write_bytes(len(text).to_bytes(8, "little") + text + body)
+    before = sorted(tmp_path.rglob("*"))
+    assert run_command(lambda: dispatch(["export", "--run-dir", str(directory), "--format", kind])) == 2
+    assert "must be 1 to 63 letters" in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(("kind", "name"), [("onnx", "walker-0.onnx"), ("safetensors", "actors.safetensors")])
+def test_export_follows_no_link(tmp_path, capsys, kind, name):
+    """A link in the place of a file is replaced, and one in the place of the run's own folder is refused."""
+    team, outside = TeamSpec((GroupSpec("walker", 1, 5, 3),)), tmp_path / "outside"
+    outside.mkdir()
+    (outside / "file").write_text("mine")
+    directory = tmp_path / "run"
+    (directory / "export").mkdir(parents=True)
+    (directory / "config.toml").write_text(to_toml(RunConfig(env=EnvConfig("some.module:env"))))
+    save_policy(directory / "policy.safetensors", TeamActors.initial(team, 8, 1, per_type=False), {})
+    (directory / "export" / name).symlink_to(outside / "file")
+    arguments = ["export", "--run-dir", str(directory), "--format", kind]
+    assert run_command(lambda: dispatch(arguments)) == 0
+    assert not (directory / "export" / name).is_symlink()
+    (directory / "export").rename(directory / "before")
+    (directory / "export").symlink_to(outside)
+    assert run_command(lambda: dispatch(arguments)) == 2
+    assert "symbolic link" in capsys.readouterr().err
+    assert [(path.name, path.read_text()) for path in outside.iterdir()] == [("file", "mine")]
+
+
 @pytest.mark.parametrize(
     "observation",
     [ObservationConfig(), ObservationConfig(sensors=30, form="printed"), ObservationConfig(mirrored=True)],
