@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from common.config import RunConfig
 from common.config.files import digest, method_of
@@ -16,6 +16,13 @@ from learner.trainer import Trainer
 
 CHECKPOINTS = "checkpoints"
 POLICY = "policy.safetensors"
+
+
+class Ledger(Protocol):
+    """A ledger of accepted chunks that a checkpoint can hold."""
+
+    def state(self) -> dict[str, Any]:
+        """Return it as plain values."""
 
 
 class RunStorage:
@@ -44,14 +51,14 @@ class RunStorage:
         """Why the newest checkpoint is missing, or empty."""
         return self._writer.failure if self._writer else ""
 
-    def save(self, trainer: Trainer, intake: Intake, elapsed: float, epoch: int, *, wait: bool = False) -> None:
+    def save(self, trainer: Trainer, ledger: Ledger, elapsed: float, epoch: int, *, wait: bool = False) -> None:
         """Begin to write a checkpoint of this instant, or count it as skipped while the one before is being written.
 
         Training goes on meanwhile, and after a failure too (see `alarm`): the checkpoint before is still whole.
 
         Args:
             trainer: its whole state is kept.
-            intake: the ledger of what is in that state.
+            ledger: the ledger of the chunks in that state.
             elapsed: seconds that the run has taken.
             epoch: the learner's fencing epoch.
             wait: return only when it is on the disk, or has failed; it is not skipped then.
@@ -68,7 +75,7 @@ class RunStorage:
         manifest: dict[str, Any] = {
             "configuration": self._method,
             "trainer": state,
-            "intake": intake.state(),
+            "intake": ledger.state(),
             "elapsed": elapsed,
             "epoch": epoch,
         }

@@ -3,7 +3,7 @@
 import heapq
 import threading
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 from common.errors import CheckpointError
 from common.protocol.messages import Envelope
@@ -73,6 +73,22 @@ class WorkerLedger:
     def figures(self) -> dict[str, int]:
         """Return the account over all starts; see `Intake.totals`."""
         return _summed([self] if self.earlier is None else [self, self.earlier])
+
+
+class LedgerSnapshot(NamedTuple):
+    """The ledger at one instant.
+
+    Attributes:
+        closed: the sum over all starts that have ended.
+        workers: the accounts of the present starts, by worker.
+    """
+
+    closed: WorkerLedger
+    workers: dict[str, WorkerLedger]
+
+    def state(self) -> dict[str, Any]:
+        """Return what a checkpoint needs."""
+        return {"closed": asdict(self.closed), "workers": {name: asdict(w) for name, w in self.workers.items()}}
 
 
 class Intake:
@@ -170,7 +186,7 @@ class Intake:
 
     def state(self) -> dict[str, Any]:
         """Return what a checkpoint needs."""
-        return {"closed": asdict(self.closed), "workers": {name: asdict(w) for name, w in self.workers.items()}}
+        return self.now().state()
 
     def restore(self, state: dict[str, Any]) -> None:
         """Take up a checkpoint's ledger; raise CheckpointError when it is none."""
@@ -202,10 +218,10 @@ class Intake:
         )
         return missing - rejected
 
-    def now(self) -> tuple[WorkerLedger, dict[str, WorkerLedger]]:
-        """Return the accounts of this moment: the sum of all ended starts, and those of the present ones."""
+    def now(self) -> LedgerSnapshot:
+        """Return the accounts of this moment."""
         with self._switch:
-            return self.closed, dict(self.workers)
+            return LedgerSnapshot(self.closed, dict(self.workers))
 
     def _ledger(self, sender: Envelope) -> WorkerLedger:
         ledger = self.workers.get(sender.name)

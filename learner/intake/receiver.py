@@ -18,7 +18,7 @@ from common.protocol.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMe
 from common.team import TeamSpec
 from common.transitions import FARM_METRICS, Chunk
 from common.transport.bus import Incoming, Server
-from learner.intake.ledger import Intake, WorkerLedger
+from learner.intake.ledger import Intake, LedgerSnapshot
 from learner.intake.peer_penalties import CUT_SECONDS, PeerPenalties
 from learner.intake.throttle import Throttle
 
@@ -69,15 +69,13 @@ class Arrival:
     Attributes:
         chunk: the experience.
         sender: who sent it, with which parameter version.
-        closed: the account of all ended starts once this chunk is in.
-        workers: those of the present starts then. What was accepted before this chunk is ahead of it in the queue.
+        ledger: the ledger with this chunk in it. What was accepted before this chunk is ahead of it in the queue.
         owed: the answer that the learner owes for it (lockstep), else None.
     """
 
     chunk: Chunk
     sender: Envelope
-    closed: WorkerLedger
-    workers: dict[str, WorkerLedger]
+    ledger: LedgerSnapshot
     owed: "Owed | None"
 
 
@@ -152,6 +150,27 @@ class Receiver:
         """Take no more chunks; every accepted one is in the queue when this returns."""
         with self.gate:
             self._closing.set()
+
+    def set_version(self, version: int) -> None:
+        """Note the newest published version, from which the age of chunks counts."""
+        self.version = version
+
+    def require_version(self, version: int) -> None:
+        """Let workers go on only with this version or a later one (lockstep)."""
+        self.required_version = version
+
+    def unexplained(self, absorbed: int) -> int:
+        """Return the steps that the ledger cannot explain or that are missing in replay and queue; 0 but for a defect.
+
+        Both count as absolute values, so neither makes up for the other.
+
+        Args:
+            absorbed: environment steps that have left the queue for replay.
+        """
+        with self.gate:
+            accepted, unclosed = self.intake.totals()["accepted"], self.intake.unexplained()
+            queued = sum(arrival.chunk.rows.steps for arrival in list(self.arrivals.queue))
+        return abs(int(accepted - absorbed - queued)) + unclosed
 
     @property
     def alive(self) -> bool:
@@ -320,7 +339,7 @@ class Receiver:
                     self._record("accepted", sender, steps, produced, flown)
                     self.peer_penalties.good(sender.name)
                     self._owed = owed
-                    self.arrivals.put_nowait(Arrival(chunk, sender, *self.intake.now(), owed))
+                    self.arrivals.put_nowait(Arrival(chunk, sender, self.intake.now(), owed))
                     return TAKEN
             self._dealt_with.set()
             self._closing.wait(FULL_SECONDS)

@@ -9,12 +9,12 @@ from common.policy_store import PolicyStore
 from common.protocol import frame
 from common.protocol.messages import ParametersMessage
 from learner.checkpoint import recovery
+from learner.control.lease import Lease
 from learner.intake.ledger import Intake
-from learner.lease import Lease
 from tests.faults.test_messages import bad_road
 from tests.faults.tools.channel import TEAM
-from tests.learner import test_lease
 from tests.learner.checkpoint import test_recovery
+from tests.learner.control import test_lease
 
 
 def stale_parameters_are_refused() -> None:

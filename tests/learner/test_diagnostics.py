@@ -13,7 +13,7 @@ from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Rows
 from learner.data.replay import Replay
 from learner.diagnostics import RETURN_PERIOD, RunningDiagnostics, horizon, newest_returns, realised_returns
 from learner.engine import Batch, Diagnostics, Engine
-from learner.tensorboard import FOLDER, Event, TensorBoardWriter, flattened
+from learner.reporting.tensorboard import FOLDER, Event, TensorBoardWriter, flattened
 from learner.trainer import Trainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))

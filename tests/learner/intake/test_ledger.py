@@ -10,7 +10,7 @@ import pytest
 from common.errors import CheckpointError
 from common.protocol.messages import Envelope
 from learner.intake.ledger import OTHERS, Intake
-from learner.service import Learner
+from learner.intake.receiver import Receiver
 
 
 def sender(sequence: int, incarnation: int = 1, name: str = "w") -> Envelope:
@@ -231,11 +231,10 @@ def test_two_errors_do_not_make_up_for_each_other() -> None:
 
 
 @pytest.mark.parametrize(("booked", "in_replay", "said"), [(10, 10, 0), (10, 7, 3), (20, 20, 10), (0, 10, 20)])
-def test_the_learner_tells_of_both_defects(booked: int, in_replay: int, said: int) -> None:
+def test_unexplained_adds_up_both_defects(booked: int, in_replay: int, said: int) -> None:
     """Its figure holds what the accounts fail to close by, and what of the accepted is not in replay; sizes add up."""
     intake = Intake()
     produce(intake, "w", 1, 10)
     intake.workers["w"] = replace(intake.workers["w"], accepted=booked)
     receiver = SimpleNamespace(gate=threading.Lock(), intake=intake, arrivals=queue.Queue())
-    learner = SimpleNamespace(_receiver=receiver, trainer=SimpleNamespace(environment_steps=in_replay))
-    assert Learner._unexplained(learner) == said
+    assert Receiver.unexplained(receiver, in_replay) == said

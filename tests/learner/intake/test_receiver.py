@@ -35,14 +35,15 @@ def test_a_chunk_brings_the_accounts_of_its_moment():
             for *request, lawful in [("a", 1, 1, True), ("b", 1, 1, True), ("a", 2, 1, False), ("b", 1, 2, True)]
         ]
         assert told == ["accepted", "accepted", "refused", "accepted"]
-        kept, accepted = Intake(), []
+        accepted = []
         for _ in range(3):
             arrival = until(lambda: receiver.next_arrival(0.05), "a chunk")
-            kept.closed, kept.workers = arrival.closed, arrival.workers
+            kept = Intake()
+            kept.restore(arrival.ledger.state())
             accepted.append(kept.totals()["accepted"])
         assert accepted == [1, 2, 3]
         again = Intake()
-        again.restore(kept.state())
+        again.restore(arrival.ledger.state())
         assert again.totals() == receiver.intake.totals()
         assert again.unexplained() == 0
     finally:

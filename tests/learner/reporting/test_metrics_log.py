@@ -8,23 +8,25 @@ from tensorboardX.proto.event_pb2 import SessionLog
 from common.team import GroupSpec, TeamSpec
 from common.transitions import EpisodeSummary
 from deploy.reports.run_report import read_metrics
-from learner import reports, tensorboard
-from learner.reports import SMOOTHED_EPISODES, Curves, Journal, _continued, diverging
-from learner.tensorboard import FOLDER, TensorBoardWriter
+from learner.reporting import metrics_log, tensorboard
+from learner.reporting.curves import SMOOTHED_EPISODES, Curves
+from learner.reporting.metrics_log import MetricsLog, _reopened
+from learner.reporting.reporter import diverging
+from learner.reporting.tensorboard import FOLDER, TensorBoardWriter
 from tests.learner.test_diagnostics import events
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 
 
-def write_run(journal, first, last):
+def write_run(log, first, last):
     """Write the records of some episodes, ten steps and one update each, and an imitation event after every second."""
     for episode in range(first, last):
         counters = {"episodes": episode, "environment_steps": 10 * episode, "updates": episode}
-        journal.write("episodes", **counters, reward={"mean": float(episode)})
+        log.write("episodes", **counters, reward={"mean": float(episode)})
         if episode % 2 == 0:
-            journal.write("imitation", episodes=episode, event=episode // 2)
-        journal.write("status", **counters)
-    journal.close()
+            log.write("imitation", episodes=episode, event=episode // 2)
+        log.write("status", **counters)
+    log.close()
 
 
 def told(path, kind, name):
@@ -33,10 +35,10 @@ def told(path, kind, name):
 
 def test_what_a_crash_undid_is_left_out(tmp_path):
     """Of episodes 1..7 a checkpoint had kept 4, with an event fewer: the rest comes from the start that went on."""
-    write_run(Journal(tmp_path), 1, 8)
-    journal = Journal(tmp_path)
-    journal.write("resume", episodes=4, environment_steps=40, updates=4, events=1)
-    write_run(journal, 5, 10)
+    write_run(MetricsLog(tmp_path), 1, 8)
+    log = MetricsLog(tmp_path)
+    log.write("resume", episodes=4, environment_steps=40, updates=4, events=1)
+    write_run(log, 5, 10)
     path = tmp_path / "metrics.jsonl"
     assert told(path, "episodes", "episodes") == told(path, "status", "updates") == list(range(1, 10))
     assert told(path, "imitation", "event") == [1, 3, 4]
@@ -45,20 +47,20 @@ def test_what_a_crash_undid_is_left_out(tmp_path):
 
 def test_a_run_that_begins_again_has_nothing_from_before(tmp_path):
     """Without a checkpoint everything is done again."""
-    write_run(Journal(tmp_path), 1, 4)
-    journal = Journal(tmp_path)
-    journal.write("resume", episodes=0, environment_steps=0, updates=0, events=0)
-    write_run(journal, 1, 2)
+    write_run(MetricsLog(tmp_path), 1, 4)
+    log = MetricsLog(tmp_path)
+    log.write("resume", episodes=0, environment_steps=0, updates=0, events=0)
+    write_run(log, 1, 2)
     assert told(tmp_path / "metrics.jsonl", "episodes", "episodes") == [1]
 
 
 @pytest.mark.parametrize("cut", [1, 5, 30])
 def test_a_line_that_a_crash_has_cut_spoils_no_other(tmp_path, cut):
     """The next start ends it, so that its own first line can be read."""
-    write_run(Journal(tmp_path), 1, 3)
+    write_run(MetricsLog(tmp_path), 1, 3)
     path = tmp_path / "metrics.jsonl"
     path.write_bytes(path.read_bytes()[:-cut])
-    write_run(Journal(tmp_path), 3, 4)
+    write_run(MetricsLog(tmp_path), 3, 4)
     assert told(path, "episodes", "episodes") == [1, 2, 3]
     assert told(path, "status", "episodes") == [1, 3] if cut > 1 else [1, 2, 3]
     lines = path.read_text().splitlines()
@@ -105,29 +107,29 @@ def test_records_go_on_after_a_full_disk_and_losses_are_counted(tmp_path, monkey
     def opened(file):
         if refused.pop(0):
             raise OSError(28, "No space left on device")
-        return _continued(file)
+        return _reopened(file)
 
-    monkeypatch.setattr(reports, "_continued", opened)
-    journal = Journal(tmp_path)
-    assert journal.failure == "metrics.jsonl cannot be written: No space left on device; 0 records are lost."
-    journal.write("status", episodes=1)
-    journal.write("status", episodes=2)
-    assert journal.failure.endswith("; 2 records are lost.")
-    journal.write("status", episodes=3)
-    assert journal.failure == "2 records of metrics.jsonl could not be written."
-    journal.close()
-    journal.write("status", episodes=4)
+    monkeypatch.setattr(metrics_log, "_reopened", opened)
+    log = MetricsLog(tmp_path)
+    assert log.failure == "metrics.jsonl cannot be written: No space left on device; 0 records are lost."
+    log.write("status", episodes=1)
+    log.write("status", episodes=2)
+    assert log.failure.endswith("; 2 records are lost.")
+    log.write("status", episodes=3)
+    assert log.failure == "2 records of metrics.jsonl could not be written."
+    log.close()
+    log.write("status", episodes=4)
     lines = path.read_text().splitlines()
     assert [lines[0], json.loads(lines[1])["episodes"], len(lines)] == ['{"kind": "cu', 3, 2]
 
 
-def test_a_journal_on_a_full_disk_closes(tmp_path):
+def test_a_metrics_log_on_a_full_disk_closes(tmp_path):
     """What its file still holds cannot be written at the end either, and ends nobody."""
     (tmp_path / "metrics.jsonl").symlink_to("/dev/full")
-    journal = Journal(tmp_path)
-    journal.write("status", episodes=1)
-    assert "No space left on device; 1 records are lost." in journal.failure
-    journal.close()
+    log = MetricsLog(tmp_path)
+    log.write("status", episodes=1)
+    assert "No space left on device; 1 records are lost." in log.failure
+    log.close()
 
 
 def test_scalars_go_on_in_another_file_after_a_full_disk(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""The learner's desk: what other processes may ask of it, and its answers."""
+"""Answers the commands of other processes: configuration, lead, drain."""
 
 import time
 from collections.abc import Callable
@@ -8,7 +8,10 @@ from common.process import log
 from common.protocol import keys
 from common.protocol.messages import CommandMessage, ConfigurationMessage, Envelope, ReceiptMessage
 from common.transport.bus import Incoming, Server
-from learner.lease import Lease
+from learner.control.lease import Lease
+
+SHOWN_NAME = 64
+"""Most characters of another process's name in a log line or an answer."""
 
 
 class CommandServer:
@@ -16,12 +19,12 @@ class CommandServer:
 
     Args:
         server: where they come in.
-        configuration: what whoever joins is told of the run.
+        configuration: the answer to a process that joins the run.
 
     Attributes:
         lease: which coordinator leads.
         draining: whether somebody asked the learner to drain.
-        malformed: requests that were no commands.
+        malformed: requests that could not be decoded.
     """
 
     def __init__(self, server: Server, configuration: ConfigurationMessage) -> None:
@@ -29,7 +32,7 @@ class CommandServer:
         self.lease, self.draining, self.malformed = Lease(), False, 0
         self._verbs: dict[str, Callable[[Incoming, str], None]] = {
             "configuration": self._send_configuration,
-            "lead": self._grant,
+            "lead": self._grant_lead,
             "drain": self._drain,
         }
 
@@ -52,11 +55,11 @@ class CommandServer:
         incoming.reply(self._configuration)
 
     def _drain(self, incoming: Incoming, sender: str) -> None:
-        log(f"draining, as {sender[:64]} asked.")
+        log(f"draining, as {sender[:SHOWN_NAME]} asked.")
         self.draining = True
         incoming.reply(ReceiptMessage(True, "").encode())
 
-    def _grant(self, incoming: Incoming, sender: str) -> None:
+    def _grant_lead(self, incoming: Incoming, sender: str) -> None:
         try:
             claimant = Envelope.decode(incoming.attachment)
         except ProtocolError as error:
@@ -65,4 +68,4 @@ class CommandServer:
             return
         granted = self.lease.claim(claimant.name, claimant.incarnation, time.monotonic())
         holder = self.lease.holder[0] if self.lease.holder else ""
-        incoming.reply(ReceiptMessage(granted, "" if granted else f"coordinator {holder[:64]} leads.").encode())
+        incoming.reply(ReceiptMessage(granted, "" if granted else f"coordinator {holder[:SHOWN_NAME]} leads.").encode())

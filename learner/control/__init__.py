@@ -1,0 +1,1 @@
+"""The learner on the control lane: parameters out, commands and imitation events in."""

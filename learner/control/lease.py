@@ -1,0 +1,32 @@
+"""Which coordinator leads: the learner grants a lease of a few seconds and applies the holder's events only."""
+
+from dataclasses import dataclass
+
+LEASE_SECONDS = 3.0
+"""Time after the holder's last claim at which another coordinator may take over."""
+
+
+@dataclass
+class Lease:
+    """A lease with one holder at a time; the first claimant holds it until it is silent for LEASE_SECONDS.
+
+    Imitation events take effect in the learner alone. If two coordinators both believe that they lead, the one that was
+    silent for too long is refused here.
+
+    Attributes:
+        holder: name and incarnation of the leading coordinator, or None before the first claim.
+    """
+
+    holder: tuple[str, int] | None = None
+    _until: float = 0.0
+
+    def claim(self, name: str, incarnation: int, now: float) -> bool:
+        """Grant or extend the lease at a time in seconds; return whether the claimant leads."""
+        if self.holder != (name, incarnation) and self.holder is not None and now < self._until:
+            return False
+        self.holder, self._until = (name, incarnation), now + LEASE_SECONDS
+        return True
+
+    def holds(self, name: str, incarnation: int) -> bool:
+        """Return whether this coordinator was the last one to get the lease."""
+        return self.holder == (name, incarnation)

@@ -1,0 +1,54 @@
+"""Publishes the learner's parameters and its progress."""
+
+from common.config import RunConfig
+from common.protocol import keys
+from common.protocol.messages import ParametersMessage, ProgressMessage
+from common.transport.bus import Bus
+from learner.trainer import Trainer
+
+
+class Publisher:
+    """Publishes on the control lane; both messages are states, so a late subscriber gets the newest one.
+
+    Args:
+        bus: the control lane.
+        run: the run's name.
+        epoch: the learner's fencing epoch.
+        config: the run.
+        trainer: what is published.
+    """
+
+    def __init__(self, bus: Bus, run: str, epoch: int, config: RunConfig, trainer: Trainer) -> None:
+        self._parameters = bus.publish_state(keys.PARAMETERS.key(run))
+        self._progress = bus.publish_state(keys.PROGRESS.key(run))
+        self._epoch, self._episodes, self._trainer = epoch, config.episodes, trainer
+        self._published = -1
+
+    @property
+    def stale(self) -> bool:
+        """Whether the actors have changed since they were last published."""
+        return self._published != self._trainer.updates + self._trainer.events
+
+    def publish_parameters(self) -> None:
+        """Publish the present actors under the trainer's present version."""
+        trainer = self._trainer
+        self._published = trainer.updates + trainer.events
+        actors = trainer.actors()
+        message = ParametersMessage(
+            epoch=self._epoch,
+            version=trainer.version,
+            event=trainer.events,
+            environment_steps=trainer.environment_steps,
+            progress=min(1.0, trainer.episodes / self._episodes),
+            team=actors.team.digest,
+            hidden=actors.hidden,
+            head=actors.head,
+            flat=actors.flat,
+        )
+        self._parameters.put(message.encode())
+
+    def publish_progress(self, state: str) -> None:
+        """Publish the trainer's counters and the learner's state: training, draining or finished."""
+        t = self._trainer
+        counters = (t.version, t.events, t.episodes, t.environment_steps, t.updates)
+        self._progress.put(ProgressMessage(self._epoch, *counters, state).encode())

@@ -1,0 +1,104 @@
+"""The way from the receiver into replay: each accepted chunk is absorbed once, and its ledger with it."""
+
+import queue
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from common.protocol.messages import ChunkAck
+from common.transitions import EpisodeSummary
+from learner.intake.ledger import LedgerSnapshot
+from learner.intake.receiver import Arrival, Receiver
+from learner.trainer import Trainer
+
+DRAIN_SECONDS: Final = 3.0
+"""Longest time for which a draining learner takes in what workers still hold."""
+QUIET_SECONDS: Final = 0.5
+"""Silence after which a draining learner assumes that workers hold nothing more."""
+LAG_WEIGHT: Final = 0.05
+"""Weight of the newest chunk in the moving average of the version lag."""
+
+
+class ExperienceFeed:
+    """Moves accepted chunks from the receiver's queue into the trainer; for one thread.
+
+    Args:
+        receiver: where chunks arrive.
+        trainer: where they go.
+        ledger: the ledger of what is in the trainer already.
+        on_episodes: called with the episodes that finished in a chunk, after it was absorbed.
+
+    Attributes:
+        ledger: the ledger of exactly those chunks that the trainer holds; a checkpoint needs it.
+    """
+
+    def __init__(
+        self,
+        receiver: Receiver,
+        trainer: Trainer,
+        ledger: LedgerSnapshot,
+        on_episodes: Callable[[Sequence[EpisodeSummary]], None],
+    ) -> None:
+        self._receiver, self._trainer, self._on_episodes = receiver, trainer, on_episodes
+        self.ledger = ledger
+        self._lag = 0.0
+
+    def absorb_waiting(self, may_absorb: Callable[[], bool]) -> None:
+        """Absorb the chunks that have arrived, for as long as `may_absorb` returns True."""
+        while may_absorb():
+            try:
+                self._absorb(self._receiver.arrivals.get_nowait())
+            except queue.Empty:
+                return
+
+    def absorb_next(self, seconds: float) -> Arrival | None:
+        """Absorb the next chunk; return it, or None when none arrives in about this time."""
+        arrival = self._receiver.next_arrival(seconds)
+        if arrival is not None:
+            self._absorb(arrival)
+        return arrival
+
+    def drain(self, between: Callable[[], None]) -> None:
+        """Absorb what workers still deliver until they fall silent; call `between` after each wait."""
+        started = last = time.monotonic()
+        while (now := time.monotonic()) - started < DRAIN_SECONDS and now - last < QUIET_SECONDS:
+            if self.absorb_next(0.02) is not None:
+                last = time.monotonic()
+            between()
+
+    def close(self) -> None:
+        """Accept no more chunks; absorb and answer those that were accepted."""
+        self._receiver.close()
+        while not self._receiver.arrivals.empty():
+            arrival = self._receiver.arrivals.get_nowait()
+            self._absorb(arrival)
+            self.answer(arrival)
+
+    def answer(self, arrival: Arrival) -> None:
+        """Send the acknowledgement of a chunk that waits until training is done (lockstep)."""
+        if arrival.owed is not None:
+            expected = arrival.ledger.workers[arrival.sender.name].expected
+            arrival.owed.answer(ChunkAck(("accepted",), ("",), expected, self._trainer.version).encode())
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the metrics of the intake."""
+        ledger, ledgers = self._receiver.intake.accounts()
+        unexplained = self._receiver.unexplained(self._trainer.environment_steps)
+        return {
+            "lag_versions": self._lag,
+            **self._receiver.figures(),
+            "ledger": {**ledger, "unexplained": unexplained},
+            "ledgers": ledgers,
+        }
+
+    def alarms(self) -> list[str]:
+        """Return one sentence for each worker that is cut off."""
+        return self._receiver.peer_penalties.alarms()
+
+    def _absorb(self, arrival: Arrival) -> None:
+        trainer, sender = self._trainer, arrival.sender
+        trainer.absorb(arrival.chunk, sender.version, f"{sender.name}/{sender.incarnation}", sender.sequence)
+        self.ledger = arrival.ledger
+        self._lag += LAG_WEIGHT * (trainer.version - sender.version - self._lag)
+        if arrival.chunk.episodes:
+            self._on_episodes(arrival.chunk.episodes)

@@ -1,0 +1,1 @@
+"""What the learner reports: metrics.jsonl, TensorBoard scalars, metric messages and alarms."""
