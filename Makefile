@@ -1,7 +1,8 @@
 # make train   set up, then train EIA-SEC on this machine:  make train ARGS="--preset quick --workers 1"
 # make test    set up, then run every test:                 make test ARGS="tests/common -x"
 # make lint    set up, then ruff and mypy
-# make docs    set up, then write the generated pages and pictures of docs/ anew
+# make docs    set up, then refresh the generated blocks and pictures of docs/
+# make site    set up, then build the documentation as a site in build/site; a broken link is an error
 # make bench-peers  set up, then measure side by side with other projects, each in an environment of its own:
 #              make bench-peers ARGS="--write docs/results/peers"
 # make reproduce  set up, then make the paper's headline table from scratch; says beforehand how long it takes:
@@ -23,7 +24,7 @@ VENV := .venv
 READY := $(VENV)/.ready
 PIP := $(VENV)/bin/python -m pip --disable-pip-version-check install --quiet -c constraints.txt $(PIP_ARGS)
 
-.PHONY: train test lint docs bench-peers reproduce setup clean
+.PHONY: train test lint docs site bench-peers reproduce setup clean
 
 train: $(READY)
 	@$(VENV)/bin/eia-sec train $(ARGS)
@@ -41,6 +42,10 @@ docs: $(READY)
 	@$(VENV)/bin/python -m docs.tools.results
 	@$(VENV)/bin/python -m docs.tools.reproduce_page
 	@$(VENV)/bin/python -m docs.tools.environment_page
+
+site: $(READY)
+	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict --quiet
+	@echo "open build/site/index.html"
 
 bench-peers: $(READY)
 	@$(VENV)/bin/python -m benchmarks.peers --pip-args="$(PIP_ARGS)" $(ARGS)

@@ -41,7 +41,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         config: the farm; the plain one, the preset study's, when there is none.
         farms: seeds of the farms that episodes are flown on.
         autoreset_mode: what follows an episode's end, as Gymnasium defines it. SAME_STEP: the next episode begins
-            in the same call; the last observation is infos["final_obs"][e] and the last info infos["final_info"].
+            in the same call; the last observation is `infos["final_obs"][e]`, and the last info `infos["final_info"]`.
             NEXT_STEP: it begins in the next call, which ignores the action and pays 0. DISABLED: the caller resets
             with options={"reset_mask": [E] bool}.
         render_mode: "rgb_array", "ansi", "human", or none.
