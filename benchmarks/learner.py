@@ -183,8 +183,10 @@ def decisions(uavs: Sequence[int], repeats: int) -> dict[str, float]:
         team = farm_team(team_of(count))
         actors = TeamActors.initial(team, AlgorithmConfig().hidden, 0)
         rows = np.random.default_rng(0).normal(size=(1, team.observation_size)).astype(np.float32)
-        actors.command(rows)
-        found[str(count)] = round(1e6 * fastest(lambda actors=actors, rows=rows: actors.command(rows), repeats), 1)
+        actors.environment_actions(rows)
+        found[str(count)] = round(
+            1e6 * fastest(lambda actors=actors, rows=rows: actors.environment_actions(rows), repeats), 1
+        )
     return found
 
 

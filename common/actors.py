@@ -158,9 +158,9 @@ class TeamActors:
         means = [head[..., : group.action_size] for group, head in self._heads(observations)]
         return np.concatenate([np.tanh(mean).reshape(observations.shape[0], -1) for mean in means], axis=1)
 
-    def command(self, observations: Float32) -> Float32:
-        """Return what the environment takes [E, A] for the noise-free actions of all agents; `TeamSpec.steer`."""
-        return self.team.steer(observations, self.act(observations))
+    def environment_actions(self, observations: Float32) -> Float32:
+        """Return the noise-free actions as the environment takes them, rows [E, A]; see `TeamSpec.adapt`."""
+        return self.team.adapt(observations, self.act(observations))
 
     def explore(self, observations: Float32, noise: Float32, deviation: float) -> Float32:
         """Return the actions of all agents with exploration noise.

@@ -14,11 +14,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from common.action_adapters import ActionAdapter, Lattice, MirroredAxes, adapter_from_dict, adapter_to_dict
 from common.config import FarmConfig
 from common.config.checks import within
 from common.config.control import Control
 from common.errors import ConfigError, SchemaError
-from common.lattice import Lattice
 from common.names import check_name
 
 Float32 = NDArray[np.float32]
@@ -34,11 +34,6 @@ COMMUNICATION_OBSERVATION: Final = 17
 TASK_OBSERVATION: Final = 7
 """Besides plots and sensors: own (x, y); D_VDF or D_AoI (x, y); nearest UAV as (dx, dy, distance)."""
 
-PLACE: Final = slice(0, 2)
-"""Where an observation holds the own place, along the own axes."""
-SIGNS: Final = slice(2, 4)
-"""Where it holds the signs of the own axes if it is mirrored."""
-
 
 @dataclass(frozen=True)
 class GroupSpec:
@@ -47,48 +42,92 @@ class GroupSpec:
     Attributes:
         name: the type's name, "communication" for instance; see `common.names`.
         count: agents of the type, n_v.
-        observation_size: numbers in one agent's observation.
-        action_size: numbers in one agent's action, each in [-1, 1].
-        lattice: what the agents steer by; none for those whose action is a velocity.
-        mirrored: whether the agents see and act along axes of their own, whose signs follow the own place.
+        observation_size: numbers in one agent's observation, o_v.
+        action_size: numbers in one agent's action, a_v, each in [-1, 1].
+        adapters: what turns an actor's output into the environment's action, applied in this order.
     """
 
     name: str
     count: int
     observation_size: int
     action_size: int
-    lattice: Lattice | None = None
-    mirrored: bool = False
+    adapters: tuple[ActionAdapter, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse groups that nobody could be a member of, and a lattice for agents that do not move in a plane."""
+        """Refuse names that are no key segment, empty types, and adapters that do not fit the sizes."""
         check_name(self.name, "a type of agent")
         within(1, 4096, count=self.count)
         within(1, 65_536, observation_size=self.observation_size, action_size=self.action_size)
-        if self.lattice is not None and (self.action_size != 2 or self.observation_size < 2):
-            raise ConfigError(f"{self.name} agents cannot steer by a lattice: it takes x and y, and two outputs.")
-        if self.mirrored and (self.action_size != 2 or self.observation_size < SIGNS.stop):
-            raise ConfigError(f"{self.name} agents cannot be mirrored: it takes x and y, their signs, and two outputs.")
+        for adapter in self.adapters:
+            adapter.require(self.observation_size, self.action_size)
 
-    def to_list(self) -> list[Any]:
+    def adapt(self, observation: Float32, action: Float32) -> Float32:
+        """Return what the environment takes for the actors' outputs.
+
+        Args:
+            observation: [..., o_v] float32, what the actors saw.
+            action: [..., a_v] float32 in [-1, 1].
+
+        Returns:
+            [..., a_v] float32 in [-1, 1]; `action` itself where there are no adapters.
+        """
+        for adapter in self.adapters:
+            action = adapter.adapt(observation, action)
+        return action
+
+    def to_dict(self) -> dict[str, Any]:
         """Return a plain description for the wire and for files."""
-        lattice = None if self.lattice is None else self.lattice.to_list()
-        told = [self.name, self.count, self.observation_size, self.action_size, lattice, self.mirrored]
-        return told if self.mirrored else told[:5] if self.lattice else told[:4]
+        return {
+            "name": self.name,
+            "count": self.count,
+            "observation_size": self.observation_size,
+            "action_size": self.action_size,
+            "adapters": [adapter_to_dict(adapter) for adapter in self.adapters],
+        }
 
     @classmethod
-    def from_list(cls, data: Any) -> "GroupSpec":
-        """Rebuild a group from `to_list`; raise TypeError, ValueError or ConfigError when it is none."""
+    def from_dict(cls, data: Any) -> "GroupSpec":
+        """Rebuild a group from `to_dict`, or from the list that earlier versions wrote.
+
+        Raises:
+            TypeError, ValueError, KeyError or ConfigError: when it is none.
+        """
+        if isinstance(data, list):
+            return cls._from_list(data)
+        values = dict(data)
+        adapters = tuple(adapter_from_dict(part) for part in values.pop("adapters"))
+        if not all(type(values.get(name)) is int for name in ("count", "observation_size", "action_size")):
+            raise ValueError("a count or a size is no whole number")
+        return cls(str(values.pop("name")), **values, adapters=adapters)
+
+    @classmethod
+    def _from_list(cls, data: list[Any]) -> "GroupSpec":
+        """Read [name, count, observations, actions], perhaps a lattice's four numbers or null, and perhaps true."""
         name, count, observation_size, action_size, *rest = data
-        if len(rest) > 2:
-            raise ValueError("a group has six entries at most")
-        mirrored = len(rest) > 1
-        if mirrored and rest[1] is not True:
-            raise ValueError("the sixth entry is true where a group has one")
-        if type(name) is not str or any(type(size) is not int for size in (count, observation_size, action_size)):
-            raise TypeError("a group is a name and three whole numbers")
-        lattice = None if not rest or (mirrored and rest[0] is None) else Lattice.from_list(rest[0])
-        return cls(name, count, observation_size, action_size, lattice, mirrored)
+        if len(rest) > 2 or (len(rest) == 2 and rest[1] is not True):
+            raise ValueError("a group has six entries at most, of which the sixth is true")
+        adapters: list[ActionAdapter] = []
+        if rest and (len(rest) == 1 or rest[0] is not None):
+            columns, rows, reach_x, reach_y = rest[0]
+            adapters.append(Lattice(int(columns), int(rows), float(reach_x), float(reach_y)))
+        adapters += [MirroredAxes()] * (len(rest) == 2)
+        return cls(str(name), int(count), int(observation_size), int(action_size), tuple(adapters))
+
+    def _digest_text(self) -> str:
+        """Return what the team's digest covers; a team of earlier versions keeps the digest that these gave it."""
+        parts: list[Any] = [self.name, self.count, self.observation_size, self.action_size]
+        match self.adapters:
+            case ():
+                pass
+            case (Lattice() as lattice,):
+                parts.append(list(vars(lattice).values()))
+            case (MirroredAxes(),):
+                parts += [None, True]
+            case (Lattice() as lattice, MirroredAxes()):
+                parts += [list(vars(lattice).values()), True]
+            case _:
+                parts += [adapter_to_dict(adapter) for adapter in self.adapters]
+        return ",".join(map(str, parts))
 
 
 @dataclass(frozen=True)
@@ -154,44 +193,41 @@ class TeamSpec:
             for group, part in zip(self.groups, self.action_slices(), strict=True)
         ]
 
-    def steer(self, observations: Float32, actions: Float32) -> Float32:
-        """Return what the environment takes for the actors' actions: themselves, unless a lattice or mirrors say more.
+    def adapt(self, observations: Float32, actions: Float32) -> Float32:
+        """Return what the environment takes for the actors' outputs; see `GroupSpec.adapters`.
 
         Args:
-            observations: rows [E, O] float32 in which the actions were decided; those who steer by a lattice or are
-                mirrored see their own place first, and the signs of their axes behind it.
-            actions: rows [E, A] float32 in [-1, 1].
+            observations: rows [..., O] float32 that the actors saw.
+            actions: rows [..., A] float32 in [-1, 1].
 
         Returns:
-            rows [E, A] float32 in [-1, 1]; `actions` itself where nobody steers by a lattice or is mirrored.
+            rows [..., A] float32 in [-1, 1]; `actions` itself where no type has adapters.
         """
-        if not any(group.lattice or group.mirrored for group in self.groups):
+        if not any(group.adapters for group in self.groups):
             return actions
-        steered = actions.copy()
-        seen, taken = self.split_observations(observations), self.split_actions(steered)
+        adapted = actions.copy()
+        seen, taken = self.split_observations(observations), self.split_actions(adapted)
         for group, own, action in zip(self.groups, seen, taken, strict=True):
-            if group.lattice is not None:
-                action[...] = group.lattice.steer(own[..., PLACE], action)
-            if group.mirrored:
-                action[...] = np.where(own[..., SIGNS] < 0.0, -action, action)
-        return steered
+            if group.adapters:
+                action[...] = group.adapt(own, action)
+        return adapted
 
     def to_dict(self) -> dict[str, Any]:
         """Return a plain description for the wire and for files."""
-        return {"groups": [g.to_list() for g in self.groups]}
+        return {"groups": [group.to_dict() for group in self.groups]}
 
     @classmethod
     def from_dict(cls, data: Any) -> "TeamSpec":
         """Rebuild a team from `to_dict`; raise SchemaError when it is none."""
         try:
-            return cls(tuple(GroupSpec.from_list(group) for group in data["groups"]))
+            return cls(tuple(GroupSpec.from_dict(group) for group in data["groups"]))
         except (KeyError, TypeError, ValueError, OverflowError, ConfigError) as error:
             raise SchemaError(f"not a team description: {error}") from error
 
     @cached_property
     def digest(self) -> str:
         """Sixteen hexadecimal digits that name this layout; equal layouts have equal digests."""
-        text = ";".join(",".join(map(str, group.to_list())) for group in self.groups)
+        text = ";".join(group._digest_text() for group in self.groups)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -212,19 +248,18 @@ def farm_team(farm: FarmConfig) -> TeamSpec:
     )
     return TeamSpec(
         tuple(
-            GroupSpec(
-                name, count, size + 2 * seen.mirrored + _self(farm, count), 2, _steered(farm, control), seen.mirrored
-            )
+            GroupSpec(name, count, size + 2 * seen.mirrored + _self(farm, count), 2, _adapters(farm, control))
             for name, count, size, control in sizes
         )
     )
 
 
-def _steered(farm: FarmConfig, control: Control) -> Lattice | None:
-    """Return what agents with that control steer by; raise ConfigError for UAVs too slow for any lattice."""
-    return Lattice.spanning(*farm.world.reach) if control == "lattice" else None
+def _adapters(farm: FarmConfig, control: Control) -> tuple[ActionAdapter, ...]:
+    """Return the adapters of UAVs with that control; raise ConfigError for UAVs too slow for any lattice."""
+    lattice = (Lattice.spanning(*farm.world.reach),) if control == "lattice" else ()
+    return (*lattice, *((MirroredAxes(),) if farm.observation.mirrored else ()))
 
 
 def _self(farm: FarmConfig, count: int) -> int:
-    """Return how many numbers of an observation tell which agent it is and what time it is."""
+    """Return how many numbers of an observation say which agent it is and what time it is."""
     return count * farm.observation.identity + farm.observation.clock

@@ -11,7 +11,7 @@ The loop that calls a policy is:
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 
@@ -60,7 +60,7 @@ class ActorPolicy:
         self._actors = actors
 
     def reset(self, environments: Environments, index: int) -> None:
-        """Take up the environments' lattices; raise PolicyError unless the actors fit their team."""
+        """Take up the environments' action adapters; raise PolicyError unless the actors fit their team."""
         self._actors = fitted(self._actors, environments.team)
 
     def act(self, environments: Environments) -> Float32:
@@ -69,11 +69,11 @@ class ActorPolicy:
         One environment is computed at a time: a matrix product sums in another order for another number of rows, and
         an episode must not depend on which others are flown beside it.
         """
-        return np.concatenate([self._actors.command(row[None]) for row in environments.observation])
+        return np.concatenate([self._actors.environment_actions(row[None]) for row in environments.observation])
 
 
 def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:
-    """Return the actors as those of a team, which they steer by the lattices of: a field may have another size.
+    """Return the actors as those of a team, with the team's action adapters: a field may have another size.
 
     Raises:
         PolicyError: they are for other types, counts, observations or actions, or for another kind of control.
@@ -85,9 +85,10 @@ def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:
     return TeamActors(team, actors.hidden, actors.flat, actors.head)
 
 
-def _interface(group: GroupSpec) -> tuple[str, int, int, int, bool, bool]:
-    sizes = group.count, group.observation_size, group.action_size
-    return group.name, *sizes, group.lattice is not None, group.mirrored
+def _interface(group: GroupSpec) -> tuple[Any, ...]:
+    """Return what a group must share with another one to be flown by its actors; adapters' numbers may differ."""
+    kinds = tuple(adapter.kind for adapter in group.adapters)
+    return group.name, group.count, group.observation_size, group.action_size, kinds
 
 
 def trained_policy(path: Path, config: FarmConfig) -> Policy:
@@ -154,9 +155,10 @@ def policy_of(name: str, config: FarmConfig) -> Policy:
 
 
 def _describe(team: TeamSpec) -> str:
-    """Return a team in words: how many of each type, how many numbers each of them observes, and what it steers by."""
+    """Return a team in words: how many of each type, how many numbers each of them observes, and its adapters."""
     told = []
     for group in team.groups:
-        how = (" and a lattice" if group.lattice else "") + (" and mirrored axes" if group.mirrored else "")
+        kinds = ", ".join(adapter.kind for adapter in group.adapters)
+        how = f" ({kinds})" if kinds else ""
         told.append(f"{group.count} {group.name} agents with {group.observation_size} inputs{how}")
     return ", ".join(told)

@@ -34,7 +34,7 @@ class SteeredFarm(FarmParallelEnv):
     ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
         """Let all UAVs act for one step."""
         row = np.clip(np.concatenate([actions[name] for name in self.agents])[None], -1.0, 1.0)
-        (steered,) = self.batch.team.steer(self.batch.observation, np.asarray(row, np.float32))
+        (steered,) = self.batch.team.adapt(self.batch.observation, np.asarray(row, np.float32))
         given = {name: steered[2 * k : 2 * k + 2] for k, name in enumerate(self.agents)}
         seen, rewards, terminated, truncated, infos = super().step(given)
         scaled = {name: self._reward_scale * reward for name, reward in rewards.items()}

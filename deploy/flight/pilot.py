@@ -18,7 +18,7 @@ import numpy as np
 from common.actors import TeamActors
 from common.errors import ConfigError, ProtocolError, SchemaError
 from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
-from common.team import SIGNS, Float32
+from common.team import Float32
 
 LARGEST: Final = 4.0
 """Largest size of a number in an observation. Scaled as the actors know them they lie within about [-1, 1]; what is far
@@ -90,7 +90,7 @@ class Pilot:
     ) -> None:
         self._actors, self._speed, self._limits, self._clock = actors.noise_free(), speed, limits, clock
         self._names = actors.team.agent_names
-        self._mirrored = [group.mirrored for group in actors.team.groups for _ in range(group.count)]
+        self._adapters = [group.adapters for group in actors.team.groups for _ in range(group.count)]
         places = _places(actors)
         strangers = sorted(set(agents.values()) - set(self._names))
         if strangers:
@@ -139,7 +139,9 @@ class Pilot:
             held.reason, held.complaint = self._objection(held, now), ""
         # All actors decide on one row, as in training: the numbers are then those of the process that trained them.
         flying = any(not held.reason for held in self._vehicles.values())
-        action = self._actors.command(self._row)[0].reshape(-1, 2) if flying else np.zeros((0, 2), np.float32)
+        action = (
+            self._actors.environment_actions(self._row)[0].reshape(-1, 2) if flying else np.zeros((0, 2), np.float32)
+        )
         return {vehicle: self._setpoint(held, action, now) for vehicle, held in self._vehicles.items()}
 
     def hover(self, reason: str) -> dict[str, SetpointMessage]:
@@ -187,8 +189,9 @@ class Pilot:
             raise SchemaError(f"it has the shape {list(message.values.shape)}, not [{wanted}].")
         if not (np.abs(message.values) <= LARGEST).all():
             raise SchemaError(f"a number is not finite or larger than {LARGEST:g}; is it scaled?")
-        if self._mirrored[held.agent] and not (np.abs(message.values[SIGNS]) == 1.0).all():
-            raise SchemaError("the signs of its axes are not 1 or -1.")
+        for adapter in self._adapters[held.agent]:
+            if complaint := adapter.complaint(message.values):
+                raise SchemaError(complaint)
         if (objection := self._stale(message.stamp, now)) is not None:
             raise ProtocolError(objection)
         return sender, message

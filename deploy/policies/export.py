@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 from safetensors.numpy import save
 
+from common.action_adapters import ADAPTERS
 from common.actors import TeamActors, parameter_views
 from common.config import RunConfig
 from common.config.files import digest
 from common.errors import PolicyError
-from common.lattice import EDGE, GAIN
 from common.team import Float32, GroupSpec
 from deploy.local import contained_files
-from deploy.policies.onnx_actions import steering
+from deploy.policies.onnx_actions import adapter_nodes
 from deploy.policies.tensor_names import action_names, action_scale, observation_names
 
 if TYPE_CHECKING:
     from onnx import ModelProto
 
-FORMAT: Final = "eia-sec actors 1"
+FORMAT: Final = "eia-sec actors 2"
 LAYERS: Final = ("w1", "b1", "w2", "b2", "w3", "b3")
 OPSET: Final = 13
 """Operator set of the models; every onnxruntime since 2020 knows it."""
@@ -61,9 +61,7 @@ def description(config: RunConfig, actors: TeamActors, metadata: Mapping[str, st
     return {
         "format": FORMAT,
         "network": "a = tanh(relu(relu(o w1 + b1) w2 + b2) w3 + b3)",
-        "steering": "where lattice is not null: p = (o[:2] + 1) / 2, cell = clip(floor(p count + edge), 0, count - 1), "
-        "goal = (clip(cell + clip(rint(gain a), -1, 1), 0, count - 1) + 0.5) / count, "
-        "action = clip((goal - p) / reach, -1, 1); elsewhere action = a; where mirrored -action where o[2:4] < 0",
+        "adapters": {kind: adapter.formula for kind, adapter in ADAPTERS.items()},
         "origin": {**metadata, "configuration": digest(config), "environment": config.env.name},
         "sha256": actors.digest(),
         "hidden": actors.hidden,
@@ -73,8 +71,7 @@ def description(config: RunConfig, actors: TeamActors, metadata: Mapping[str, st
                 "observation": observation_names(config, group),
                 "action": action_names(config, group),
                 "action_scale": action_scale(config, group),
-                "lattice": _lattice(group),
-                "mirrored": group.mirrored,
+                "adapters": [{"kind": adapter.kind, **adapter.constants()} for adapter in group.adapters],
             }
             for name, group in zip(agent_names(actors), kinds, strict=True)
         },
@@ -100,7 +97,7 @@ def export_safetensors(folder: Path, config: RunConfig, actors: TeamActors, meta
 def export_onnx(folder: Path, config: RunConfig, actors: TeamActors, metadata: Mapping[str, str]) -> list[Path]:
     """Write one model for each agent, AGENT.onnx, and actors.json; return the files.
 
-    A model takes `observation` [batch, o] and returns `action` [batch, a], both float32; steering is part of it.
+    A model takes `observation` [batch, o] and returns `action` [batch, a], both float32; it holds the action adapters.
 
     Raises:
         PolicyError: when the package onnx is missing or a file cannot be written.
@@ -125,14 +122,6 @@ def _write(folder: Path, name: str, data: bytes) -> Path:
         raise PolicyError(f"{folder / name} cannot be written: {error.strerror}.") from error
 
 
-def _lattice(group: GroupSpec) -> dict[str, Any] | None:
-    lattice = group.lattice
-    if lattice is None:
-        return None
-    count, reach = [lattice.columns, lattice.rows], [lattice.reach_x, lattice.reach_y]
-    return {"count": count, "reach": reach, "gain": GAIN, "edge": EDGE}
-
-
 def _model(name: str, layers: Mapping[str, Float32], group: GroupSpec, told: Mapping[str, Any]) -> "ModelProto":
     try:
         from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415 - an extra that few users need
@@ -140,14 +129,14 @@ def _model(name: str, layers: Mapping[str, Float32], group: GroupSpec, told: Map
         raise PolicyError("ONNX export needs the package onnx: pip install 'eia-sec[export]'.") from None
     seen, done = layers["w1"].shape[0], layers["w3"].shape[1]
     nodes, flow = [], "observation"
-    steered, constants = steering(group)
+    adapted, constants = adapter_nodes(group)
     for index, activation in (("1", "Relu"), ("2", "Relu"), ("3", "Tanh")):
-        out = f"h{index}" if index != "3" else "output" if steered else "action"
+        out = f"h{index}" if index != "3" else "output" if adapted else "action"
         nodes.append(helper.make_node("Gemm", [flow, f"w{index}", f"b{index}"], [f"z{index}"]))
         nodes.append(helper.make_node(activation, [f"z{index}"], [out]))
         flow = out
     numbers = {layer: layers[layer] for layer in LAYERS} | constants
-    nodes += [helper.make_node(kind, taken, [given]) for kind, taken, given in steered]
+    nodes += [helper.make_node(kind, taken, [given]) for kind, taken, given in adapted]
     graph = helper.make_graph(
         nodes,
         name,

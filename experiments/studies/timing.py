@@ -45,7 +45,7 @@ def time_decisions(config: RunConfig, steps: int) -> dict[str, Any]:
         if step % config.farm.world.steps == 0:
             batch.reset(0, step // config.farm.world.steps, config.seed)
         counts = step >= WARM_STEPS
-        flat[...] = _clocked(lambda: actors.command(batch.observation), pieces["decide"], counts)
+        flat[...] = _clocked(lambda: actors.environment_actions(batch.observation), pieces["decide"], counts)
         _clocked(lambda: separate(batch.observation), pieces["separate"], counts)
         _clocked(lambda: batch.step(flat), pieces["simulate"], counts)
     return {name: _summary(np.array(milliseconds)) for name, milliseconds in pieces.items()}
@@ -75,7 +75,7 @@ def separate_actors(actors: TeamActors) -> Callable[[Float32], Float32]:
                 torch.tanh(network(torch.from_numpy(row))[:size]).numpy()
                 for network, row, size in zip(networks, rows, sizes, strict=True)
             ]
-        return actors.team.steer(observation, np.concatenate(actions)[None])
+        return actors.team.adapt(observation, np.concatenate(actions)[None])
 
     return act
 

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
+from common.action_adapters import fewest
 from common.config import FarmConfig
-from common.lattice import fewest
 from rollout.heuristics import lawnmower
 from rollout.heuristics.beam import Array, Indices, SearchGrid, StepReward, best_path
 from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy

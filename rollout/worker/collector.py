@@ -84,7 +84,7 @@ class Collector:
             rows.observation[:, step] = environments.observation
             action = self._act(actors, deviation, uniform)
             self._shaping.before_step()
-            environments.step(self.team.steer(environments.observation, action))
+            environments.step(self.team.adapt(environments.observation, action))
             if self.probe is not None:
                 self.probe.record()
             rows.action[:, step], reward[:, step] = action, self._shaping.shaped_reward()
@@ -186,6 +186,6 @@ def run_noise_free_episodes(
             batch.reset(index, farm, episode)
         rewards: list[Float32] = []
         while not batch.ended.all():
-            batch.step(actors.command(batch.observation))
+            batch.step(actors.environment_actions(batch.observation))
             rewards.append(batch.reward.copy())
         return np.stack(rewards, axis=1), batch.time.copy()

@@ -25,7 +25,7 @@ def test_peers_fly_what_our_actors_fly():
     for _ in range(5):
         row = draw.uniform(-1.2, 1.2, (1, ours.team.action_size)).astype(np.float32)
         given = dict(zip(farm.possible_agents, row.reshape(-1, 2), strict=True))
-        ours.step(ours.team.steer(ours.observation, np.clip(row, -1.0, 1.0)))
+        ours.step(ours.team.adapt(ours.observation, np.clip(row, -1.0, 1.0)))
         seen, rewards, *_ = farm.step(given)
         np.testing.assert_array_equal(np.concatenate(list(seen.values())), ours.observation[0])
         np.testing.assert_allclose(list(rewards.values()), 0.1 * ours.reward[0], rtol=1e-6)

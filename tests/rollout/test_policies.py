@@ -58,7 +58,7 @@ def test_actor_policy_equals_its_actors():
     actors = TeamActors.initial(farm_team(SMALL), 16, 3, per_type=False)
     policy = ActorPolicy(actors)
     farms = begin(SMALL, policy)
-    np.testing.assert_allclose(policy.act(farms), actors.command(farms.observation), atol=1e-6)
+    np.testing.assert_allclose(policy.act(farms), actors.environment_actions(farms.observation), atol=1e-6)
 
 
 def test_actors_of_another_team_are_refused():
@@ -133,13 +133,14 @@ def test_a_policy_steers_by_the_lattice_of_the_farm_that_it_flies_over():
     wide = FarmConfig(world=replace(FarmConfig().world, field_x=500.0, field_y=300.0))
     policy = ActorPolicy(TeamActors.initial(farm_team(FarmConfig()), 16, 3))
     farms = begin(wide, policy)
-    lattice = farms.team.groups[1].lattice
-    assert lattice is not None
+    (lattice,) = farms.team.groups[1].adapters
     assert (lattice.columns, lattice.rows) == (50, 30)
-    action = np.concatenate([TeamActors.initial(farms.team, 16, 3).command(row[None]) for row in farms.observation])
+    action = np.concatenate(
+        [TeamActors.initial(farms.team, 16, 3).environment_actions(row[None]) for row in farms.observation]
+    )
     np.testing.assert_array_equal(policy.act(farms), action)
     printed = FarmConfig(control=ControlConfig(monitoring="velocity"))
-    with pytest.raises(PolicyError, match="and a lattice"):
+    with pytest.raises(PolicyError, match=r"\(lattice\)"):
         begin(printed, policy)
 
 

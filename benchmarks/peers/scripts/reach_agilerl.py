@@ -71,7 +71,7 @@ class Learnt:
         actions, _ = self._agent.get_action(obs=dict(zip(self._names, map(np.ascontiguousarray, parts), strict=True)))
         self._agent.set_training_mode(True)
         row = np.concatenate([np.asarray(actions[name], np.float32) for name in self._names], axis=-1)
-        return world.team.steer(world.observation, np.clip(row, -1.0, 1.0))
+        return world.team.adapt(world.observation, np.clip(row, -1.0, 1.0))
 
 
 def remember(memory: ReplayBuffer, seen: Values, actions: Values, rewards: Values, then: Values) -> None:

@@ -64,7 +64,7 @@ class Learnt:
         with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
             done = self._policy(TensorDict(seen, batch_size=[count]))
         row = torch.cat([done[group.name, "action"].reshape(count, -1) for group in team.groups], -1)
-        return team.steer(world.observation, row.clamp(-1.0, 1.0).numpy())
+        return team.adapt(world.observation, row.clamp(-1.0, 1.0).numpy())
 
 
 class EnoughError(Exception):

@@ -5,13 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
+from common.action_adapters import SIGNS
 from common.actors import TeamActors
 from common.config import FarmConfig, ObservationConfig
 from common.errors import ConfigError
 from common.protocol import frame
 from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
 from common.protocol.metrics import undeclared
-from common.team import SIGNS, farm_team
+from common.team import farm_team
 from deploy.flight.pilot import LARGEST, ROWS, Limits, Pilot
 
 TEAM = farm_team(FarmConfig())

@@ -194,7 +194,9 @@ def test_timed_networks_decide_what_the_actors_decide(method, bench):
     head = ALGORITHMS[job.config.algorithm.name].head
     actors = TeamActors.initial(batch.team, 16, 0, per_type=False, head=head)
     batch.reset(0, 1, 1)
-    np.testing.assert_allclose(separate_actors(actors)(batch.observation), actors.command(batch.observation), atol=1e-6)
+    np.testing.assert_allclose(
+        separate_actors(actors)(batch.observation), actors.environment_actions(batch.observation), atol=1e-6
+    )
     perform(job, bench.records, "test")
     assert all(bench.records.result(job)[piece]["median"] > 0.0 for piece in ("decide", "separate", "simulate"))
 

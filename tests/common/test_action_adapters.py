@@ -1,15 +1,17 @@
-"""Steering by a lattice, beside a plain loop, and what it promises."""
+"""Action adapters: the lattice beside a plain loop, mirrored axes on a farm, and their descriptions."""
 
 import itertools
+import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from common.action_adapters import GAIN, SIGNS, Lattice, MirroredAxes, fewest
 from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
 from common.errors import ConfigError, SchemaError
-from common.lattice import GAIN, Lattice, fewest
-from common.team import SIGNS, GroupSpec, TeamSpec, farm_team
+from common.team import GroupSpec, TeamSpec, farm_team
 from rollout.sim.batch import FarmBatch
 
 FIELD = 400.0
@@ -37,7 +39,7 @@ def test_velocities_are_those_of_a_plain_loop(lattice):
     place, action = draw.uniform(-1, 1, (2, 500, 2)).astype(np.float32)
     corners = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=2)), np.float32)
     place, action = np.concatenate([place, corners]), np.concatenate([action, corners[::-1]])
-    found = lattice.steer(place, action)
+    found = lattice.velocity(place, action)
     assert found.dtype == np.float32
     expected = [plain(lattice, p, a) for p, a in zip(place.tolist(), action.tolist(), strict=True)]
     np.testing.assert_allclose(found, expected, atol=2e-5)
@@ -48,7 +50,7 @@ def test_on_a_place_every_action_leads_to_the_next_place_or_none():
     start = np.array([205.0, 115.0])
     place = (2 * start / FIELD - 1).astype(np.float32)
     for wish in itertools.product((-1, 0, 1), repeat=2):
-        velocity = SQUARE.steer(place, np.array(wish, np.float32))
+        velocity = SQUARE.velocity(place, np.array(wish, np.float32))
         np.testing.assert_allclose(start + 10.0 * velocity, start + 10.0 * np.array(wish), atol=1e-3)
 
 
@@ -58,9 +60,9 @@ def test_noise_below_a_third_of_the_range_changes_nothing():
     place = draw.uniform(-1, 1, (300, 2)).astype(np.float32)
     clear = draw.choice([-0.99, 0.0, 0.99], (300, 2)).astype(np.float32)
     noise = draw.uniform(-0.33, 0.33, (300, 2)).astype(np.float32)
-    np.testing.assert_array_equal(SQUARE.steer(place, clear), SQUARE.steer(place, np.clip(clear + noise, -1, 1)))
+    np.testing.assert_array_equal(SQUARE.velocity(place, clear), SQUARE.velocity(place, np.clip(clear + noise, -1, 1)))
     undecided = np.full((300, 2), 0.34, np.float32)
-    assert (SQUARE.steer(place, undecided) != SQUARE.steer(place, np.clip(undecided + noise, -1, 1))).any()
+    assert (SQUARE.velocity(place, undecided) != SQUARE.velocity(place, np.clip(undecided + noise, -1, 1))).any()
 
 
 def test_a_farms_monitors_reach_the_lattice_and_never_leave_the_field():
@@ -71,7 +73,7 @@ def test_a_farms_monitors_reach_the_lattice_and_never_leave_the_field():
         farms.reset(index, index, 5)
     for step in range(80):
         action = draw.uniform(-1, 1, (3, farms.team.action_size)).astype(np.float32)
-        farms.step(farms.team.steer(farms.observation, action))
+        farms.step(farms.team.adapt(farms.observation, action))
         if step > 40:
             off = (farms.position[..., :2] - 5.0) / 10.0
             np.testing.assert_allclose(off, np.rint(off), atol=1e-3)
@@ -81,19 +83,19 @@ def test_a_farms_monitors_reach_the_lattice_and_never_leave_the_field():
 def test_only_those_with_a_lattice_are_steered():
     """The others' actions pass as they are, and a team without lattices hands the very array on."""
     team = farm_team(FarmConfig())
-    assert [group.lattice is not None for group in team.groups] == [False, True, False]
+    assert [bool(group.adapters) for group in team.groups] == [False, True, False]
     draw = np.random.default_rng(3)
     seen = draw.uniform(-1, 1, (2, team.observation_size)).astype(np.float32)
     action = draw.uniform(-1, 1, (2, team.action_size)).astype(np.float32)
-    before, steered = action.copy(), team.steer(seen, action)
+    before, steered = action.copy(), team.adapt(seen, action)
     np.testing.assert_array_equal(action, before)
     for group, own, given, taken in zip(
         team.groups, team.split_observations(seen), team.split_actions(action), team.split_actions(steered), strict=True
     ):
-        wanted = given if group.lattice is None else group.lattice.steer(own[..., :2], given)
+        wanted = group.adapters[0].velocity(own[..., :2], given) if group.adapters else given
         np.testing.assert_array_equal(taken, wanted)
     plain_team = farm_team(FarmConfig(control=ControlConfig(monitoring="velocity")))
-    assert plain_team.steer(seen, action) is action
+    assert plain_team.adapt(seen, action) is action
     assert plain_team.digest != team.digest
 
 
@@ -115,7 +117,7 @@ def test_the_mirrored_command_along_axes_of_their_own(control):
         np.testing.assert_array_equal(np.concatenate([own[..., SIGNS] for own in seen], axis=1), signs)
         wish = draw.choice([-0.8, 0.0, 0.8], signs.shape)
         action = wish.reshape(4, -1).astype(np.float32)
-        farms.step(farms.team.steer(farms.observation, action))
+        farms.step(farms.team.adapt(farms.observation, action))
         if control == "velocity":
             wanted = before + 10.0 * signs * wish
         else:
@@ -130,8 +132,8 @@ def test_no_sign_makes_a_command_larger():
     team, draw = farm_team(FarmConfig(observation=ObservationConfig(mirrored=True))), np.random.default_rng(5)
     seen = draw.uniform(-4, 4, (50, team.observation_size)).astype(np.float32)
     action = draw.uniform(-1, 1, (50, team.action_size)).astype(np.float32)
-    assert np.abs(team.steer(seen, action)).max() <= 1.0
-    own, taken = team.split_observations(seen)[0], team.split_actions(team.steer(seen, action))[0]
+    assert np.abs(team.adapt(seen, action)).max() <= 1.0
+    own, taken = team.split_observations(seen)[0], team.split_actions(team.adapt(seen, action))[0]
     given = team.split_actions(action)[0]
     np.testing.assert_array_equal(taken, np.where(own[..., SIGNS] < 0.0, -given, given))
 
@@ -146,33 +148,118 @@ def test_the_fewest_cells_within_reach(reach, cells):
 def test_a_lattice_follows_the_field_and_the_speed():
     """Half the speed along y: twice the rows."""
     world = WorldConfig(field_x=300.0, speed_y_max=5.0)
-    lattice = farm_team(FarmConfig(world=world)).groups[1].lattice
+    (lattice,) = farm_team(FarmConfig(world=world)).groups[1].adapters
     assert (lattice.columns, lattice.rows) == (30, 80)
 
 
-def test_descriptions_come_back_and_false_ones_are_refused():
-    """A team with lattices survives the wire; what is none is one SchemaError."""
-    team = farm_team(FarmConfig())
-    assert TeamSpec.from_dict(team.to_dict()) == team
-    good, missing = ["m", 2, 5, 2], float("nan")
-    for bad in (
-        [9, 9, 0.1],
-        [float("inf"), 9, 0.1, 0.1],
-        [0, 9, 0.1, 0.1],
-        [9, 2**21, 0.1, 0.1],
-        [9, 9, 0.0, 0.1],
-        [9, 9, missing, 0.1],
-    ):
-        with pytest.raises(SchemaError):
-            TeamSpec.from_dict({"groups": [[*good, bad]]})
+LATTICE = {"kind": "lattice", "columns": 40, "rows": 40, "reach_x": 0.025, "reach_y": 0.025}
+MIRRORED = {"kind": "mirrored axes"}
+GROUP = {"name": "m", "count": 2, "observation_size": 5, "action_size": 2, "adapters": [LATTICE, MIRRORED]}
+EARLIER = {
+    "ac3d651454fa951b": (False, "lattice", [["m", 4, 39, 2, [40, 40, 0.025, 0.025]]]),
+    "70b650dc64b62b9d": (True, "lattice", [["m", 4, 41, 2, [40, 40, 0.025, 0.025], True]]),
+    "74581963def2a86b": (True, "velocity", [["m", 4, 41, 2, None, True]]),
+    "cdfa75e426e9d9ae": (False, "velocity", [["m", 4, 39, 2]]),
+}
+"""Digests of farms' teams as the version before adapters computed them, and its description of the monitors."""
+
+
+@pytest.mark.parametrize(("digest", "earlier"), EARLIER.items())
+def test_teams_of_earlier_versions_keep_their_digest_and_are_read(digest, earlier):
+    """Checkpoints and policy files name their team by its digest, and policy files hold its description."""
+    mirrored, control, monitors = earlier
+    observation = ObservationConfig(mirrored=mirrored)
+    team = farm_team(FarmConfig(observation=observation, control=ControlConfig(monitoring=control)))
+    assert team.digest == digest
+    plain_list = [None, True] if mirrored else []
+    lists = [["communication", 4, 22 + 2 * mirrored, 2, *plain_list], *monitors]
+    lists += [["collection", 4, 42 + 2 * mirrored, 2, *plain_list]]
+    lists[1][0] = "monitoring"
+    assert TeamSpec.from_dict({"groups": lists}) == team
+
+
+def test_a_team_with_adapters_survives_the_wire():
+    """Adapters come back as they were, in their order, which matters for the digest."""
+    team = TeamSpec.from_dict(json.loads(json.dumps({"groups": [GROUP]})))
+    (group,) = team.groups
+    assert group.adapters == (Lattice(40, 40, 0.025, 0.025), MirroredAxes())
+    assert TeamSpec.from_dict(json.loads(json.dumps(team.to_dict()))) == team
+    other = TeamSpec((replace(group, adapters=group.adapters[::-1]),))
+    assert TeamSpec.from_dict(other.to_dict()) == other
+    assert len({team.digest, other.digest, TeamSpec((replace(group, adapters=()),)).digest}) == 3
+
+
+@pytest.mark.parametrize(
+    "adapters",
+    [
+        None,
+        ["lattice"],
+        [{}],
+        [{"kind": "other"}],
+        [{"kind": ["lattice"]}],
+        [{**LATTICE, "columns": 0}],
+        [{**LATTICE, "columns": 2**21}],
+        [{**LATTICE, "columns": 40.0}],
+        [{**LATTICE, "rows": True}],
+        [{**LATTICE, "reach_x": 0}],
+        [{**LATTICE, "reach_x": float("nan")}],
+        [{**LATTICE, "reach_y": "far"}],
+        [{**LATTICE, "more": 1}],
+        [{**MIRRORED, "more": 1}],
+        [{key: value for key, value in LATTICE.items() if key != "rows"}],
+    ],
+)
+def test_false_descriptions_of_adapters_are_refused(adapters):
+    """Whatever a file or a peer says instead of an adapter is one SchemaError."""
     with pytest.raises(SchemaError):
-        TeamSpec.from_dict({"groups": [[*good, [40, 40, 0.1, 0.1], 1]]})
-    mirrored = farm_team(FarmConfig(observation=ObservationConfig(mirrored=True)))
-    assert TeamSpec.from_dict(mirrored.to_dict()) == mirrored
-    for bad in ([None], [None, False], [None, 1], [None, True, True], [[40, 40, 0.1, 0.1], "yes"]):
-        with pytest.raises(SchemaError):
-            TeamSpec.from_dict({"groups": [[*good, *bad]]})
-    with pytest.raises(ConfigError, match="cannot be mirrored"):
-        GroupSpec("walker", 1, 3, 2, mirrored=True)
-    with pytest.raises(ConfigError, match="cannot steer"):
-        GroupSpec("walker", 1, 5, 3, SQUARE)
+        TeamSpec.from_dict({"groups": [{**GROUP, "adapters": adapters}]})
+
+
+@pytest.mark.parametrize(
+    "group",
+    [
+        ["m", 2, 5],
+        ["m", 2, 5, 2, [9, 9, 0.1]],
+        ["m", 2, 5, 2, [float("inf"), 9, 0.1, 0.1]],
+        ["m", 2, 5, 2, [40, 40, 0.1, 0.1], 1],
+        ["m", 2, 5, 2, None],
+        ["m", 2, 5, 2, None, False],
+        ["m", 2, 5, 2, None, True, True],
+        {},
+        {**GROUP, "count": "2"},
+        {**GROUP, "count": 2.0},
+        {**GROUP, "count": 10**400},
+        {**GROUP, "more": 2},
+        {**GROUP, "action_size": 3},
+        {**GROUP, "observation_size": 3},
+        "m",
+    ],
+)
+def test_false_descriptions_of_a_type_are_refused(group):
+    """Lists of earlier versions and maps of this one, each with one mistake."""
+    with pytest.raises(SchemaError):
+        TeamSpec.from_dict({"groups": [group]})
+
+
+@pytest.mark.parametrize("name", ["", "../../pwn", "/etc/x", "a/b", ".hidden", "a\0b", "a\x1b[2J", "x" * 64])
+def test_a_types_name_can_stand_in_a_path(name):
+    """Exported files are named after the type, so its name has no separators or control characters."""
+    with pytest.raises(SchemaError, match="a type of agent"):
+        TeamSpec.from_dict({"groups": [{**GROUP, "name": name}]})
+
+
+def test_adapters_refuse_agents_that_they_do_not_fit():
+    """A lattice needs a position and two outputs, mirrored axes signs as well."""
+    with pytest.raises(ConfigError, match="mirrored axes need"):
+        GroupSpec("walker", 1, 3, 2, (MirroredAxes(),))
+    with pytest.raises(ConfigError, match="a lattice needs"):
+        GroupSpec("walker", 1, 5, 3, (SQUARE,))
+
+
+def test_observations_from_outside_are_checked_by_the_adapters_that_read_them():
+    """Signs that are none are named; a lattice takes any position."""
+    observation = np.array([0.5, 0.5, 1.0, -1.0, 0.0], np.float32)
+    assert not MirroredAxes().complaint(observation)
+    observation[3] = 0.5
+    assert "signs" in MirroredAxes().complaint(observation)
+    assert not SQUARE.complaint(observation)
