@@ -204,7 +204,9 @@ class History:
     """Writes a process's history; without a path nothing is written.
 
     A file that is there already is gone on with; one that cannot be read is kept under another name. A disk that takes
-    no more is no reason to stop: `failure` says so, and the whole file is tried anew with the next record.
+    no more is no reason to stop: `failure` says so, and the whole file is tried anew with the next record. A file that
+    was removed is written anew. Where another process has put its own file in this one's place, nothing more is written
+    (`taken_over`).
 
     Args:
         path: the file; its folder is made.
@@ -221,18 +223,31 @@ class History:
         self._joined = _Joined()
         self._file: TextIO | None = None
         self._lines = 0
+        self._identity: tuple[int, int] | None = None
+        self._taken_over = False
         self._lock = threading.Lock()
         if path is not None:
             self._take_up(path)
 
+    @property
+    def taken_over(self) -> bool:
+        """Return whether another process writes this history now."""
+        with self._lock:
+            if self._path is not None:
+                self._look_for_another_writer(self._path)
+            return self._taken_over
+
     def add(self, record: Record) -> None:
-        """Append one record."""
+        """Append one record; nothing is written once another process has taken the file over."""
         if self._path is None:
             return
         with self._lock:
+            removed = self._look_for_another_writer(self._path)
+            if self._taken_over:
+                return
             self._joined.add(record)
             self._lines += 1
-            if self._file is None or self._lines >= REWRITE_LINES:
+            if self._file is None or removed or self._lines >= REWRITE_LINES:
                 self._rewrite(self._path)
                 return
             try:
@@ -247,6 +262,18 @@ class History:
         with self._lock:
             self._shut()
             self._path = None
+
+    def _look_for_another_writer(self, path: Path) -> bool:
+        """Note whether the file at the path is still this process's own; return whether it was removed."""
+        try:
+            found = path.stat()
+        except OSError:
+            return True
+        if self._identity is not None and (found.st_dev, found.st_ino) != self._identity:
+            self._taken_over = True
+            self.failure = self._standing = "another process writes this history; this process writes no more into it."
+            self._shut()
+        return False
 
     def _take_up(self, path: Path) -> None:
         try:
@@ -276,6 +303,8 @@ class History:
                 file.writelines(text(record) + "\n" for record in self._joined)
             os.replace(beside, path)
             self._file = path.open("a", encoding="utf-8")
+            held = os.fstat(self._file.fileno())
+            self._identity = held.st_dev, held.st_ino
             self._lines = 0
             self.failure = self._standing
         except OSError as error:

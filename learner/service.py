@@ -65,7 +65,7 @@ class Learner:
         ledger, elapsed = self._restore()
         self._schedule = Schedule(config, await_elite=options.await_elite)
         self._times, self._state = PhaseTimes(), "training"
-        self._open_control(config, team, control)
+        self._open_control(config, team, control, ledger)
         presence = Presence(control, options.run, "learner", "learner", self._epoch)
         self._reporter = Reporter(options.run_dir, team, self.trainer, presence, config.episodes, elapsed)
         self._open_bulk(config, team, bulk, ledger)
@@ -87,12 +87,13 @@ class Learner:
         recover_losses(self._history, ledger, self._epoch, resumed=resume)
         return ledger, elapsed
 
-    def _open_control(self, config: RunConfig, team: TeamSpec, control: Bus) -> None:
+    def _open_control(self, config: RunConfig, team: TeamSpec, control: Bus, ledger: Intake) -> None:
         run, lockstep = self._options.run, self._options.lockstep
         self._publisher = Publisher(control, run, self._epoch, config, self.trainer)
         self._successor = SuccessorWatch(control, run, self._epoch)
         configuration = ConfigurationMessage(self._epoch, to_toml(config), team.to_dict(), lockstep)
-        self._commands = CommandServer(control.serve(keys.COMMAND.pattern(run), 64), configuration)
+        commands = control.serve(keys.COMMAND.pattern(run), 64)
+        self._commands = CommandServer(commands, configuration, ledger.newest_start)
         server = control.serve(keys.IMITATION.key(run), 4)
         self._imitations = ImitationServer(server, self.trainer, self._commands.lease, self._epoch, self._on_imitation)
 

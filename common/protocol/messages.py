@@ -78,8 +78,8 @@ class ChunkAck(Message):
     """The learner's answer to a delivery: verdicts on its chunks, from the first up to one that has to come again.
 
     Attributes:
-        verdicts: accepted, duplicate or refused; the last may be gap, damaged (send it again) or closed (the learner
-            takes no more), and those behind it have not been looked at.
+        verdicts: accepted, duplicate or refused; the last may be gap, damaged (send it again), closed (the learner
+            takes no more) or replaced (a newer start of this worker delivers now); those behind it were not looked at.
         reasons: for each of them why it was not taken, else empty.
         expected: the next sequence number that the learner takes from this worker.
         required_version: parameter version that the worker must hold before its next chunk; 0 asks for none.
@@ -161,6 +161,7 @@ class ConfigurationMessage(Message):
         toml: the run's configuration.
         team: the team's layout, see `common.team.TeamSpec.to_dict`.
         lockstep: whether worker and learner take turns.
+        newest_start: greatest start number (incarnation) of the asking worker that the learner knows, 0 for none.
     """
 
     KIND, MOST_HEADER = 7, MAX_HEADER
@@ -168,6 +169,7 @@ class ConfigurationMessage(Message):
     toml: str
     team: dict[str, Any]
     lockstep: bool
+    newest_start: int = 0
 
 
 @dataclass(frozen=True)

@@ -61,8 +61,9 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric(
             "malformed",
             "requests",
-            "of no worker that is known, of a start that was replaced, against lockstep, or with a wildcard in the key",
+            "of no worker that is known, against lockstep, or with a wildcard in the key",
         ),
+        Metric("replaced", "requests", "of a start of a worker that a newer start of it has replaced"),
         Metric("malformed_commands", "requests", "that were no commands, and were refused"),
         Metric("malformed_by/*", "requests", "that brought nothing, by worker; the worst eight, the others together"),
         Metric("turned_away", "requests", "of workers that are cut off, refused without being looked at"),

@@ -278,6 +278,8 @@ class Fleet:
             found.append(
                 f"{ledger.get('refused', 0)} chunks were refused and {learner.get('malformed', 0)} requests dropped."
             )
+        if learner.get("replaced"):
+            found.append(f"{learner['replaced']} requests came from starts of workers that have been replaced.")
         if ledger.get("unexplained"):
             found.append(f"{ledger['unexplained']} environment steps are unexplained.")
         missed = sum(seen.missed for seen in self._seen.values())

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from common.errors import ProtocolError
 from common.process import log
@@ -20,6 +21,7 @@ class CommandServer:
     Args:
         server: where they come in.
         configuration: the answer to a process that joins the run.
+        newest_start: returns the greatest start number that is known of a worker, 0 for none.
 
     Attributes:
         lease: which coordinator leads.
@@ -27,8 +29,8 @@ class CommandServer:
         malformed: requests that could not be decoded.
     """
 
-    def __init__(self, server: Server, configuration: ConfigurationMessage) -> None:
-        self._server, self._configuration = server, configuration.encode()
+    def __init__(self, server: Server, configuration: ConfigurationMessage, newest_start: Callable[[str], int]) -> None:
+        self._server, self._configuration, self._newest_start = server, configuration, newest_start
         self.lease, self.draining, self.malformed = Lease(), False, 0
         self._verbs: dict[str, Callable[[Incoming, str], None]] = {
             "configuration": self._send_configuration,
@@ -52,7 +54,7 @@ class CommandServer:
                 incoming.refuse(f"the learner knows no command {verb}.")
 
     def _send_configuration(self, incoming: Incoming, sender: str) -> None:
-        incoming.reply(self._configuration)
+        incoming.reply(replace(self._configuration, newest_start=self._newest_start(sender)).encode())
 
     def _drain(self, incoming: Incoming, sender: str) -> None:
         log(f"draining, as {sender[:SHOWN_NAME]} asked.")

@@ -148,6 +148,11 @@ class Intake:
         ledger = self._ledger(sender)
         self.workers[sender.name] = replace(ledger, damaged=ledger.damaged + 1)
 
+    def newest_start(self, worker: str) -> int:
+        """Return the greatest start number of a worker that is known, 0 for none; any thread may ask."""
+        ledger = self.workers.get(worker)
+        return 0 if ledger is None else ledger.incarnation
+
     def expected(self, sender: Envelope) -> int:
         """Return the next sequence number that this sender should use."""
         return self._ledger(sender).expected

@@ -15,6 +15,7 @@ from common.protocol import keys
 from common.protocol.chunk_messages import MOST_COUNT, from_message, from_request
 from common.protocol.frame import Data
 from common.protocol.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
+from common.starts import plausible
 from common.team import TeamSpec
 from common.transitions import FARM_METRICS, Chunk
 from common.transport.bus import Incoming, Server
@@ -88,6 +89,7 @@ class Receiver:
         arrivals: the queue.
         intake: deduplication and ledger.
         malformed: requests that could not even be attributed to a worker.
+        replaced: requests of starts that a newer start of the same worker has replaced.
         peer_penalties: who sends what brings nothing.
         throttle: requests of those who are cut off; whoever owns the receiver calls its `release` now and then.
         server: where chunks come in.
@@ -117,7 +119,7 @@ class Receiver:
     ) -> None:
         self.arrivals: queue.Queue[Arrival] = queue.Queue(replay.intake_chunks)
         self.intake = intake
-        self.malformed = 0
+        self.malformed = self.replaced = 0
         self.peer_penalties, self.throttle = PeerPenalties(), Throttle()
         self.required_version = self.version = 0
         self._history = history or History(None)
@@ -182,6 +184,7 @@ class Receiver:
         return {
             "queue": self.arrivals.qsize(),
             "malformed": self.malformed + self.server.wild,
+            "replaced": self.replaced,
             "malformed_by": self.peer_penalties.counts(),
             "turned_away": self.throttle.turned_away,
         }
@@ -211,6 +214,11 @@ class Receiver:
             self.throttle.hold(incoming, refusal)
             return
         sender = self._identified(incoming, worker)
+        if sender.incarnation < self.intake.newest_start(worker):
+            # No penalty: it would hit the newer start, which has the same name.
+            self.replaced += 1
+            incoming.reply(ChunkAck(("replaced",), ("a newer start of this worker delivers now.",), 1, 0).encode())
+            return
         try:
             delivery, parts = from_request(incoming.payload)
         except ProtocolError as error:
@@ -237,12 +245,12 @@ class Receiver:
             sender = Envelope.decode(incoming.attachment)
             if (sender.role, sender.name) != ("rollout", worker) or not 1 <= sender.sequence <= MOST_COUNT:
                 raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}, {sender.sequence}.")
+            if not plausible(sender.incarnation, self.intake.newest_start(worker)):
+                raise ProtocolError(f"no clock gives a start the number {sender.incarnation}.")
         except ProtocolError as error:
             self._bad(worker, str(error))
             raise
         known = self.intake.workers.get(sender.name)
-        if known is not None and sender.incarnation < known.incarnation:
-            raise ProtocolError(f"worker {sender.name} has been replaced by a newer start.")
         if self._lockstep and known is None and any(worker.accepted for worker in self.intake.workers.values()):
             raise ProtocolError("a lockstep run has exactly one worker.")
         if known is None and len(self.intake.workers) >= MOST_WORKERS:

@@ -1,4 +1,4 @@
-"""Delivering chunks: a bounded spool, one acknowledged request at a time with all that waits, resent until settled."""
+"""Delivery of chunks: a bounded spool, and one request at a time that is resent until the learner has settled it."""
 
 import threading
 import time
@@ -17,18 +17,18 @@ from common.transitions import Chunk
 from common.transport.bus import Bus
 
 ANSWER_SECONDS = 30.0
-"""Time after which a request without an answer is made again; a learner that is behind answers late on purpose."""
+"""Time after which an unanswered request is resent. A learner that is behind answers late on purpose."""
 LOCKSTEP_ANSWER_SECONDS = 3600.0
 """The same in lockstep, where the answer comes after the training that the chunk allows."""
-HURRIED_SECONDS = 0.25
-"""Time after which it is made again when the run or the worker ends, twice as long each time: an answer that was lost
-with a router must not cost what the worker still holds. It is less than a draining learner waits for the next chunk."""
-COMPLAINT_SECONDS = 10.0
+FAST_RESEND_SECONDS = 0.25
+"""First such time when the run or the worker ends; it doubles with each resend. A router that takes an answer down with
+it must not cost what the spool still holds, and a draining learner does not wait long for the next chunk."""
+SAME_ERROR_SECONDS = 10.0
 """Pause before the same error is logged again."""
-NOBODY = 5
-"""Requests in a row that nobody takes after which a worker that ends does not wait for a learner any more."""
+MOST_UNTAKEN = 5
+"""Requests in a row that nobody takes after which a worker that ends waits for no learner any more."""
 RETRY_SECONDS = 0.2
-"""Pause before a chunk is sent again after nobody answered."""
+"""Pause before chunks that were not settled are sent again."""
 
 
 @dataclass(frozen=True)
@@ -41,15 +41,29 @@ class _Held:
 
 
 class Sender:
-    """Sends chunks in sequence from a thread of its own.
+    """Sends the chunks of the spool in sequence, from a thread of its own.
+
+    A request holds all chunks that wait, the oldest first. A chunk leaves the spool once the learner has accepted or
+    refused it, or knows it already. Nothing is ever dropped: when the spool is full the worker waits.
+
+    Args:
+        bus: the lane for chunks.
+        run: the run's name.
+        worker: the worker's name.
+        incarnation: number of this start.
+        team: layout of the rows.
+        capacity: most chunks in the spool.
+        patience: seconds after which an unanswered request is resent.
+        history: where chunks and verdicts are recorded.
 
     Attributes:
-        flown: environment steps that the worker says it has flown, the chunk included that is offered next.
+        flown: environment steps that the worker has collected, those of the chunk that is offered next included.
         produced: environment steps offered so far.
         accepted: environment steps that the learner has acknowledged.
         rejected: environment steps in chunks that the learner refused.
         retries: requests that had to be repeated.
-        door_closed: whether the learner said last that it takes no more chunks.
+        learner_closed: whether the learner takes no more chunks, by its last answer.
+        replaced: whether a newer start of this worker delivers now. Nothing is sent any more then.
         required_version: parameter version that the learner asks for before the next chunk (lockstep), else 0.
         waiting: seconds that requests have waited for their answers.
         untaken: requests in a row that nobody took.
@@ -70,65 +84,75 @@ class Sender:
         self.flown = self.produced = self.accepted = self.rejected = self.retries = self.required_version = 0
         self.waiting = 0.0
         self.untaken = 0
-        self.door_closed = False
+        self.learner_closed = self.replaced = False
         self._bus, self._team, self._capacity, self._patience = bus, team, capacity, patience
         self.key = keys.TRANSITION.key(run, worker=worker)
         self._worker, self._incarnation = worker, incarnation
         self._held: deque[_Held] = deque()
         self._sequence = 0
-        self._complaint, self._complained = "", 0.0
+        self._last_error, self._last_error_at = "", 0.0
         self._history = history or History(None)
         self._changed = threading.Condition()
-        self._hurried = self._ended = False
-        self._again_after = HURRIED_SECONDS
+        self._resends_fast = self._ended = False
+        self._resend_after = FAST_RESEND_SECONDS
         self._thread = threading.Thread(target=self._run, name="sender", daemon=True)
         self._thread.start()
 
     @property
     def full(self) -> bool:
-        """Return whether as many chunks are held as may be; nothing more may be made until one is answered."""
+        """Return whether the spool is full; no chunk may be offered until one is settled."""
         return len(self._held) >= self._capacity
 
     def offer(self, chunk: Chunk, version: int) -> None:
-        """Take over a chunk that has just been made, when the spool is not full, and write it into the history."""
+        """Put a chunk into the spool and record it.
+
+        Args:
+            chunk: the chunk; the spool must not be full.
+            version: parameter version that it was collected with.
+        """
         steps = chunk.rows.steps
         sealed = to_message(chunk, self._team, version, self.produced + steps).encode()
         with self._changed:
             self._sequence += 1
             self.produced += steps
             number = self._sequence
-            made = Entry("produced", self._worker, self._incarnation, number, number, steps, self.produced, self.flown)
-            self._history.add(made)
+            record = Entry(
+                "produced", self._worker, self._incarnation, number, number, steps, self.produced, self.flown
+            )
+            self._history.add(record)
             self._held.append(_Held(number, version, self.produced, steps, sealed))
             self._changed.notify_all()
 
     @property
     def spooled(self) -> int:
-        """Return the number of chunks that are held."""
+        """Return the number of chunks in the spool."""
         return len(self._held)
 
     @property
     def in_flight(self) -> int:
-        """Return the environment steps that are flown and neither accepted nor rejected."""
+        """Return the environment steps that are neither accepted nor rejected yet."""
         return max(self.flown, self.produced) - self.accepted - self.rejected
 
     def wait_empty(self, timeout: float) -> bool:
-        """Wait until all is answered, or the learner takes no more or is not there; return whether none is held."""
-        self.hurry()
+        """Wait until the spool is empty; return whether it is.
+
+        Gives up after `timeout` seconds, when the learner takes no more, and when nobody takes MOST_UNTAKEN requests.
+        """
+        self.resend_fast()
         deadline, before = time.monotonic() + timeout, self.untaken
-        while self._held and not self.door_closed and time.monotonic() < deadline:
+        while self._held and not (self.learner_closed or self.replaced) and time.monotonic() < deadline:
             before = min(before, self.untaken)
-            if self.untaken - before >= NOBODY:
+            if self.untaken - before >= MOST_UNTAKEN:
                 break
             time.sleep(0.01)
         return not self._held
 
-    def hurry(self, wanted: bool = True) -> None:
-        """Make a request again soon that is not answered, and not only after the usual patience."""
-        self._hurried = wanted
+    def resend_fast(self, wanted: bool = True) -> None:
+        """Resend an unanswered request after FAST_RESEND_SECONDS, or after the usual patience."""
+        self._resends_fast = wanted
 
     def close(self) -> None:
-        """End the thread; what is still held is not delivered."""
+        """End the thread; what is still in the spool is not delivered."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
@@ -136,7 +160,7 @@ class Sender:
         self._thread.join(timeout=5.0)
 
     def _run(self) -> None:
-        while True:
+        while not self.replaced:
             with self._changed:
                 self._changed.wait_for(lambda: self._held or self._ended)
                 if self._ended:
@@ -157,52 +181,52 @@ class Sender:
         flown = max(self.flown, batch[-1].produced)
         payload = to_request([held.sealed for held in batch], head.sequence, flown)
         started = time.monotonic()
-        ack, heard = self._ask(payload, envelope.encode())
+        ack, answered = self._request(payload, envelope.encode())
         waited = time.monotonic() - started
         self.waiting += waited
-        self.untaken = 0 if heard or waited >= QUICK_SECONDS else self.untaken + 1
-        self.door_closed = ack is not None and "closed" in ack.verdicts
+        self.untaken = 0 if answered or waited >= QUICK_SECONDS else self.untaken + 1
+        self.learner_closed = ack is not None and "closed" in ack.verdicts
+        self.replaced = ack is not None and "replaced" in ack.verdicts
         if ack is None:
             return False
-        told = [pair for pair in zip(ack.verdicts, ack.reasons, strict=False) if pair[0] in SETTLED]
-        for held, (verdict, reason) in zip(batch, told, strict=False):
+        settled = [pair for pair in zip(ack.verdicts, ack.reasons, strict=False) if pair[0] in SETTLED]
+        for held, (verdict, reason) in zip(batch, settled, strict=False):
             self._settle(held, verdict, reason, ack.required_version)
-        return len(told) >= len(batch)
+        return len(settled) >= len(batch)
 
-    def _ask(self, payload: bytes, attachment: bytes) -> tuple[ChunkAck | None, bool]:
-        """Return the answer, and whether there was any, be it a refusal."""
-        self._again_after = HURRIED_SECONDS
+    def _request(self, payload: bytes, attachment: bytes) -> tuple[ChunkAck | None, bool]:
+        """Return the answer, and whether there was any, a refusal included."""
+        self._resend_after = FAST_RESEND_SECONDS
         try:
-            answer = self._bus.ask(self.key, payload, self._patience, attachment, self._again)
+            answer = self._bus.ask(self.key, payload, self._patience, attachment, self._resend_now)
             return (None if answer is None else ChunkAck.decode(answer)), answer is not None
         except BusClosedError:
             raise
         except (BusError, ProtocolError) as error:
-            self._complain(str(error))
+            self._log_error(str(error))
             return None, True
 
-    def _again(self, waited: float) -> bool:
-        if not self._hurried or waited < self._again_after:
+    def _resend_now(self, waited: float) -> bool:
+        if not self._resends_fast or waited < self._resend_after:
             return False
-        self._again_after *= 2.0
+        self._resend_after *= 2.0
         self.retries += 1
         return True
 
-    def _complain(self, text: str) -> None:
-        """Log an error, the same one not more often than every COMPLAINT_SECONDS."""
+    def _log_error(self, text: str) -> None:
         now = time.monotonic()
-        if text != self._complaint or now - self._complained >= COMPLAINT_SECONDS:
+        if text != self._last_error or now - self._last_error_at >= SAME_ERROR_SECONDS:
             log(f"worker {self._worker}: {text}")
-            self._complaint, self._complained = text, now
+            self._last_error, self._last_error_at = text, now
 
     def _settle(self, held: _Held, verdict: str, reason: str, required_version: int) -> None:
         """Let go of the oldest chunk."""
         number, steps = held.sequence, held.steps
         with self._changed:
-            # Before the spool looks empty: in lockstep the worker flies on as soon as it does.
+            # In lockstep the worker collects as soon as the spool is empty, so the version must be known before that.
             self.required_version = required_version
-            kept = {"refused": "refused", "duplicate": "repeated"}.get(verdict, "acknowledged")
-            self._history.add(Entry(kept, self._worker, self._incarnation, number, number, steps))
+            recorded = {"refused": "refused", "duplicate": "repeated"}.get(verdict, "acknowledged")
+            self._history.add(Entry(recorded, self._worker, self._incarnation, number, number, steps))
             self._held.popleft()
             if verdict == "refused":
                 self.rejected += steps

@@ -1,4 +1,13 @@
-"""The worker process: farms in the middle, parameters coming in, chunks going out, evaluations on request."""
+"""The worker process: collects chunks with the newest actors and delivers them to the learner.
+
+What it does when something goes wrong:
+
+- The spool is full, or the actors are too old: it waits (`CollectionGate`).
+- Parameters come, or a new learner takes over: `LearnerLink`.
+- The learner is gone: it collects until its spool is full, resends the oldest chunks until they are answered
+  (`Sender`), and waits.
+- A newer start of the same worker delivers: it ends (`ReplacedError`).
+"""
 
 import time
 from dataclasses import dataclass, field
@@ -8,22 +17,17 @@ from typing import Any
 from common.actors import TeamActors
 from common.config.files import from_toml
 from common.config.run import RunConfig
-from common.errors import ProtocolError, UsageError
+from common.errors import UsageError
 from common.history import History, Start
-from common.policy_store import PolicyStore
-from common.process import Presence, StopSignal, connect, denial, fetch_configuration, incarnation, log
-from common.protocol import keys
-from common.protocol.messages import (
-    ConfigurationMessage,
-    EvaluationOrder,
-    EvaluationResult,
-    ImitationMessage,
-    ParametersMessage,
-    ProgressMessage,
-)
-from common.transport.bus import Bus, Incoming
+from common.process import Presence, StopSignal, connect, denial, fetch_configuration, log
+from common.protocol.messages import ConfigurationMessage
+from common.starts import next_start, seconds_ahead
+from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint
-from rollout.worker.collector import Collector, run_noise_free_episodes
+from rollout.worker.collection_gate import CollectionGate
+from rollout.worker.collector import Collector
+from rollout.worker.evaluation_service import EvaluationService
+from rollout.worker.learner_link import LearnerLink
 from rollout.worker.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, Sender
 from rollout.worker.view_service import ViewService
 
@@ -31,9 +35,15 @@ REPORT_SECONDS = 1.0
 DRAIN_SECONDS = 5.0
 IDLE_SECONDS = 0.002
 UNTAKEN = 20
-"""Chunks in a row that nobody took before the worker asks itself whether it is denied."""
+"""Requests in a row that nobody took before the worker asks itself whether it is denied."""
+CLOCK_SECONDS = 5.0
+"""How far clocks of two starts may differ before it is an alarm."""
 DENIED_SECONDS = 10.0
 """Pause before it says so again."""
+
+
+class ReplacedError(UsageError):
+    """A newer start of this worker has taken its place."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +57,7 @@ class WorkerOptions:
         patience: seconds to wait for somebody to listen there.
         env: the one environment besides the farm that this worker may load, or None. A configuration comes over the
             network, and loading an environment runs its code.
-        history: where the worker's own account of its chunks goes, see `common.history`, or None.
+        history: file for the worker's own account of its chunks, see `common.history`, or None.
     """
 
     run: str
@@ -59,162 +69,123 @@ class WorkerOptions:
 
 
 @dataclass
-class _Clock:
-    simulating: float = 0.0
+class _Times:
+    collecting: float = 0.0
     waiting: float = 0.0
-    too_old: float = 0.0
-    evaluations: int = 0
+    stale: float = 0.0
     reported: float = field(default_factory=time.monotonic)
+    denied: float = 0.0
 
 
 class Worker:
-    """One worker's loop; all its methods run in the main thread."""
+    """One worker's loop; all its methods run in the main thread.
+
+    Args:
+        options: how it was started.
+        config: the run.
+        answer: the learner's answer from which the configuration was read.
+        control: the control lane.
+        bulk: the lane for chunks.
+        stop: ends the loop.
+
+    Raises:
+        UsageError: the learner's team is another one than the environment has here, or no start number is left.
+    """
 
     def __init__(
-        self, options: WorkerOptions, config: RunConfig, told: ConfigurationMessage, control: Bus, bulk: Bus
+        self,
+        options: WorkerOptions,
+        config: RunConfig,
+        answer: ConfigurationMessage,
+        control: Bus,
+        bulk: Bus,
+        stop: StopSignal,
     ) -> None:
-        self._options, self._config, self._lockstep, self._toml = options, config, told.lockstep, told.toml
-        self._control = control
-        start = incarnation()
-        self._collector = Collector(config, options.name, 0 if told.lockstep else start)
+        run, name, start = options.run, options.name, next_start(answer.newest_start)
+        self._options, self._config, self._control, self._stop = options, config, control, stop
+        self._clock_alarm = _clock_alarm(answer.newest_start)
+        self._collector = Collector(config, name, 0 if answer.lockstep else start)
         team = self._collector.team
-        if team.to_dict() != told.team:
-            raise UsageError(f"the learner of run {options.run} is for another team than {config.env.name} has here.")
-        self._store = PolicyStore(team)
-        patience = LOCKSTEP_ANSWER_SECONDS if told.lockstep else ANSWER_SECONDS
+        if team.to_dict() != answer.team:
+            raise UsageError(f"the learner of run {run} is for another team than {config.env.name} has here.")
         self._history = History(options.history)
-        self._history.add(Start("rollout", options.name, start))
+        self._history.add(Start("rollout", name, start))
+        patience = LOCKSTEP_ANSWER_SECONDS if answer.lockstep else ANSWER_SECONDS
         spool = config.rollout.spool_chunks
-        self._sender = Sender(bulk, options.run, options.name, start, team, spool, patience, self._history)
-        self._parameters = control.subscribe_state(keys.PARAMETERS.key(options.run))
-        self._events = control.subscribe_state(keys.IMITATION_EVENT.key(options.run))
-        self._progress = control.subscribe_state(keys.PROGRESS.key(options.run))
-        self._orders = control.serve(keys.EVALUATION.key(options.run, worker=options.name), 16)
-        self._view_service = ViewService(control, options.run, options.name, start, self._collector, told.toml)
-        self._presence = Presence(control, options.run, "rollout", options.name, start)
-        self._postponed: list[Incoming] = []
-        self._state, self._stop = "starting", StopSignal()
-        self._epoch = self._newest = self._malformed = 0
-        self._heard = time.monotonic()
-        self._paused = ""
-        self._denied = 0.0
-        self._clock = _Clock()
+        self._sender = Sender(bulk, run, name, start, team, spool, patience, self._history)
+        self._learner = LearnerLink(control, run, name, answer.toml, team, stop)
+        self._gate = CollectionGate(config.rollout, self._learner, self._sender, answer.lockstep)
+        self._evaluations = EvaluationService(control, config, run, name, self._learner.store)
+        self._view_service = ViewService(control, run, name, start, self._collector, answer.toml)
+        self._presence = Presence(control, run, "rollout", name, start)
+        self._times = _Times()
 
-    def run(self, stop: StopSignal) -> None:
-        """Collect and deliver until told to stop or the run is finished."""
-        self._stop = stop
-        while not stop and self._state != "finished":
-            self._listen()
-            self._evaluate()
-            self._view_service.poll(self._store.version, *self._exploration())
-            actors = self._store.actors
-            if actors is not None and self._state in ("starting", "training") and self._may_fly():
-                self._fly(actors)
-            else:
-                self._idle()
-            if time.monotonic() - self._clock.reported >= REPORT_SECONDS:
-                self._report()
-        if not self._sender.wait_empty(DRAIN_SECONDS):
-            log(f"worker {self._options.name}: {self._sender.in_flight} steps were not delivered.")
-        self._report()
+    def run(self) -> None:
+        """Collect and deliver until the run is finished or the stop signal comes.
+
+        Raises:
+            ReplacedError: a newer start of this worker has taken its place.
+            UsageError: a new learner has another configuration.
+        """
         try:
-            self._sender.close()
+            while not self._stop and self._learner.state != "finished":
+                self._turn()
+            if not self._sender.wait_empty(DRAIN_SECONDS):
+                log(f"worker {self._options.name}: {self._sender.in_flight} steps were not delivered.")
+            self._report()
         finally:
-            self._history.close()
+            try:
+                self._sender.close()
+            finally:
+                self._history.close()
 
-    def _may_fly(self) -> bool:
-        if not self._lockstep:
-            self._paused = self._too_old()
-            return not self._paused and not self._sender.full
-        return self._sender.spooled == 0 and self._store.version >= max(1, self._sender.required_version)
+    def _turn(self) -> None:
+        self._end_if_replaced()
+        self._learner.poll()
+        self._sender.resend_fast(self._learner.state == "draining")
+        self._evaluations.poll()
+        self._view_service.poll(self._learner.store.version, *self._exploration())
+        actors = self._gate.actors()
+        if actors is not None:
+            self._collect(actors)
+        else:
+            self._wait()
+        if time.monotonic() - self._times.reported >= REPORT_SECONDS:
+            self._report()
 
-    def _too_old(self) -> str:
-        """Return why the worker's actors are too old to fly with, or nothing."""
-        config, lag = self._config.rollout, self._newest - self._store.version
-        if 0 < config.max_lag_versions < lag and self._store.epoch == self._epoch:
-            return f"its actors are {lag} versions old, more than {config.max_lag_versions}"
-        silence = time.monotonic() - self._heard
-        if 0 < config.max_silence_seconds < silence:
-            return f"nothing was heard of the learner for {silence:.0f} s"
-        return ""
+    def _end_if_replaced(self) -> None:
+        if self._sender.replaced:
+            raise ReplacedError(f"worker {self._options.name} ends: a newer start of it delivers to the learner.")
+        if self._history.taken_over:
+            raise ReplacedError(f"worker {self._options.name} ends: another process writes {self._options.history}.")
 
-    def _fly(self, actors: TeamActors) -> None:
+    def _collect(self, actors: TeamActors) -> None:
         started = time.monotonic()
         chunk = self._collector.collect(actors, *self._exploration())
         self._sender.flown = self._collector.environment_steps
-        self._sender.offer(chunk, self._store.version)
-        self._clock.simulating += time.monotonic() - started
+        self._sender.offer(chunk, self._learner.store.version)
+        self._times.collecting += time.monotonic() - started
 
     def _exploration(self) -> tuple[float, bool]:
         """Return the noise's standard deviation, and whether actions are drawn uniformly instead (warm-up)."""
-        store, config = self._store, self._config
+        store, config = self._learner.store, self._config
         return config.exploration.deviation(store.progress), store.environment_steps < config.replay.warmup_steps
 
-    def _idle(self) -> None:
+    def _wait(self) -> None:
         time.sleep(IDLE_SECONDS)
-        self._clock.waiting += IDLE_SECONDS
-        if self._paused:
-            self._clock.too_old += IDLE_SECONDS
-
-    def _listen(self) -> None:
-        try:
-            if (sample := self._progress.poll()) is not None:
-                self._follow(ProgressMessage.decode(sample.payload))
-            if (sample := self._parameters.poll()) is not None:
-                self._store.offer_parameters(ParametersMessage.decode(sample.payload))
-            if (sample := self._events.poll()) is not None:
-                announced = ImitationMessage.decode(sample.payload)
-                self._store.offer_imitation(announced.to_event(), announced.epoch)
-        except ProtocolError as error:
-            self._malformed += 1
-            log(f"worker {self._options.name}: dropped a message: {error}")
-
-    def _follow(self, message: ProgressMessage) -> None:
-        if message.epoch < self._epoch:
-            return
-        if 0 < self._epoch < message.epoch:
-            answer = fetch_configuration(
-                self._control, self._options.run, self._options.name, lambda: not self._stop, 5.0
-            )
-            if answer is not None and answer.toml != self._toml:
-                raise UsageError(f"run {self._options.run} has a new learner with another configuration.")
-        self._epoch, self._state = message.epoch, message.state
-        self._sender.hurry(self._state == "draining")
-        self._newest, self._heard = message.version, time.monotonic()
-
-    def _evaluate(self) -> None:
-        for incoming in self._orders.waiting():
-            self._postponed.append(incoming)
-        # The coordinator asks one worker for one thing at a time: before a newer order it has given up the older ones.
-        waiting, self._postponed = self._postponed, []
-        for incoming in waiting[:-1]:
-            incoming.refuse("a newer order has come.")
-        if waiting:
-            self._answer(waiting[-1])
-
-    def _answer(self, incoming: Incoming) -> None:
-        try:
-            order = EvaluationOrder.decode(incoming.payload)
-            if not 0 < len(order.farms) == len(order.episodes) <= 256:
-                raise ProtocolError("an evaluation needs one episode seed for each of 1 to 256 farms.")
-        except ProtocolError as error:
-            incoming.refuse(str(error))
-            return
-        actors = self._store.actors
-        if actors is not None and order.epoch < self._store.epoch:
-            incoming.refuse("the order is of a learner that has been replaced.")
-            return
-        if actors is None or (self._store.epoch, self._store.version) < (order.epoch, order.version):
-            self._postponed.append(incoming)
-            return
-        reward, steps = run_noise_free_episodes(self._config, actors, order.farms, order.episodes)
-        self._clock.evaluations += len(order.farms)
-        incoming.reply(EvaluationResult(order.event, self._store.version, reward, steps).encode())
+        self._times.waiting += IDLE_SECONDS
+        if self._gate.stale:
+            self._times.stale += IDLE_SECONDS
 
     def _report(self) -> None:
-        clock, sender = self._clock, self._sender
-        values: dict[str, Any] = {
-            "state": self._state,
+        self._log_denial()
+        self._presence.report(self._metrics(), self._learner.store.version)
+        self._times.reported = time.monotonic()
+
+    def _metrics(self) -> dict[str, Any]:
+        times, sender, learner = self._times, self._sender, self._learner
+        return {
+            "state": learner.state,
             "environment_steps": self._collector.environment_steps,
             "produced": self._collector.environment_steps,
             "accepted": sender.accepted,
@@ -222,37 +193,47 @@ class Worker:
             "in_flight": sender.in_flight,
             "retries": sender.retries,
             "spooled": sender.spooled,
-            "simulating_seconds": clock.simulating,
-            "waiting_seconds": clock.waiting,
-            "evaluations": clock.evaluations,
-            "epoch": self._store.epoch,
-            "version": self._store.version,
-            "event": self._store.event,
-            "stale": self._store.stale,
-            "missed": self._parameters.missed,
-            "malformed": self._malformed,
+            "simulating_seconds": times.collecting,
+            "waiting_seconds": times.waiting,
+            "evaluations": self._evaluations.episodes,
+            "epoch": learner.store.epoch,
+            "version": learner.store.version,
+            "event": learner.store.event,
+            "stale": learner.store.stale,
+            "missed": learner.missed,
+            "malformed": learner.malformed,
             "watchers": self._view_service.watchers,
             "shown": self._view_service.shown,
             "skipped": self._view_service.skipped,
-            "paused": self._paused,
-            "paused_seconds": clock.too_old,
-            "alarms": [text for text in (self._history.failure, self._paused) if text],
+            "paused": self._gate.stale,
+            "paused_seconds": times.stale,
+            "alarms": [text for text in (self._history.failure, self._gate.stale, self._clock_alarm) if text],
         }
-        if sender.untaken >= UNTAKEN and clock.reported >= self._denied + DENIED_SECONDS:
-            self._denied = clock.reported
-            if (sentence := denial(self._control, self._options.run, sender.key)) is not None:
+
+    def _log_denial(self) -> None:
+        """Log why nobody takes the worker's requests, when its certificate is not let in."""
+        times, run = self._times, self._options.run
+        if self._sender.untaken >= UNTAKEN and times.reported >= times.denied + DENIED_SECONDS:
+            times.denied = times.reported
+            if (sentence := denial(self._control, run, self._sender.key)) is not None:
                 log(f"worker {self._options.name}: {sentence}")
-        self._presence.report(values, self._store.version)
-        clock.reported = time.monotonic()
+
+
+def _clock_alarm(newest_start: int) -> str:
+    ahead = seconds_ahead(newest_start)
+    if ahead < CLOCK_SECONDS:
+        return ""
+    return f"an earlier start of this worker had a clock {ahead:.0f} s ahead of this machine's; one of them is wrong"
 
 
 def serve(options: WorkerOptions) -> None:
     """Run one worker until the run is finished or a signal comes.
 
     Raises:
-        EndpointError: when nobody listens at the endpoint in time.
-        UsageError: when the learner's configuration cannot be read, is another one after the learner was replaced, or
-            names an environment that this worker may not load or that has another team here.
+        EndpointError: nobody listens at the endpoint in time.
+        ReplacedError: a newer start of this worker has taken its place.
+        UsageError: the learner's configuration cannot be read, changed with a new learner, or names an environment that
+            this worker may not load or that has another team here.
     """
     stop = StopSignal()
     stop.install()
@@ -263,11 +244,11 @@ def serve(options: WorkerOptions) -> None:
         try:
             config = from_toml(answer.toml, RunConfig())
         except UsageError as error:
-            raise UsageError(f"the learner of run {options.run} speaks of another configuration: {error}") from error
+            raise UsageError(f"the learner of run {options.run} sent a configuration that fails: {error}") from error
         if not config.env.is_farm and config.env.name != options.env:
             raise UsageError(
                 f"run {options.run} is about {config.env.name}; a worker loads it when started with "
                 f"--env {config.env.name}."
             )
         with connect(options.endpoint, "bulk", stop, options.patience) as bulk:
-            Worker(options, config, answer, control, bulk).run(stop)
+            Worker(options, config, answer, control, bulk, stop).run()

@@ -174,3 +174,49 @@ def test_a_history_that_cannot_be_read_is_kept_and_said(tmp_path, monkeypatch):
     assert (tmp_path / "h.jsonl.unreadable").read_text() == told
     assert [r.last for r in read(path)[0]] == [2]
     assert History(path).failure == ""
+
+
+def test_a_history_that_is_removed_is_written_anew(tmp_path):
+    """With the next record all records stand in a new file; nothing goes into the one that is no longer there."""
+    path = tmp_path / "h.jsonl"
+    one = History(path)
+    for number in (1, 2):
+        one.add(chunk(number))
+    path.unlink()
+    one.add(chunk(3))
+    assert [(r.first, r.last) for r in read(path)[0] if isinstance(r, Entry)] == [(1, 3)]
+    assert (one.failure, one.taken_over) == ("", False)
+    one.add(chunk(4))
+    one.close()
+    assert read(path)[0][-2:] == [chunk(4), End()]
+
+
+def test_a_history_that_another_process_took_over_is_left_alone(tmp_path):
+    """The older writer says so and writes no more: neither into the new file nor over it, not even at its end."""
+    path = tmp_path / "h.jsonl"
+    old = History(path)
+    old.add(chunk(1))
+    assert not old.taken_over
+    new = History(path)
+    new.add(chunk(2))
+    assert old.taken_over
+    old.add(chunk(9))
+    old.close()
+    new.close()
+    assert "another process writes" in old.failure
+    assert read(path)[0] == [chunk(1), chunk(2), End()]
+    assert not new.failure
+
+
+def test_a_failing_disk_does_not_hide_another_writer(tmp_path):
+    """A writer that has lost its file to a full disk does not put its own in the place of another one's later."""
+    path = tmp_path / "h.jsonl"
+    old = History(path)
+    old.add(chunk(1))
+    old._fail(OSError(28, "no space left"))
+    new = History(path)
+    new.add(chunk(2))
+    old.add(chunk(9))
+    assert old.taken_over
+    new.close()
+    assert read(path)[0] == [chunk(1), chunk(2), End()]

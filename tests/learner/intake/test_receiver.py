@@ -6,6 +6,7 @@ from common.config import ReplayConfig
 from common.protocol import keys
 from common.protocol.chunk_messages import to_message, to_request
 from common.protocol.messages import ChunkAck, Envelope
+from common.starts import LATEST, STRIDE, next_start
 from learner.intake.ledger import Intake
 from learner.intake.receiver import Receiver
 from tests.faults.tools.channel import RUN, TEAM, Door, Parcel, Sending, a_chunk, front_door, shut
@@ -46,6 +47,36 @@ def test_a_chunk_brings_the_accounts_of_its_moment():
         again.restore(arrival.ledger.state())
         assert again.totals() == receiver.intake.totals()
         assert again.unexplained() == 0
+    finally:
+        shut(receiver, door)
+
+
+def test_an_older_start_learns_that_it_was_replaced():
+    """It gets its own verdict, which costs the newer start under the same name nothing, and is counted."""
+    receiver, door = front_door()
+    try:
+        assert door.pass_on(parcel("a", 2, 1)).verdict == "accepted"
+        for _ in range(200):
+            assert door.pass_on(parcel("a", 1, 1)).verdict == "replaced"
+        assert door.pass_on(parcel("a", 2, 2)).verdict == "accepted"
+        assert (receiver.replaced, receiver.malformed) == (200, 0)
+        assert receiver.intake.newest_start("a") == 2
+        assert receiver.intake.newest_start("b") == 0
+    finally:
+        shut(receiver, door)
+
+
+def test_no_start_takes_all_numbers_with_it():
+    """A hostile number beyond any clock is refused; behind the greatest one that is taken a new start still gets in."""
+    receiver, door = front_door()
+    try:
+        assert "no clock gives" in door.pass_on(parcel("a", 2**63 - 1, 1)).refused
+        assert "no clock gives" in door.pass_on(parcel("a", LATEST + STRIDE + 1, 1)).refused
+        assert door.pass_on(parcel("a", LATEST, 1)).verdict == "accepted"
+        for _ in range(3):
+            known = receiver.intake.newest_start("a")
+            assert door.pass_on(parcel("a", next_start(known), 1)).verdict == "accepted"
+            assert known < receiver.intake.newest_start("a") <= known + STRIDE
     finally:
         shut(receiver, door)
 

@@ -109,7 +109,7 @@ def test_what_is_not_settled_comes_again_with_all_behind_it(monkeypatch, verdict
         first, delivery, chunks = wire.request()
         assert (first, delivery.oldest, [chunk.produced for chunk in chunks]) == (3, 3, [3, 4])
         assert (sender.accepted, sender.rejected, sender.in_flight, sender.retries) == (1, 1, 2, 2)
-        assert sender.door_closed == (verdict == "closed")
+        assert sender.learner_closed == (verdict == "closed")
         wire.answer("accepted", "accepted")
         until(lambda: sender.spooled == 0, "all settled")
 
@@ -142,10 +142,10 @@ def test_a_full_spool_says_so(monkeypatch):
 
 
 def test_who_ends_does_not_wait_for_a_learner_that_is_not_there(monkeypatch):
-    """After NOBODY requests that nobody took the wait is over; without that it would last an hour."""
+    """After MOST_UNTAKEN requests that nobody took the wait is over; without that it would last an hour."""
     with sending(monkeypatch) as (sender, wire, offer):
         offer(1)
-        for _ in range(module.NOBODY + 1):
+        for _ in range(module.MOST_UNTAKEN + 1):
             wire.answer()
         assert not sender.wait_empty(3600.0)
         assert sender.spooled == 1
@@ -155,7 +155,7 @@ def test_who_ends_waits_for_a_learner_that_comes_back(monkeypatch):
     """One request that somebody takes after some that nobody took empties the spool."""
     with sending(monkeypatch) as (sender, wire, offer):
         offer(1)
-        for _ in range(module.NOBODY - 1):
+        for _ in range(module.MOST_UNTAKEN - 1):
             wire.answer()
         wire.answer("accepted")
         assert sender.wait_empty(3600.0)
@@ -168,18 +168,18 @@ def test_who_hurries_asks_again_when_an_answer_was_lost(monkeypatch, ending):
     The same request goes again and again, at longer and longer intervals, and an answer to any of them settles it.
     """
     with sending(monkeypatch) as (sender, wire, offer), ThreadPoolExecutor(1) as pool:
-        monkeypatch.setattr(module, "HURRIED_SECONDS", 0.02)
+        monkeypatch.setattr(module, "FAST_RESEND_SECONDS", 0.02)
         offer(1)
         assert wire.request()[0] == 1
         offer(2)
         time.sleep(0.2)
         assert wire.silent
         emptied = pool.submit(sender.wait_empty, 3600.0) if ending else None
-        sender.hurry()
+        sender.resend_fast()
         for _ in range(3):
             first, _, chunks = wire.request()
             assert (first, len(chunks)) == (1, 1)
-        sender.hurry(ending)
+        sender.resend_fast(ending)
         wire.answer("duplicate")
         until(lambda: sender.spooled == 1, "the first settled")
         assert sender.retries >= 3
@@ -195,9 +195,22 @@ def test_who_hurries_asks_again_when_an_answer_was_lost(monkeypatch, ending):
 def test_a_refusal_is_not_silence(monkeypatch):
     """A learner that refuses every request at once is there: it is not taken for one that may not be reached."""
     with sending(monkeypatch) as (sender, wire, offer):
-        wire.refusals = module.NOBODY + 1
+        wire.refusals = module.MOST_UNTAKEN + 1
         offer(1)
-        until(lambda: sender.retries > module.NOBODY, "refusals")
+        until(lambda: sender.retries > module.MOST_UNTAKEN, "refusals")
         assert sender.untaken == 0
         wire.answer("accepted")
         until(lambda: sender.spooled == 0, "all settled")
+
+
+def test_a_replaced_start_sends_nothing_more(monkeypatch):
+    """The learner says that a newer start delivers: the spool stays as it is, and whoever ends does not wait for it."""
+    with sending(monkeypatch) as (sender, wire, offer):
+        offer(1)
+        wire.request()
+        offer(2)
+        wire.answer("replaced")
+        until(lambda: sender.replaced, "the verdict")
+        assert not sender.wait_empty(3600.0)
+        assert wire.silent
+        assert (sender.spooled, sender.accepted, sender.in_flight) == (2, 0, 2)

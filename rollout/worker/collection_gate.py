@@ -1,0 +1,52 @@
+"""Whether a worker collects its next chunk or waits, decided before every chunk."""
+
+from common.actors import TeamActors
+from common.config import RolloutConfig
+from rollout.worker.learner_link import COLLECTING, LearnerLink
+from rollout.worker.sender import Sender
+
+
+class CollectionGate:
+    """Holds a worker back in these cases.
+
+    - No parameters have come yet, or the run drains.
+    - The spool is full: the learner takes in less than the workers make. A worker waits and throws nothing away.
+    - Its actors are more than `rollout.max_lag_versions` versions behind the learner's.
+    - The learner has published nothing for more than `rollout.max_silence_seconds`.
+
+    While the learner is gone a worker collects until its spool is full, then waits for it to come back. In lockstep it
+    waits after every chunk for the answer and for the parameters that the answer asks for.
+
+    Args:
+        config: the limits.
+        learner: what is known of the learner.
+        sender: the spool.
+        lockstep: whether worker and learner take turns.
+
+    Attributes:
+        stale: why the actors are too old to collect with, or empty. It is an alarm.
+    """
+
+    def __init__(self, config: RolloutConfig, learner: LearnerLink, sender: Sender, lockstep: bool) -> None:
+        self._config, self._learner, self._sender, self._lockstep = config, learner, sender, lockstep
+        self.stale = ""
+
+    def actors(self) -> TeamActors | None:
+        """Return the actors to collect the next chunk with, or None to wait."""
+        store, sender = self._learner.store, self._sender
+        if store.actors is None or self._learner.state not in COLLECTING:
+            return None
+        if self._lockstep:
+            answered = sender.spooled == 0
+            return store.actors if answered and store.version >= max(1, sender.required_version) else None
+        self.stale = self._staleness()
+        return None if self.stale or sender.full else store.actors
+
+    def _staleness(self) -> str:
+        learner, config = self._learner, self._config
+        lag = learner.newest_version - learner.store.version
+        if 0 < config.max_lag_versions < lag and learner.store.epoch == learner.epoch:
+            return f"its actors are {lag} versions old, more than {config.max_lag_versions}"
+        if 0 < config.max_silence_seconds < learner.silence:
+            return f"nothing was heard of the learner for {learner.silence:.0f} s"
+        return ""

@@ -1,0 +1,65 @@
+"""Noise-free episodes that the elite coordinator asks a worker for."""
+
+from common.config import RunConfig
+from common.errors import ProtocolError
+from common.policy_store import PolicyStore
+from common.protocol import keys
+from common.protocol.messages import EvaluationOrder, EvaluationResult
+from common.transport.bus import Bus, Incoming
+from rollout.worker.collector import run_noise_free_episodes
+
+CAPACITY = 16
+"""Orders that may wait."""
+MOST_FARMS = 256
+"""Most episodes of one order."""
+
+
+class EvaluationService:
+    """Answers the newest order as soon as the worker holds parameters that are new enough.
+
+    Args:
+        control: the control lane.
+        config: the run.
+        run: the run's name.
+        worker: the worker's name.
+        store: the worker's actors.
+
+    Attributes:
+        episodes: noise-free episodes run so far.
+    """
+
+    def __init__(self, control: Bus, config: RunConfig, run: str, worker: str, store: PolicyStore) -> None:
+        self._config, self._store = config, store
+        self._orders = control.serve(keys.EVALUATION.key(run, worker=worker), CAPACITY)
+        self._waiting: Incoming | None = None
+        self.episodes = 0
+
+    def poll(self) -> None:
+        """Take in new orders and answer one, if it can be answered now."""
+        for incoming in self._orders.waiting():
+            # The coordinator has given up its older orders before it makes a newer one.
+            if self._waiting is not None:
+                self._waiting.refuse("a newer order has come.")
+            self._waiting = incoming
+        order, self._waiting = self._waiting, None
+        if order is not None:
+            self._answer(order)
+
+    def _answer(self, incoming: Incoming) -> None:
+        try:
+            order = EvaluationOrder.decode(incoming.payload)
+            if not 0 < len(order.farms) == len(order.episodes) <= MOST_FARMS:
+                raise ProtocolError(f"an evaluation needs one episode seed for each of 1 to {MOST_FARMS} farms.")
+        except ProtocolError as error:
+            incoming.refuse(str(error))
+            return
+        store = self._store
+        if store.actors is not None and order.epoch < store.epoch:
+            incoming.refuse("the order is of a learner that has been replaced.")
+            return
+        if store.actors is None or (store.epoch, store.version) < (order.epoch, order.version):
+            self._waiting = incoming
+            return
+        reward, steps = run_noise_free_episodes(self._config, store.actors, order.farms, order.episodes)
+        self.episodes += len(order.farms)
+        incoming.reply(EvaluationResult(order.event, store.version, reward, steps).encode())

@@ -1,0 +1,85 @@
+"""What a worker knows of its learner: parameters, imitation events and progress, as the learner publishes them."""
+
+import time
+
+from common.errors import ProtocolError, UsageError
+from common.policy_store import PolicyStore
+from common.process import StopSignal, fetch_configuration, log
+from common.protocol import keys
+from common.protocol.messages import ImitationMessage, ParametersMessage, ProgressMessage
+from common.team import TeamSpec
+from common.transport.bus import Bus
+
+COLLECTING = ("starting", "training")
+"""States of a run in which workers collect."""
+
+
+class LearnerLink:
+    """Follows the learner between two chunks.
+
+    New parameters replace the worker's actors at once. Older ones, and those of a learner that has been replaced, are
+    dropped and counted. An imitation event changes the actors once, whether it comes before or after the parameters
+    that contain it. `PolicyStore` does both.
+
+    A higher epoch in the progress means that a new learner has taken over. The worker goes on with it, if its
+    configuration is the same.
+
+    Args:
+        control: the control lane.
+        run: the run's name.
+        worker: the worker's name.
+        toml: the run's configuration as the learner sent it.
+        team: layout of the actors.
+        stop: ends the wait for a new learner's configuration.
+
+    Attributes:
+        store: the actors.
+        state: what the run does: starting, training, draining or finished.
+        epoch: the learner's fencing epoch, 0 before the first progress.
+        newest_version: newest parameter version that the learner has published.
+        malformed: messages that were dropped.
+    """
+
+    def __init__(self, control: Bus, run: str, worker: str, toml: str, team: TeamSpec, stop: StopSignal) -> None:
+        self._control, self._run, self._worker, self._toml, self._stop = control, run, worker, toml, stop
+        self._parameters = control.subscribe_state(keys.PARAMETERS.key(run))
+        self._events = control.subscribe_state(keys.IMITATION_EVENT.key(run))
+        self._progress = control.subscribe_state(keys.PROGRESS.key(run))
+        self.store = PolicyStore(team)
+        self.state = "starting"
+        self.epoch = self.newest_version = self.malformed = 0
+        self._heard = time.monotonic()
+
+    @property
+    def silence(self) -> float:
+        """Return the seconds since the learner last published its progress."""
+        return time.monotonic() - self._heard
+
+    @property
+    def missed(self) -> int:
+        """Return how many parameter messages were overtaken or lost."""
+        return self._parameters.missed
+
+    def poll(self) -> None:
+        """Take in what has come; raise UsageError when a new learner has another configuration."""
+        try:
+            if (sample := self._progress.poll()) is not None:
+                self._follow(ProgressMessage.decode(sample.payload))
+            if (sample := self._parameters.poll()) is not None:
+                self.store.offer_parameters(ParametersMessage.decode(sample.payload))
+            if (sample := self._events.poll()) is not None:
+                announced = ImitationMessage.decode(sample.payload)
+                self.store.offer_imitation(announced.to_event(), announced.epoch)
+        except ProtocolError as error:
+            self.malformed += 1
+            log(f"worker {self._worker}: dropped a message: {error}")
+
+    def _follow(self, message: ProgressMessage) -> None:
+        if message.epoch < self.epoch:
+            return
+        if 0 < self.epoch < message.epoch:
+            answer = fetch_configuration(self._control, self._run, self._worker, lambda: not self._stop, 5.0)
+            if answer is not None and answer.toml != self._toml:
+                raise UsageError(f"run {self._run} has a new learner with another configuration.")
+        self.epoch, self.state, self.newest_version = message.epoch, message.state, message.version
+        self._heard = time.monotonic()
