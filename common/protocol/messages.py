@@ -1,7 +1,4 @@
-"""Every message type of the protocol, one dataclass each; `common.protocol.keys` says where each one travels.
-
-`common.protocol.codec` turns them into frames and back.
-"""
+"""Every message type of the protocol, one dataclass each; `keys` says where it travels, `codec` makes a frame of it."""
 
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -78,8 +75,8 @@ class ChunkAck(Message):
     """The learner's answer to a delivery: verdicts on its chunks, from the first up to one that has to come again.
 
     Attributes:
-        verdicts: accepted, duplicate or refused; the last may be gap, damaged (send it again), closed (the learner
-            takes no more) or replaced (a newer start of this worker delivers now); those behind it were not looked at.
+        verdicts: accepted, duplicate or refused; the last may be gap, damaged (send it again), closed (nothing more is
+            taken) or replaced (a newer start of the worker delivers); those behind it were not looked at.
         reasons: for each of them why it was not taken, else empty.
         expected: the next sequence number that the learner takes from this worker.
         required_version: parameter version that the worker must hold before its next chunk; 0 asks for none.
