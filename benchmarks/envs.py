@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from common.config import FarmConfig
+from common.config.presets import preset
 from rollout.envs.parallel_env import parallel_env
 from rollout.envs.vector import FarmVectorEnv
 from rollout.sim.batch import FarmBatch
@@ -48,7 +48,7 @@ def main(arguments: list[str]) -> None:
 
 
 def _vector(size: int) -> dict[str, float]:
-    envs, batch = FarmVectorEnv(size), FarmBatch(FarmConfig(), size)
+    envs, batch = FarmVectorEnv(size), FarmBatch(preset("study").farm, size)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (size, batch.team.action_size)).astype(np.float32)
 
     def begin() -> None:
@@ -66,7 +66,7 @@ def _vector(size: int) -> dict[str, float]:
 
 
 def _parallel() -> dict[str, float]:
-    farm, batch = parallel_env(), FarmBatch(FarmConfig(), 1)
+    farm, batch = parallel_env(), FarmBatch(preset("study").farm, 1)
     row = np.random.default_rng(0).uniform(-1.0, 1.0, (1, batch.team.action_size)).astype(np.float32)
     actions = {name: row[0, 2 * index : 2 * index + 2] for index, name in enumerate(farm.possible_agents)}
 

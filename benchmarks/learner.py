@@ -38,8 +38,8 @@ from common.config import (  # noqa: E402  (as above)
     LearnerConfig,
     ReplayConfig,
     RunConfig,
-    WorldConfig,
 )
+from common.config.presets import preset  # noqa: E402  (as above)
 from common.errors import UsageError  # noqa: E402  (as above)
 from common.team import TeamSpec, farm_team  # noqa: E402  (as above)
 from common.transitions import TRANSITION, Chunk, Rows  # noqa: E402  (as above)
@@ -116,7 +116,8 @@ def team_of(uavs: int) -> FarmConfig:
     """Return the plain farm with so many UAVs, as even as possible, communication UAVs first."""
     counts = [uavs // 3 + (uavs % 3 > kind) for kind in range(3)]
     names = ("communication_uavs", "monitoring_uavs", "collection_uavs")
-    return replace(FarmConfig(), world=replace(WorldConfig(), **dict(zip(names, counts, strict=True))))
+    plain = preset("study").farm
+    return replace(plain, world=replace(plain.world, **dict(zip(names, counts, strict=True))))
 
 
 def filled_trainer(
@@ -125,7 +126,7 @@ def filled_trainer(
     """Return a trainer on a device whose replay buffer of so many rows is full of noise."""
     replay = ReplayConfig(capacity=capacity, warmup_steps=0)
     learner = replace(LearnerConfig(), device=device)
-    config = RunConfig(algorithm=algorithm, replay=replay, farm=farm or FarmConfig(), learner=learner)
+    config = RunConfig(algorithm=algorithm, replay=replay, farm=farm or preset("study").farm, learner=learner)
     team = farm_team(config.farm)
     trainer, draw = Trainer(config, team), np.random.default_rng(0)
     count = 4096 // (SEGMENT + 1) * (SEGMENT + 1)
@@ -305,7 +306,7 @@ def keep_growth(asked: argparse.Namespace) -> None:
         take_threads(asked.threads[0])
         found = growth(asked.rounds, asked.device)
         asked.growth.mkdir(parents=True, exist_ok=True)
-        result = {**provenance("benchmarks.learner"), "team": farm_team(RunConfig().farm).digest, **found}
+        result = {**provenance("benchmarks.learner"), "team": farm_team(preset("study").farm).digest, **found}
         (asked.growth / "growth.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     show_growth(asked.growth)
 

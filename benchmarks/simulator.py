@@ -27,11 +27,12 @@ import tyro
 from benchmarks.simulator_page import table, write
 from benchmarks.stages import stage_shares
 from common.config import FarmConfig, WorldConfig
+from common.config.presets import preset
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import make_layout
 from rollout.sim.reference import ReferenceFarm
 
-FARM = FarmConfig()
+FARM = preset("study").farm
 FARMS = 20
 TABLE = 64
 """Rows of random actions that are flown again and again."""
@@ -39,9 +40,9 @@ HEADLINE = 32
 COMPILE = """
 import time
 began = time.perf_counter()
-from common.config import FarmConfig
+from common.config.presets import preset
 from rollout.sim.batch import FarmBatch
-batch = FarmBatch(FarmConfig(), 1)
+batch = FarmBatch(preset("study").farm, 1)
 batch.reset(0, 0, 0)
 print(time.perf_counter() - began)
 """

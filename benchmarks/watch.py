@@ -26,8 +26,8 @@ import psutil
 import tyro
 
 from common.actors import TeamActors
-from common.config import RunConfig
 from common.config.files import to_toml
+from common.config.presets import preset
 from common.process import Presence
 from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint, free_endpoint
@@ -126,7 +126,7 @@ def measure(arguments: Arguments) -> dict[str, Any]:
 
 
 def _rounds(arguments: Arguments, bus: Bus, other: "subprocess.Popen[str]") -> dict[int, list[_Tally]]:
-    config = RunConfig()
+    config = preset("study")
     collector = Collector(config, "w", 1)
     view_service = ViewService(bus, RUN, "w", 1, collector, to_toml(config))
     probe = view_service._probe = _TimedProbe(collector.environments, 0)  # type: ignore[arg-type]  # a worker of farms

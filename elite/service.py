@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.config.files import from_toml
+from common.config.presets import read_saved
 from common.config.run import RunConfig
 from common.errors import BusClosedError, BusError, ProtocolError
 from common.imitation import ImitationEvent, ImitationSchedule
@@ -301,5 +301,5 @@ def serve(options: CoordinatorOptions) -> None:
     with connect(options.endpoint, "control", stop, options.patience) as control:
         answer = fetch_configuration(control, options.run, options.name, lambda: not stop, 5.0)
         if answer is not None:
-            config, team = from_toml(answer.toml, RunConfig()), TeamSpec.from_dict(answer.team)
+            config, team = read_saved(answer.toml), TeamSpec.from_dict(answer.team)
             Coordinator(options, config, team, control).run(stop)

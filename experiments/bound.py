@@ -21,6 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 from common.config import FarmConfig
+from common.config.presets import preset
 from common.errors import ConfigError
 from deploy.reports.provenance import provenance
 from experiments.reporting import farm_range
@@ -111,7 +112,7 @@ def main() -> None:
     """Print the bound."""
     parser = argparse.ArgumentParser(prog="python -m experiments.bound", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--farms", type=farm_range, default="1000:1100", help="farm seeds A:B, from A to B - 1")
-    found = {**bounds(FarmConfig(), list(parser.parse_args().farms)), **provenance("experiments.bound")}
+    found = {**bounds(preset("study").farm, list(parser.parse_args().farms)), **provenance("experiments.bound")}
     sys.stdout.write(json.dumps(found) + "\n")
 
 

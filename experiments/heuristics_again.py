@@ -9,8 +9,7 @@ import json
 import sys
 from pathlib import Path
 
-from common.config import RunConfig
-from common.config.files import from_toml
+from common.config.presets import read_saved
 from deploy.reports.provenance import provenance
 from rollout.evaluation import evaluate
 from rollout.policies import HEURISTICS, policy_of
@@ -21,7 +20,7 @@ def main() -> None:
     folder = Path(sys.argv[1])
     path = folder / "evaluation.json"
     outcome = json.loads(path.read_text(encoding="utf-8"))
-    farm = from_toml(folder / "config.toml", RunConfig()).farm
+    farm = read_saved(folder / "config.toml").farm
     farms, episodes = outcome["evaluations"][0]["farms"], outcome["evaluations"][0]["episodes"]
     kept = [result for result in outcome["evaluations"] if result["policy"] not in HEURISTICS]
     flown = [evaluate(farm, policy_of(name, farm), farms, episodes, name=name).to_dict() for name in HEURISTICS]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.config import FarmConfig
+from common.config.presets import preset
 from deploy.reports.provenance import provenance
 from experiments.reporting import farm_range, tell
 from rollout.evaluation import evaluate
@@ -80,7 +81,7 @@ def main() -> None:
     arguments = parser.parse_args()
     farms = arguments.farms
     origin = provenance("experiments.search")
-    data = {**origin, "farms": list(farms), "results": [fly(FarmConfig(), form, farms) for form in FORMS]}
+    data = {**origin, "farms": list(farms), "results": [fly(preset("study").farm, form, farms) for form in FORMS]}
     tell(data, page, arguments.write)
 
 

@@ -28,7 +28,8 @@ from benchmarks.intake.player import in_flight
 from benchmarks.intake.record import record, write
 from benchmarks.peers.catalogue import ROOT, Program
 from benchmarks.peers.venvs import interpreter, provide
-from common.config import FarmConfig, RolloutConfig
+from common.config import RolloutConfig
+from common.config.presets import preset
 from common.errors import EiaSecError
 from common.team import farm_team
 from common.transport.endpoint import free_endpoint
@@ -238,7 +239,7 @@ def main() -> None:
         found, by_workers, failures = measure(bench, asked.repeats, asked.only, asked.workers)
     data = {
         **provenance("benchmarks.intake"),
-        "team": farm_team(FarmConfig()).digest,
+        "team": farm_team(preset("study").farm).digest,
         "cores": os.cpu_count(),
         "workers": asked.workers[0],
         "chunks_under_way": bench.under_way,

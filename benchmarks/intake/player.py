@@ -14,7 +14,7 @@ import zenoh
 
 from benchmarks.intake.record import record
 from benchmarks.intake.sink import RUN
-from common.config import FarmConfig
+from common.config.presets import preset
 from common.protocol import keys
 from common.protocol.chunk_messages import fitting, to_message, to_request
 from common.protocol.messages import ChunkAck, ChunkMessage, Envelope
@@ -78,7 +78,7 @@ def in_flight(size: int, spool: int) -> int:
 def a_message(size: int) -> tuple[ChunkMessage, int]:
     """Return a recorded chunk of about `size` bytes as a message, and its environment steps."""
     chunk = record(size)
-    return to_message(chunk, farm_team(FarmConfig()), 1, 0), chunk.rows.steps
+    return to_message(chunk, farm_team(preset("study").farm), 1, 0), chunk.rows.steps
 
 
 def main() -> None:

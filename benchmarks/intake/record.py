@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.intake.chunks import NAMES
 from common.actors import TeamActors
-from common.config import FarmConfig, RunConfig
+from common.config.presets import preset
 from common.team import farm_team
 from common.transitions import Chunk
 from rollout.worker.collector import Collector
@@ -22,9 +22,9 @@ def record(size: int) -> Chunk:
     Args:
         size: bytes of observations, actions and rewards.
     """
-    team = farm_team(FarmConfig())
+    team = farm_team(preset("study").farm)
     row = 4 * (team.observation_size + team.action_size + team.agents)
-    config = RunConfig()
+    config = preset("study")
     environments = ENVIRONMENTS if size >= 8 * ENVIRONMENTS * row else 1
     steps = max(1, round(size / row / environments) - 1)
     config = replace(config, rollout=replace(config.rollout, environments=environments, chunk_steps=steps))

@@ -8,7 +8,8 @@ import argparse
 import sys
 
 from benchmarks.intake.chunks import CAPACITY, Window, tell
-from common.config import FarmConfig, ReplayConfig
+from common.config import ReplayConfig
+from common.config.presets import preset
 from common.protocol import keys
 from common.team import farm_team
 from common.transport.bus import Bus
@@ -33,7 +34,7 @@ def main() -> None:
     options = parser.parse_args()
     keep_freed_memory()
     endpoint = Endpoint.parse(options.endpoint, shared_memory=options.shared_memory)
-    team = farm_team(FarmConfig())
+    team = farm_team(preset("study").farm)
     replay, taken = Replay(team, CAPACITY), [0, 0]
     with Bus.connect(endpoint, "bulk", wait=30.0) if options.routed else Bus.listen(endpoint, "bulk") as bus:
         receiver = Receiver(

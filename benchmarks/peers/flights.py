@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from common.config import FarmConfig
+from common.config.presets import preset
 from common.team import Float32
 from rollout.envs.parallel_env import FarmParallelEnv, Infos, Observations
 from rollout.evaluation import evaluate
@@ -73,7 +73,7 @@ def farm_options(software: str) -> argparse.ArgumentParser:
 
 def reward_of(policy: Policy, farms: Sequence[int]) -> float:
     """Return a policy's reward per agent without noise: the mean over one episode of each of some farms."""
-    return evaluate(FarmConfig(), policy, farms, 1, name="policy", batch=len(farms)).total.reward
+    return evaluate(preset("study").farm, policy, farms, 1, name="policy", batch=len(farms)).total.reward
 
 
 class Course:

@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.peers.catalogue import OURS, ROOT, Program
 from benchmarks.peers.venvs import interpreter
-from common.config import FarmConfig
+from common.config.presets import preset
 from common.errors import EiaSecError
 from common.team import farm_team
 from deploy.local.threads import thread_environment
@@ -81,7 +81,9 @@ def arguments(job: Job, plan: Plan) -> list[str]:
     command += ["--rounds", str(plan.rounds), "--widths", *map(str, plan.widths)]
     if program.environment == OURS:
         return [*command, "--json"]
-    groups = [f"{g.name}:{g.count}:{g.observation_size}:{g.action_size}" for g in farm_team(FarmConfig()).groups]
+    groups = [
+        f"{g.name}:{g.count}:{g.observation_size}:{g.action_size}" for g in farm_team(preset("study").farm).groups
+    ]
     return [*command, "--groups", *groups]
 
 

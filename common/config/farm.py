@@ -363,7 +363,7 @@ class ObservationConfig:
     """Plots along each side of the square whose VDF a monitoring UAV sees, odd; the paper's is 3."""
     lattice: bool = True
     """Whether a monitoring UAV sees where in its plot it is, as the offset to the middle over half a plot (ours)."""
-    mirrored: bool = False
+    mirrored: bool = True
     """Whether an actor sees and steers along axes that make its place, a monitor's in its plot, positive (ours)."""
     identity: bool = True
     """Whether an agent sees which of its type it is, one of n_v, so that equal actors can share the work (ours)."""

@@ -8,6 +8,7 @@ import dataclasses
 import difflib
 import hashlib
 import json
+import re
 import sys
 import tomllib
 from pathlib import Path
@@ -21,6 +22,10 @@ _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a nu
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], ...]
 """What a field that is not a section holds."""
+
+_KEY: Final = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
+_WORD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.:/+-]*")
+"""What needs no quotes on a command line."""
 
 _LONG: Final = 8
 """A list with more entries than this is not shown whole in a sentence."""
@@ -69,6 +74,22 @@ def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
     return merged
 
 
+def with_setting(config: RunConfig, setting: str) -> RunConfig:
+    """Return the configuration with one setting `key=value` of a command line.
+
+    The value is TOML. A bare word, as in farm.world.density=clustered, is a text and needs no quotes.
+
+    Raises:
+        ConfigError: it is no `key=value`, or `from_toml` refuses it.
+    """
+    key, equals, value = (part.strip() for part in setting.partition("="))
+    if not (equals and _KEY.fullmatch(key)) or "\n" in setting:
+        raise ConfigError(f"a setting is KEY=VALUE, farm.world.density=clustered for instance, not {setting!r}.")
+    if _WORD.fullmatch(value) and not _is_toml(value):
+        value = format_value(value)
+    return from_toml(f"{key} = {value}", config)
+
+
 def differences(a: RunConfig, b: RunConfig) -> list[str]:
     """Return one line `dotted.key: a -> b` for each field in which two configurations differ."""
     other = flatten(b)
@@ -108,6 +129,15 @@ def _read(path: Path) -> str:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise ConfigError(f"the configuration file {path} cannot be read: {reason}.") from error
+
+
+def _is_toml(value: str) -> bool:
+    """Return whether a text is a TOML value."""
+    try:
+        tomllib.loads(f"value = {value}")
+    except ValueError:
+        return False
+    return True
 
 
 def _merge(base: Any, table: dict[str, Any], prefix: str) -> Any:

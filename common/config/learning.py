@@ -39,7 +39,7 @@ class AlgorithmConfig:
     """Soft update parameter xi of the target networks, eq. (xt)."""
     reward_scale: float = 0.1
     """Factor on every reward before it enters a target (ours)."""
-    potential_discount: float = 0.0
+    potential_discount: float = 0.995
     """Discount gamma_s of the potential that shapes relays' rewards (`rollout.worker`); 0 for none (ours)."""
     reward_normalisation: bool = False
     """Divide each type's rewards by their running standard deviation, before `reward_scale` (ours)."""
@@ -165,7 +165,7 @@ class ReplayConfig:
     """Rows of the replay buffer; one row is one environment step of all agents, D = 2^16."""
     warmup_steps: int = 10_000
     """Environment steps before the first update; actions are uniform until then (ours)."""
-    updates_per_step: float = 0.125
+    updates_per_step: float = 0.5
     """Update rounds per environment step of one farm; the paper's ratio is 1."""
     slack_steps: int = 4_000
     """Environment steps by which production may lead consumption before producers wait (ours)."""

@@ -97,7 +97,7 @@ class RunConfig:
 
     seed: int = 0
     """Seed of the run: initial weights, batches, farms' order and noise all follow from it."""
-    episodes: int = 1200
+    episodes: int = 400
     """Training episodes lambda_max, counted over all environments of all workers."""
     env: EnvConfig = field(default_factory=EnvConfig)
     farm: FarmConfig = field(default_factory=FarmConfig)

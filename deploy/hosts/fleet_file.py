@@ -16,7 +16,7 @@ from types import UnionType
 from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from common.config import RunConfig
-from common.config.files import from_toml
+from common.config.files import with_setting
 from common.errors import ConfigError, UsageError
 from common.names import check_name
 from common.protocol.message_sizes import require_frames
@@ -285,7 +285,7 @@ def _configuration(fleet: Fleet) -> RunConfig:
     arguments += ["--farm-file", str(fleet.folder / training.farm_file)] if training.farm_file else []
     config = base_configuration(arguments)
     for assignment in training.set:
-        config = from_toml(assignment, config)
+        config = with_setting(config, assignment)
     if config.env.is_farm:  # other environments may be installed on the learner's host alone, which looks itself
         require_frames(config, farm_team(config.farm))
     return config

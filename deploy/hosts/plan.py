@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
-from common.config.presets import WRITTEN
+from common.config.presets import SAVED
 from common.transport.credentials import Identity
 from deploy.hosts.fleet_file import Fleet
 from deploy.local.run_directory import HISTORY
@@ -104,7 +104,7 @@ def _learner(fleet: Fleet, places: Places) -> Process:
         met: tuple[str, ...] = ("--listen", places.listen, *_insecure(fleet))
     else:
         met = ("--connect", places.endpoint, "--patience", PATIENCE)
-    trained = ("--preset", WRITTEN, "--config", places.config)
+    trained = ("--preset", SAVED, "--config", places.config)
     kept = ("--run-dir", places.run_dir, *trained, "--resume-if-any", "--await-elite")
     tls = _tls(fleet, places, Identity("learner", "learner"))
     arguments = ("learner", "--run", fleet.run, *met, *_shared(fleet), *kept, *tls)

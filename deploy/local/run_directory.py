@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import IO
 
 from common.config import RunConfig
-from common.config.files import differences, from_toml, method_of, to_toml
+from common.config.files import differences, method_of, to_toml
+from common.config.presets import read_saved
 from common.errors import RunDirError
 
 CONFIG = "config.toml"
@@ -52,7 +53,7 @@ class RunDirectory:
     def _prepare(self, config: RunConfig, *, resume: bool) -> None:
         held = self.path / CONFIG
         if held.exists():
-            self._compare(from_toml(held, RunConfig()), config, resume=resume)
+            self._compare(read_saved(held), config, resume=resume)
             if not resume and (self.path / METRICS).exists():
                 raise RunDirError(f"{self.path} already holds a run; add --resume or choose another --run-dir.")
             return
@@ -101,7 +102,7 @@ class RunDirectory:
         held = self.path / CONFIG
         if not held.exists():
             raise RunDirError(f"{self.path} holds no {CONFIG}; is it a run directory?")
-        return from_toml(held, RunConfig())
+        return read_saved(held)
 
     def holds_run(self) -> bool:
         """Return whether there is a configuration here."""

@@ -9,7 +9,7 @@ from typing import Final
 from rich.console import Console
 
 from common.config import RunConfig
-from common.config.files import from_toml
+from common.config.files import from_toml, with_setting
 from common.config.presets import PRESETS
 from common.errors import PolicyError, RunDirError, UsageError
 from common.policy_file import load_policy
@@ -134,5 +134,5 @@ def configuration_of(arguments: EvaluateArguments) -> RunConfig:
     if arguments.env is not None:
         config = replace(config, env=replace(config.env, name=arguments.env))
     for assignment in arguments.set:
-        config = from_toml(assignment, config)
+        config = with_setting(config, assignment)
     return with_farm_file(config, arguments.farm_file) if arguments.farm_file is not None else config

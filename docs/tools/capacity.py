@@ -17,7 +17,7 @@ from typing import Any, Final
 from common.actors import TeamActors
 from common.config import LearnerConfig, RolloutConfig, RunConfig
 from common.config.checks import positive, within
-from common.config.presets import PRESETS
+from common.config.presets import PRESETS, preset
 from common.errors import ConfigError
 from common.protocol.chunk_messages import fitting
 from common.protocol.messages import ParametersMessage
@@ -104,7 +104,7 @@ class Measured:
     @classmethod
     def of(cls, intake: dict[str, Any], growth: dict[str, Any], workers: dict[str, Any]) -> "Measured":
         """Take the figures out of the results in SOURCES; raise ConfigError when they are of another team's rows."""
-        present = farm_team(RunConfig().farm).digest
+        present = farm_team(preset("study").farm).digest
         for source in (intake, growth, workers):
             if source.get("team") != present:
                 raise ConfigError(f"`{source['command']}` was measured with another team; run it again.")

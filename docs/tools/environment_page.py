@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
-from common.config.presets import PRESETS
+from common.config.presets import PRESETS, preset
 from common.team import farm_team
 from rollout.envs.spaces import Part, observation_parts
 from rollout.policies import policy_of
@@ -45,7 +45,7 @@ def picture() -> NDArray[np.uint8]:
 def refreshed(text: str, root: Path = Path()) -> str:
     """Return the page with its tables written anew."""
     blocks = {
-        "spaces": spaces_table(FarmConfig()),
+        "spaces": spaces_table(preset("study").farm),
         "timings": timings(json.loads((root / TIMINGS).read_text(encoding="utf-8"))),
     }
     for name, block in blocks.items():

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from common.config import RunConfig
+from common.config.presets import preset
 from experiments.studies.analysis.statistics import Numbers, interquartile_mean
 from experiments.studies.jobs import Job, Records
 from experiments.studies.methods import CANDIDATES, DEFAULT_PRESET, Method, configuration, with_uavs
@@ -89,7 +90,7 @@ class Bench:
         size = "" if uavs == TWELVE else f", {uavs} UAVs"
         options = {"policy": policy, "farms": [FIRST_FARM, self.scale.farms]}
         # Nothing of the learning enters: without it, trials of settings leave these records as they are.
-        config = RunConfig(farm=self.base(uavs).farm)
+        config = replace(preset("study"), farm=self.base(uavs).farm)
         return Job("fly", f"{policy}{size}", config, options)
 
     def references(self, uavs: int = TWELVE) -> list[Job]:

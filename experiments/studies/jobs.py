@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from common.config import RunConfig
-from common.config.files import digest, from_toml, to_toml
+from common.config.files import digest, to_toml
+from common.config.presets import read_saved
 from common.errors import RunDirError, UsageError
 from common.process import log
 from experiments.studies.record_checks import check_result
@@ -76,7 +77,7 @@ class Job:
             data = json.loads(_bounded(path))
             if data["kind"] not in get_args(Kind) or not isinstance(data["options"], dict):
                 raise ValueError("kind or options")
-            return cls(data["kind"], str(data["label"]), from_toml(str(data["config"]), RunConfig()), data["options"])
+            return cls(data["kind"], str(data["label"]), read_saved(str(data["config"])), data["options"])
         except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
             raise UsageError(f"{path} is not a study's run: {error}.") from None
 

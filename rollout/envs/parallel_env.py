@@ -21,6 +21,7 @@ from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils import parallel_to_aec
 
 from common.config import FarmConfig
+from common.config.presets import preset
 from common.errors import SimulationError
 from common.team import Float32
 from rollout.envs.episodes import TRAINING_FARMS, EpisodeStream
@@ -97,7 +98,7 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
     ) -> None:
         require_mode(render_mode)
         self.render_mode = render_mode
-        self.batch = FarmBatch(config or FarmConfig(), 1)
+        self.batch = FarmBatch(config or preset("study").farm, 1)
         self._episodes = EpisodeStream(farms)
         self._episode = (-1, -1)
         self._renderer: Renderer | None = None

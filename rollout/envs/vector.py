@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
+from common.config.presets import preset
 from common.errors import ConfigError, SimulationError
 from common.team import Float32, TeamSpec
 from rollout.envs.episodes import TRAINING_FARMS, EpisodeStream, whole
@@ -79,7 +80,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         rendered: Sequence[int] = (0,),
     ) -> None:
         require_mode(render_mode)
-        self.batch = FarmBatch(config or FarmConfig(), num_envs)
+        self.batch = FarmBatch(config or preset("study").farm, num_envs)
         self.num_envs = num_envs
         self._mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self._mode}

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from common.actors import TeamActors
-from common.config.files import from_toml
+from common.config.presets import read_saved
 from common.config.run import RunConfig
 from common.errors import UsageError
 from common.history import History, Start
@@ -242,7 +242,7 @@ def serve(options: WorkerOptions) -> None:
         if answer is None:
             return
         try:
-            config = from_toml(answer.toml, RunConfig())
+            config = read_saved(answer.toml)
         except UsageError as error:
             raise UsageError(f"the learner of run {options.run} sent a configuration that fails: {error}") from error
         if not config.env.is_farm and config.env.name != options.env:

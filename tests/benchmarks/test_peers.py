@@ -14,7 +14,7 @@ from benchmarks.peers.learning import FURTHER, RATES, TUNING_SEED, each_episode,
 from benchmarks.peers.session import Job, Plan, ProgramError, arguments, jobs, parse
 from benchmarks.peers.spread import EPISODE_STEPS, curve
 from benchmarks.peers.summary import merged, summarised
-from common.config import FarmConfig
+from common.config.presets import preset
 from common.errors import EiaSecError
 from common.team import farm_team
 from deploy.reports.provenance import command
@@ -101,7 +101,7 @@ def test_peers_learn_teams_of_our_sizes():
     """A peer's learner gets the farm's groups, and its script reads them as they are."""
     command = arguments(Job(BY_NAME["learner", "AgileRL"], 2), PLAN)
     groups = clock.parse_groups(command[command.index("--groups") + 1 :])
-    wanted = [(g.name, g.count, g.observation_size, g.action_size) for g in farm_team(FarmConfig()).groups]
+    wanted = [(g.name, g.count, g.observation_size, g.action_size) for g in farm_team(preset("study").farm).groups]
     assert groups == wanted
     options = clock.learner_options("AgileRL").parse_args(command[2:])
     assert (options.threads, options.rounds, options.widths, options.batch) == (2, 6, [64], 128)

@@ -8,7 +8,6 @@ import pytest
 
 from benchmarks.peers import flights, reach
 from benchmarks.peers.flights import Course, SteeredFarm
-from common.config import FarmConfig
 from common.config.presets import PRESETS
 from common.errors import EiaSecError
 from rollout.sim.batch import FarmBatch
@@ -16,9 +15,9 @@ from rollout.sim.batch import FarmBatch
 
 def test_peers_fly_what_our_actors_fly():
     """The same actions lead to the same course, steered and with smaller rewards, as in one of our workers."""
-    assert PRESETS[reach.PRESET].farm == FarmConfig()
+    assert not PRESETS[reach.PRESET].farm.observation.mirrored
     assert PRESETS[reach.PRESET].algorithm.potential_discount == 0.0
-    farm, ours = SteeredFarm(0.1), FarmBatch(FarmConfig(), 1)
+    farm, ours = SteeredFarm(0.1), FarmBatch(PRESETS[reach.PRESET].farm, 1)
     seen, _ = farm.reset(options={"farm": 3, "episode": 5})
     ours.reset(0, 3, 5)
     draw = np.random.default_rng(0)

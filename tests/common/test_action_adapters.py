@@ -10,6 +10,7 @@ import pytest
 
 from common.action_adapters import GAIN, SIGNS, Lattice, MirroredAxes, fewest
 from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
+from common.config.presets import preset
 from common.errors import ConfigError, SchemaError
 from common.team import GroupSpec, TeamSpec, farm_team
 from rollout.sim.batch import FarmBatch
@@ -82,7 +83,8 @@ def test_a_farms_monitors_reach_the_lattice_and_never_leave_the_field():
 
 def test_only_those_with_a_lattice_are_steered():
     """The others' actions pass as they are, and a team without lattices hands the very array on."""
-    team = farm_team(FarmConfig())
+    study = preset("study").farm
+    team = farm_team(study)
     assert [bool(group.adapters) for group in team.groups] == [False, True, False]
     draw = np.random.default_rng(3)
     seen = draw.uniform(-1, 1, (2, team.observation_size)).astype(np.float32)
@@ -94,7 +96,7 @@ def test_only_those_with_a_lattice_are_steered():
     ):
         wanted = group.adapters[0].velocity(own[..., :2], given) if group.adapters else given
         np.testing.assert_array_equal(taken, wanted)
-    plain_team = farm_team(FarmConfig(control=ControlConfig(monitoring="velocity")))
+    plain_team = farm_team(replace(study, control=ControlConfig(monitoring="velocity")))
     assert plain_team.adapt(seen, action) is action
     assert plain_team.digest != team.digest
 

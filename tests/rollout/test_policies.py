@@ -147,7 +147,7 @@ def test_a_policy_steers_by_the_lattice_of_the_farm_that_it_flies_over():
 def test_a_mirrored_policy_is_another_kind_even_where_sizes_are_the_same():
     """With one UAV of each type two signs are as many numbers as rank and clock."""
     one = replace(FarmConfig().world, communication_uavs=1, monitoring_uavs=1, collection_uavs=1)
-    plain = FarmConfig(world=one)
+    plain = FarmConfig(world=one, observation=ObservationConfig(mirrored=False))
     mirrored = FarmConfig(world=one, observation=ObservationConfig(mirrored=True, identity=False, clock=False))
     teams = farm_team(plain), farm_team(mirrored)
     assert teams[0].observation_size == teams[1].observation_size

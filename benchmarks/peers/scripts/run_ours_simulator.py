@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from benchmarks.peers.clock import BLOCKS, hand_over, simulator_options
-from common.config import FarmConfig
+from common.config.presets import preset
 from common.team import Float32
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import make_layout
@@ -41,7 +41,7 @@ def fly(batch: FarmBatch, drawn: list[Float32], steps: int) -> None:
 
 def rate(environments: int, threads: int, seconds: float) -> float:
     """Return the environment steps per second of the fastest block."""
-    config = FarmConfig()
+    config = preset("study").farm
     count = min(threads, environments)
     batches = [FarmBatch(config, environments // count) for _ in range(count)]
     drawn = actions(environments // count, batches[0].team.action_size)
@@ -63,7 +63,7 @@ def rate(environments: int, threads: int, seconds: float) -> float:
 
 def reference_rate(seconds: float) -> float:
     """Return the environment steps per second of the reference."""
-    config = FarmConfig()
+    config = preset("study").farm
     farm = ReferenceFarm(config, make_layout(config, 0), 0)
     drawn = actions(1, 2 * config.world.uavs)
     farm.step(drawn[0][0])
@@ -83,7 +83,7 @@ def reference_rate(seconds: float) -> float:
 def main() -> None:
     """Measure and print."""
     options = simulator_options("EIA-SEC").parse_args()
-    same = {"agents": FarmConfig().world.uavs, "threads": options.threads, "processes": 1}
+    same = {"agents": preset("study").farm.world.uavs, "threads": options.threads, "processes": 1}
     lines = [
         {
             "software": "EIA-SEC",

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from common.config import FarmConfig
 from common.config.checks import within
 from common.config.farm import Density
-from common.config.files import from_toml
+from common.config.files import from_toml, with_setting
 from common.config.presets import PRESETS
 from deploy.exit_codes import DONE
 from deploy.options import parse, with_farm_file
@@ -99,7 +99,7 @@ def _farm(source: Source, farm_file: Path | None) -> FarmConfig:
     if farm_file is not None:
         config = with_farm_file(config, farm_file)
     for assignment in source.set:
-        config = from_toml(assignment, config)
+        config = with_setting(config, assignment)
     if source.density is None:
         return config.farm
     return replace(config.farm, world=replace(config.farm.world, density=source.density))

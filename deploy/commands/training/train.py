@@ -12,7 +12,7 @@ from rich.live import Live
 
 from common.config import RunConfig
 from common.config.checks import within
-from common.config.presets import WRITTEN
+from common.config.presets import SAVED
 from common.errors import BusError, ConfigError, EiaSecError, EndpointError, UsageError
 from common.process import StopSignal
 from common.protocol import keys
@@ -161,7 +161,7 @@ class _Training:
         learner = ["learner", "--run", RUN, "--listen", where, "--run-dir", str(self._directory.path)]
         shared = ["--shared-memory"] if options.shared_memory else []
         learner += [*shared, *self._tls(LEARNER)]
-        learner += ["--preset", WRITTEN, "--config", str(self._directory.path / CONFIG), "--await-elite"]
+        learner += ["--preset", SAVED, "--config", str(self._directory.path / CONFIG), "--await-elite"]
         learner += ["--lockstep"] if options.lockstep else []
         learner += ["--resume"] if options.resume else []
         again = [] if options.resume or options.lockstep else ["--resume"]

@@ -4,8 +4,8 @@ import os
 import time
 from typing import Final
 
-from common.config import FarmConfig, RunConfig
-from common.config.files import from_toml
+from common.config import FarmConfig
+from common.config.presets import read_saved
 from common.errors import BusClosedError, BusError, ConfigError, ProtocolError, SchemaError, UsageError
 from common.process import denial
 from common.protocol import keys
@@ -132,7 +132,7 @@ class Source:
             raise SchemaError("the parts of the reward are too many or too long.")
         self._lease = terms.lease_seconds
         if self._known != (worker, terms.toml):
-            self._farm = from_toml(terms.toml, RunConfig()).farm
+            self._farm = read_saved(terms.toml).farm
             self._parts = len(terms.part_names)
             self._hub.begin(packets.scene(self._run, worker, self._farm, terms))
             self._known = (worker, terms.toml)

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import json
+import re
 import tomllib
 
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import AlgorithmConfig, EnvConfig, FarmConfig, RewardConfig, RunConfig, WorldConfig
-from common.config.files import differences, digest, flatten, from_toml, to_toml
+from common.config.files import differences, digest, flatten, from_toml, to_toml, with_setting
 from common.config.presets import PRESETS
 from common.config.sites import MAX_SENSORS
 from common.errors import ConfigError
@@ -133,6 +134,43 @@ def test_mistake_is_refused_in_one_sentence(text, sentence):
     with pytest.raises(ConfigError) as caught:
         from_toml(text, RunConfig())
     assert str(caught.value) == sentence
+
+
+SETTINGS = [
+    ("farm.world.density=clustered", "farm.world.density", "clustered"),
+    ('farm.world.density = "clustered"', "farm.world.density", "clustered"),
+    ("env.name=mpe2:simple_spread_v3", "env.name", "mpe2:simple_spread_v3"),
+    ("algorithm.ensemble=false", "algorithm.ensemble", False),
+    ("farm.world.sensor_cycles=[30]", "farm.world.sensor_cycles", (30,)),
+    ("algorithm.discount=0.5", "algorithm.discount", 0.5),
+    ("episodes = 7", "episodes", 7),
+    ("learner.device='cuda:1'", "learner.device", "cuda:1"),
+    ("learner.device=cuda:1", "learner.device", "cuda:1"),
+]
+
+
+@pytest.mark.parametrize(("setting", "key", "value"), SETTINGS, ids=[case[0] for case in SETTINGS])
+def test_a_setting_takes_toml_or_a_bare_word(setting, key, value):
+    """`key=value` reads true, numbers, lists and quoted texts as TOML does, and a bare word as a text."""
+    config = with_setting(RunConfig(), setting)
+    assert flatten(config) == flatten(RunConfig()) | {key: value}
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ("episodes", "a setting is KEY=VALUE, farm.world.density=clustered for instance, not 'episodes'."),
+        ("seed=1\nepisodes=2", "a setting is KEY=VALUE"),
+        ("[farm]\nx=2", "a setting is KEY=VALUE"),
+        ("episodes=many", 'episodes must be a whole number, not "many".'),
+        ("seed=two words", "this is not valid TOML"),
+        ("seed=", "this is not valid TOML"),
+    ],
+)
+def test_a_setting_that_is_none_is_refused(setting, sentence):
+    """Anything but one key and one value is refused in a sentence."""
+    with pytest.raises(ConfigError, match=re.escape(sentence)):
+        with_setting(RunConfig(), setting)
 
 
 def test_file_that_is_no_toml_is_refused(tmp_path):

@@ -8,6 +8,7 @@ import pytest
 from common.action_adapters import SIGNS
 from common.actors import TeamActors
 from common.config import FarmConfig, ObservationConfig
+from common.config.presets import preset
 from common.errors import ConfigError
 from common.protocol import frame
 from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
@@ -15,7 +16,7 @@ from common.protocol.metrics import undeclared
 from common.team import farm_team
 from deploy.flight.pilot import LARGEST, ROWS, Limits, Pilot
 
-TEAM = farm_team(FarmConfig())
+TEAM = farm_team(preset("study").farm)
 BANK = TeamActors.initial(TEAM, 16, 7, per_type=False)
 NOW = 1_700_000_000.0
 SPEED = (10.0, 8.3)

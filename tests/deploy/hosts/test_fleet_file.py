@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from common.config.presets import PRESETS, WRITTEN
+from common.config.presets import PRESETS, SAVED
 from common.errors import ConfigError, CredentialsError
 from deploy.commands.training.learner import LearnerArguments
 from deploy.commands.training.train import TrainArguments
@@ -72,7 +72,7 @@ def test_the_example_becomes_command_lines():
         assert ("--listen" in words) == (process.role == "router")
     learner = found["learner.learner"].arguments
     assert "--resume-if-any" in learner
-    assert learner[learner.index("--config") - 2 :][:2] == ("--preset", WRITTEN)
+    assert learner[learner.index("--config") - 2 :][:2] == ("--preset", SAVED)
     assert "farm-2-7" in found["rollout.farm-2-7"].arguments
 
 

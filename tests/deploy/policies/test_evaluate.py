@@ -4,7 +4,7 @@ import pytest
 
 from common.actors import TeamActors
 from common.config.files import from_toml, to_toml
-from common.config.presets import PRESETS, WRITTEN
+from common.config.presets import PRESETS, SAVED
 from common.errors import ConfigError, PolicyError, RunDirError, UsageError
 from common.policy_file import save_policy
 from common.team import farm_team
@@ -70,7 +70,7 @@ def test_a_run_of_an_older_version_flies_what_it_was_trained_on(tmp_path):
     assert len(run(EvaluateArguments(run_dir=tmp_path, farms="5:6")).per_farm) == 1
     assert farm_of(tmp_path, None) == config.farm
     assert RunDirectory(tmp_path).configuration() == config
-    whole = ["--preset", WRITTEN, "--config", str(tmp_path / "config.toml")]
+    whole = ["--preset", SAVED, "--config", str(tmp_path / "config.toml")]
     assert base_configuration(whole) == config
     assert base_configuration(whole[2:]) != config
 

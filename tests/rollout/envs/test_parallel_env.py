@@ -15,6 +15,7 @@ from gymnasium.utils.env_checker import data_equivalence
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, state_test
 
 from common.config import FarmConfig, ObservationConfig, RadioConfig, RelayConfig, RewardConfig, WorldConfig
+from common.config.presets import preset
 from common.errors import ConfigError, SimulationError
 from common.transitions import EpisodeSummary
 from rollout.envs.episodes import EpisodeStream
@@ -22,8 +23,10 @@ from rollout.envs.parallel_env import env, parallel_env
 from rollout.envs.spaces import observation_bounds, observation_parts
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
 
-SHORT = FarmConfig(world=WorldConfig(steps=12, start_levels="random"))
-LOPSIDED = FarmConfig(
+PLAIN = preset("study").farm
+SHORT = replace(PLAIN, world=WorldConfig(steps=12, start_levels="random"))
+LOPSIDED = replace(
+    PLAIN,
     world=WorldConfig(
         communication_uavs=2,
         monitoring_uavs=1,

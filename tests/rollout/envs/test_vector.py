@@ -1,19 +1,22 @@
 """The vector environment: zero copies, the same episodes as everywhere else, and Gymnasium's three ways to go on."""
 
+from dataclasses import replace
+
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers.vector import DictInfoToList
 
-from common.config import FarmConfig, WorldConfig
+from common.config import WorldConfig
+from common.config.presets import preset
 from common.errors import ConfigError, SimulationError
 from rollout.envs.parallel_env import parallel_env
 from rollout.envs.vector import INFO_ARRAYS, FarmVectorEnv
 from rollout.sim.batch import FarmBatch
 
 STEPS = 8
-SHORT = FarmConfig(world=WorldConfig(steps=STEPS, start_levels="random"))
+SHORT = replace(preset("study").farm, world=WorldConfig(steps=STEPS, start_levels="random"))
 COUNT = 3
 MODES = list(AutoresetMode)
 
