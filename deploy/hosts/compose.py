@@ -5,7 +5,7 @@ from typing import Any, Final
 from common.config.files import to_toml
 from deploy.hosts import containers
 from deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, probe
-from deploy.hosts.fleet_file import Fleet
+from deploy.hosts.fleet_file import FleetSpec
 from deploy.hosts.plan import SHARING, Places, Process, processes
 from deploy.local.run_directory import HISTORY
 
@@ -13,7 +13,7 @@ SHARED: Final = "memory"
 """The volume that stands in for /dev/shm in every container that hands transitions over in memory."""
 
 
-def compose(fleet: Fleet) -> dict[str, bytes]:
+def compose(fleet: FleetSpec) -> dict[str, bytes]:
     """Return every file by its path: compose.yaml, config.toml, and a folder for each certificate.
 
     Raises:
@@ -38,7 +38,7 @@ def service_of(process: Process) -> str:
     return process.role if process.role in ("learner", "router", "elite") else f"{process.role}-{process.name}"
 
 
-def _service(fleet: Fleet, places: Places, process: Process) -> dict[str, Any]:
+def _service(fleet: FleetSpec, places: Places, process: Process) -> dict[str, Any]:
     listens = process.role == fleet.listener[0]
     service: dict[str, Any] = {
         "image": fleet.containers.image,
@@ -77,7 +77,7 @@ def _memory() -> dict[str, Any]:
     return {"driver": "local", "driver_opts": options}
 
 
-def _volumes(fleet: Fleet, process: Process) -> list[Any]:
+def _volumes(fleet: FleetSpec, process: Process) -> list[Any]:
     volumes: list[Any] = []
     if process.role == "learner":
         volumes += [f"./run:{containers.RUN_DIR}", f"./config.toml:{containers.CONFIG}:ro"]

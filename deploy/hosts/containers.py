@@ -9,7 +9,7 @@ from common.errors import ConfigError
 from common.transport import credentials
 from common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
 from common.transport.endpoint import Endpoint
-from deploy.hosts.fleet_file import Fleet
+from deploy.hosts.fleet_file import FleetSpec
 from deploy.hosts.plan import Places, Process
 from deploy.local.threads import thread_environment
 
@@ -20,7 +20,7 @@ KEYS: Final = "/keys"
 RUN_DIR: Final = "/data/run"
 
 
-def inside(fleet: Fleet, host: str) -> Places:
+def inside(fleet: FleetSpec, host: str) -> Places:
     """Return the places inside a container.
 
     Args:
@@ -39,12 +39,12 @@ def inside(fleet: Fleet, host: str) -> Places:
     return Places(RUN_DIR, KEYS, CONFIG, f"{protocol}/{host}:{port}", f"{protocol}/0.0.0.0:{port}")
 
 
-def port_of(fleet: Fleet) -> int:
+def port_of(fleet: FleetSpec) -> int:
     """Return the port of the control lane."""
     return Endpoint.parse(fleet.network.endpoint.replace("tls/", "tcp/", 1)).port
 
 
-def probe(fleet: Fleet, places: Places, process: Process, name: str = "") -> list[str]:
+def probe(fleet: FleetSpec, places: Places, process: Process, name: str = "") -> list[str]:
     """Return the command that asks for a process's liveliness token (of the router: whether it answers)."""
     listens = process.role == fleet.listener[0]
     words = ["eia-sec", "alive", process.role, name or process.name, "--run", fleet.run, "--connect", places.endpoint]
@@ -57,7 +57,7 @@ def environment(process: Process) -> dict[str, str]:
     return thread_environment(process.threads)
 
 
-def key_files(fleet: Fleet, identity: Identity) -> dict[str, bytes]:
+def key_files(fleet: FleetSpec, identity: Identity) -> dict[str, bytes]:
     """Return the checked files of one certificate, by name; empty without TLS."""
     if fleet.keys is None:
         return {}

@@ -30,6 +30,10 @@ MAX_WORKERS: Final = 1024
 """Most workers of one host."""
 
 _DESTINATION: Final = re.compile(r"[A-Za-z0-9_\[][A-Za-z0-9_.@:%\[\]\-]*")
+_IMAGE: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:/@\-]{0,254}")
+_QUANTITY: Final = re.compile(r"[0-9]{1,15}(\.[0-9]{1,3})?([kMGTPE]|[KMGTPE]i)?")
+_SUBDOMAIN: Final = re.compile(r"([a-z0-9]([a-z0-9.\-]{0,251}[a-z0-9])?)?")
+_PROGRAM: Final = re.compile(r"[/A-Za-z0-9_.].*")
 _NAMES: Final = {str: "a text in quotes", int: "a whole number", bool: "true or false"}
 
 T = TypeVar("T")
@@ -133,7 +137,7 @@ class Containers:
 
 
 @dataclass(frozen=True)
-class Fleet:
+class FleetSpec:
     """A whole fleet.
 
     Attributes:
@@ -168,7 +172,7 @@ class Fleet:
         return ("learner", "learner") if self.router is None else ("router", self.router.name)
 
 
-def read(path: Path) -> Fleet:
+def read(path: Path) -> FleetSpec:
     """Read a fleet file.
 
     Raises:
@@ -182,7 +186,7 @@ def read(path: Path) -> Fleet:
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is not valid TOML: {str(error).lower().rstrip('.')}.") from error
     try:
-        fleet = _complete(replace(_table(Fleet, table, ""), path=path))
+        fleet = _complete(replace(_table(FleetSpec, table, ""), path=path))
         return replace(fleet, config=_configuration(fleet))
     except UsageError as error:
         raise ConfigError(f"{path}: {error}") from error
@@ -191,7 +195,7 @@ def read(path: Path) -> Fleet:
 def _table(kind: type[T], table: dict[str, Any], place: str) -> T:
     """Return a dataclass from a table of the file, each value checked against its field's type."""
     hints = get_type_hints(kind)
-    inner = {"path", "config"} if kind is Fleet else set()
+    inner = {"path", "config"} if kind is FleetSpec else set()
     known = [f.name for f in dataclasses.fields(kind) if f.name not in inner]  # type: ignore[arg-type]  # T is one of ours
     where = f"in [{place}]" if place else "at the top"
     for key in table:
@@ -217,13 +221,20 @@ def _value(wanted: Any, value: Any, place: str) -> Any:
     if get_origin(wanted) is tuple:
         if not isinstance(value, list) or any(type(item) is not str for item in value):
             raise ConfigError(f"{place} must be a list of texts in quotes.")
-        return tuple(value)
+        return tuple(_printable(item, place) for item in value)
     if type(value) is not wanted:
         raise ConfigError(f"{place} must be {_NAMES[wanted]}, not {value!r}.")
-    return value
+    return _printable(value, place) if wanted is str else value
 
 
-def _complete(fleet: Fleet) -> Fleet:
+def _printable(text: str, place: str) -> str:
+    """Return a text that may become a word of a unit file, a manifest or a command line."""
+    if not text.isprintable():
+        raise ConfigError(f"{place} {text[:80]!r} holds a line end or another control character.")
+    return text
+
+
+def _complete(fleet: FleetSpec) -> FleetSpec:
     """Return the fleet with defaults that depend on other values, after what concerns several tables was checked."""
     check_name(fleet.run, "run")
     if not fleet.hosts:
@@ -236,6 +247,7 @@ def _complete(fleet: Fleet) -> Fleet:
         check_name(name, "name")
     if not 0 <= fleet.learner.gpus <= 64:
         raise ConfigError(f"learner.gpus must be 0 to 64, not {fleet.learner.gpus}.")
+    _check_containers(fleet.containers)
     hosts = {name: _host(fleet.run, name, host) for name, host in fleet.hosts.items()}
     where = [(host.host, host.folder) for host in hosts.values()]
     if len(set(where)) < len(where):
@@ -256,7 +268,18 @@ def _host(run: str, name: str, host: Host) -> Host:
         raise ConfigError(f"hosts.{name}.command {host.command!r} leaves a quote open.") from error
     if empty:
         raise ConfigError(f"hosts.{name}.command is empty.")
+    if not _PROGRAM.fullmatch(host.words[0]):
+        raise ConfigError(f"hosts.{name}.command {host.command!r} does not begin with a program's name or path.")
     return host
+
+
+def _check_containers(containers: Containers) -> None:
+    """Raise ConfigError for what Compose and Kubernetes would not take, or would take for something else."""
+    checks = (("image", _IMAGE, "ghcr.io/me/eia-sec:1"), ("storage", _QUANTITY, "10Gi"))
+    for name, form, example in (*checks, ("storage_class", _SUBDOMAIN, "fast-ssd")):
+        value = getattr(containers, name)
+        if not form.fullmatch(value):
+            raise ConfigError(f"containers.{name} {value[:80]!r} is not of the form of {example}.")
 
 
 def _network(network: Network) -> Network:
@@ -278,7 +301,7 @@ def _network(network: Network) -> Network:
     )
 
 
-def _configuration(fleet: Fleet) -> RunConfig:
+def _configuration(fleet: FleetSpec) -> RunConfig:
     training = fleet.training
     arguments = ["--preset", training.preset]
     arguments += ["--config", str(fleet.folder / training.config)] if training.config else []

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from common.errors import ConfigError, HostError
-from deploy.hosts.fleet_file import Fleet
+from deploy.hosts.fleet_file import FleetSpec
 from deploy.hosts.remote import Link, everywhere, links
 from deploy.local import contained_files
 from deploy.local.run_directory import CONFIG, HISTORY, METRICS, POLICY
@@ -62,7 +62,7 @@ def pack(folder: Path, out: IO[bytes]) -> None:
                 archive.addfile(entry, source)
 
 
-def collect(fleet: Fleet, target: Path) -> Collected:
+def collect(fleet: FleetSpec, target: Path) -> Collected:
     """Bring the histories of all hosts, and the learner's metrics and policy, into one folder, for `eia-sec audit`.
 
     Raises:
@@ -89,7 +89,7 @@ def collect(fleet: Fleet, target: Path) -> Collected:
     return found
 
 
-def own_names(fleet: Fleet, host: str) -> Callable[[str], bool]:
+def own_names(fleet: FleetSpec, host: str) -> Callable[[str], bool]:
     """Return which files are a host's to tell."""
     workers = re.compile(rf"{HISTORY}/rollout-{re.escape(host)}-[0-9]+\.jsonl")
     learner = OF_THE_LEARNER if host == fleet.learner.host else ()

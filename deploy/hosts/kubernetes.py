@@ -8,7 +8,7 @@ from common.config.files import to_toml
 from common.errors import ConfigError
 from deploy.hosts import containers
 from deploy.hosts.containers import USER_ID, as_yaml, environment, inside, key_files, port_of, probe
-from deploy.hosts.fleet_file import Fleet
+from deploy.hosts.fleet_file import FleetSpec
 from deploy.hosts.operations import service_name
 from deploy.hosts.plan import Places, Process, processes, worker
 
@@ -19,7 +19,7 @@ _POD: Final = "$(POD_NAME)"
 Object = dict[str, Any]
 
 
-def kubernetes(fleet: Fleet) -> dict[str, str]:
+def kubernetes(fleet: FleetSpec) -> dict[str, str]:
     """Return the manifests: fleet.yaml, and secrets.yaml when there are keys.
 
     With certificates every worker is a Deployment of its own, because it has a key of its own; without, one Deployment
@@ -61,23 +61,23 @@ def _label(text: str) -> str:
     return name
 
 
-def _name(fleet: Fleet, process: Process) -> str:
+def _name(fleet: FleetSpec, process: Process) -> str:
     single = process.role in ("learner", "router", "elite")
     return _label(f"{fleet.run}-{process.role}" if single else f"{fleet.run}-{process.role}-{process.name}")
 
 
-def _object(version: str, kind: str, name: str, fleet: Fleet, **parts: Any) -> Object:
+def _object(version: str, kind: str, name: str, fleet: FleetSpec, **parts: Any) -> Object:
     labels = {"app.kubernetes.io/name": "eia-sec", "app.kubernetes.io/instance": _label(fleet.run)}
     return {"apiVersion": version, "kind": kind, "metadata": {"name": name, "labels": labels}, **parts}
 
 
-def _secret(fleet: Fleet, name: str, process: Process) -> Object:
+def _secret(fleet: FleetSpec, name: str, process: Process) -> Object:
     files = key_files(fleet, process.identity)
     data = {file: base64.b64encode(content).decode() for file, content in files.items()}
     return _object("v1", "Secret", f"{name}-keys", fleet, type="Opaque", data=data)
 
 
-def _service(fleet: Fleet) -> Object:
+def _service(fleet: FleetSpec) -> Object:
     """Return the service under which the listener is reached, both lanes."""
     role, port = fleet.listener[0], port_of(fleet)
     ports = [{"name": lane, "port": port + k, "targetPort": port + k} for k, lane in enumerate(("control", "bulk"))]
@@ -85,7 +85,7 @@ def _service(fleet: Fleet) -> Object:
     return _object("v1", "Service", service_name(fleet, role), fleet, spec=spec)
 
 
-def _headless(fleet: Fleet, name: str) -> Object:
+def _headless(fleet: FleetSpec, name: str) -> Object:
     """Return the Service that a StatefulSet must have, headless; others reach the learner by the listener's, if any."""
     spec = {"clusterIP": "None", "selector": _selector(fleet, name)}
     return _object("v1", "Service", _headless_name(name), fleet, spec=spec)
@@ -100,11 +100,11 @@ def _stays(process: Process) -> bool:
     return process.role == "learner"
 
 
-def _selector(fleet: Fleet, name: str) -> Object:
+def _selector(fleet: FleetSpec, name: str) -> Object:
     return {"app.kubernetes.io/instance": _label(fleet.run), "app.kubernetes.io/component": name}
 
 
-def _workload(fleet: Fleet, places: Places, name: str, process: Process, replicas: int) -> Object:
+def _workload(fleet: FleetSpec, places: Places, name: str, process: Process, replicas: int) -> Object:
     selector = _selector(fleet, name)
     template = {"metadata": {"labels": selector}, "spec": _pod(fleet, places, name, process)}
     spec: Object = {"replicas": replicas, "selector": {"matchLabels": selector}}
@@ -120,7 +120,7 @@ def _workload(fleet: Fleet, places: Places, name: str, process: Process, replica
     return _object("apps/v1", "StatefulSet", name, fleet, spec=spec)
 
 
-def _pod(fleet: Fleet, places: Places, name: str, process: Process) -> Object:
+def _pod(fleet: FleetSpec, places: Places, name: str, process: Process) -> Object:
     learner, tls = _stays(process), fleet.keys is not None
     mounts = [{"name": "data", "mountPath": "/data"}]
     volumes: list[Object] = [] if learner else [{"name": "data", "emptyDir": {}}]
@@ -146,7 +146,7 @@ def _pod(fleet: Fleet, places: Places, name: str, process: Process) -> Object:
     return pod | {"containers": [_container(fleet, places, process, mounts)], "volumes": volumes}
 
 
-def _copier(fleet: Fleet) -> Object:
+def _copier(fleet: FleetSpec) -> Object:
     """Return what copies the keys: files of a Secret are open to a group, which a process here refuses."""
     command = f"cp /secret/* {containers.KEYS}/ && chmod 600 {containers.KEYS}/*"
     mounts = [{"name": "secret", "mountPath": "/secret"}, {"name": "keys", "mountPath": containers.KEYS}]
@@ -163,7 +163,7 @@ def _confined() -> Object:
     return {"allowPrivilegeEscalation": False, "capabilities": {"drop": ["ALL"]}}
 
 
-def _container(fleet: Fleet, places: Places, process: Process, mounts: list[dict[str, str]]) -> Object:
+def _container(fleet: FleetSpec, places: Places, process: Process, mounts: list[dict[str, str]]) -> Object:
     pod_name = {"name": "POD_NAME", "valueFrom": {"fieldRef": {"fieldPath": "metadata.name"}}}
     variables: list[Object] = [pod_name] if process.name == _POD else []
     variables += [{"name": key, "value": value} for key, value in environment(process).items()]
@@ -193,7 +193,7 @@ def _container(fleet: Fleet, places: Places, process: Process, mounts: list[dict
     return container
 
 
-def _probe(fleet: Fleet, places: Places, process: Process) -> list[str]:
+def _probe(fleet: FleetSpec, places: Places, process: Process) -> list[str]:
     """Return the probe's command; Kubernetes puts no names into it, so that a shell does where one is needed."""
     if process.name != _POD:
         return probe(fleet, places, process)

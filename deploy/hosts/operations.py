@@ -13,7 +13,7 @@ from common.process import StopSignal
 from common.transport import credentials
 from common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBERS, Identity
 from common.transport.endpoint import Endpoint
-from deploy.hosts.fleet_file import Fleet
+from deploy.hosts.fleet_file import FleetSpec
 from deploy.hosts.plan import ORDER, Process, here, processes
 from deploy.hosts.remote import Link, everywhere, links
 from deploy.security import authority
@@ -22,7 +22,7 @@ Failures = dict[str, str]
 """For each host that failed, why."""
 
 
-def up(fleet: Fleet) -> tuple[dict[str, dict[str, Any]], Failures]:
+def up(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
     """Start what does not run yet, restart what has changed, and end what the fleet file no longer names.
 
     Returns:
@@ -43,7 +43,7 @@ def up(fleet: Fleet) -> tuple[dict[str, dict[str, Any]], Failures]:
     return {name: states[name] for name in fleet.hosts if name in states}, failed | failures
 
 
-def request_of(fleet: Fleet, host: str) -> dict[str, Any]:
+def request_of(fleet: FleetSpec, host: str) -> dict[str, Any]:
     """Return what a host is told: its processes, and the files that they need."""
     files: dict[str, str] = {}
     found: dict[str, dict[str, Any]] = {}
@@ -73,7 +73,7 @@ def _key_files(keys: Path, process: Process) -> dict[str, str]:
     return {(far / name).as_posix(): credentials.read_bounded(folder / name, 1024**2).decode() for name in names}
 
 
-def down(fleet: Fleet, seconds: float, kill: bool) -> tuple[list[str], list[str], Failures]:
+def down(fleet: FleetSpec, seconds: float, kill: bool) -> tuple[list[str], list[str], Failures]:
     """End a fleet: all workers first, then the coordinator, the learner, the router.
 
     Args:
@@ -102,13 +102,13 @@ def down(fleet: Fleet, seconds: float, kill: bool) -> tuple[list[str], list[str]
     return ended, left, failed
 
 
-def status(fleet: Fleet) -> tuple[dict[str, dict[str, Any]], Failures]:
+def status(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
     """Return the state of each host that was reached, and why the others were not."""
     with links(fleet) as ways:
         return everywhere(ways, partial(_state, verb="status", request={}))
 
 
-def logs(fleet: Fleet, names: Sequence[str], lines: int) -> tuple[dict[str, dict[str, str]], Failures]:
+def logs(fleet: FleetSpec, names: Sequence[str], lines: int) -> tuple[dict[str, dict[str, str]], Failures]:
     """Return the last lines of each process, by host and name, and why hosts failed."""
 
     def ask(link: Link) -> dict[str, str]:
@@ -148,7 +148,7 @@ def _texts(value: Any) -> list[str]:
 
 
 def follow(
-    fleet: Fleet, names: Sequence[str], lines: int, tell: Callable[[str, str, str], None], stop: StopSignal
+    fleet: FleetSpec, names: Sequence[str], lines: int, tell: Callable[[str, str, str], None], stop: StopSignal
 ) -> Failures:
     """Tell what processes write, the last lines first and then each new one, until somebody stops it.
 
@@ -181,7 +181,7 @@ def follow(
         return everywhere(ways, stream, len(ways))[1]
 
 
-def listener_names(fleet: Fleet) -> tuple[str, ...]:
+def listener_names(fleet: FleetSpec) -> tuple[str, ...]:
     """Return the names and addresses for which the listener's certificate is issued, containers' included."""
     host = Endpoint.parse(fleet.network.endpoint.replace("tls/", "tcp/", 1)).host.strip("[]")
     role = fleet.listener[0]
@@ -189,12 +189,12 @@ def listener_names(fleet: Fleet) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for name in wanted if name not in ("0.0.0.0", "::")))
 
 
-def service_name(fleet: Fleet, role: str) -> str:
+def service_name(fleet: FleetSpec, role: str) -> str:
     """Return the name of a role's service in Kubernetes."""
     return f"{fleet.run.lower().replace('_', '-').replace('.', '-')}-{role}"
 
 
-def issue_keys(fleet: Fleet, days: int) -> list[Identity]:
+def issue_keys(fleet: FleetSpec, days: int) -> list[Identity]:
     """Make the certificates that a fleet lacks, the authority and those of operator, monitor and watcher included.
 
     Returns:

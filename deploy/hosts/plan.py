@@ -5,7 +5,7 @@ from typing import Final
 
 from common.config.presets import SAVED
 from common.transport.credentials import Identity
-from deploy.hosts.fleet_file import Fleet
+from deploy.hosts.fleet_file import FleetSpec
 from deploy.local.run_directory import HISTORY
 
 PATIENCE: Final = "86400"
@@ -60,12 +60,12 @@ class Places:
     listen: str
 
 
-def here(fleet: Fleet) -> Places:
+def here(fleet: FleetSpec) -> Places:
     """Return the places relative to a host's folder, as `eia-sec up` lays them out."""
     return Places("run", "keys/{identity}", "config.toml", fleet.network.endpoint, fleet.network.listen)
 
 
-def processes(fleet: Fleet, places: Places) -> list[Process]:
+def processes(fleet: FleetSpec, places: Places) -> list[Process]:
     """Return every process of a fleet, in the order in which they are named: listener first, workers last."""
     found = []
     if fleet.router is not None:
@@ -88,7 +88,7 @@ def processes(fleet: Fleet, places: Places) -> list[Process]:
     return found
 
 
-def worker(fleet: Fleet, places: Places, host: str, name: str) -> Process:
+def worker(fleet: FleetSpec, places: Places, host: str, name: str) -> Process:
     """Return one worker."""
     config = fleet.config
     joining = _joining(fleet, places, Identity("rollout", name))
@@ -99,7 +99,7 @@ def worker(fleet: Fleet, places: Places, host: str, name: str) -> Process:
     )
 
 
-def _learner(fleet: Fleet, places: Places) -> Process:
+def _learner(fleet: FleetSpec, places: Places) -> Process:
     if fleet.router is None:
         met: tuple[str, ...] = ("--listen", places.listen, *_insecure(fleet))
     else:
@@ -111,18 +111,18 @@ def _learner(fleet: Fleet, places: Places) -> Process:
     return Process("learner", "learner", fleet.learner.host, arguments, fleet.config.learner.threads)
 
 
-def _joining(fleet: Fleet, places: Places, who: Identity) -> tuple[str, ...]:
+def _joining(fleet: FleetSpec, places: Places, who: Identity) -> tuple[str, ...]:
     where = ("--run", fleet.run, "--connect", places.endpoint, "--name", who.name)
     return (*where, "--patience", PATIENCE, *_tls(fleet, places, who))
 
 
-def _tls(fleet: Fleet, places: Places, who: Identity) -> tuple[str, ...]:
+def _tls(fleet: FleetSpec, places: Places, who: Identity) -> tuple[str, ...]:
     return () if fleet.keys is None else ("--tls", places.keys.format(identity=who))
 
 
-def _shared(fleet: Fleet) -> tuple[str, ...]:
+def _shared(fleet: FleetSpec) -> tuple[str, ...]:
     return (SHARING,) if fleet.network.shared_memory else ()
 
 
-def _insecure(fleet: Fleet) -> tuple[str, ...]:
+def _insecure(fleet: FleetSpec) -> tuple[str, ...]:
     return ("--insecure",) if fleet.network.insecure and fleet.keys is None else ()

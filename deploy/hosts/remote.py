@@ -17,7 +17,7 @@ from typing import IO, Any, Final, TypeVar
 
 from common.errors import HostError
 from common.process import StopSignal
-from deploy.hosts.fleet_file import LOCAL, Fleet, Host
+from deploy.hosts.fleet_file import LOCAL, FleetSpec, Host
 
 CONNECT_SECONDS: Final = 10
 CALL_SECONDS: Final = 90.0
@@ -235,7 +235,7 @@ def _end(process: "subprocess.Popen[bytes]") -> int:
 
 
 @contextmanager
-def links(fleet: Fleet) -> Iterator[dict[str, Link]]:
+def links(fleet: FleetSpec) -> Iterator[dict[str, Link]]:
     """Give a link to each host; shared connections are closed afterwards."""
     with tempfile.TemporaryDirectory(prefix="eia-") as sockets:
         found = {name: Link(name, host, fleet.folder, Path(sockets)) for name, host in fleet.hosts.items()}

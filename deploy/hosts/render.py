@@ -7,7 +7,7 @@ from typing import Final
 
 from common.errors import ConfigError
 from deploy.hosts.compose import compose
-from deploy.hosts.fleet_file import Fleet
+from deploy.hosts.fleet_file import FleetSpec
 from deploy.hosts.kubernetes import kubernetes
 from deploy.hosts.systemd import units
 from deploy.local import contained_files
@@ -17,7 +17,7 @@ _OPEN: Final = (".service", ".target")
 """Endings of files that everybody may read; systemd wants to."""
 
 
-def render(fleet: Fleet, form: str, folder: Path) -> list[Path]:
+def render(fleet: FleetSpec, form: str, folder: Path) -> list[Path]:
     """Write the files of one form, systemd, compose or kubernetes; return their paths.
 
     Raises:
@@ -37,22 +37,22 @@ def render(fleet: Fleet, form: str, folder: Path) -> list[Path]:
     return written
 
 
-def _compose(fleet: Fleet) -> dict[str, bytes]:
+def _compose(fleet: FleetSpec) -> dict[str, bytes]:
     """Return Compose's files, and the account for which they are readable."""
     project = f"eia-sec-{fleet.run.lower().replace('.', '-')}"
     settings = f"COMPOSE_PROJECT_NAME={project}\nEIA_SEC_UID={os.getuid()}\nEIA_SEC_GID={os.getgid()}\n"
     return compose(fleet) | {".env": settings.encode()}
 
 
-def _systemd(fleet: Fleet) -> dict[str, bytes]:
+def _systemd(fleet: FleetSpec) -> dict[str, bytes]:
     return {name: text.encode() for name, text in units(fleet).items()}
 
 
-def _kubernetes(fleet: Fleet) -> dict[str, bytes]:
+def _kubernetes(fleet: FleetSpec) -> dict[str, bytes]:
     return {name: text.encode() for name, text in kubernetes(fleet).items()}
 
 
-FORMS: Final[dict[str, Callable[[Fleet], dict[str, bytes]]]] = {
+FORMS: Final[dict[str, Callable[[FleetSpec], dict[str, bytes]]]] = {
     "systemd": _systemd,
     "compose": _compose,
     "kubernetes": _kubernetes,

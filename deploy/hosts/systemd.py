@@ -5,7 +5,7 @@ from typing import Final
 
 from common.config.files import to_toml
 from common.errors import ConfigError
-from deploy.hosts.fleet_file import Fleet
+from deploy.hosts.fleet_file import FleetSpec
 from deploy.hosts.plan import ORDER, Places, Process, processes
 from deploy.local.threads import thread_environment
 
@@ -54,7 +54,7 @@ WantedBy=multi-user.target
 """
 
 
-def units(fleet: Fleet) -> dict[str, str]:
+def units(fleet: FleetSpec) -> dict[str, str]:
     """Return every file by its path, HOST/NAME.
 
     Raises:
@@ -74,16 +74,16 @@ def units(fleet: Fleet) -> dict[str, str]:
     return files
 
 
-def unit_name(fleet: Fleet, process: Process) -> str:
+def unit_name(fleet: FleetSpec, process: Process) -> str:
     """Return the name of a process's unit."""
     return f"eia-sec-{fleet.run}-{process.identity}.service"
 
 
-def _target(fleet: Fleet) -> str:
+def _target(fleet: FleetSpec) -> str:
     return f"eia-sec-{fleet.run}.target"
 
 
-def _unit(fleet: Fleet, process: Process, beside: list[Process]) -> str:
+def _unit(fleet: FleetSpec, process: Process, beside: list[Process]) -> str:
     command, words = fleet.hosts[process.host].command, fleet.hosts[process.host].words
     if "/" in words[0] and not PurePosixPath(words[0]).is_absolute():
         raise ConfigError(

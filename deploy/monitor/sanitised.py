@@ -24,7 +24,7 @@ NUMBERS: Final = frozenset(
 """Figures of a process itself that are added up, subtracted or drawn."""
 
 
-def figures(values: Mapping[str, Any]) -> dict[str, Any]:
+def metrics(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return a process's figures: whole and finite numbers, texts that print, and lists and maps of them.
 
     Numbers that are not finite, which a training that diverges tells, and whatever is none of these are left out of
@@ -35,7 +35,7 @@ def figures(values: Mapping[str, Any]) -> dict[str, Any]:
     """
     if _parts(values, MOST_PARTS) < 0:
         raise SchemaError(f"there are more than {MOST_PARTS} figures.")
-    found = {str(name): part for name, value in values.items() if (part := _figure(value, 0)) is not None}
+    found = {str(name): part for name, value in values.items() if (part := _metric(value, 0)) is not None}
     for name in NUMBERS & values.keys():
         if type(values[name]) not in (int, float):
             raise SchemaError(f"{name} is {type(values[name]).__name__}, not a number.")
@@ -58,14 +58,14 @@ def _parts(value: Any, room: int) -> int:
     return room
 
 
-def _figure(value: Any, depth: int) -> Any:
+def _metric(value: Any, depth: int) -> Any:
     if isinstance(value, str):
         return plain(value)
     if isinstance(value, int | float):
         return value if math.isfinite(value) and abs(value) <= LARGEST else None
     if depth < DEEPEST and isinstance(value, list):
-        return [_figure(part, depth + 1) for part in value]
+        return [_metric(part, depth + 1) for part in value]
     if depth < DEEPEST and isinstance(value, dict):
-        parts = {plain(str(name)): _figure(part, depth + 1) for name, part in value.items()}
+        parts = {plain(str(name)): _metric(part, depth + 1) for name, part in value.items()}
         return {name: part for name, part in parts.items() if part is not None}
     return None

@@ -31,7 +31,7 @@ from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.exit_codes import run_command
 from deploy.local.supervisor import Child, Supervisor
-from deploy.monitor.run_monitor import Fleet
+from deploy.monitor.run_monitor import RunMonitor
 from deploy.reports.provenance import provenance
 
 RUN = "second-worker"
@@ -119,51 +119,51 @@ def memory(children: Sequence[Child]) -> dict[str, float]:
     return {f"{name[:3].lower()}_mib": round(value, 1) for name, value in found.items()}
 
 
-def rates(fleet: Fleet, seconds: float) -> dict[str, float]:
+def rates(monitor: RunMonitor, seconds: float) -> dict[str, float]:
     """Return the environment steps and the update rounds per second of the learner over some seconds."""
     points = []
     for pause in (0.0, seconds):
         time.sleep(pause)
-        fleet.update()
-        points.append(fleet.learner_values())
+        monitor.update()
+        points.append(monitor.learner_values())
     before, after = points
     duration = float(after["elapsed"]) - float(before["elapsed"])
     return {f"{name}_per_second": (after[name] - before[name]) / duration for name in ("environment_steps", "updates")}
 
 
-def delivering(fleet: Fleet) -> set[str]:
+def delivering(monitor: RunMonitor) -> set[str]:
     """Return the names of the workers from which something was accepted."""
-    rows = fleet.snapshot().processes
+    rows = monitor.snapshot().processes
     return {row.name for row in rows if row.role == "rollout" and row.ledger is not None and row.ledger.accepted}
 
 
-def wait_for(fleet: Fleet, crew: Crew, patience: float = PATIENCE) -> None:
+def wait_for(monitor: RunMonitor, crew: Crew, patience: float = PATIENCE) -> None:
     """Return when each worker has delivered something; raise EiaSecError when one does not."""
     deadline = time.monotonic() + patience
-    while missing := set(crew.alive) - delivering(fleet):
+    while missing := set(crew.alive) - delivering(monitor):
         if time.monotonic() > deadline:
             raise EiaSecError(f"nothing came from the workers {', '.join(sorted(missing))} in {patience:.0f} s.")
         time.sleep(0.2)
-        fleet.update()
+        monitor.update()
 
 
-def measure(arguments: Arguments, bus: Bus, fleet: Fleet, crew: Crew, learner: Child) -> dict[str, Any]:
+def measure(arguments: Arguments, bus: Bus, monitor: RunMonitor, crew: Crew, learner: Child) -> dict[str, Any]:
     """Return rates and memory by number of workers, the rate after one was killed, and the ledger at the end."""
     sweep: dict[int, dict[str, Any]] = {}
     after = 0.0
     for number in arguments.workers:
         crew.grow(number)
-        wait_for(fleet, crew)
+        wait_for(monitor, crew)
         time.sleep(arguments.settle)
-        sweep[number] = {"workers": number, **rates(fleet, arguments.seconds)}
+        sweep[number] = {"workers": number, **rates(monitor, arguments.seconds)}
         sweep[number] |= {"learner": memory([learner]), "all_workers": memory(list(crew.alive.values()))}
         if number == 2:
             crew.kill_last()
             time.sleep(5.0)
-            after = rates(fleet, arguments.seconds)["environment_steps_per_second"]
+            after = rates(monitor, arguments.seconds)["environment_steps_per_second"]
     bus.ask(keys.COMMAND.key(RUN, verb="drain"), CommandMessage(RUN).encode(), timeout=5.0)
     time.sleep(2.0)
-    fleet.update()
+    monitor.update()
     one, two = (sweep[number]["environment_steps_per_second"] for number in (1, 2))
     return {
         "cores": os.cpu_count(),
@@ -171,7 +171,7 @@ def measure(arguments: Arguments, bus: Bus, fleet: Fleet, crew: Crew, learner: C
         "environment_steps_per_second": {"one_worker": one, "two_workers": two, "after_kill": after},
         "gain": two / one,
         "sweep": list(sweep.values()),
-        "ledger": fleet.learner_values()["ledger"],
+        "ledger": monitor.learner_values()["ledger"],
     }
 
 
@@ -188,7 +188,7 @@ def main() -> None:
         try:
             learner = supervisor.start("learner", words)
             with Bus.connect(endpoint, "control", wait=60.0) as bus:
-                result = measure(arguments, bus, Fleet(bus, RUN), Crew(supervisor, endpoint), learner)
+                result = measure(arguments, bus, RunMonitor(bus, RUN), Crew(supervisor, endpoint), learner)
         finally:
             supervisor.stop()
     origin = {**provenance("experiments.network.second_worker"), "team": farm_team(arguments.config().farm).digest}

@@ -15,7 +15,7 @@ from rich.table import Table
 from common.text import printable, printable_lines
 from deploy.exit_codes import DONE, FAILED
 from deploy.hosts import operations
-from deploy.hosts.fleet_file import Fleet, read
+from deploy.hosts.fleet_file import FleetSpec, read
 from deploy.hosts.plan import here, processes
 from deploy.options import parse
 
@@ -44,7 +44,7 @@ def command(arguments: Sequence[str]) -> int:
     return DONE if all(word in ("running", "finished") for word in words) else FAILED
 
 
-def show(fleet: Fleet, states: Mapping[str, dict[str, Any]], failed: Mapping[str, str]) -> None:
+def show(fleet: FleetSpec, states: Mapping[str, dict[str, Any]], failed: Mapping[str, str]) -> None:
     """Print a table of every process that is named or runs, then what is wrong."""
     table = Table("host", "process", "state", "pid", "since", "deaths", box=None)
     rows: dict[tuple[str, str], dict[str, Any]] = {

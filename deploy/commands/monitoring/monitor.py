@@ -17,7 +17,7 @@ from common.protocol import keys
 from common.transport.bus import Bus
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.monitor.live_view import render, summary
-from deploy.monitor.run_monitor import Fleet
+from deploy.monitor.run_monitor import RunMonitor
 from deploy.monitor.snapshot import record
 from deploy.options import parse
 
@@ -52,11 +52,11 @@ def command(arguments: Sequence[str]) -> int:
     stop.install()
     endpoint = Endpoint.parse(options.connect, options.tls)
     with Bus.connect(endpoint, "control", options.patience, lambda: not stop) as bus:
-        _show(options, Fleet(bus, options.run), stop, bus)
+        _show(options, RunMonitor(bus, options.run), stop, bus)
     return 0
 
 
-def _show(options: MonitorArguments, fleet: Fleet, stop: StopSignal, bus: Bus) -> None:
+def _show(options: MonitorArguments, fleet: RunMonitor, stop: StopSignal, bus: Bus) -> None:
     console = Console()
     deadline = time.monotonic() + (options.seconds if options.seconds is not None else float("inf"))
     plain = options.json or not console.is_terminal

@@ -24,7 +24,7 @@ from deploy.exit_codes import USAGE
 from deploy.local.run_directory import CONFIG, HISTORY, RunDirectory
 from deploy.local.supervisor import Supervisor
 from deploy.monitor.live_view import render, summary
-from deploy.monitor.run_monitor import Fleet
+from deploy.monitor.run_monitor import RunMonitor
 from deploy.options import base_configuration, parse
 from deploy.output import patient_output
 from deploy.reports.run_report import write_report
@@ -137,8 +137,8 @@ class _Training:
             bus = self._connect()
             if bus is not None:
                 with bus:
-                    fleet = Fleet(bus, RUN)
-                    self._watch(fleet)
+                    monitor = RunMonitor(bus, RUN)
+                    self._watch(monitor)
                     if self._stop:
                         self._drain(bus)
         finally:
@@ -196,29 +196,29 @@ class _Training:
                     self._complain()
                     raise EndpointError("the learner did not start in time.") from None
 
-    def _watch(self, fleet: Fleet) -> None:
+    def _watch(self, monitor: RunMonitor) -> None:
         learner = self._supervisor.children["learner"]
         if not self._console.is_terminal:
             while not (self._stop or learner.done or learner.given_up):
-                self._tick(fleet)
+                self._tick(monitor)
                 if time.monotonic() - self._told >= PLAIN_SECONDS:
                     self._told = time.monotonic()
-                    self._console.print(summary(fleet.snapshot()), highlight=False, markup=False, soft_wrap=True)
+                    self._console.print(summary(monitor.snapshot()), highlight=False, markup=False, soft_wrap=True)
             return
         with Live(console=self._console, auto_refresh=False, transient=False) as live:
             while not (self._stop or learner.done or learner.given_up):
-                self._tick(fleet)
-                snapshot = fleet.snapshot(tuple(self._supervisor.alarms))
+                self._tick(monitor)
+                snapshot = monitor.snapshot(tuple(self._supervisor.alarms))
                 live.update(render(snapshot, self._console.height - 1), refresh=True)
 
-    def _tick(self, fleet: Fleet) -> None:
+    def _tick(self, monitor: RunMonitor) -> None:
         self._supervisor.watch()
         children = self._supervisor.children
         if all(child.given_up for name, child in children.items() if name.startswith("rollout-")):
             raise EiaSecError(f"no worker survived; the last lines of one were:\n{self._supervisor.tail('rollout-0')}")
         if self._options.lockstep and children["elite"].given_up:
             raise EiaSecError(f"the coordinator did not survive; it said:\n{self._supervisor.tail('elite')}")
-        fleet.update()
+        monitor.update()
         self._stop.event.wait(REFRESH_SECONDS)
 
     def _drain(self, bus: Bus) -> None:

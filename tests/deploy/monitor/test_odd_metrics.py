@@ -1,4 +1,4 @@
-"""What odd or hostile figures of others do to the view of a fleet: nothing but a count."""
+"""Odd or hostile metrics of other processes: the view counts them and goes on."""
 
 import io
 import json
@@ -8,13 +8,15 @@ import pytest
 from rich.console import Console
 
 import deploy.monitor.run_monitor
+from common.process import Presence
 from common.protocol.messages import Envelope, MetricMessage
 from common.transport.bus import Bus
 from common.transport.endpoint import free_endpoint
 from deploy.commands.monitoring.monitor import record
+from deploy.monitor import process_report
 from deploy.monitor.live_view import render, summary
-from deploy.monitor.run_monitor import Fleet
-from deploy.monitor.sanitised import MOST_PARTS, figures, plain
+from deploy.monitor.run_monitor import RunMonitor
+from deploy.monitor.sanitised import MOST_PARTS, metrics, plain
 
 SOUND = {
     "state": "training",
@@ -27,25 +29,25 @@ SOUND = {
 
 
 @pytest.fixture
-def fleet():
+def monitor():
     """A view of a run in which nobody lives yet."""
     with Bus.listen(free_endpoint(), "control") as bus:
-        yield Fleet(bus, "r")
+        yield RunMonitor(bus, "r")
 
 
-def tell(fleet, role, values, name="x", counter=1):
+def tell(monitor, role, values, name="x", counter=1):
     """Have a process tell its figures, as if its message had just come; return whether the view took it."""
     try:
         message = MetricMessage(counter, "host", 1, float(counter), values)
-        fleet._take((role, name), Envelope(role, name, 1, counter, 1), message, time.monotonic())
+        monitor._take((role, name), Envelope(role, name, 1, counter, 1), message, time.monotonic())
     except deploy.monitor.run_monitor.UNREADABLE:
         return False
     return True
 
 
-def drawn(fleet):
+def drawn(monitor):
     """Return the view at the width that shows every column, its one line, and its JSON, none of which may fail."""
-    snapshot = fleet.snapshot()
+    snapshot = monitor.snapshot()
     console = Console(width=160, height=60, file=io.StringIO())
     console.print(render(snapshot, 60))
     console.print(summary(snapshot), markup=False)
@@ -75,28 +77,28 @@ def drawn(fleet):
     ],
 )
 @pytest.mark.parametrize("role", ["rollout", "elite", "learner"])
-def test_figures_that_are_none_cost_their_own_sender_alone(fleet, odd, role):
+def test_figures_that_are_none_cost_their_own_sender_alone(monitor, odd, role):
     """Such a message counts as unreadable, and whatever else is known is shown."""
-    assert tell(fleet, "learner", {**SOUND, "alarms": ["no checkpoint"]}, "learner")
-    assert not tell(fleet, role, odd)
-    shown = drawn(fleet)
+    assert tell(monitor, "learner", {**SOUND, "alarms": ["no checkpoint"]}, "learner")
+    assert not tell(monitor, role, odd)
+    shown = drawn(monitor)
     assert "10 of 72 episodes" in shown
     assert "no checkpoint" in shown
 
 
-def test_what_is_kept_of_a_process_is_small(fleet):
+def test_what_is_kept_of_a_process_is_small(monitor):
     """Of earlier reports only counters are kept, and of many alarms the first are shown and the others counted."""
     for counter in range(1, 100):
         assert tell(
-            fleet, "rollout", {"environment_steps": counter, "alarms": ["a"] * 30, "x": [0] * 1000}, counter=counter
+            monitor, "rollout", {"environment_steps": counter, "alarms": ["a"] * 30, "x": [0] * 1000}, counter=counter
         )
-    seen = fleet._seen["rollout", "x"]
+    seen = monitor._reports["rollout", "x"]
     assert seen.message.values == {}
-    assert {name for _, kept in seen.track for name in kept} == set(deploy.monitor.run_monitor.COUNTERS)
-    assert fleet.snapshot().processes[0].rate == 1.0
-    assert [text for text in fleet.snapshot().alarms if text.startswith("rollout x")] == [
-        *["rollout x: a"] * deploy.monitor.run_monitor.MOST_ALARMS,
-        f"rollout x: {30 - deploy.monitor.run_monitor.MOST_ALARMS} more alarms.",
+    assert {name for _, kept in seen._track for name in kept} == set(process_report.COUNTERS)
+    assert monitor.snapshot().processes[0].rate == 1.0
+    assert [text for text in monitor.snapshot().alarms if text.startswith("rollout x")] == [
+        *["rollout x: a"] * process_report.MOST_ALARMS,
+        f"rollout x: {30 - process_report.MOST_ALARMS} more alarms.",
     ]
 
 
@@ -117,43 +119,79 @@ def test_what_is_kept_of_a_process_is_small(fleet):
         {"waits": {"data": "long"}},
     ],
 )
-def test_odd_figures_of_the_learner_end_no_view(fleet, odd):
+def test_odd_figures_of_the_learner_end_no_view(monitor, odd):
     """They are left out or make the view do without this message; nothing is obeyed as markup or by the terminal."""
-    tell(fleet, "learner", SOUND | odd, "learner")
-    assert "\x1b" not in drawn(fleet)
-    tell(fleet, "learner", SOUND, "learner", counter=2)
-    assert "10 of 72 episodes" in drawn(fleet)
+    tell(monitor, "learner", SOUND | odd, "learner")
+    assert "\x1b" not in drawn(monitor)
+    tell(monitor, "learner", SOUND, "learner", counter=2)
+    assert "10 of 72 episodes" in drawn(monitor)
 
 
-def test_rows_and_curves_are_bounded(fleet, monkeypatch):
-    """Names without end take no memory without end, and who is turned away is counted by the caller."""
+def test_rows_and_curves_are_bounded(monitor, monkeypatch):
+    """Names without end take no memory without end: further ones are turned away, and there is room for the learner."""
     monkeypatch.setattr(deploy.monitor.run_monitor, "MOST_ROWS", 3)
     monkeypatch.setattr(deploy.monitor.run_monitor, "MOST_CURVES", 2)
-    assert [tell(fleet, "rollout", {}, str(index)) for index in range(5)] == [True] * 3 + [False] * 2
-    assert len(fleet.snapshot().processes) == 3
+    assert [tell(monitor, "rollout", {}, str(index)) for index in range(5)] == [True] * 3 + [False] * 2
+    assert not tell(monitor, "learner", SOUND, "other")
+    assert tell(monitor, "learner", SOUND, "learner")
+    assert [tell(monitor, "elite", {}, str(index)) for index in range(6)] == [True] * 4 + [False] * 2
+    assert "10 of 72 episodes" in drawn(monitor)
     many = {"curves": {"reward": {str(index): 1.0 for index in range(9)}}}
-    fleet._seen.clear()
-    assert not tell(fleet, "learner", many, "learner")
-    assert len(fleet.snapshot().reward) == 2
+    monitor._reports.clear()
+    assert not tell(monitor, "learner", many, "learner")
+    assert len(monitor.snapshot().reward) == 2
 
 
-def test_a_process_without_a_token_goes_when_it_has_long_been_silent(fleet, monkeypatch):
+def test_rows_that_only_the_learner_knows_are_bounded(monitor, monkeypatch):
+    """However many workers a ledger names, a view has MOST_ROWS rows and says how many are missing."""
+    monkeypatch.setattr(deploy.monitor.run_monitor, "MOST_ROWS", 3)
+    tell(monitor, "learner", {**SOUND, "ledgers": {f"w{index}": {} for index in range(9)}}, "learner")
+    snapshot = monitor.snapshot()
+    assert len(snapshot.processes) == 3
+    assert "7 workers that have left are not shown: a view has 3 rows." in snapshot.alarms
+
+
+def test_processes_without_end_are_counted(monkeypatch):
+    """Tokens and metrics of ever new names over the bus leave MOST_ROWS rows and a count of what was dropped."""
+    monkeypatch.setattr(deploy.monitor.run_monitor, "MOST_ROWS", 8)
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control") as bus, Bus.connect(endpoint, "control") as stranger:
+        monitor = RunMonitor(bus, "r")
+        found = [Presence(stranger, "r", "rollout", f"w{index}", 1) for index in range(40)]
+        deadline = time.monotonic() + 30.0
+        while not any("32 messages of further processes" in text for text in monitor.snapshot().alarms):
+            assert time.monotonic() < deadline, monitor.snapshot().alarms
+            time.sleep(0.05)
+            monitor.update()
+        for presence in found:
+            presence.report({"alarms": ["a" * 1000] * 50, "x": ["y" * 400] * 50})
+        while sum(bool(held.values) for held in monitor._reports.values()) < 8:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+            monitor.update()
+        assert len(monitor.snapshot().processes) == 8
+        kept = [len(json.dumps(held.values)) for held in monitor._reports.values()]
+        assert max(kept) < 8000
+        assert len(monitor.snapshot().alarms) <= deploy.monitor.run_monitor.MOST_ALARMS + 8
+
+
+def test_a_process_without_a_token_goes_when_it_has_long_been_silent(monitor, monkeypatch):
     """Metrics alone make a row, for as long as they come."""
-    tell(fleet, "rollout", {})
-    fleet.update()
-    assert len(fleet.snapshot().processes) == 1
+    tell(monitor, "rollout", {})
+    monitor.update()
+    assert len(monitor.snapshot().processes) == 1
     monkeypatch.setattr(deploy.monitor.run_monitor, "GONE_SECONDS", 0.0)
-    fleet.update()
-    assert fleet.snapshot().processes == ()
+    monitor.update()
+    assert monitor.snapshot().processes == ()
 
 
 def test_what_is_left_of_figures():
     """Numbers that are finite and no larger than any of ours, texts that print, maps and lists; of bytes nothing."""
     deep = {"a": {"b": {"c": {"d": {"e": {"f": {"g": {"h": 1}}}}}}}}
     values = {"x": 1, "y": 2.5, "on": True, "nan": float("nan"), "big": 10**16, "bytes": b"x", "none": None}
-    assert figures({**values, "list": [1, float("inf"), "a\nb"]}) == {
+    assert metrics({**values, "list": [1, float("inf"), "a\nb"]}) == {
         **{"x": 1, "y": 2.5, "on": True},
         "list": [1, None, "a?b"],
     }
-    assert figures(deep) == {"a": {"b": {"c": {"d": {"e": {"f": {}}}}}}}
+    assert metrics(deep) == {"a": {"b": {"c": {"d": {"e": {"f": {}}}}}}}
     assert plain("\x1b[31m" + "x" * 1000) == "?[31m" + "x" * 395

@@ -5,7 +5,7 @@ import pytest
 from common.process import Presence
 from common.transport.bus import Bus
 from common.transport.endpoint import free_endpoint
-from deploy.monitor.run_monitor import Fleet
+from deploy.monitor.run_monitor import RunMonitor
 from tests.system.fleet import until
 
 
@@ -17,7 +17,7 @@ def test_who_leaves_a_run_that_is_over_is_no_alarm(state, episodes, gone):
     """A coordinator that leaves is one while there are episodes to fly, and none when the run is done or drains."""
     endpoint = free_endpoint()
     with Bus.listen(endpoint, "control") as bus, Bus.connect(endpoint, "control", 10.0) as away:
-        fleet = Fleet(bus, "r")
+        monitor = RunMonitor(bus, "r")
         learner = Presence(bus, "r", "learner", "learner", 1)
         coordinator = Presence(away, "r", "elite", "coordinator", 1)
         values = {"state": state, "episodes": episodes, "episodes_total": 72, "elapsed": 1.0}
@@ -26,30 +26,30 @@ def test_who_leaves_a_run_that_is_over_is_no_alarm(state, episodes, gone):
             learner.report(values)
             if alive:
                 coordinator.report({})
-            fleet.update()
-            found = fleet.snapshot()
+            monitor.update()
+            found = monitor.snapshot()
             known = {row.role: row.alive for row in found.processes}
             return known == {"learner": True, "elite": alive} and found.episodes == episodes
 
         until(lambda: seen(alive=True), "both processes")
-        assert fleet.snapshot().alarms == ()
+        assert monitor.snapshot().alarms == ()
         away.close()
         until(lambda: seen(alive=False), "a coordinator that has left")
-        assert fleet.snapshot().alarms == (("elite coordinator is gone.",) if gone else ())
+        assert monitor.snapshot().alarms == (("elite coordinator is gone.",) if gone else ())
 
 
 def test_a_resumed_learner_waits_for_a_share_of_its_own_time():
     """Waits are counted since a start of the learner, so they are divided by that start's time, not by the run's."""
     endpoint = free_endpoint()
     with Bus.listen(endpoint, "control") as bus:
-        fleet = Fleet(bus, "r")
+        monitor = RunMonitor(bus, "r")
         learner = Presence(bus, "r", "learner", "learner", 1)
         values = {"state": "training", "elapsed": 1e6, "waits": {"data": 1e3}}
 
         def seen() -> bool:
             learner.report(values)
-            fleet.update()
-            return fleet.snapshot().elapsed == values["elapsed"]
+            monitor.update()
+            return monitor.snapshot().elapsed == values["elapsed"]
 
         until(seen, "the learner")
-        assert fleet.snapshot().learner_wait == 1.0
+        assert monitor.snapshot().learner_wait == 1.0

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import socket
 import struct
 from contextlib import ExitStack
 from dataclasses import replace
@@ -109,6 +110,39 @@ def test_the_address_that_was_asked_for_is_answered():
         connection.request("GET", "/")
         assert connection.getresponse().status == 200
         connection.close()
+
+
+OWN = "Host: 127.0.0.1:{port}"
+UPGRADE = (
+    *("Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13"),
+    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==",
+)
+
+
+@pytest.mark.parametrize(
+    ("path", "lines"),
+    [
+        ("/", (OWN, OWN)),
+        ("/", (OWN, "Host: evil.example")),
+        ("/", (OWN, "Origin: a", "Origin: b")),
+        ("/stream", (OWN, *UPGRADE, "Origin: http://127.0.0.1:{port}", "Origin: http://127.0.0.1:{port}")),
+        ("/stream", (OWN, *UPGRADE, "Origin: http://127.0.0.1:{port}", "Origin: http://evil.example")),
+        ("/stream", (OWN, OWN, *UPGRADE, "Origin: http://127.0.0.1:{port}")),
+        ("/stream", (OWN, *UPGRADE, UPGRADE[3], "Origin: http://127.0.0.1:{port}")),
+        ("/stream", (OWN, *UPGRADE, UPGRADE[2], "Origin: http://127.0.0.1:{port}")),
+        ("/stream", (OWN, "Origin: http://127.0.0.1:{port}")),
+        ("/", ()),
+    ],
+)
+def test_a_request_with_odd_headers_is_the_senders_mistake(path, lines):
+    """Headers that come twice, or are missing, are answered with a 4xx and no traceback, and the next one is served."""
+    with WebServer(Hub(), "127.0.0.1", 0) as web:
+        head = "\r\n".join((f"GET {path} HTTP/1.1", *lines, "", "")).format(port=web.port)
+        with socket.create_connection(("127.0.0.1", web.port), timeout=30) as link:
+            link.sendall(head.encode())
+            answer = link.makefile("rb").readline().decode()
+        assert 400 <= int(answer.split()[1]) < 500, answer
+        assert ask(web.port)[0] == 200
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,148 @@
+"""What is kept of one process of a run: its newest report, checked, and the counters that rates are taken from."""
+
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+from common.errors import SchemaError
+from common.protocol.messages import MetricMessage
+from common.team import LETTERS
+from deploy.monitor.sanitised import metrics
+from deploy.monitor.snapshot import ImitationRow, Ledger
+
+RATE_SECONDS: Final = 10.0
+"""Time over which rates are taken: a worker reports chunks, and one second may hold none."""
+COUNTED: Final = {"learner": "updates", "rollout": "environment_steps", "flight": "decisions"}
+"""What each role makes, by the name of its counter."""
+TRACK: Final = 64
+"""Most messages over which a rate is taken."""
+COUNTERS: Final = ("environment_steps", *COUNTED.values())
+"""Metrics of which rates are shown."""
+MOST_ALARMS: Final = 16
+"""Most alarms of one process that are shown; the rest are counted."""
+NAME_LENGTH: Final = 14
+"""Most characters of a type's name."""
+_LEDGER: Final = ("produced", "accepted", "duplicates", "rejected", "in_flight", "unexplained", "lost")
+_SHOWN: Final = frozenset((*COUNTERS, *_LEDGER, "alarms", "episodes", "queue", "spooled", "waiting_seconds"))
+"""The metrics of a worker or flight node that a view shows; the rest of its report is dropped."""
+_OF_ELITE: Final = frozenset(("rate", "next_episode", "elites", "failures"))
+_WHOLE: Final = "learner"
+"""The role of which the whole report is kept."""
+
+
+@dataclass
+class ProcessReport:
+    """What is kept of one process.
+
+    Attributes:
+        values: the newest metrics, as far as a view shows them.
+        message: the message that brought them, without them.
+        version: the parameter version that the process holds.
+        at: when it came, s.
+        missed: messages that did not arrive.
+        alive: whether the liveliness token stands.
+        announced: whether there ever was one.
+        change: when it appeared or vanished, s.
+    """
+
+    values: dict[str, Any] = field(default_factory=dict)
+    message: MetricMessage | None = None
+    version: int = 0
+    at: float = 0.0
+    missed: int = 0
+    alive: bool = True
+    announced: bool = False
+    change: float = field(default_factory=time.monotonic)
+    _track: deque[tuple[float, dict[str, Any]]] = field(default_factory=lambda: deque(maxlen=TRACK))
+
+    def follow(self, role: str, message: MetricMessage, version: int, now: float) -> None:
+        """Take in a newer message of the process, or the first one of its next start.
+
+        Raises:
+            SchemaError: its metrics are malformed.
+        """
+        before, values = self.message, metrics(message.values)
+        _check(values)
+        values = _kept(role, values)
+        if before is not None and before.pid == message.pid:
+            self.missed += max(0, message.counter - before.counter - 1)
+        if before is None or before.pid != message.pid or message.uptime <= before.uptime:
+            self._track.clear()
+        self._track.append((message.uptime, {name: values.get(name, 0) for name in COUNTERS}))
+        while len(self._track) > 2 and message.uptime - self._track[0][0] > RATE_SECONDS:
+            self._track.popleft()
+        self.message, self.values = replace(message, values={}), values
+        self.version, self.at = version, now
+
+    def rate(self, counter: str) -> float | None:
+        """Return how fast a counter grows, per second, over the last RATE_SECONDS; None before the second message."""
+        if len(self._track) < 2:
+            return None
+        (began, first), (ended, last) = self._track[0], self._track[-1]
+        return float(last[counter] - first[counter]) / (ended - began)
+
+    def drop(self) -> None:
+        """Forget metrics that could not be shown."""
+        self.values = {}
+        self._track.clear()
+
+
+def _kept(role: str, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the metrics that a view shows of a process of this role: others take memory, and there may be many."""
+    if role != _WHOLE:
+        names = _SHOWN | _OF_ELITE if role == "elite" else _SHOWN
+        values = {name: value for name, value in values.items() if name in names}
+    alarms = values.get("alarms", [])
+    if isinstance(alarms, list) and len(alarms) > MOST_ALARMS:
+        values["alarms"] = [*alarms[:MOST_ALARMS], f"{len(alarms) - MOST_ALARMS} more alarms."]
+    return values
+
+
+def _check(values: Mapping[str, Any]) -> None:
+    """Raise SchemaError, TypeError, ValueError, LookupError or AttributeError for metrics that a view cannot read."""
+    for ledger in (values.get("ledger", {}), *values.get("ledgers", {}).values()):
+        ledger_of(ledger)
+        int(ledger.get("workers", 0))
+    for event in values.get("imitations", []):
+        imitation_row(event)
+    for name in ("elites", "waits", "curves"):
+        if not isinstance(values.get(name, {}), dict):
+            raise SchemaError(f"{name} is not a map.")
+    for number in (*values.get("elites", {}).values(), *values.get("waits", {}).values()):
+        float(number)
+    float(values.get("rate", 0)), float(values.get("next_episode", 0)), int(values.get("failures", 0))
+    if not all(isinstance(text, str) for text in values.get("alarms", [])):
+        raise SchemaError("an alarm is not a text.")
+
+
+def ledger_of(values: Mapping[str, Any]) -> Ledger:
+    """Return a ledger from reported metrics; what is missing is 0."""
+    counts = {name: int(values.get(name, 0)) for name in _LEDGER if name != "lost"}
+    lost = values.get("lost", 0)
+    return Ledger(**counts, lost=None if lost is None else int(lost))
+
+
+def imitation_row(event: Mapping[str, Any]) -> ImitationRow:
+    """Return an imitation event as the learner reports it."""
+    scores = event.get("scores", {})
+    return ImitationRow(
+        event=int(event["event"]),
+        episode=int(event["episode"]),
+        rate=float(event["rate"]),
+        elites=tuple(
+            (type_label(kind), int(elite), _score(scores.get(kind), int(elite)))
+            for kind, elite in event["elites"].items()
+        ),
+    )
+
+
+def type_label(kind: Any) -> str:
+    """Return what a type of agent is called in the view: the paper's letter, else the beginning of its name."""
+    return LETTERS.get(kind, str(kind)[:NAME_LENGTH])
+
+
+def _score(scores: Any, elite: int) -> float | None:
+    """Return an elite's score, None where none or no finite one was reported."""
+    return None if scores is None or scores[elite] is None else float(scores[elite])
