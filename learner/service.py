@@ -15,7 +15,6 @@ from common.process import Presence, StopSignal, connect, incarnation
 from common.protocol import keys
 from common.protocol.messages import ConfigurationMessage
 from common.team import TeamSpec
-from common.transitions import FARM_METRICS
 from common.transport.bus import Bus
 from learner.checkpoint.recovery import recover_losses
 from learner.checkpoint.storage import RunStorage
@@ -23,6 +22,7 @@ from learner.control.command_server import CommandServer
 from learner.control.epoch import SuccessorWatch
 from learner.control.imitation_server import ImitationServer
 from learner.control.publisher import Publisher
+from learner.intake.chunk_rules import ChunkRules
 from learner.intake.feed import ExperienceFeed
 from learner.intake.ledger import Intake
 from learner.intake.receiver import Receiver
@@ -100,9 +100,8 @@ class Learner:
     def _open_bulk(self, config: RunConfig, team: TeamSpec, bulk: Bus, ledger: Intake) -> None:
         server = bulk.serve(keys.TRANSITION.pattern(self._options.run), 256)
         absorbed = ledger.now()
-        episode_metrics = FARM_METRICS if config.env.is_farm else ()
-        lockstep = self._options.lockstep
-        self._receiver = Receiver(server, team, ledger, config.replay, lockstep, self._history, episode_metrics)
+        rules, lockstep, version = ChunkRules.of(config), self._options.lockstep, self.trainer.version
+        self._receiver = Receiver(server, team, rules, ledger, config.replay, lockstep, self._history, version)
         self._feed = ExperienceFeed(self._receiver, self.trainer, absorbed, self._reporter.log_episodes)
 
     def run(self, stop: StopSignal) -> bool:

@@ -100,14 +100,14 @@ class Bench:
             if routed:
                 running.append(self._start(sys.executable, "benchmarks.intake.router", str(endpoint), *more))
                 time.sleep(1.0)
-            where = [str(endpoint), *more]
+            where, size = [str(endpoint), *more], ("--bytes", str(SIZES[label]))
             seconds = ("--seconds", str(self._seconds))
             door = ["--routed"] if routed else []
-            sink = self._start(sys.executable, "benchmarks.intake.sink", *where, *seconds, *door)
+            sink = self._start(sys.executable, "benchmarks.intake.sink", *where, *size, *seconds, *door)
             running.append(sink)
             assert sink.stdout is not None
             sink.stdout.readline()
-            load = ("--bytes", str(SIZES[label]), *self._load(label, workers))
+            load = (*size, *self._load(label, workers))
             running.append(self._start(sys.executable, "benchmarks.intake.player", *where, *load))
             return self._result(sink)
         finally:

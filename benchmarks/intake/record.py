@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.intake.chunks import NAMES
 from common.actors import TeamActors
+from common.config import RunConfig
 from common.config.presets import preset
 from common.team import farm_team
 from common.transitions import Chunk
@@ -16,19 +17,20 @@ from rollout.worker.collector import Collector
 ENVIRONMENTS = 4
 
 
-def record(size: int) -> Chunk:
-    """Return a chunk of about `size` bytes, flown with random actions on the default farm.
-
-    Args:
-        size: bytes of observations, actions and rewards.
-    """
+def configuration(size: int) -> RunConfig:
+    """Return the run on the default farm whose chunks have about `size` bytes of observations, actions and rewards."""
     team = farm_team(preset("study").farm)
     row = 4 * (team.observation_size + team.action_size + team.agents)
-    config = preset("study")
     environments = ENVIRONMENTS if size >= 8 * ENVIRONMENTS * row else 1
     steps = max(1, round(size / row / environments) - 1)
-    config = replace(config, rollout=replace(config.rollout, environments=environments, chunk_steps=steps))
-    actors = TeamActors.initial(team, config.algorithm.hidden, 0)
+    config = preset("study")
+    return replace(config, rollout=replace(config.rollout, environments=environments, chunk_steps=steps))
+
+
+def record(size: int) -> Chunk:
+    """Return a chunk of the run of `configuration`, flown with random actions."""
+    config = configuration(size)
+    actors = TeamActors.initial(farm_team(preset("study").farm), config.algorithm.hidden, 0)
     return Collector(config, "recorder", 0).collect(actors, 0.0, uniform=True)
 
 

@@ -8,6 +8,7 @@ import argparse
 import sys
 
 from benchmarks.intake.chunks import CAPACITY, Window, tell
+from benchmarks.intake.record import configuration
 from common.config import ReplayConfig
 from common.config.presets import preset
 from common.protocol import keys
@@ -16,6 +17,7 @@ from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint
 from deploy.local.memory import keep_freed_memory
 from learner.data.replay import Replay
+from learner.intake.chunk_rules import ChunkRules
 from learner.intake.ledger import Intake
 from learner.intake.receiver import Receiver
 
@@ -28,6 +30,7 @@ def main() -> None:
     """Take in until the window is over."""
     parser = argparse.ArgumentParser()
     parser.add_argument("endpoint")
+    parser.add_argument("--bytes", type=int, required=True, help="of the chunks that come")
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--routed", action="store_true", help="the endpoint is a router's")
     parser.add_argument("--shared-memory", action="store_true")
@@ -38,7 +41,12 @@ def main() -> None:
     replay, taken = Replay(team, CAPACITY), [0, 0]
     with Bus.connect(endpoint, "bulk", wait=30.0) if options.routed else Bus.listen(endpoint, "bulk") as bus:
         receiver = Receiver(
-            bus.serve(keys.TRANSITION.pattern(RUN), WAITING), team, Intake(), ReplayConfig(capacity=CAPACITY), False
+            bus.serve(keys.TRANSITION.pattern(RUN), WAITING),
+            team,
+            ChunkRules.of(configuration(options.bytes)),
+            Intake(),
+            ReplayConfig(capacity=CAPACITY),
+            lockstep=False,
         )
         sys.stdout.write("ready\n")
         sys.stdout.flush()

@@ -9,6 +9,8 @@ from common.errors import ConfigError
 
 FARM: Final = "farm"
 """The environment of this package, configured by FarmConfig."""
+MOST_EPISODE_STEPS: Final = 100_000
+"""Steps after which an episode is truncated where neither the environment nor the configuration ends it."""
 
 
 @dataclass(frozen=True)

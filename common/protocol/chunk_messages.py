@@ -8,12 +8,10 @@ from common.errors import FrameError, SchemaError, VersionError
 from common.protocol.frame import Data, length
 from common.protocol.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessage
 from common.team import TeamSpec
-from common.transitions import TERMINATED, TRUNCATED, Chunk, EpisodeSummary, Rows
+from common.transitions import LARGEST, TERMINATED, TRUNCATED, Chunk, EpisodeSummary, Rows
 
 MOST_COUNT = 2**48
 """Largest count of steps or chunks that is believed; a million steps a second make it in nine years."""
-LARGEST = 1e30
-"""Largest size of what an episode comes to; sums of many are finite numbers, too."""
 
 
 def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> ChunkMessage:
@@ -50,7 +48,8 @@ def from_message(message: ChunkMessage, team: TeamSpec, episode_metrics: Collect
     Raises:
         VersionError: when it is for another team.
         SchemaError: when a shape does not fit, a number is not finite, an action leaves [-1, 1], or the steps that the
-            worker says it produced cannot be, or a finished episode has other metrics or beyond LARGEST.
+            worker says it produced cannot be, or a finished episode has other metrics, or larger ones than rows of
+            that many steps could add up to.
     """
     if message.team != team.digest:
         raise VersionError(f"rows for team {message.team[:16]} sent to a learner of team {team.digest}.")
@@ -66,9 +65,12 @@ def from_message(message: ChunkMessage, team: TeamSpec, episode_metrics: Collect
     ends = np.count_nonzero(rows.flag & (TERMINATED | TRUNCATED))
     if count != ends or shapes != ((count,), (count,), (count, team.agents), (count, len(names))):
         raise SchemaError("the finished episodes' arrays do not fit together, or the rows.")
-    if count and message.steps.min() < 1:
-        raise SchemaError("a finished episode has no steps.")
-    if count and not all((np.abs(part) <= LARGEST).all() for part in (message.episode_reward, message.episode_metrics)):
+    if count and not 1 <= message.steps.min() <= message.steps.max() <= MOST_COUNT:
+        raise SchemaError("a finished episode has no steps, or more than anybody flies.")
+    most = LARGEST * message.steps[:, None].astype(np.float64)
+    if not (
+        (np.abs(message.episode_reward) <= most).all() and (np.abs(message.episode_metrics) <= team.agents * most).all()
+    ):
         raise SchemaError("a finished episode holds a number that is not finite, or far too large.")
     episodes = tuple(
         EpisodeSummary(

@@ -16,12 +16,9 @@ EPISODE_BYTES: Final = 128
 
 
 def chunk_bytes(config: RunConfig, team: TeamSpec) -> int:
-    """Return the bytes of a worker's largest chunk.
-
-    Episodes of the farm last as long as configured; elsewhere every step may end one.
-    """
+    """Return the bytes of a worker's largest chunk: one whose episodes are as short as the environment allows."""
     steps = config.rollout.chunk_steps
-    ends = math.ceil(steps / config.farm.world.steps) if config.env.is_farm else steps
+    ends = math.ceil(steps / config.episode_steps[0])
     row = 4 * (team.observation_size + team.action_size + team.agents) + 1
     episodes = config.rollout.environments * ends
     return config.rollout.chunk_rows(ends) * row + episodes * (EPISODE_BYTES + 4 * team.agents)

@@ -67,6 +67,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("malformed_commands", "requests", "that were no commands, and were refused"),
         Metric("malformed_by/*", "requests", "that brought nothing, by worker; the worst eight, the others together"),
         Metric("turned_away", "requests", "of workers that are cut off, refused without being looked at"),
+        Metric("uncounted_episodes", "episodes", "that did not count, as this learner has not seen all their steps"),
         Metric("elapsed", "s", "since the run began, earlier starts included"),
         Metric(
             "waits/*",

@@ -79,6 +79,12 @@ render` and `up` write inside their folder only and follow no symbolic link ther
 are printed without control characters.
 Nothing is ever unpickled; a test forbids it in the source, and another watches whole processes with an audit hook.
 
+A chunk must fit the run's configuration: it holds `rollout.chunk_steps` steps of each environment, and its step counts
+follow from its number. An episode in it is as long as its environment flew since the last end; on the farm, as long as
+every episode of that farm. It counts for the run only when its worker has delivered that many steps. A worker cannot
+skip chunks that it has not delivered, and a parameter version that was never published counts as the newest. Whoever
+claims otherwise is refused and named; the ledgers of the others stay exact.
+
 A worker that sends {limit} requests in a row that bring nothing (unreadable, not usable, the same chunk again, out of
 turn) is cut off for {seconds} s: it is refused without being looked at, named in the log once and in the learner's
 alarms, and afterwards has one try. Each refusal is held back for {hold} s, so that whoever keeps some requests under
@@ -111,6 +117,8 @@ which and why, and exits with code 2.
   in the ledger by name; whether it is true is not checked.
 - Against floods: somebody who reaches the ports can open connections; a member who does not wait for answers can fill
   its link. Use a firewall.
+- From a worker that ends episodes early, where their length is not fixed: each step that it delivers may end an
+  episode, and the run ends after `episodes` of them. On the farm the length is fixed.
 - From a worker that delivers too much: whole and new chunks are taken in the order in which they come, so who sends
   more than the others has a larger share of what is learnt from. The ledger tells it by name.
 - Traffic analysis: sizes and times of messages are visible.

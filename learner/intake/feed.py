@@ -7,8 +7,9 @@ from typing import Any, Final
 
 from common.protocol.messages import ChunkAck
 from common.transitions import EpisodeSummary
+from learner.intake.arrival import Arrival
 from learner.intake.ledger import LedgerSnapshot
-from learner.intake.receiver import Arrival, Receiver
+from learner.intake.receiver import Receiver
 from learner.trainer import Trainer
 
 DRAIN_SECONDS: Final = 3.0

@@ -36,6 +36,8 @@ class WorkerLedger:
         refused: chunks that were refused.
         aged: those of them that were refused because their policy was too old.
         damaged: frames that could not be read; they are sent again.
+        delivered: steps of whole chunks, whatever became of them; a learner that resumes knows of them, too.
+        counted: steps of the finished episodes that counted for the run, never more than were delivered.
         pending_rejected: whether the next gap in `produced` is a refused chunk's.
         pending_gap: whether numbers were left out since the last chunk that was taken.
         earlier: the sums of all earlier starts of the worker, or None before there was one.
@@ -52,6 +54,8 @@ class WorkerLedger:
     refused: int = 0
     aged: int = 0
     damaged: int = 0
+    delivered: int = 0
+    counted: int = 0
     pending_rejected: bool = False
     pending_gap: bool = False
     earlier: "WorkerLedger | None" = None
@@ -106,7 +110,12 @@ class Intake:
         self._switch = threading.Lock()
 
     def judge(self, sender: Envelope, oldest: int) -> Status:
-        """Return what a chunk is, without accepting it."""
+        """Return what a chunk is, without accepting it.
+
+        Args:
+            sender: who sent it, with the chunk's own number.
+            oldest: number of the oldest chunk that the worker still holds; those before it can never arrive.
+        """
         ledger = self._ledger(sender)
         if sender.sequence < ledger.expected:
             self.workers[sender.name] = replace(ledger, duplicates=ledger.duplicates + 1)
@@ -115,13 +124,25 @@ class Intake:
             return "gap"
         return "accepted"
 
-    def accept(self, sender: Envelope, steps: int, produced: int, flown: int) -> int:
-        """Book an accepted chunk of `steps` environment steps; for the rest see `ChunkMessage`.
+    def accept(self, sender: Envelope, steps: int, produced: int, flown: int, counted: int = 0) -> int:
+        """Book an accepted chunk.
+
+        Args:
+            sender: who sent it.
+            steps: environment steps in it.
+            produced: steps that its start has produced up to and with it.
+            flown: steps that its start has flown.
+            counted: steps of the episodes that end in it and count for the run.
 
         Returns:
             the steps before it that are lost, as became known only now.
         """
-        return self._spend(sender, steps, produced, flown, accepted=steps)
+        return self._spend(sender, steps, produced, flown, accepted=steps, counted=counted)
+
+    def room(self, sender: Envelope) -> int:
+        """Return how many delivered steps of a worker's start no finished episode has counted yet."""
+        ledger = self._ledger(sender)
+        return ledger.delivered - ledger.counted
 
     def lose(self, sender: Envelope, steps: int, produced: int, flown: int) -> None:
         """Book a chunk as lost that an earlier start of the learner had accepted, after its last checkpoint."""
@@ -202,7 +223,7 @@ class Intake:
             raise CheckpointError(f"the checkpoint's ledger is not readable: {error}") from error
 
     def _spend(self, sender: Envelope, steps: int, produced: int, flown: int, **booked: int) -> int:
-        """Spend a chunk's number; book what was missing before it, and the counts in `booked` for the chunk itself.
+        """Spend a chunk's number; book what was missing before it, and the sums in `booked` for the chunk itself.
 
         Returns:
             the steps before it that are lost.
@@ -212,6 +233,7 @@ class Intake:
         rejected = missing if ledger.pending_rejected and sender.sequence == ledger.expected else 0
         booked["lost"] = booked.get("lost", 0) + missing - rejected
         booked["rejected"] = booked.get("rejected", 0) + rejected
+        booked["delivered"] = steps
         self.workers[sender.name] = replace(
             ledger,
             expected=sender.sequence + 1,

@@ -2,10 +2,12 @@
 
 import queue
 import threading
-from collections.abc import Collection
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from common.config import ReplayConfig
 from common.errors import ProtocolError, SchemaError
@@ -17,9 +19,11 @@ from common.protocol.frame import Data
 from common.protocol.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from common.starts import plausible
 from common.team import TeamSpec
-from common.transitions import FARM_METRICS, Chunk
+from common.transitions import Chunk
 from common.transport.bus import Incoming, Server
-from learner.intake.ledger import Intake, LedgerSnapshot
+from learner.intake.arrival import Arrival, OwedAnswer
+from learner.intake.chunk_rules import ChunkRules, EpisodeTracker, provable
+from learner.intake.ledger import Intake
 from learner.intake.peer_penalties import CUT_SECONDS, PeerPenalties
 from learner.intake.throttle import Throttle
 
@@ -35,49 +39,11 @@ REASON: Final = 400
 """Most characters of a reason in an answer."""
 Verdict = tuple[str, str]
 """What becomes of a chunk, see `ChunkAck`, and why it was not taken."""
+Counts = tuple[int, int, int]
+"""Environment steps in a chunk, produced by its start up to and with it, and flown by the start."""
 TAKEN: Final[Verdict] = ("accepted", "")
 WORTH_LOOKING: Final = frozenset(("accepted", "closed", "refused", "damaged"))
 """A request without any of these brought nothing, and counts against its sender; bad chunks are counted one by one."""
-
-
-class Owed:
-    """An answer that comes after training (lockstep), to the newest copy of its request."""
-
-    def __init__(self, incoming: Incoming) -> None:
-        self._incoming: Incoming | None = incoming
-        self._lock = threading.Lock()
-
-    def renew(self, incoming: Incoming) -> bool:
-        """Owe the answer to a later copy, whose predecessor may have gone with a link; False when it was given."""
-        with self._lock:
-            if self._incoming is None:
-                return False
-            self._incoming = incoming
-            return True
-
-    def answer(self, payload: bytes) -> None:
-        """Answer."""
-        with self._lock:
-            incoming, self._incoming = self._incoming, None
-        if incoming is not None:
-            incoming.reply(payload)
-
-
-@dataclass(frozen=True)
-class Arrival:
-    """An accepted chunk on its way into replay.
-
-    Attributes:
-        chunk: the experience.
-        sender: who sent it, with which parameter version.
-        ledger: the ledger with this chunk in it. What was accepted before this chunk is ahead of it in the queue.
-        owed: the answer that the learner owes for it (lockstep), else None.
-    """
-
-    chunk: Chunk
-    sender: Envelope
-    ledger: LedgerSnapshot
-    owed: "Owed | None"
 
 
 class Receiver:
@@ -88,49 +54,53 @@ class Receiver:
     Attributes:
         arrivals: the queue.
         intake: deduplication and ledger.
-        malformed: requests that could not even be attributed to a worker.
+        malformed: requests that belong to no worker.
         replaced: requests of starts that a newer start of the same worker has replaced.
-        peer_penalties: who sends what brings nothing.
-        throttle: requests of those who are cut off; whoever owns the receiver calls its `release` now and then.
+        uncounted_episodes: finished episodes that did not count, because this learner has not seen all their steps.
+        peer_penalties: workers whose requests are of no use.
+        throttle: requests of workers that are cut off; the receiver's owner calls its `release` now and then.
         server: where chunks come in.
         gate: held while a chunk is booked and queued, so that ledger and queue can be seen together.
         required_version: parameter version that a worker must hold before it flies on (lockstep), else 0.
-        version: the newest parameter version; `replay.max_lag_versions` counts from it.
+        version: the newest published parameter version. No chunk counts as newer, whatever it claims.
 
     Args:
         server: where chunks come in.
-        team: what they must fit.
-        intake: deduplication and ledger; it is the receiver's from now on.
-        replay: bounds.
-        lockstep: whether the learner answers itself, when it has trained; a request then holds one chunk.
-        history: where each verdict is written before it is told.
-        episode_metrics: names of the environment's episode metrics.
+        team: layout of their rows.
+        rules: what the run's configuration lets a chunk be.
+        intake: deduplication and ledger; the receiver's from now on.
+        replay: size of the queue and most versions of lag.
+        lockstep: whether the learner itself answers, after it has trained; a request then holds one chunk.
+        history: where each verdict is written before it is sent.
+        version: the newest parameter version so far.
     """
 
     def __init__(
         self,
         server: Server,
         team: TeamSpec,
+        rules: ChunkRules,
         intake: Intake,
         replay: ReplayConfig,
         lockstep: bool,
         history: History | None = None,
-        episode_metrics: Collection[str] = FARM_METRICS,
+        version: int = 0,
     ) -> None:
         self.arrivals: queue.Queue[Arrival] = queue.Queue(replay.intake_chunks)
-        self.intake = intake
-        self.malformed = self.replaced = 0
+        self.server, self.intake = server, intake
+        self.malformed = self.replaced = self.uncounted_episodes = 0
         self.peer_penalties, self.throttle = PeerPenalties(), Throttle()
-        self.required_version = self.version = 0
+        self.required_version, self.version = 0, version
         self._history = history or History(None)
         self._damaged: dict[str, tuple[int, int, int]] = {}
         self._most_lag = replay.max_lag_versions
-        self.server, self._team, self._lockstep, self._episode_metrics = server, team, lockstep, episode_metrics
-        self._most_rows = replay.capacity
+        self._team, self._rules, self._lockstep = team, rules, lockstep
+        self._episodes = EpisodeTracker(rules)
+        self._met: dict[str, int] = {}
         self._closing, self._dealt_with = threading.Event(), threading.Event()
         self.gate = threading.Lock()
         self._logged = 0
-        self._owed: Owed | None = None
+        self._owed: OwedAnswer | None = None
         self._thread = threading.Thread(target=self._run, name="receiver", daemon=True)
         self._thread.start()
 
@@ -187,6 +157,7 @@ class Receiver:
             "replaced": self.replaced,
             "malformed_by": self.peer_penalties.counts(),
             "turned_away": self.throttle.turned_away,
+            "uncounted_episodes": self.uncounted_episodes,
         }
 
     def join(self) -> None:
@@ -270,27 +241,36 @@ class Receiver:
             message = ChunkMessage.decode(data)
         except ProtocolError as error:
             return self._send_again(sender, error)
-        status = self.intake.judge(sender, delivery.oldest)
+        # A worker holds each chunk until it is settled, so it can give none up that this receiver has not settled.
+        met = self._met.get(sender.name) == sender.incarnation
+        status = self.intake.judge(sender, 0 if met else delivery.oldest)
         if status != "accepted":
             if status == "duplicate":
                 self._record("duplicate", sender, 1)
             return status, ""
         try:
-            chunk = from_message(message, self._team, self._episode_metrics)
-            if chunk.rows.flag.shape[0] > self._most_rows:
-                raise SchemaError(f"{chunk.rows.flag.shape[0]} rows at once, more than a replay of {self._most_rows}.")
+            chunk = from_message(message, self._team, self._rules.episode_metrics)
+            self._rules.check_counts(sender, chunk.rows.steps, message.produced, delivery.flown)
+            since = self._episodes.check(sender, chunk)
         except ProtocolError as error:
             self._bad(sender.name, str(error))
             return self._refuse(sender, error)
-        sender, flown = replace(sender, version=message.version), delivery.flown
-        lag = self.version - message.version
+        sender = replace(sender, version=min(message.version, self.version))
+        counts = chunk.rows.steps, message.produced, delivery.flown
+        lag = self.version - sender.version
         if 0 < self._most_lag < lag:
-            steps = chunk.rows.steps
-            lost = self.intake.refuse_aged(sender, steps, message.produced, flown)
-            self._record("missing", sender, lost)
-            self._record("refused", sender, steps, message.produced, flown)
+            self._record_taken("refused", sender, counts, self.intake.refuse_aged(sender, *counts))
+            self._settle(sender, since)
             return "refused", f"its policy is {lag} versions old, more than {self._most_lag}."
-        return self._queue(sender, chunk, message.produced, flown, Owed(incoming) if self._lockstep else None)
+        verdict = self._queue(sender, chunk, counts, OwedAnswer(incoming) if self._lockstep else None)
+        if verdict == TAKEN:
+            self._settle(sender, since)
+        return verdict
+
+    def _settle(self, sender: Envelope, since: NDArray[np.int64]) -> None:
+        """Remember a whole chunk's worker, and where its environments stand."""
+        self._met[sender.name] = sender.incarnation
+        self._episodes.follow(sender, since)
 
     def _send_again(self, sender: Envelope, error: ProtocolError) -> Verdict:
         """Ask for an unreadable frame once more, without spending its number; refuse it when that goes on.
@@ -313,7 +293,11 @@ class Receiver:
 
     def _refuse(self, sender: Envelope, error: ProtocolError) -> Verdict:
         self._damaged.pop(sender.name, None)
+        if sender.sequence > self.intake.expected(sender):
+            # How many steps are missing will be known with the next good chunk; that they are is known now.
+            self._record("missing", sender, 0)
         self.intake.refuse(sender)
+        self._met[sender.name] = sender.incarnation
         self._record("refused", sender, 0)
         self._log(f"refused a chunk of worker {sender.name}: {error}")
         return "refused", str(error)[:REASON]
@@ -327,13 +311,17 @@ class Receiver:
         incoming.reply(ChunkAck(told, reasons, self.intake.expected(sender), version).encode())
 
     def _record(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:
-        """Write a verdict into the history; of missing steps only when there are any."""
-        if verdict == "missing" and steps == 0:
-            return
+        """Write a verdict into the history."""
         number = sender.sequence
         self._history.add(Entry(verdict, sender.name, sender.incarnation, number, number, steps, produced, flown))
 
-    def _queue(self, sender: Envelope, chunk: Chunk, produced: int, flown: int, owed: Owed | None) -> Verdict:
+    def _record_taken(self, verdict: str, sender: Envelope, counts: Counts, lost: int) -> None:
+        """Write the verdict on a whole chunk into the history, after the steps before it that are lost."""
+        if lost:
+            self._record("missing", sender, lost)
+        self._record(verdict, sender, *counts)
+
+    def _queue(self, sender: Envelope, chunk: Chunk, counts: Counts, owed: OwedAnswer | None) -> Verdict:
         """Book a chunk and put it into the queue, as soon as there is room."""
         while True:
             with self.gate:
@@ -341,12 +329,13 @@ class Receiver:
                     return "closed", ""
                 if not self.arrivals.full():
                     # This thread alone puts, so the free place stays free.
-                    steps = chunk.rows.steps
-                    lost = self.intake.accept(sender, steps, produced, flown)
-                    self._record("missing", sender, lost)
-                    self._record("accepted", sender, steps, produced, flown)
+                    counted = provable(chunk.episodes, self.intake.room(sender) + counts[0])
+                    self.uncounted_episodes += len(chunk.episodes) - len(counted)
+                    lost = self.intake.accept(sender, *counts, counted=sum(episode.steps for episode in counted))
+                    self._record_taken("accepted", sender, counts, lost)
                     self.peer_penalties.good(sender.name)
                     self._owed = owed
+                    chunk = replace(chunk, episodes=counted)
                     self.arrivals.put_nowait(Arrival(chunk, sender, self.intake.now(), owed))
                     return TAKEN
             self._dealt_with.set()

@@ -7,14 +7,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from common.config import EnvConfig
+from common.config.environment import MOST_EPISODE_STEPS
 from common.errors import SimulationError
 from common.seeds import derive
 from common.team import Float32
 from common.transitions import EpisodeSummary
 from rollout.envs.pettingzoo_spec import describe, make_parallel
-
-ENDLESS = 100_000
-"""Steps after which an episode is truncated where neither the environment nor the configuration ends it."""
 
 
 class PettingZooBatch:
@@ -45,7 +43,7 @@ class PettingZooBatch:
     def __init__(self, config: EnvConfig, environments: int) -> None:
         if environments < 1:
             raise SimulationError(f"a batch needs at least one environment, not {environments}.")
-        self._limit = config.steps or ENDLESS
+        self._limit = config.steps or MOST_EPISODE_STEPS
         self._environments = [make_parallel(config) for _ in range(environments)]
         first = self._environments[0]
         agents = describe(first, config.prefixes())

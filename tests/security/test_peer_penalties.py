@@ -10,6 +10,7 @@ from common.protocol import keys
 from common.protocol.messages import Envelope
 from common.transport.bus import Bus, Sample, Server, Subscription
 from common.transport.endpoint import free_endpoint
+from learner.intake.chunk_rules import ChunkRules
 from learner.intake.ledger import Intake
 from learner.intake.peer_penalties import CUT_SECONDS, LIMIT, MOST_PEERS, PeerPenalties
 from learner.intake.receiver import Receiver
@@ -96,7 +97,12 @@ def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
     endpoint = free_endpoint()
     with Bus.listen(endpoint, "bulk") as bus, Bus.connect(endpoint, "bulk", wait=5.0) as worker:
         receiver = Receiver(
-            bus.serve(keys.TRANSITION.pattern(RUN), 16), team_of(RunConfig()), Intake(), ReplayConfig(), False
+            bus.serve(keys.TRANSITION.pattern(RUN), 16),
+            team_of(RunConfig()),
+            ChunkRules.of(RunConfig()),
+            Intake(),
+            ReplayConfig(),
+            lockstep=False,
         )
         try:
             time.sleep(0.3)

@@ -21,12 +21,14 @@ from common.protocol.chunk_messages import from_request, to_message, to_request
 from common.protocol.messages import ChunkAck, Envelope
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
+from learner.intake.chunk_rules import ChunkRules
 from learner.intake.ledger import Intake
 from learner.intake.receiver import Receiver
 from tests.system.fleet import until
 
 TEAM = TeamSpec((GroupSpec("one", 2, 3, 2),))
 RUN = "road"
+RULES = ChunkRules(environments=1, chunk_steps=1, spool_chunks=64, shortest=1, longest=100)
 
 
 class Parcel:
@@ -219,7 +221,8 @@ def front_door(intake: Intake | None = None, history: History | None = None, **r
     """Return a receiver and the door before it."""
     door = Door()
     bounds = ReplayConfig(**{"capacity": 256, "warmup_steps": 0, "intake_chunks": 64, **replay})
-    return Receiver(door, TEAM, intake or Intake(), bounds, lockstep=False, history=history), door  # type: ignore[arg-type]  # a door is all of a server that a receiver uses
+    receiver = Receiver(door, TEAM, RULES, intake or Intake(), bounds, lockstep=False, history=history)  # type: ignore[arg-type]  # a door is all of a server that a receiver uses
+    return receiver, door
 
 
 def shut(receiver: Receiver, door: Door) -> None:

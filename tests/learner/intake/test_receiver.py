@@ -9,7 +9,7 @@ from common.protocol.messages import ChunkAck, Envelope
 from common.starts import LATEST, STRIDE, next_start
 from learner.intake.ledger import Intake
 from learner.intake.receiver import Receiver
-from tests.faults.tools.channel import RUN, TEAM, Door, Parcel, Sending, a_chunk, front_door, shut
+from tests.faults.tools.channel import RULES, RUN, TEAM, Door, Parcel, Sending, a_chunk, front_door, shut
 from tests.system.fleet import until
 
 
@@ -85,7 +85,7 @@ def test_a_stray_message_keeps_no_worker_out_of_a_lockstep_run():
     """Whoever sends junk before the one worker has no place in the run; the worker that delivers first has it."""
     door = Door()
     bounds = ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=16)
-    receiver = Receiver(door, TEAM, Intake(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
+    receiver = Receiver(door, TEAM, RULES, Intake(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
     try:
         stray = parcel("stranger", 1, 1)
         stray.payload = b"junk"
@@ -114,7 +114,7 @@ def test_in_lockstep_a_second_copy_waits_for_the_training_too():
     """A worker whose link broke while its chunk was trained on hears of it when that is done, and not before."""
     door, sending = Door(), Sending("0", 2)
     bounds = ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=16)
-    receiver = Receiver(door, TEAM, Intake(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
+    receiver = Receiver(door, TEAM, RULES, Intake(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
     try:
         first, second = sending.parcel([1]), sending.parcel([1])
         door.push(first)

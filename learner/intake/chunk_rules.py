@@ -1,0 +1,145 @@
+"""What a run's configuration lets a worker's chunk be, so that a worker that lies about its steps is found out.
+
+Every worker flies the environments of the run's configuration, each `chunk_steps` steps to a chunk. So the sequence
+number alone decides how many steps a chunk holds and how many its start has produced, and the rows decide which
+episodes end and how long they were.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import RunConfig
+from common.errors import SchemaError
+from common.protocol.messages import Envelope
+from common.transitions import FARM_METRICS, TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary
+
+MOST_TRACKED: Final = 4096
+"""Workers whose running episodes are tracked; beyond them the one that was tracked first starts anew."""
+UNKNOWN: Final = -1
+"""Steps since the last end of an episode, where that end has not been seen."""
+
+
+@dataclass(frozen=True)
+class ChunkRules:
+    """The shape of every chunk of a run.
+
+    Attributes:
+        environments: environments of one worker, E.
+        chunk_steps: steps of each of them in one chunk, S.
+        spool_chunks: chunks that a worker holds at most.
+        shortest: fewest steps of an episode.
+        longest: most steps of an episode.
+        episode_metrics: names of what a finished episode came to.
+    """
+
+    environments: int
+    chunk_steps: int
+    spool_chunks: int
+    shortest: int
+    longest: int
+    episode_metrics: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, config: RunConfig) -> "ChunkRules":
+        """Return the rules of a run."""
+        rollout = config.rollout
+        metrics = FARM_METRICS if config.env.is_farm else ()
+        return cls(rollout.environments, rollout.chunk_steps, rollout.spool_chunks, *config.episode_steps, metrics)
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of one chunk."""
+        return self.environments * self.chunk_steps
+
+    def check_counts(self, sender: Envelope, steps: int, produced: int, flown: int) -> None:
+        """Raise SchemaError unless a worker's counts follow from the sequence number of its chunk.
+
+        Args:
+            sender: who sent the chunk, with the chunk's own number.
+            steps: environment steps in its rows.
+            produced: what the chunk says that its start has produced up to and with it.
+            flown: what its delivery says that the start has flown.
+        """
+        if steps != self.steps:
+            raise SchemaError(f"{steps} steps, where each chunk of this run holds {self.steps}.")
+        if produced != sender.sequence * self.steps:
+            raise SchemaError(f"{produced} steps produced with chunk {sender.sequence} of {self.steps} steps each.")
+        if flown > produced + self.spool_chunks * self.steps:
+            raise SchemaError(f"{flown} steps flown, where a spool holds at most {self.spool_chunks} chunks.")
+
+
+class EpisodeTracker:
+    """Follows the running episodes of each worker's environments, from chunk to chunk.
+
+    An environment whose last end was seen has an episode of known length. Before that, after a gap or a refused chunk,
+    and for a worker met anew, the length is unknown, and only the rules' bounds hold.
+    """
+
+    def __init__(self, rules: ChunkRules) -> None:
+        self._rules = rules
+        self._since: dict[str, tuple[Envelope, NDArray[np.int64]]] = {}
+
+    def check(self, sender: Envelope, chunk: Chunk) -> NDArray[np.int64]:
+        """Hold a chunk's episodes against its rows and the chunks before it.
+
+        Returns:
+            [E] steps of each environment since its last end, for `follow`.
+
+        Raises:
+            SchemaError: when the rows are not those of E environments with S steps each, or an episode is longer,
+                shorter or of another length than its environment flew.
+        """
+        rules = self._rules
+        at, ends = self._ends(chunk.rows.flag)
+        since = self._before(sender)
+        known = since != UNKNOWN
+        lengths = [episode.steps for episode in chunk.episodes]
+        for environment, step, length in zip(at.tolist(), ends.tolist(), lengths, strict=True):
+            if not rules.shortest <= length <= rules.longest:
+                raise SchemaError(f"an episode of {length} steps; they last {rules.shortest} to {rules.longest}.")
+            flown = step + 1 + (int(since[environment]) if known[environment] else 0)
+            if length < flown or (known[environment] and length != flown):
+                raise SchemaError(f"an episode of {length} steps ended after {flown} steps.")
+            since[environment], known[environment] = -step - 1, True
+        return np.where(known, since + rules.chunk_steps, UNKNOWN)
+
+    def follow(self, sender: Envelope, since: NDArray[np.int64]) -> None:
+        """Note where a chunk's environments stand once it is booked."""
+        self._since.pop(sender.name, None)
+        self._since[sender.name] = sender, since
+        if len(self._since) > MOST_TRACKED:
+            self._since.pop(next(iter(self._since)))
+
+    def _before(self, sender: Envelope) -> NDArray[np.int64]:
+        last, since = self._since.get(sender.name, (None, None))
+        follows = last is not None and (last.incarnation, last.sequence + 1) == (sender.incarnation, sender.sequence)
+        return since.copy() if follows and since is not None else np.full(self._rules.environments, UNKNOWN, np.int64)
+
+    def _ends(self, flag: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the environment and the step of each end, in the order in which the environments met them."""
+        count, steps = self._rules.environments, self._rules.chunk_steps
+        place = np.flatnonzero(flag & TRANSITION)
+        ended = np.flatnonzero(flag[place] & (TERMINATED | TRUNCATED))
+        cut = int(np.count_nonzero(ended % steps != steps - 1))
+        last = place[steps - 1 :: steps] + 1
+        if len(place) != count * steps or len(flag) - len(place) != count + cut or (flag[last] & TRANSITION).any():
+            raise SchemaError(f"the rows are not those of {count} environments with {steps} steps each.")
+        order = np.lexsort((ended // steps, ended % steps))
+        return ended[order] // steps, ended[order] % steps
+
+
+def provable(episodes: tuple[EpisodeSummary, ...], room: int) -> tuple[EpisodeSummary, ...]:
+    """Return those of a chunk's episodes that so many delivered steps have room for, in order.
+
+    An episode counts for the run when the learner has seen its steps. One that began before this learner's account of
+    the worker may be too long for that.
+    """
+    counted: list[EpisodeSummary] = []
+    for episode in episodes:
+        if episode.steps <= room:
+            room -= episode.steps
+            counted.append(episode)
+    return tuple(counted)

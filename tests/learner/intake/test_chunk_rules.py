@@ -1,0 +1,231 @@
+"""A worker that lies about steps, episodes and versions: it is refused and named, and the other ledgers stay exact."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from common.actors import TeamActors
+from common.config import ReplayConfig, RunConfig
+from common.errors import SchemaError
+from common.history import Entry, History, read
+from common.protocol import keys
+from common.protocol.chunk_messages import MOST_COUNT, to_message, to_request
+from common.protocol.messages import Envelope
+from common.seeds import stream
+from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from deploy.monitor.audit import audit
+from learner.intake.chunk_rules import ChunkRules, EpisodeTracker
+from learner.intake.ledger import Intake
+from learner.intake.peer_penalties import LIMIT
+from learner.intake.receiver import Receiver
+from rollout.worker.collector import Collector
+from tests.faults.tools.channel import RUN, TEAM, Door, Parcel, shut
+
+FARM = ChunkRules(environments=2, chunk_steps=10, spool_chunks=4, shortest=30, longest=30)
+"""Rules as on a farm, where every episode lasts 30 steps."""
+VARYING = replace(FARM, shortest=1, longest=100)
+
+
+def a_chunk(ends: dict[tuple[int, int], int], environments: int = 2, steps: int = 10) -> Chunk:
+    """Return a chunk with episodes of these lengths that end at (environment, step)."""
+    flags: list[int] = []
+    for environment in range(environments):
+        for step in range(steps):
+            ended = (environment, step) in ends
+            flags += [TRANSITION | (TRUNCATED if ended else 0)] + [0] * (ended or step == steps - 1)
+    sizes = (TEAM.observation_size, TEAM.action_size, TEAM.agents)
+    rows = Rows(*(np.zeros((len(flags), size), np.float32) for size in sizes), np.array(flags, np.uint8))
+    order = sorted(ends, key=lambda end: (end[1], end[0]))
+    episodes = tuple(EpisodeSummary(0, k, ends[end], (0.0,) * TEAM.agents, {}) for k, end in enumerate(order))
+    return Chunk(rows, episodes)
+
+
+def sender(number: int, name: str = "w", start: int = 1) -> Envelope:
+    return Envelope("rollout", name, start, number)
+
+
+def parcel(*chunks: Chunk, number: int = 1, name: str = "w", version: int = 0, **claims: int) -> Parcel:
+    """Return an honest request with chunks of 20 steps, but for the claims."""
+    sealed = [
+        to_message(chunk, TEAM, version, claims.get("produced", 20 * (number + index))).encode()
+        for index, chunk in enumerate(chunks)
+    ]
+    last = 20 * (number + len(chunks) - 1)
+    payload = to_request(sealed, claims.get("oldest", number), claims.get("flown", last))
+    return Parcel(keys.TRANSITION.key(RUN, worker=name), payload, sender(number, name).encode())
+
+
+def front_door(rules: ChunkRules = FARM, history: History | None = None) -> tuple[Receiver, Door]:
+    door, bounds = Door(), ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=64)
+    return Receiver(door, TEAM, rules, Intake(), bounds, lockstep=False, history=history), door  # type: ignore[arg-type]  # a door is all that it uses
+
+
+def finished(receiver: Receiver) -> int:
+    """Return the episodes in all chunks that are queued."""
+    return sum(len(arrival.chunk.episodes) for arrival in list(receiver.arrivals.queue))
+
+
+def test_one_chunk_of_one_step_episodes_does_not_end_a_farm_run():
+    """Episodes of a farm last as long as its configuration says; a chunk full of shorter ones is refused."""
+    receiver, door = front_door()
+    short = a_chunk({(environment, step): 1 for environment in range(2) for step in range(10)})
+    answer = door.pass_on(parcel(short)).answer
+    assert answer.verdicts == ("refused",)
+    assert "they last 30 to 30" in answer.reasons[0]
+    assert finished(receiver) == 0
+    shut(receiver, door)
+
+
+def test_episodes_that_were_not_flown_do_not_count():
+    """Without delivered steps behind them whole episodes end the run of nobody, over however many starts."""
+    receiver, door = front_door()
+    for start in range(1, 21):
+        claimed = parcel(a_chunk({(0, 5): 30, (1, 5): 30}), number=1_000)
+        claimed.attachment = sender(1_000, start=start).encode()
+        assert door.pass_on(claimed).verdict == "accepted"
+    assert finished(receiver) == 0
+    assert receiver.uncounted_episodes == 40
+    shut(receiver, door)
+
+
+def test_whole_flights_count_exactly():
+    """Every episode of a worker whose chunks all arrive counts, also across chunks and after a refused one."""
+    receiver, door = front_door()
+    for number in range(1, 13):
+        ended = {(0, 9): 30, (1, 9): 30} if number % 3 == 0 else {}
+        assert door.pass_on(parcel(a_chunk(ended), number=number)).verdict == "accepted"
+    assert (finished(receiver), receiver.uncounted_episodes) == (8, 0)
+    assert door.pass_on(parcel(a_chunk({}), number=13, produced=1)).verdict == "refused"
+    assert door.pass_on(parcel(a_chunk({(0, 9): 30, (1, 9): 30}), number=14)).verdict == "accepted"
+    # Of the chunk that was refused 20 steps are missing: one of the two episodes is not proven.
+    assert (finished(receiver), receiver.uncounted_episodes) == (8, 2)
+    shut(receiver, door)
+
+
+@pytest.mark.parametrize(
+    ("ends", "reason"),
+    [
+        ({(0, 4): 6}, "6 steps ended after 5"),
+        ({(0, 4): 5, (0, 6): 3}, "3 steps ended after 2"),
+        ({(0, 4): 101}, "101 steps; they last 1 to 100"),
+        ({(1, 0): 2**63 - 1}, "they last 1 to 100"),
+    ],
+)
+def test_an_episode_is_as_long_as_its_environment_flew(ends, reason):
+    """Where the last end is known, an episode's length follows from the rows, and no other is believed."""
+    tracker = EpisodeTracker(VARYING)
+    first = a_chunk({(0, 9): 10, (1, 9): 10})
+    tracker.follow(sender(1), tracker.check(sender(1), first))
+    with pytest.raises(SchemaError, match=reason):
+        tracker.check(sender(2), a_chunk(ends))
+    assert tracker.check(sender(2), a_chunk({(0, 4): 5, (0, 6): 2})).tolist() == [3, 10]
+
+
+def test_an_end_that_was_not_seen_leaves_only_the_bounds():
+    """A worker met anew may be in the midst of an episode, which is at least as long as what is seen of it."""
+    tracker = EpisodeTracker(VARYING)
+    assert tracker.check(sender(7), a_chunk({(0, 4): 60})).tolist() == [5, -1]
+    with pytest.raises(SchemaError, match="4 steps ended after 5"):
+        tracker.check(sender(7), a_chunk({(0, 4): 4}))
+
+
+def test_random_flights_are_taken_as_they_were_flown():
+    """Whatever ends when: summaries in the order of the collector fit the rows, chunk after chunk."""
+    draw, tracker = stream(0, "flights"), EpisodeTracker(VARYING)
+    length = np.zeros(2, np.int64)
+    for number in range(1, 200):
+        ends: dict[tuple[int, int], int] = {}
+        for step in range(10):
+            length += 1
+            for environment in np.flatnonzero((draw.random(2) < 0.15) | (length >= 100)):
+                ends[int(environment), step] = int(length[environment])
+                length[environment] = 0
+        tracker.follow(sender(number), tracker.check(sender(number), a_chunk(ends)))
+
+
+@pytest.mark.parametrize(
+    "chunk",
+    [a_chunk({}, 2, 9), a_chunk({}, 1, 20), a_chunk({}, 4, 5), a_chunk({}, 2, 11), a_chunk({(0, 9): 30}, 1, 10)],
+)
+def test_chunks_of_another_shape_are_refused(chunk):
+    """Each chunk holds so many steps of so many environments, so histories stay short and ends can be told."""
+    receiver, door = front_door(replace(FARM, shortest=1))
+    assert door.pass_on(parcel(chunk)).verdict == "refused"
+    shut(receiver, door)
+
+
+def test_the_rows_of_a_collector_fit():
+    """The rules of a run's configuration take what its workers fly, also where a chunk is longer than an episode."""
+    config = RunConfig()
+    world = replace(config.farm.world, steps=7)
+    rollout = replace(config.rollout, environments=2, chunk_steps=10)
+    config = replace(config, farm=replace(config.farm, world=world), rollout=rollout)
+    collector, tracker = Collector(config, "w", 0), EpisodeTracker(ChunkRules.of(config))
+    actors = TeamActors.initial(collector.team, 4, 0, per_type=False)
+    for number in range(1, 6):
+        chunk = collector.collect(actors, 0.1, uniform=False)
+        tracker.follow(sender(number), tracker.check(sender(number), chunk))
+
+
+LIES = {
+    "a number without end": {"number": MOST_COUNT, "oldest": MOST_COUNT},
+    "more produced than was sent": {"produced": 2**40},
+    "less produced than was sent": {"produced": 20, "number": 2},
+    "more flown than a spool holds": {"flown": 2**40},
+    "a gap in what it delivers": {"number": 9, "oldest": 9},
+}
+
+
+@pytest.mark.parametrize("claims", LIES.values(), ids=LIES)
+def test_a_liar_is_named_and_the_ledger_stays_exact(claims, tmp_path):
+    """No claim of one worker leaves anything unexplained, inflates what is lost, or fails the audit."""
+    history = History(tmp_path / "history" / "learner.jsonl")
+    receiver, door = front_door(history=history)
+    assert door.pass_on(parcel(a_chunk({}), name="honest")).verdict == "accepted"
+    assert door.pass_on(parcel(a_chunk({}), name="liar")).verdict == "accepted"
+    for _ in range(LIMIT):
+        lie = {"number": receiver.intake.workers["liar"].expected, **claims}
+        door.pass_on(parcel(a_chunk({}), name="liar", **lie))
+    assert "worker liar is cut off" in receiver.peer_penalties.alarms()[0]
+    assert door.pass_on(parcel(a_chunk({}), name="honest", number=2)).verdict == "accepted"
+    totals, rows = receiver.intake.accounts()
+    assert receiver.intake.unexplained() == 0
+    assert (rows["honest"]["accepted"], totals["accepted"], totals["lost"]) == (40, 60, 0)
+    shut(receiver, door)
+    history.close()
+    found = audit(tmp_path)
+    assert found.clean, found.named()
+    assert found.workers["honest"]["accepted"] == 40
+
+
+def test_one_chunk_many_times_in_a_delivery_is_taken_once(tmp_path):
+    """Copies under the numbers that follow do not fit these, and only the first is learnt from."""
+    receiver, door = front_door()
+    copies = parcel(*[a_chunk({})] * 64, produced=20, flown=20)
+    assert door.pass_on(copies).answer.verdicts == ("accepted",) + ("refused",) * 63
+    assert (receiver.intake.totals()["accepted"], receiver.intake.unexplained()) == (20, 0)
+    shut(receiver, door)
+
+
+@pytest.mark.parametrize("version", [8, 2**63 - 1])
+def test_no_chunk_counts_as_newer_than_what_was_published(version):
+    """A version from the future would pass every limit of age and spoil the running means."""
+    receiver, door = front_door()
+    receiver.version = 7
+    assert door.pass_on(parcel(a_chunk({}), version=version)).verdict == "accepted"
+    assert receiver.arrivals.get_nowait().sender.version == 7
+    shut(receiver, door)
+
+
+def test_good_and_refused_chunks_in_turn_do_not_break_the_account(tmp_path):
+    """A first chunk that cannot be used is refused, and the audit knows that those before it never came."""
+    history = History(tmp_path / "history" / "learner.jsonl")
+    receiver, door = front_door(history=history)
+    assert door.pass_on(parcel(a_chunk({}), number=500, produced=1)).verdict == "refused"
+    assert door.pass_on(parcel(a_chunk({}), number=501)).verdict == "accepted"
+    shut(receiver, door)
+    history.close()
+    assert audit(tmp_path).clean
+    records = read(tmp_path / "history" / "learner.jsonl")[0]
+    assert [r.verdict for r in records if isinstance(r, Entry)] == ["missing", "refused", "missing", "accepted"]
