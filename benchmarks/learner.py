@@ -48,7 +48,6 @@ from deploy.reports.provenance import provenance  # noqa: E402  (as above)
 from learner.algorithms import ALGORITHMS  # noqa: E402  (as above)
 from learner.networks.compiled_pass import usable_cores  # noqa: E402  (as above)
 from learner.networks.inputs import critic_width  # noqa: E402  (as above)
-from learner.networks.product_choice import choose_products  # noqa: E402  (as above)
 from learner.trainer import DIAGNOSTIC_PERIOD, Trainer  # noqa: E402  (as above)
 
 TIMED = ("eia-sec", "base", "maddpg", "matd3", "masac")
@@ -99,7 +98,7 @@ def operations(config: AlgorithmConfig, team: TeamSpec) -> float:
     rounds in which they step.
     """
     h, total, algorithm = config.hidden, 0.0, ALGORITHMS[config.name]
-    twins, climbed, share = algorithm.critics_each, algorithm.climbed_each, 1 / algorithm.phases(config)
+    twins, climbed, share = algorithm.critics_each, algorithm.objective_critics, 1 / algorithm.actor_period(config)
     members = config.ensemble_members if config.uses_ensemble else 0
     heads = 2 if algorithm.head == "gaussian" else 1
     for kind, group in enumerate(team.groups):
@@ -145,7 +144,7 @@ def filled_trainer(
 
 def burst_of(config: AlgorithmConfig) -> int:
     """Return how many rounds are timed together: whole cycles of an algorithm's kinds of round, at least `BURST`."""
-    cycle = ALGORITHMS[config.name].phases(config)
+    cycle = ALGORITHMS[config.name].actor_period(config)
     return cycle * -(-BURST // cycle)
 
 
@@ -324,8 +323,6 @@ def main() -> int:
         raise UsageError("--device cuda needs a CUDA device, and torch finds none.")
     for threads in asked.threads:  # whatever cannot be had is told before hours of measuring
         take_threads(threads)
-    if asked.device == "cpu":
-        choose_products()
     if asked.growth:
         keep_growth(asked)
         return 0

@@ -140,16 +140,16 @@ class RunningDiagnostics:
     def note(self, diagnostics: Diagnostics) -> None:
         """Take in the diagnostics of one update."""
         rows = {
-            "critic_loss": diagnostics.error.square().mean(dim=1),
-            "actor_objective": diagnostics.value.mean(dim=1),
+            "critic_loss": diagnostics.td_error.square().mean(dim=1),
+            "actor_objective": diagnostics.objective.mean(dim=1),
             "target_mean": diagnostics.target.mean(dim=1),
-            "critic_error": diagnostics.error.abs().mean(dim=1),
-            "q_mean": diagnostics.prediction.mean(dim=1),
-            "critic_gradient": diagnostics.critic_gradient,
-            "actor_gradient": diagnostics.actor_gradient,
+            "critic_error": diagnostics.td_error.abs().mean(dim=1),
+            "q_mean": diagnostics.q_value.mean(dim=1),
+            "critic_gradient": diagnostics.critic_gradient_norm,
+            "actor_gradient": diagnostics.actor_gradient_norm,
             "member_loss": diagnostics.member_loss,
-            "member_gradient": diagnostics.member_gradient,
-            "member_spread": None if diagnostics.spread is None else diagnostics.spread.mean(dim=1),
+            "member_gradient": diagnostics.member_gradient_norm,
+            "member_spread": None if diagnostics.member_std is None else diagnostics.member_std.mean(dim=1),
             "temperature": diagnostics.temperature,
             "log_probability": diagnostics.log_probability,
         }
@@ -162,8 +162,8 @@ class RunningDiagnostics:
             return
         rows = torch.from_numpy(chosen).to(returns.device)
         realised = returns.index_select(0, rows).mean(dim=0)
-        value = diagnostics.prediction.float().index_select(1, rows).mean(dim=1)
-        over = None if diagnostics.soft else value - realised
+        value = diagnostics.q_value.float().index_select(1, rows).mean(dim=1)
+        over = None if diagnostics.entropy_regularised else value - realised
         self._take({"realised_return": realised, "overestimation": over}, RETURN_SHARE)
         self.comparisons += 1
 

@@ -85,11 +85,10 @@ class Engine:
             )
         if self.cores > 1:
             numba.set_num_threads(usable_cores(self.cores))  # a setting of the thread that calls
-        phase = self.algorithm.phase(int(self.updates))
         self.updates.add_(1)
-        if self._graphs is not None:
-            return self._graphs.update(batch, self._noise, phase, diagnostics=diagnostics)
-        return self.algorithm.update(batch, self._noise, phase, diagnostics=diagnostics)
+        actor_step = int(self.updates) % self.algorithm.actor_period(self.config) == 0
+        updater = self.algorithm if self._graphs is None else self._graphs
+        return updater.update(batch, self._noise, actor_step=actor_step, diagnostics=diagnostics)
 
     def observe(self, observation: Float32, reward: Float32) -> None:
         """Take rows of observations [R, O] and rewards [R, agents] into the running statistics, where there are any."""

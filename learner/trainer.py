@@ -42,7 +42,6 @@ from learner.data.tensor_snapshot import Frozen, whole
 from learner.diagnostics import RETURN_PERIOD, SHARE, RunningDiagnostics, newest_returns
 from learner.engine import Diagnostics, Engine
 from learner.networks.device import usable_device
-from learner.networks.product_choice import choose_products
 
 COUNTERS = ("environment_steps", "updates", "episodes", "version", "events", "evaluation_steps")
 RECENT_EPISODES = 100
@@ -73,8 +72,7 @@ class Trainer:
 
     def __init__(self, config: RunConfig, team: TeamSpec) -> None:
         self.config, self.team = config, team
-        if usable_device(config.learner.device).type == "cpu":
-            choose_products()
+        usable_device(config.learner.device)
         self.engine = Engine(config.algorithm, team, config.seed, config.learner.device)
         algorithm, device = config.algorithm, config.learner.device
         self.replay = Replay(team, config.replay.capacity, device, steps=algorithm.n_step, discount=algorithm.discount)

@@ -34,4 +34,4 @@ def warm_up(config: RunConfig, team: TeamSpec) -> None:
         np.zeros((steps, size), np.float32) for size in (team.observation_size, team.action_size, team.agents)
     )
     trainer.absorb(Chunk(Rows(observation, action, reward, flag), ()))
-    trainer.train(ALGORITHMS[config.algorithm.name].phases(config.algorithm))
+    trainer.train(ALGORITHMS[config.algorithm.name].actor_period(config.algorithm))

@@ -1,10 +1,11 @@
-"""The actors of all agents on the learner's side: parameters, optimiser, and what they decide for a batch.
+"""The actors of all agents on the learner's side: parameters, target parameters, optimiser.
 
-A deterministic head gives the action's inverse hyperbolic tangent; a Gaussian head gives its mean and, behind it, the
-logarithm of its standard deviation (see `common.actors`).
+A deterministic head outputs the inverse hyperbolic tangent of the action. A Gaussian head outputs its mean and, behind
+it, the logarithm of its standard deviation (see `common.actors`).
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,8 +14,21 @@ from common.actors import Head, TeamActors
 from common.config import AlgorithmConfig
 from common.team import Float32, TeamSpec
 from learner.networks.compiled_pass import make_pass
+from learner.networks.inputs import Inputs
 from learner.networks.optimiser import Adam
-from learner.networks.stacked import Networks, Stack
+from learner.networks.stacked import Forward, Networks, Stack
+
+
+class PolicyActions(NamedTuple):
+    """Actions of deterministic actors for a batch.
+
+    Attributes:
+        actions: tanh of the outputs, in the action layout.
+        forward: the forward pass, which `Actors.step` takes.
+    """
+
+    actions: Tensor
+    forward: Forward
 
 
 class Actors:
@@ -26,11 +40,12 @@ class Actors:
         like: a tensor of the wanted device and type.
         head: kind of the last layer.
         target: whether there are target actors.
-        cores: processor cores to compute on by compiled kernels; 0 to compute by torch.
+        cores: processor cores for the compiled kernels; 0 to compute by torch.
 
     Attributes:
         flat: parameters of all actors [P].
         target: those of the target actors, or None.
+        gradient: the newest gradient [P].
     """
 
     def __init__(
@@ -44,11 +59,10 @@ class Actors:
         self.target = like.new_zeros(self.networks.size) if target else None
         self.gradient = like.new_zeros(self.networks.size)
         self._pass = make_pass(self.networks, like, cores=cores)
-        self._parameters, self._into = self.networks.parameters(self.flat), self.networks.parameters(self.gradient)
-        self._deciding = self._parameters if self.target is None else self.networks.parameters(self.target)
+        self._parameters, self._gradient = (self.networks.parameters(x) for x in (self.flat, self.gradient))
+        self._next = self._parameters if self.target is None else self.networks.parameters(self.target)
         self.adam = Adam(
             self.flat,
-            self.gradient,
             config.actor_rate,
             cores=cores,
             clip=config.gradient_clip,
@@ -56,9 +70,9 @@ class Actors:
         )
 
     def initialise(self, seed: int) -> None:
-        """Draw all parameters, those of a type alike or each its own (A4)."""
-        alike = self._config.initialisation == "type"
-        self.load(TeamActors.initial(self._team, self._config.hidden, seed, per_type=alike, head=self.head).flat)
+        """Draw all parameters: one draw for each type, or one for each agent (A4)."""
+        per_type = self._config.initialisation == "type"
+        self.load(TeamActors.initial(self._team, self._config.hidden, seed, per_type=per_type, head=self.head).flat)
         if self.target is not None:
             self.target.copy_(self.flat)
 
@@ -72,21 +86,38 @@ class Actors:
         kinds = range(len(self._team.groups))
         return tuple(self.networks.export(self.flat, kind).float().contiguous().cpu().numpy() for kind in kinds)
 
-    def forward(self, inputs: list[Tensor], *, next_action: bool = False) -> Tensor:
-        """Return the heads' outputs, flat, before any tanh; by the target actors, if any, for the next action."""
-        return self._pass.forward(self._deciding if next_action else self._parameters, inputs)
+    def outputs(self, inputs: Inputs) -> Forward:
+        """Return the heads' outputs, before any tanh."""
+        return self._pass.forward(self._parameters, inputs.actor)
 
-    def descend(self, inputs: list[Tensor], upstream: Tensor) -> None:
-        """Take one Adam step against the gradient of sum(upstream * output) of the last forward pass."""
-        self._pass.parameter_gradient(self._parameters, inputs, upstream, self._into)
-        self.adam.step(self.target, self._config.target_rate)
+    def policy_actions(self, inputs: Inputs) -> PolicyActions:
+        """Return a = pi(o) of deterministic actors."""
+        forward = self.outputs(inputs)
+        return PolicyActions(torch.tanh(forward.output), forward)
 
-    def norms(self) -> Tensor:
+    def next_actions(self, inputs: Inputs) -> Tensor:
+        """Return a' = pi'(o') in the action layout: of the target actors, or of the actors where there are none."""
+        return torch.tanh(self._pass.forward(self._next, inputs.actor).output)
+
+    def step(self, policy: PolicyActions, action_gradient: Tensor) -> None:
+        """Take one Adam step on a loss, given its gradient by the actions, in the action layout.
+
+        By the chain rule through a = tanh(y), dL/dy = dL/da (1 - a^2).
+        """
+        upstream = torch.addcmul(action_gradient, action_gradient * policy.actions, policy.actions, value=-1.0)
+        self.step_from_outputs(policy.forward, upstream)
+
+    def step_from_outputs(self, forward: Forward, output_gradient: Tensor) -> None:
+        """Take one Adam step on a loss, given its gradient by the heads' outputs; target actors then follow."""
+        self._pass.parameter_gradient(forward, output_gradient, self._gradient)
+        self.adam.step(self.gradient, self.target, self._config.target_rate)
+
+    def gradient_norms(self) -> Tensor:
         """Return the norm of each actor's newest gradient [agents], before any clip."""
         return self.networks.norms(self.gradient) if self.adam.norms is None else self.adam.norms
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the whole state by name."""
-        found = {"actors": self.flat, "actor_mean": self.adam.mean, "actor_square": self.adam.square}
-        found["actor_steps"] = self.adam.steps
-        return found if self.target is None else {**found, "target_actors": self.target}
+        state = {"actors": self.flat, "actor_mean": self.adam.mean, "actor_square": self.adam.square}
+        state["actor_steps"] = self.adam.steps
+        return state if self.target is None else {**state, "target_actors": self.target}

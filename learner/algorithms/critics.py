@@ -1,9 +1,11 @@
 """Critics of single agents: one or two for each, local or joint.
 
-Predictions of all agents are tensors [k, agents, B] in the team's order, k being the critics of an agent. Their
-parameters are one flat vector; they are initialised, loaded and exported in the order of an agent's own view (see
-`learner.networks.inputs`), whatever the order of the rows that they see.
+Q-values are tensors [k, agents, B] in the team's order, k being the critics of an agent. The parameters of all critics
+are one flat vector. They are initialised, loaded and exported in the order of an agent's own view (see
+`learner.networks.inputs`), whatever the order of the rows that the critics see.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -15,45 +17,54 @@ from common.seeds import stream
 from common.team import TeamSpec
 from learner.networks.compiled_pass import make_pass
 from learner.networks.inputs import Inputs, critic_width, view_columns
-from learner.networks.stacked import Networks, Parameters, Stack
+from learner.networks.stacked import Forward, Networks, Parameters, Stack
+
+
+class QValues(NamedTuple):
+    """Values that critics predict.
+
+    Attributes:
+        values: [k, agents, B].
+        forward: the forward pass, which the gradients take.
+    """
+
+    values: Tensor
+    forward: Forward
 
 
 class Critics:
-    """Layout and working memory of every agent's own critics.
+    """Every agent's own critics: their layout and forward pass. Parameters are passed in.
 
     Args:
         config: the algorithm's configuration.
         team: the layout of the team.
         like: a tensor of the wanted device and type.
         each: critics of one agent, k.
-        climbed: how many of these the actors climb, from the first one on.
-        cores: processor cores to compute on by compiled kernels; 0 to compute by torch.
+        objective: how many of these the actors' objective takes, from the first one on.
+        cores: processor cores for the compiled kernels; 0 to compute by torch.
 
     Attributes:
-        networks: all of them.
-        climbed_networks: those that the actors climb.
+        networks: layout of all critics.
+        objective_networks: layout of those that the actors' objective takes, in the same flat vector.
     """
 
     def __init__(
-        self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, each: int, climbed: int, cores: int
+        self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, each: int, objective: int, cores: int
     ) -> None:
         self._config, self._team, self.each = config, team, each
-        self._climbed = climbed
+        self._objective = objective
         self._joint = config.joint_critics
-        self.networks = Networks(
-            [self._stack(kind) for _ in range(each) for kind in range(len(team.groups))], config.hidden
-        )
+        kinds = range(len(team.groups))
+        self.networks = Networks([self._stack(kind) for _ in range(each) for kind in kinds], config.hidden)
         self._orders = [
             torch.tensor([[0, *(1 + c for c in own)] for own in view_columns(team, kind)], device=like.device)
-            for kind in range(len(team.groups) if self._joint else 0)
+            for kind in (kinds if self._joint else ())
         ]
-        self._pass = self._ascent = make_pass(self.networks, like, cores=cores)
-        self.climbed_networks = self.networks
-        if climbed < each:
-            self.climbed_networks = self.networks.part(climbed * len(team.groups))
-            self._ascent = make_pass(self.climbed_networks, like, cores=cores)
-        self._values = self._pass.output.view(each, team.agents, config.batch)
-        self._climbed_values = self._ascent.output.view(climbed, team.agents, config.batch)
+        self._pass = self._objective_pass = make_pass(self.networks, like, cores=cores)
+        self.objective_networks = self.networks
+        if objective < each:
+            self.objective_networks = self.networks.part(objective * len(kinds))
+            self._objective_pass = make_pass(self.objective_networks, like, cores=cores)
 
     def _stack(self, kind: int) -> Stack:
         group, width = self._team.groups[kind], critic_width(self._team, kind, self._joint)
@@ -67,13 +78,13 @@ class Critics:
         return Stack(group.count, width, 1, self._config.batch, own, step, group.action_size)
 
     def initialise(self, flat: Tensor, seed: int) -> None:
-        """Draw all parameters: the critics of a type alike or each its own (A4), those of one agent different."""
-        hidden, alike = self._config.hidden, self._config.initialisation == "type"
+        """Draw all parameters: one draw for each type, or for each agent (A4); the critics of one agent differ."""
+        hidden, per_type = self._config.hidden, self._config.initialisation == "type"
         for kind, group in enumerate(self._team.groups):
             width = critic_width(self._team, kind, self._joint)
             for k in range(self.each):
                 role = "critic" if k == 0 else f"critic {k}"
-                names = [0 if alike else index for index in range(group.count)]
+                names = [0 if per_type else index for index in range(group.count)]
                 draws = [initial_parameters(width, hidden, 1, stream(seed, role, group.name, name)) for name in names]
                 self.load(flat, k, kind, torch.from_numpy(np.stack(draws)))
 
@@ -109,23 +120,34 @@ class Critics:
             return first
         return first.gather(1, self._orders[kind][:, :, None].expand_as(first))
 
-    def forward(self, parameters: Parameters, inputs: Inputs) -> Tensor:
-        """Return all predictions [k, agents, B], valid until the next call."""
-        self._pass.forward(parameters, inputs.critic * self.each)
-        return self._values
+    def q_values(self, parameters: Parameters, inputs: Inputs) -> QValues:
+        """Return Q_k,i of the actions in the inputs, valid until the next call."""
+        forward = self._pass.forward(parameters, inputs.critic * self.each)
+        return QValues(forward.output.view(self.each, -1, self._config.batch), forward)
 
-    def appraise(self, parameters: Parameters, inputs: Inputs, delta: list[Tensor] | None = None) -> Tensor:
-        """Return those predictions that the actors climb, likewise; see `Pass` for `delta`."""
-        self._ascent.forward(parameters, inputs.critic * self._climbed, delta * self._climbed if delta else ())
-        return self._climbed_values
+    def objective_q_values(self, parameters: Parameters, inputs: Inputs, change: list[Tensor] | None = None) -> QValues:
+        """Return Q_k,i of the critics that the actors' objective takes, valid until the next call.
 
-    def parameter_gradient(self, parameters: Parameters, inputs: Inputs, upstream: Tensor, into: Parameters) -> None:
-        """Write the gradient of sum(upstream * prediction) by the parameters."""
-        self._pass.parameter_gradient(parameters, inputs.critic * self.each, upstream.reshape(-1), into)
-
-    def action_gradient(self, parameters: Parameters, upstream: Tensor, into: list[Tensor]) -> None:
-        """Add the gradient of sum(upstream * prediction) by every agent's own action to `into`, after `appraise`.
-
-        Where actors climb the sum of all critics (`others = "team"`), the action of a critic is that of the whole team.
+        Args:
+            parameters: of `objective_networks`.
+            inputs: observations and actions.
+            change: for each type [n_v, B, a_v], what is added to each agent's own action, and to that alone.
         """
-        self._ascent.action_gradient(parameters, upstream.reshape(-1), into * self._climbed)
+        changes = change * self._objective if change else ()
+        forward = self._objective_pass.forward(parameters, inputs.critic * self._objective, changes)
+        return QValues(forward.output.view(self._objective, -1, self._config.batch), forward)
+
+    def parameter_gradient(self, q: QValues, upstream: Tensor, into: Parameters) -> None:
+        """Write the gradient of sum(upstream * Q) by the parameters, given the result of `q_values`."""
+        self._pass.parameter_gradient(q.forward, upstream.reshape(-1), into)
+
+    def action_gradient(self, q: QValues, upstream: Tensor, into: list[Tensor]) -> None:
+        """Add the gradient of sum(upstream * Q) by every agent's own action, given that of `objective_q_values`.
+
+        Args:
+            q: the values.
+            upstream: [k, agents, B].
+            into: for each type [n_v, B, a_v]. Where actors share one objective (`others = "team"`), the action of a
+                critic is that of the whole team.
+        """
+        self._objective_pass.action_gradient(q.forward, upstream.reshape(-1), into * self._objective)

@@ -1,4 +1,4 @@
-"""The shared ensemble critics (SEC) of all types: k_s members for each, which every agent of the type asks."""
+"""The shared ensemble critics (SEC): k_s members for each type, which all its agents share."""
 
 import torch
 from torch import Tensor
@@ -7,22 +7,23 @@ from common.actors import initial_parameters
 from common.config import AlgorithmConfig
 from common.seeds import stream
 from common.team import TeamSpec
+from learner.algorithms.critics import QValues
 from learner.networks.compiled_pass import make_pass
 from learner.networks.inputs import Inputs, critic_width
 from learner.networks.stacked import Networks, Parameters, Stack
 
 
 class Ensemble:
-    """Layout and working memory of all members.
+    """The members of all types: their layout and forward pass. Parameters are passed in.
 
     Args:
         config: the algorithm's configuration.
         team: the layout of the team.
         like: a tensor of the wanted device and type.
-        cores: processor cores to compute on by compiled kernels; 0 to compute by torch.
+        cores: processor cores for the compiled kernels; 0 to compute by torch.
 
     Attributes:
-        values: the predictions [k_s, agents, B] of the last forward pass.
+        networks: layout of all members.
     """
 
     def __init__(self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, cores: int) -> None:
@@ -36,42 +37,46 @@ class Ensemble:
         ]
         self.networks = Networks(stacks, config.hidden)
         self._pass = make_pass(self.networks, like, cores=cores)
-        self.values = self._pass.output.view(k_s, team.agents, batch)
         kinds = [kind for kind, group in enumerate(team.groups) for _ in range(group.count)]
         self._kinds = torch.tensor(kinds, device=like.device)
 
     def initialise(self, flat: Tensor, seed: int) -> None:
-        """Draw all members, each its own."""
+        """Draw the parameters of every member."""
         for k in range(self._config.ensemble_members):
             for kind, (group, width) in enumerate(zip(self._team.groups, self._widths, strict=True)):
                 draw = initial_parameters(width, self._config.hidden, 1, stream(seed, "ensemble", group.name, k))
                 self.networks.load(flat, self.index(k, kind), torch.from_numpy(draw[None]))
 
     def index(self, k: int, kind: int) -> int:
-        """Return which stack of the networks the k-th member of a type is."""
+        """Return the stack of the k-th member of a type."""
         return k * len(self._team.groups) + kind
 
     def by_agent(self, numbers: Tensor) -> Tensor:
-        """Return, for each agent, the mean over its type's members of one number for each stack [stacks]: [agents]."""
+        """Return the mean over the members of each agent's type [agents], given one number for each stack [stacks]."""
         means = numbers.view(self._config.ensemble_members, -1).mean(dim=0)
         return means.index_select(0, self._kinds)
 
-    def _inputs(self, inputs: Inputs) -> list[Tensor]:
-        return [x[None] for x in inputs.pooled] * self._config.ensemble_members
+    def q_values(self, parameters: Parameters, inputs: Inputs, change: list[Tensor] | None = None) -> QValues:
+        """Return Q_s,k of every agent's action [k_s, agents, B], valid until the next call.
 
-    def forward(self, parameters: Parameters, inputs: Inputs, delta: list[Tensor] | None = None) -> Tensor:
-        """Compute and return `values`; see `Pass` for `delta`, here for each type [n_v, B, a_v]."""
-        self._pass.forward(parameters, self._inputs(inputs), self._pooled(delta) if delta else ())
-        return self.values
+        Args:
+            parameters: of all members.
+            inputs: observations and actions.
+            change: for each type [n_v, B, a_v], what is added to each agent's own action, and to that alone.
+        """
+        members = self._config.ensemble_members
+        rows = [x[None] for x in inputs.pooled] * members
+        forward = self._pass.forward(parameters, rows, self._pooled(change) if change else ())
+        return QValues(forward.output.view(members, self._team.agents, self._config.batch), forward)
 
     def _pooled(self, actions: list[Tensor]) -> list[Tensor]:
-        """View a tensor for all agents' rows as one for each member."""
+        """View actions [n_v, B, a_v] of each type as [1, n_v * B, a_v] for each member."""
         return [a.flatten(0, 1)[None] for a in actions] * self._config.ensemble_members
 
-    def parameter_gradient(self, parameters: Parameters, inputs: Inputs, upstream: Tensor, into: Parameters) -> None:
-        """Write the gradient of sum(upstream * prediction) by the parameters."""
-        self._pass.parameter_gradient(parameters, self._inputs(inputs), upstream.reshape(-1), into)
+    def parameter_gradient(self, q: QValues, upstream: Tensor, into: Parameters) -> None:
+        """Write the gradient of sum(upstream * Q) by the members' parameters."""
+        self._pass.parameter_gradient(q.forward, upstream.reshape(-1), into)
 
-    def action_gradient(self, parameters: Parameters, upstream: Tensor, into: list[Tensor]) -> None:
-        """Add the gradient of sum(upstream * prediction) by every agent's own action to `into`."""
-        self._pass.action_gradient(parameters, upstream.reshape(-1), self._pooled(into))
+    def action_gradient(self, q: QValues, upstream: Tensor, into: list[Tensor]) -> None:
+        """Add the gradient of sum(upstream * Q) by every agent's own action to `into`, [n_v, B, a_v] for each type."""
+        self._pass.action_gradient(q.forward, upstream.reshape(-1), self._pooled(into))

@@ -2,36 +2,46 @@
 
 One update, for every agent i at once, with x all observations and a all actions in the joint scope:
 
- 1. a'_j = mu'_j(o'_j) by the target actors of all agents j,
-    Y_i = reward_scale r_i + discount (1 - terminated) Q'_i(x', a'_1 .. a'_N).
- 2. One Adam step of each critic on mean_B (Q_i(x, a) - Y_i)^2.
- 3. One Adam step of each actor on -mean_B Q_i(x, a_1 .., mu_i(o_i), .. a_N), others' actions from the batch.
- 4. Soft targets of critics and actors, with xi.
+ 1. Targets, with the next actions a'_j = mu'_j(o'_j) by the target actors of all agents j:
+        Y_i = reward_scale r_i + discount (1 - terminated) Q'_i(x', a'_1 .. a'_N)
+ 2. Critic loss mean_B (Q_i(x, a) - Y_i)^2, and one Adam step of each critic.
+ 3. Actor loss -mean_B Q_i(x, a_1 .., mu_i(o_i), .. a_N), with the others' actions from the batch, and one Adam step of
+    each actor.
+ 4. Soft targets: phi' <- xi phi + (1 - xi) phi', and theta' likewise. Each follows its optimiser step in the same
+    sweep.
 """
 
+import torch
 from torch import Tensor
 
 from learner.algorithms.base import Algorithm, Batch, Diagnostics
 
 
 class Maddpg(Algorithm):
-    """MADDPG; see the module."""
+    """MADDPG; the module gives its equations."""
 
     def has_target_actors(self) -> bool:
         """See `Algorithm`."""
         return True
 
-    def update(self, batch: Batch, noise: Tensor, phase: int, *, diagnostics: bool) -> Diagnostics | None:
+    def update(self, batch: Batch, noise: Tensor, *, actor_step: bool, diagnostics: bool) -> Diagnostics | None:
         """See `Algorithm`."""
-        self.observe(batch)
-        self.next.decide(self.actors.forward(self.next.actor, next_action=True).tanh_())
-        target = self.bootstrapped(batch, self.critics.forward(self.target_views, self.next)[0])
-        error = self.regress(target)[0]
-        self.critic_adam.step(self.target_phi, self.config.target_rate)
-        action = self.choose()
-        value = self.appraise(action)
-        climbed = value[0].clone() if diagnostics else None
-        value.fill_(-1.0 / self.config.batch)
-        self.slope(value)
-        self.climb(action)
-        return self.diagnosed(error, climbed, target) if climbed is not None else None
+        config = self.config
+        inputs, next_inputs = self.inputs(batch)
+
+        # 1. Targets
+        next_actions = self.actors.next_actions(next_inputs)
+        next_q = self.critics.q_values(self._target_parameters, next_inputs.with_actions(next_actions))
+        target = self.td_target(batch, next_q.values[0])
+
+        # 2. and 4. Critic loss, critic step, target critics
+        td_error, gradient = self.critic_gradient(inputs, target)
+        self.critic_adam.step(gradient, self.target_phi, config.target_rate)
+
+        # 3. and 4. Actor loss, actor step, target actors
+        policy = self.actors.policy_actions(inputs)
+        q = self.objective_q_values(inputs, policy.actions)
+        loss_by_q = torch.full_like(q.values, -1.0 / config.batch)
+        self.actors.step(policy, self.action_gradient(q, loss_by_q))
+
+        return self.measured(td_error[0], q.values[0], target) if diagnostics else None

@@ -6,13 +6,14 @@ The actor's head gives m and log s of a Gaussian; u = m + s n with standard norm
 
 the last term being log(1 - tanh(u_j)^2). One update, for every agent i at once:
 
- 1. a'_j sampled by the actors of all agents j,
-    Y_i = reward_scale r_i + discount (1 - terminated) (min_k Q'_i,k(x', a') - alpha_i log pi_i(a'_i)), k = 1, 2.
- 2. One Adam step of both critics on mean_B (Q_i,k(x, a) - Y_i)^2.
- 3. One Adam step of each actor on mean_B (alpha_i log pi_i(a_i) - min_k Q_i,k(x, a_1 .., a_i, .. a_N)), a_i sampled and
-    others' actions from the batch.
- 4. One Adam step of log alpha_i on mean_B -alpha_i (log pi_i(a_i) + H), H = entropy_target times numbers in an action.
- 5. Soft targets of the critics, with xi. There are no target actors.
+ 1. Targets, with next actions a'_j sampled by the actors of all agents j, k = 1, 2:
+        Y_i = reward_scale r_i + discount (1 - terminated) (min_k Q'_i,k(x', a') - alpha_i log pi_i(a'_i))
+ 2. Critic loss sum_k mean_B (Q_i,k(x, a) - Y_i)^2, and one Adam step of both critics.
+ 3. Actor loss mean_B (alpha_i log pi_i(a_i) - min_k Q_i,k(x, a_1 .., a_i, .. a_N)) with a_i sampled and the others'
+    actions from the batch, and one Adam step of each actor.
+ 4. Temperature loss mean_B -alpha_i (log pi_i(a_i) + H), with H = entropy_target times the size of an action, and one
+    Adam step of log alpha_i.
+ 5. Soft targets of the critics, with xi, in the sweep of step 2. There are no target actors.
 
 Steps 1 and 3 use alpha_i from the start of the update.
 """
@@ -28,47 +29,52 @@ from common.actors import LOG_STD_RANGE
 from common.config import AlgorithmConfig
 from common.team import TeamSpec
 from learner.algorithms.base import Algorithm, Batch, Diagnostics
+from learner.networks.inputs import Inputs
 from learner.networks.optimiser import Adam
+from learner.networks.stacked import Forward
 
 
 class Sample(NamedTuple):
-    """Actions drawn from the actors.
+    """Actions sampled from the actors; all but the last two in the action layout.
 
     Attributes:
-        action: in the action layout.
-        spread: s n, likewise.
-        inside: 1 where log s lay within its range, else 0, likewise.
-        log_probability: log pi [agents, B].
+        actions: a = tanh(u).
+        scaled_noise: s n.
+        in_range: 1 where the head's log s was within its range, else 0.
+        log_probability: log pi(a) [agents, B].
+        forward: the actors' forward pass.
     """
 
-    action: Tensor
-    spread: Tensor
-    inside: Tensor
+    actions: Tensor
+    scaled_noise: Tensor
+    in_range: Tensor
     log_probability: Tensor
+    forward: Forward
 
 
 class Masac(Algorithm):
-    """MASAC; see the module."""
+    """MASAC; the module gives its equations."""
 
     head = "gaussian"
     critics_each = 2
-    climbed_each = 2
+    objective_critics = 2
     noise_blocks = 2
 
     def __init__(self, config: AlgorithmConfig, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
         super().__init__(config, team, seed, like, cores=cores)
         self.log_alpha = like.new_full((team.agents,), math.log(config.temperature))
-        self._alpha_gradient = torch.zeros_like(self.log_alpha)
-        self._alpha_adam = Adam(self.log_alpha, self._alpha_gradient, config.temperature_rate, cores=cores)
+        self._alpha_adam = Adam(self.log_alpha, config.temperature_rate, cores=cores)
         sizes = [group.action_size for group in team.groups for _ in range(group.count)]
-        self._entropy_target = like.new_tensor(sizes) * config.entropy_target
-        width = torch.tensor(sizes).repeat_interleave(config.batch)
+        self._target_entropy = like.new_tensor(sizes) * config.entropy_target
+        self._index_outputs(sizes)
+
+    def _index_outputs(self, sizes: list[int]) -> None:
+        """Note, for each number of the action layout, its row of [agents * B], and where its m and log s stand."""
+        width = torch.tensor(sizes).repeat_interleave(self.config.batch)
         row = torch.arange(width.shape[0]).repeat_interleave(width)
-        first = torch.cumsum(width, 0) - width
-        place = torch.arange(row.shape[0])
-        mean = place + first[row]
-        self._row, self._mean, self._deviation = (x.to(like.device) for x in (row, mean, mean + width[row]))
-        self._upstream = like.new_zeros(2 * row.shape[0])
+        mean = torch.arange(row.shape[0]) + (torch.cumsum(width, 0) - width)[row]
+        self._row, self._mean, self._log_std = (x.to(self.like.device) for x in (row, mean, mean + width[row]))
+        self._output_gradient = self.like.new_zeros(2 * row.shape[0])
 
     def tensors(self) -> dict[str, Tensor]:
         """See `Algorithm`."""
@@ -76,56 +82,62 @@ class Masac(Algorithm):
         own = {"log_alpha": self.log_alpha, "alpha_mean": adam.mean, "alpha_square": adam.square}
         return {**super().tensors(), **own, "alpha_steps": adam.steps}
 
-    def update(self, batch: Batch, noise: Tensor, phase: int, *, diagnostics: bool) -> Diagnostics | None:
+    def update(self, batch: Batch, noise: Tensor, *, actor_step: bool, diagnostics: bool) -> Diagnostics | None:
         """See `Algorithm`."""
-        self.observe(batch)
+        config = self.config
+        inputs, next_inputs = self.inputs(batch)
         alpha = self.log_alpha.exp()[:, None]
-        following = self._sample(self.next.actor, noise[0])
-        self.next.decide(following.action)
-        value = self.critics.forward(self.target_views, self.next)
-        soft = torch.minimum(value[0], value[1]) - alpha * following.log_probability
-        target = self.bootstrapped(batch, soft)
-        error = self.regress(target)[0]
-        self.critic_adam.step(self.target_phi, self.config.target_rate)
-        sample = self._sample(self.current.actor, noise[1])
-        climbed = self._climb(sample, alpha)
-        if self.config.temperature_rate > 0.0:
-            surprise = sample.log_probability.mean(dim=1) + self._entropy_target
-            torch.mul(alpha[:, 0], surprise, out=self._alpha_gradient).neg_()
-            self._alpha_adam.step()
+
+        # 1. Targets
+        following = self._sample(next_inputs, noise[0])
+        next_q = self.critics.q_values(self._target_parameters, next_inputs.with_actions(following.actions))
+        next_value = torch.minimum(next_q.values[0], next_q.values[1]) - alpha * following.log_probability
+        target = self.td_target(batch, next_value)
+
+        # 2. and 5. Critic loss, critic step, target critics
+        td_error, gradient = self.critic_gradient(inputs, target)
+        self.critic_adam.step(gradient, self.target_phi, config.target_rate)
+
+        # 3. Actor loss, actor step
+        sample = self._sample(inputs, noise[1])
+        q = self.objective_q_values(inputs, sample.actions)
+        first = (q.values[0] <= q.values[1]).to(q.values.dtype)
+        loss_by_q = torch.stack((first, 1.0 - first)) * (-1.0 / config.batch)
+        loss_by_outputs = self._output_gradients(sample, self.action_gradient(q, loss_by_q), alpha)
+        self.actors.step_from_outputs(sample.forward, loss_by_outputs)
+
+        # 4. Temperature loss, temperature step
+        log_probability = sample.log_probability.mean(dim=1)
+        if config.temperature_rate > 0.0:
+            self._alpha_adam.step(-(alpha[:, 0] * (log_probability + self._target_entropy)))
+
         if not diagnostics:
             return None
-        reported = self.diagnosed(error, climbed, target)
-        density = sample.log_probability.mean(dim=1)
-        return reported._replace(temperature=alpha[:, 0], log_probability=density, soft=True)
+        objective = torch.minimum(q.values[0], q.values[1]) - alpha * sample.log_probability
+        return self.measured(td_error[0], objective, target)._replace(
+            temperature=alpha[:, 0], log_probability=log_probability, entropy_regularised=True
+        )
 
-    def _sample(self, inputs: list[Tensor], noise: Tensor) -> Sample:
-        output = self.actors.forward(inputs)
-        raw = output.index_select(0, self._deviation)
-        log_deviation = raw.clamp(*LOG_STD_RANGE)
-        spread = log_deviation.exp() * noise
-        before = output.index_select(0, self._mean) + spread
-        correction = 2.0 * (math.log(2.0) - before - softplus(-2.0 * before))
-        density = noise.square() * -0.5 - log_deviation - correction - 0.5 * math.log(2.0 * math.pi)
+    def _sample(self, inputs: Inputs, noise: Tensor) -> Sample:
+        forward = self.actors.outputs(inputs)
+        raw = forward.output.index_select(0, self._log_std)
+        log_std = raw.clamp(*LOG_STD_RANGE)
+        scaled_noise = log_std.exp() * noise
+        u = forward.output.index_select(0, self._mean) + scaled_noise
+        correction = 2.0 * (math.log(2.0) - u - softplus(-2.0 * u))
+        density = noise.square() * -0.5 - log_std - correction - 0.5 * math.log(2.0 * math.pi)
         rows = self.team.agents * self.config.batch
-        total = density.new_zeros(rows).index_add_(0, self._row, density)
-        inside = (raw == log_deviation).to(raw.dtype)
-        return Sample(before.tanh_(), spread, inside, total.view(-1, self.config.batch))
+        log_probability = density.new_zeros(rows).index_add_(0, self._row, density).view(-1, self.config.batch)
+        return Sample(u.tanh_(), scaled_noise, (raw == log_std).to(raw.dtype), log_probability, forward)
 
-    def _climb(self, sample: Sample, alpha: Tensor) -> Tensor:
-        """Take the actors' step; return what they climb, min_k Q - alpha log pi."""
-        batch = self.config.batch
-        torch.sub(sample.action, self.current.acted, out=self.change)
-        value = self.appraise(sample.action)
-        climbed = torch.minimum(value[0], value[1]) - alpha * sample.log_probability
-        first = (value[0] <= value[1]).to(value.dtype)
-        torch.mul(first, -1.0 / batch, out=value[0])
-        torch.mul(1.0 - first, -1.0 / batch, out=value[1])
-        self.slope(value)
-        action = sample.action
+    def _output_gradients(self, sample: Sample, action_gradient: Tensor, alpha: Tensor) -> Tensor:
+        """Return the gradient of the actor loss by m and log s, given that of its Q term by the actions.
+
+        With g the latter, c = alpha / B and d log pi / du = 2 a (n being given), dL/du = g (1 - a^2) + 2 c a,
+        dL/dm = dL/du, and dL/dlog s = s n dL/du - c where log s is in range.
+        """
+        batch, actions = self.config.batch, sample.actions
         weight = (alpha / batch).expand(-1, batch).reshape(-1).index_select(0, self._row)
-        by_sum = torch.addcmul(self.slopes, self.slopes * action, action, value=-1.0) + 2.0 * weight * action
-        by_deviation = (by_sum * sample.spread - weight) * sample.inside
-        self._upstream.index_copy_(0, self._mean, by_sum).index_copy_(0, self._deviation, by_deviation)
-        self.actors.descend(self.current.actor, self._upstream)
-        return climbed
+        by_u = torch.addcmul(action_gradient, action_gradient * actions, actions, value=-1.0) + 2.0 * weight * actions
+        by_log_std = (by_u * sample.scaled_noise - weight) * sample.in_range
+        return self._output_gradient.index_copy_(0, self._mean, by_u).index_copy_(0, self._log_std, by_log_std)

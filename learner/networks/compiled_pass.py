@@ -26,7 +26,7 @@ from learner.networks.kernels import (
     Table,
 )
 from learner.networks.matrix_products import piece_size
-from learner.networks.stacked import Networks, Parameters, Pass, StackedPass
+from learner.networks.stacked import Forward, ForwardCounter, Networks, Parameters, Pass, StackedPass
 
 
 def make_pass(networks: Networks, like: Tensor, *, cores: int) -> Pass:
@@ -73,6 +73,7 @@ class CompiledPass:
 
     def __init__(self, networks: Networks, like: Tensor, cores: int) -> None:
         self.networks = networks
+        self._counter = ForwardCounter()
         table = _table(networks)
         costs = table[:, ROWS] * table[:, WIDTH] * (table[:, FAN_IN] + table[:, WIDTH] + table[:, FAN_OUT])
         self._order, self._bounds = shares(costs.tolist(), cores)
@@ -83,8 +84,8 @@ class CompiledPass:
         space = max(kernels.scratch_size(s.rows, networks.hidden, s.action_size) for s in networks.stacks)
         self._piece = piece_size()
         self._scratch = np.zeros(self._parts * space, self._h1.dtype)
-        self.output = like.new_empty(networks.outputs)
-        self._output = self.output.numpy()
+        self._output = like.new_empty(networks.outputs)
+        self._array = self._output.numpy()
         self._nothing = (self._h1[:0], np.zeros(table.shape[0], np.int64))
         self._known: dict[tuple[int, ...], tuple[NDArray[Any], Table, Sequence[Tensor]]] = {}
 
@@ -99,34 +100,34 @@ class CompiledPass:
             found = self._known[key] = (storage(tensors[0]), np.array(starts, np.int64)[self._order], tensors)
         return found[0], found[1]
 
-    def forward(self, parameters: Parameters, inputs: Sequence[Tensor], delta: Sequence[Tensor] = ()) -> Tensor:
+    def forward(self, parameters: Parameters, inputs: Sequence[Tensor], delta: Sequence[Tensor] = ()) -> Forward:
         """See `Pass`."""
         x, starts = self._placed(inputs)
         change, places = self._placed(delta) if delta else self._nothing
-        work = self._table, starts, x, parameters.flat.numpy(), change, places, self._h1, self._h2, self._output
+        work = self._table, starts, x, parameters.flat.numpy(), change, places, self._h1, self._h2, self._array
         if self._parts > 1:
             kernels.forward_on_cores(self._bounds, *work, self._piece)
         else:
             kernels.forward(*work, self._piece)
-        return self.output
+        return Forward(parameters, inputs, self._output, self._counter.next())
 
-    def parameter_gradient(
-        self, parameters: Parameters, inputs: Sequence[Tensor], upstream: Tensor, into: Parameters
-    ) -> None:
+    def parameter_gradient(self, forward: Forward, upstream: Tensor, into: Parameters) -> None:
         """See `Pass`."""
-        x, starts = self._placed(inputs)
-        flat, above = parameters.flat.numpy(), upstream.numpy()
+        self._counter.check(forward)
+        x, starts = self._placed(forward.inputs)
+        flat, above = forward.parameters.flat.numpy(), upstream.numpy()
         work = self._table, starts, x, flat, above, self._h1, self._h2, self._scratch, into.flat.numpy()
         if self._parts > 1:
             kernels.parameter_gradient_on_cores(self._bounds, *work, self._piece)
         else:
             kernels.parameter_gradient(*work, self._piece)
 
-    def action_gradient(self, parameters: Parameters, upstream: Tensor, into: Sequence[Tensor]) -> None:
+    def action_gradient(self, forward: Forward, upstream: Tensor, into: Sequence[Tensor]) -> None:
         """See `Pass`."""
-        slopes, places = self._placed(into)
-        flat, above = parameters.flat.numpy(), upstream.numpy()
-        work = self._table, flat, above, self._h1, self._h2, self._scratch, slopes, places
+        self._counter.check(forward)
+        gradients, places = self._placed(into)
+        flat, above = forward.parameters.flat.numpy(), upstream.numpy()
+        work = self._table, flat, above, self._h1, self._h2, self._scratch, gradients, places
         if self._parts > 1:
             kernels.action_gradient_on_cores(self._bounds, *work, self._piece)
         else:

@@ -262,23 +262,6 @@ def adam(
             followers[i] += (values[i] - followers[i]) * follow
 
 
-@compiled
-def spread(source: Floats, table: Table, rows: int, out: Floats) -> None:
-    """Copy pieces of rows from one flat buffer to another.
-
-    A line (from, step, size, to, stride) of the table copies source[from + b * step + 0 .. size] to
-    out[to + b * stride + 0 .. size] for each row b.
-    """
-    for n in range(table.shape[0]):
-        begin, step, size, start, stride = table[n, 0], table[n, 1], table[n, 2], table[n, 3], table[n, 4]
-        for b in range(rows):
-            # Slices, because an index that could be negative keeps a loop from vector instructions.
-            piece = source[begin + b * step : begin + b * step + size]
-            place = out[start + b * stride : start + b * stride + size]
-            for k in range(size):
-                place[k] = piece[k]
-
-
 @shared
 def forward_on_cores(
     bounds: Table,
@@ -361,10 +344,3 @@ def adam_on_cores(
     for part in numba.prange(bounds.shape[0] - 1):
         a, b = bounds[part], bounds[part + 1]
         adam(parameters[a:b], gradient[a:b], mean[a:b], square[a:b], settings, target[a:b])
-
-
-@shared
-def spread_on_cores(bounds: Table, source: Floats, table: Table, rows: int, out: Floats) -> None:
-    """Do `spread`."""
-    for part in numba.prange(bounds.shape[0] - 1):
-        spread(source, table[bounds[part] : bounds[part + 1]], rows, out)

@@ -23,7 +23,6 @@ class Adam:
 
     Args:
         parameters: [P], changed in place.
-        gradient: [P], where every step's gradient stands.
         rate: learning rate.
         cores: processor cores for the compiled sweep; 0 to step by torch.
         clip: largest norm of one network's gradient; 0 for any.
@@ -42,14 +41,13 @@ class Adam:
     def __init__(
         self,
         parameters: Tensor,
-        gradient: Tensor,
         rate: float,
         *,
         cores: int = 0,
         clip: float = 0.0,
         networks: Tensor | None = None,
     ) -> None:
-        self._parameters, self._gradient, self._rate = parameters, gradient, rate
+        self._parameters, self._rate = parameters, rate
         self._cores, self._clip = cores, clip
         self.mean, self.square = torch.zeros_like(parameters), torch.zeros_like(parameters)
         self.steps = torch.zeros((), dtype=torch.int64, device=parameters.device)
@@ -59,43 +57,49 @@ class Adam:
             self.norms = parameters.new_zeros(int(networks.max()) + 1)
         if cores:
             self._bounds = even(parameters.shape[0], cores)
-            self._arrays = (parameters.numpy(), gradient.numpy(), self.mean.numpy(), self.square.numpy())
+            self._arrays = (parameters.numpy(), self.mean.numpy(), self.square.numpy())
 
-    def step(self, target: Tensor | None = None, follow: float = 0.0) -> None:
-        """Take one step against the gradient; a target then follows by target <- follow p + (1 - follow) target."""
+    def step(self, gradient: Tensor, target: Tensor | None = None, target_rate: float = 0.0) -> None:
+        """Take one step against a gradient, and then one of the target network, if any, in the same sweep.
+
+        Args:
+            gradient: [P]; where there is a clip, it is clipped in place.
+            target: [P], target <- target_rate p + (1 - target_rate) target.
+            target_rate: see `target`.
+        """
         if self.norms is not None:
-            self._shorten(self.norms)
+            self._clip_norms(gradient, self.norms)
         self.steps.add_(1)
         if self._cores:
-            self._sweep(target, follow)
+            self._sweep(gradient, target, target_rate)
             return
-        self.mean.lerp_(self._gradient, 1.0 - BETA1)
-        self.square.mul_(BETA2).addcmul_(self._gradient, self._gradient, value=1.0 - BETA2)
+        self.mean.lerp_(gradient, 1.0 - BETA1)
+        self.square.mul_(BETA2).addcmul_(gradient, gradient, value=1.0 - BETA2)
         steps = self.steps.double()
         correction = torch.sqrt(1.0 - BETA2**steps)
         torch.sqrt(self.square, out=self._scratch).add_(EPSILON * correction)
         scale = self._rate * correction / (1.0 - BETA1**steps)
         self._parameters.sub_(torch.div(self.mean, self._scratch, out=self._scratch).mul_(scale))
         if target is not None:
-            target.lerp_(self._parameters, follow)
+            target.lerp_(self._parameters, target_rate)
 
-    def _sweep(self, target: Tensor | None, follow: float) -> None:
+    def _sweep(self, gradient: Tensor, target: Tensor | None, target_rate: float) -> None:
         steps = int(self.steps)
         correction = math.sqrt(1.0 - BETA2**steps)
         scale = self._rate * correction / (1.0 - BETA1**steps)
         settings = np.array(
-            [1.0 - BETA1, BETA2, 1.0 - BETA2, scale, EPSILON * correction, follow], self._arrays[0].dtype
+            [1.0 - BETA1, BETA2, 1.0 - BETA2, scale, EPSILON * correction, target_rate], self._arrays[0].dtype
         )
         following = self._arrays[0][:0] if target is None else target.numpy()
-        values, slopes, mean, square = self._arrays
+        values, mean, square = self._arrays
         if self._cores > 1:
-            kernels.adam_on_cores(self._bounds, values, slopes, mean, square, settings, following)
+            kernels.adam_on_cores(self._bounds, values, gradient.numpy(), mean, square, settings, following)
         else:
-            kernels.adam(values, slopes, mean, square, settings, following)
+            kernels.adam(values, gradient.numpy(), mean, square, settings, following)
 
-    def _shorten(self, norms: Tensor) -> None:
-        """Scale every network's gradient whose norm is above the clip down to it; write the norms from before."""
-        squares = torch.mul(self._gradient, self._gradient, out=self._scratch)
+    def _clip_norms(self, gradient: Tensor, norms: Tensor) -> None:
+        """Scale every network's gradient to at most the clip; write the norms from before."""
+        squares = torch.mul(gradient, gradient, out=self._scratch)
         norms.zero_().index_add_(0, self._networks, squares).sqrt_()
         factors = self._clip / torch.clamp_min(norms, self._clip)
-        self._gradient.mul_(factors.index_select(0, self._networks))
+        gradient.mul_(factors.index_select(0, self._networks))

@@ -197,41 +197,76 @@ def _joined(blocks: list[Block]) -> list[Block]:
     return result
 
 
-class Pass(Protocol):
-    """One networks's forward pass and its gradients, in buffers that are allocated once.
-
-    Inputs are [count, rows, 1 + fan_in], one tensor for each stack, all of them views of one storage; networks that
-    see the same rows have a first stride of 0. `gradient` calls belong to the forward pass before them.
+@dataclass(frozen=True)
+class Forward:
+    """One forward pass of a `Pass`, which its gradients take.
 
     Attributes:
-        output: all outputs, flat: stack by stack, network by network, row by row.
+        parameters: the parameters used.
+        inputs: for each stack [count, rows, 1 + fan_in].
+        output: all outputs, flat: stack by stack, network by network, row by row; valid until the next forward pass.
+        number: which forward pass of its `Pass` it was.
     """
 
+    parameters: Parameters
+    inputs: Sequence[Tensor]
     output: Tensor
+    number: int
 
-    def forward(self, parameters: Parameters, inputs: Sequence[Tensor], delta: Sequence[Tensor] = ()) -> Tensor:
-        """Return `output`; `delta`, for each stack [count, rows, action_size], is added to the own actions."""
+
+class Pass(Protocol):
+    """Forward pass of one layout and its gradients, in buffers that are allocated once.
+
+    The activations of the newest forward pass are kept for its gradients. A gradient of an older one raises
+    RuntimeError.
+    """
+
+    def forward(self, parameters: Parameters, inputs: Sequence[Tensor], delta: Sequence[Tensor] = ()) -> Forward:
+        """Run the networks.
+
+        Args:
+            parameters: of all networks.
+            inputs: for each stack [count, rows, 1 + fan_in], all of them views of one buffer. Networks that see the
+                same rows have a first stride of 0.
+            delta: for each stack [count, rows, action_size], added to the own actions in `inputs`; empty for nothing.
+        """
         ...
 
-    def parameter_gradient(
-        self, parameters: Parameters, inputs: Sequence[Tensor], upstream: Tensor, into: Parameters
-    ) -> None:
+    def parameter_gradient(self, forward: Forward, upstream: Tensor, into: Parameters) -> None:
         """Write the gradient of sum(upstream * output) by all parameters; `upstream` is flat, as `output`."""
         ...
 
-    def action_gradient(self, parameters: Parameters, upstream: Tensor, into: Sequence[Tensor]) -> None:
-        """Add the gradient of sum(upstream * output) of scalar networks by the own actions, stack by stack, to `into`.
+    def action_gradient(self, forward: Forward, upstream: Tensor, into: Sequence[Tensor]) -> None:
+        """Add the gradient of sum(upstream * output) of scalar networks by the own actions to `into`.
 
-        `into` is as `delta`; stacks, and networks of a stack, that share a tensor there add up.
+        `into` has the shapes of `delta`. Networks that share a tensor there add up.
         """
         ...
 
 
+class ForwardCounter:
+    """Counts forward passes, so that the gradient of an overwritten one is refused."""
+
+    def __init__(self) -> None:
+        self.newest = 0
+
+    def next(self) -> int:
+        """Return the number of the forward pass that begins."""
+        self.newest += 1
+        return self.newest
+
+    def check(self, forward: Forward) -> None:
+        """Raise RuntimeError unless no other forward pass has followed."""
+        if forward.number != self.newest:
+            raise RuntimeError("a later forward pass has overwritten the activations that this gradient needs.")
+
+
 class StackedPass:
-    """A `Pass` by batched products of torch, on any device; see there."""
+    """A `Pass` by batched products of torch, on any device."""
 
     def __init__(self, networks: Networks, like: Tensor) -> None:
         self.networks = networks
+        self._counter = ForwardCounter()
         hidden, rows = networks.hidden, networks.rows
         self._h1, self._h2 = like.new_ones(rows, 1 + hidden), like.new_ones(rows, 1 + hidden)
         self._z, self._dh = like.new_empty(rows, hidden), like.new_empty(rows, hidden)
@@ -243,10 +278,10 @@ class StackedPass:
         self._dh_second = [block.data(self._dh) for block in second]
         self._dh_head = [block.data(self._dh) for block in head]
         self.scalar = all(stack.outputs == 1 for stack in networks.stacks)
-        self.output = like.new_empty(networks.outputs)
+        self._output = like.new_empty(networks.outputs)
         starts = [0, *itertools.accumulate(b.count * b.rows * b.fan_out for b in head)]
         self._slots = [slice(a, b) for a, b in itertools.pairwise(starts)]
-        self._outputs = self._split(self.output)
+        self._outputs = self._split(self._output)
 
     def _split(self, flat: Tensor) -> list[Tensor]:
         """View a flat [outputs] tensor as [n, 1, rows] for scalar networks, else [n, rows, outputs], for each block."""
@@ -255,7 +290,7 @@ class StackedPass:
             for b, slot in zip(self.networks.blocks[2], self._slots, strict=True)
         ]
 
-    def forward(self, parameters: Parameters, inputs: Sequence[Tensor], delta: Sequence[Tensor] = ()) -> Tensor:
+    def forward(self, parameters: Parameters, inputs: Sequence[Tensor], delta: Sequence[Tensor] = ()) -> Forward:
         """See `Pass`."""
         for x, w, z in zip(inputs, parameters.first, self._z1, strict=True):
             torch.bmm(x, w, out=z)
@@ -271,12 +306,12 @@ class StackedPass:
                 torch.bmm(w.transpose(1, 2), h.transpose(1, 2), out=y)
             else:
                 torch.bmm(h, w, out=y)
-        return self.output
+        return Forward(parameters, inputs, self._output, self._counter.next())
 
-    def parameter_gradient(
-        self, parameters: Parameters, inputs: Sequence[Tensor], upstream: Tensor, into: Parameters
-    ) -> None:
+    def parameter_gradient(self, forward: Forward, upstream: Tensor, into: Parameters) -> None:
         """See `Pass`."""
+        self._counter.check(forward)
+        parameters, inputs = forward.parameters, forward.inputs
         for g, h, out in zip(self._split(upstream), self._h2_head, into.head, strict=True):
             if self.scalar:
                 torch.bmm(g, h, out=out.transpose(1, 2))
@@ -304,15 +339,17 @@ class StackedPass:
             torch.bmm(z, matrix.copy_(w[:, 1:]).transpose(1, 2), out=dh)
         _through_relu(self._dh, self._h1[:, 1:], self._z)
 
-    def action_gradient(self, parameters: Parameters, upstream: Tensor, into: Sequence[Tensor]) -> None:
+    def action_gradient(self, forward: Forward, upstream: Tensor, into: Sequence[Tensor]) -> None:
         """See `Pass`."""
+        self._counter.check(forward)
+        parameters = forward.parameters
         self._through_head(parameters, upstream)
         self._through_hidden(parameters)
-        for z, w, slope in zip(self._z1, parameters.own, into, strict=True):
-            if slope.stride(0) == 0 and slope.shape[0] > 1:  # one sum for all networks of the stack
-                slope[0].add_(torch.bmm(z, w.transpose(1, 2)).sum(dim=0))
+        for z, w, out in zip(self._z1, parameters.own, into, strict=True):
+            if out.stride(0) == 0 and out.shape[0] > 1:  # one sum for all networks of the stack
+                out[0].add_(torch.bmm(z, w.transpose(1, 2)).sum(dim=0))
             else:
-                slope.baddbmm_(z, w.transpose(1, 2))
+                out.baddbmm_(z, w.transpose(1, 2))
 
 
 def _through_relu(gradient: Tensor, activation: Tensor, out: Tensor) -> None:

@@ -55,8 +55,8 @@ def test_spread_is_the_members_standard_deviation():
         members = [sec.networks.export(flat, sec.index(k, kind))[0].numpy() for k in range(3)]
         x = np.concatenate([seen[agent], action[agent]], axis=1)
         values = [critic(flat, x, 8) for flat in members]
-        np.testing.assert_allclose(diagnostics.spread[agent], np.std(values, axis=0), rtol=1e-3, atol=1e-6)
-    assert diagnostics.spread.min() > 0
+        np.testing.assert_allclose(diagnostics.member_std[agent], np.std(values, axis=0), rtol=1e-3, atol=1e-6)
+    assert diagnostics.member_std.min() > 0
 
 
 def engine_actions(engine, rows):
@@ -70,11 +70,11 @@ def test_gradient_norms_are_of_each_agents_own_networks():
     diagnostics = engine.update(batch(16), diagnostics=True)
     wanted = []
     for kind, group in enumerate(TEAM.groups):
-        layers = engine.algorithm.critics.networks.layers_of(engine.algorithm.gradient_views.flat, kind)
+        layers = engine.algorithm.critics.networks.layers_of(engine.algorithm.gradient, kind)
         wanted += [float(sum(layer[i].square().sum() for layer in layers)) ** 0.5 for i in range(group.count)]
-    np.testing.assert_allclose(diagnostics.critic_gradient, wanted, rtol=1e-5)
-    assert len({round(float(norm), 7) for norm in diagnostics.actor_gradient}) == TEAM.agents
-    assert diagnostics.actor_gradient.min() > 0
+    np.testing.assert_allclose(diagnostics.critic_gradient_norm, wanted, rtol=1e-5)
+    assert len({round(float(norm), 7) for norm in diagnostics.actor_gradient_norm}) == TEAM.agents
+    assert diagnostics.actor_gradient_norm.min() > 0
 
 
 @pytest.mark.parametrize("discount", [0.0, 0.5, 0.9])

@@ -77,7 +77,7 @@ class Peer(Oracle):
         self.improve(observations, actions, noise)
         self.updates += 1
 
-    def climb(self, i: int, loss: Tensor) -> None:
+    def actor_step(self, i: int, loss: Tensor) -> None:
         """Take one step of actor i against the gradient of its loss."""
         self.actor_optimisers[i].zero_grad()
         for p, g in zip(
@@ -87,7 +87,7 @@ class Peer(Oracle):
         self.clip([self.actors[i]])
         self.actor_optimisers[i].step()
 
-    def climb_together(self, loss: Tensor) -> None:
+    def joint_actor_step(self, loss: Tensor) -> None:
         """Take one step of every actor against the gradient of one loss."""
         gradients = torch.autograd.grad(loss, [p for actor in self.actors for p in actor.parameters()])
         for p, g in zip((p for actor in self.actors for p in actor.parameters()), gradients, strict=True):
@@ -116,7 +116,7 @@ class MaddpgOracle(Peer):
         if self.config.others == "team":
             chosen = [actor(o) for actor, o in zip(self.actors, observations, strict=True)]
             total = sum(self.critics[0][i](self.view(i, observations, chosen)).mean() for i in range(len(chosen)))
-            self.climb_together(-total)
+            self.joint_actor_step(-total)
             self.follow_targets(actors=True)
             return
         if self.config.others == "policy":
@@ -124,7 +124,7 @@ class MaddpgOracle(Peer):
                 actions = [actor(o) for actor, o in zip(self.actors, observations, strict=True)]
         for i, actor in enumerate(self.actors):
             x = self.view(i, observations, [*actions[:i], actor(observations[i]), *actions[i + 1 :]])
-            self.climb(i, -self.critics[0][i](x).mean())
+            self.actor_step(i, -self.critics[0][i](x).mean())
         self.follow_targets(actors=True)
 
 
@@ -187,14 +187,14 @@ class MasacOracle(Peer):
             values = self.values(self.critics, observations, [action for action, _ in drawn])
             total = sum(value.min(dim=0).values.mean() for value in values)
             cost = sum((a.detach().exp() * d).mean() for a, (_, d) in zip(self.log_alpha, drawn, strict=True))
-            self.climb_together(cost - total)
+            self.joint_actor_step(cost - total)
         for i, (actor, n) in enumerate(zip(self.actors, own, strict=True)):
             action, density = drawn[i] if self.config.others == "team" else self.sample(actor, observations[i], n)
             alpha = self.log_alpha[i].exp()
             if self.config.others != "team":
                 x = self.view(i, observations, [*actions[:i], action, *actions[i + 1 :]])
                 value = torch.minimum(self.critics[0][i](x), self.critics[1][i](x))
-                self.climb(i, (alpha.detach() * density - value).mean())
+                self.actor_step(i, (alpha.detach() * density - value).mean())
             wanted = self.config.entropy_target * actions[i].shape[1]
             self.alpha_optimisers[i].zero_grad()
             (-alpha * (density.detach() + wanted)).mean().backward()

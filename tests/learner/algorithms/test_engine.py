@@ -156,13 +156,13 @@ def test_figures_are_those_of_the_equations():
         x = oracle.view(i, observations, actions)
         prediction = oracle.mix(critic(x), oracle.members[oracle.kind[i]], x, True)
         torch.testing.assert_close(diagnostics.target[i], targets[i])
-        torch.testing.assert_close(diagnostics.error[i], (prediction - targets[i]).detach())
+        torch.testing.assert_close(diagnostics.td_error[i], (prediction - targets[i]).detach())
     oracle.update(batch)
     decided = [a(o) for a, o in zip(twins(TEAM, config)[1].actors, observations, strict=True)]
     for i, critic in enumerate(oracle.critics):
         x = oracle.view(i, observations, [*actions[:i], decided[i], *actions[i + 1 :]])
-        climbed = oracle.mix(critic(x), oracle.members[oracle.kind[i]], x, True)
-        torch.testing.assert_close(diagnostics.value[i], climbed.detach())
+        objective = oracle.mix(critic(x), oracle.members[oracle.kind[i]], x, True)
+        torch.testing.assert_close(diagnostics.objective[i], objective.detach())
 
 
 @pytest.mark.parametrize("cores", [0, 1])

@@ -79,7 +79,7 @@ def test_figures_change_nothing(name):
         diagnostics = telling.update(batch, diagnostics=True)
         assert silent.update(batch) is None
         assert diagnostics is not None
-        assert diagnostics.spread is None
+        assert diagnostics.member_std is None
     assert {tuple(tensor.shape) for tensor in diagnostics[:3]} == {(TEAM.agents, config.batch)}
     assert same_state(telling, silent)
 
@@ -124,7 +124,7 @@ def test_deterministic_actors_explore_by_the_given_deviation():
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
 @pytest.mark.parametrize("name", ["eia-sec", *ORACLES])
 def test_captured_updates_equal_those_of_the_processor(name):
-    """Updates replayed from CUDA graphs follow those on the CPU to rounding, through every phase."""
+    """Updates replayed from CUDA graphs follow those on the CPU to rounding, with and without a step of the actors."""
     config = replace(BASE, name=name)
     host = Engine(config, TEAM, 3, dtype=torch.float64)
     device = Engine(config, TEAM, 3, "cuda", torch.float64)
@@ -135,8 +135,8 @@ def test_captured_updates_equal_those_of_the_processor(name):
         torch.testing.assert_close(device.tensors()[tensor_name].cpu(), tensor, atol=1e-9, rtol=1e-7)
 
 
-def test_where_critics_are_joint_eia_sec_still_climbs_its_own():
-    """How the others act is a choice of MADDPG, MATD3 and MASAC alone; by torch and by kernels, nothing changes."""
+def test_in_the_joint_scope_eia_sec_keeps_its_own_objective():
+    """`others` belongs to MADDPG, MATD3 and MASAC; by torch and by kernels it changes nothing of EIA-SEC."""
     config = replace(BASE, name="eia-sec", critic_scope="joint")
     for cores in (0, 1):
         engines = [
