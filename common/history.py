@@ -6,9 +6,10 @@ One JSON array per line:
     ["resume", {worker: [incarnation, expected], ...}]   the learner resumed from a checkpoint; each worker in it
     ["end"]                                              the process ended as it should
     [verdict, worker, incarnation, first, last, steps, produced, flown]
+    ["sum", worker, incarnation, last, ...]              totals of a start's chunks up to `last`, see `Summary`
 
-The last form is about chunks `first` to `last` of one start of a worker, each of `steps` environment steps; `produced`
-and `flown` are the worker's counts with the last of them (see `common.protocol.messages.ChunkMessage`).
+The fourth form is about chunks `first` to `last` of one start of a worker, each of `steps` environment steps;
+`produced` and `flown` are the worker's counts with the last of them (see `common.protocol.messages.ChunkMessage`).
 
 A worker writes *produced* for each chunk, and the answer that it got: *acknowledged*, *repeated* (the learner had it
 already) or *refused*. The learner writes *accepted*, *refused*, *duplicate* and *missing* (the chunks can no longer
@@ -16,15 +17,16 @@ arrive); for the last two, `steps` is the total of the line. Earlier versions wr
 for the first three.
 
 A line reaches the operating system before the process acts on it: it survives a killed process, but not a power cut.
-The file stays small because consecutive chunks are merged into one line every REWRITE_LINES lines.
+The file stays small because consecutive chunks are merged into one line every REWRITE_LINES lines, and because a
+learner keeps only totals of chunks that are in every checkpoint (`common.history_summary`).
 """
 
 import json
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, TextIO
 
@@ -90,7 +92,40 @@ class Unreadable:
     line: str
 
 
-Record = Start | Resume | End | Entry | Unreadable
+@dataclass(frozen=True)
+class Summary:
+    """What became of a start's chunks up to a number, in total, where the single lines are gone.
+
+    Attributes:
+        worker: the worker's name.
+        incarnation: its start.
+        last: number of the newest chunk in it.
+        accepted, refused, lost: chunks of each fate; lost ones were accepted after the checkpoint of a resume.
+        accepted_steps, refused_steps, lost_steps: environment steps in them, as far as these are known.
+        missing_steps: steps of chunks that never arrived.
+        duplicates: chunks that came again.
+    """
+
+    worker: str
+    incarnation: int
+    last: int
+    accepted: int = 0
+    accepted_steps: int = 0
+    refused: int = 0
+    refused_steps: int = 0
+    lost: int = 0
+    lost_steps: int = 0
+    missing_steps: int = 0
+    duplicates: int = 0
+
+    def plus(self, other: "Summary") -> "Summary":
+        """Return the sum with another part of the same start."""
+        names = [item.name for item in fields(self)][3:]
+        added = {name: getattr(self, name) + getattr(other, name) for name in names}
+        return replace(self, last=max(self.last, other.last), **added)
+
+
+Record = Start | Resume | End | Entry | Summary | Unreadable
 
 
 def parse(line: str) -> Record:
@@ -103,6 +138,8 @@ def parse(line: str) -> Record:
                 return Resume({_name(name): _whole(inc, expected) for name, (inc, expected) in workers.items()})
             case ["end"]:
                 return End()
+            case ["sum", str(worker), *numbers] if len(numbers) == len(fields(Summary)) - 1:
+                return Summary(_name(worker), *_whole(*numbers))
             case [str(written), str(worker), *numbers] if len(numbers) == 6:
                 verdict = _FORMER.get(written, written)
                 entry = Entry(verdict, _name(worker), *_whole(*numbers))
@@ -140,6 +177,8 @@ def text(record: Record) -> str:
             parts = ["end"]
         case Entry():
             parts = list(vars(record).values())
+        case Summary():
+            parts = ["sum", *vars(record).values()]
         case Unreadable():
             return record.line
     return json.dumps(parts, separators=(",", ":"))
@@ -177,6 +216,9 @@ class _Joined:
 
     def __iter__(self) -> Iterator[Record]:
         return iter(self._records)
+
+    def __len__(self) -> int:
+        return len(self._records)
 
     def add(self, record: Record) -> None:
         """Append a record, joined with the one before where both are of one range."""
@@ -255,6 +297,22 @@ class History:
                 self._file.flush()
             except (OSError, ValueError) as error:
                 self._fail(error)
+
+    @property
+    def records(self) -> int:
+        """Return how many records the file comes to once consecutive chunks are joined."""
+        return len(self._joined)
+
+    def rewrite(self, change: Callable[[Iterable[Record]], Iterable[Record]]) -> None:
+        """Put what `change` makes of all records in their place."""
+        with self._lock:
+            if self._path is None or self._look_for_another_writer(self._path) or self._taken_over:
+                return
+            joined = _Joined()
+            for record in change(self._joined):
+                joined.add(record)
+            self._joined = joined
+            self._rewrite(self._path)
 
     def close(self) -> None:
         """Note that the process ended as it should, and close the file."""

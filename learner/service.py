@@ -15,7 +15,9 @@ from common.process import Presence, StopSignal, connect, incarnation
 from common.protocol import keys
 from common.protocol.messages import ConfigurationMessage
 from common.team import TeamSpec
+from common.transport.admission import admission
 from common.transport.bus import Bus
+from learner.checkpoint.compaction import HistoryCompaction
 from learner.checkpoint.recovery import recover_losses
 from learner.checkpoint.storage import RunStorage
 from learner.control.command_server import CommandServer
@@ -63,6 +65,7 @@ class Learner:
         self.trainer = Trainer(config, team)
         self._storage = RunStorage(options.run_dir, config)
         ledger, elapsed = self._restore()
+        self._compaction = HistoryCompaction(self._history, config.learner.keep_checkpoints)
         self._schedule = Schedule(config, await_elite=options.await_elite)
         self._times, self._state = PhaseTimes(), "training"
         self._open_control(config, team, control, ledger)
@@ -74,6 +77,9 @@ class Learner:
         self._reporter.add(lambda: {"waits": self._times.seconds()})
         self._reporter.add(lambda: {"checkpoints": self._storage.statistics()}, lambda: [self._storage.alarm])
         self._reporter.add(alarms=lambda: [self._history.failure])
+        if options.listen:
+            endpoint = options.endpoint
+            self._reporter.add(lambda: admission(endpoint).metrics(), lambda: admission(endpoint).alarms())
         self._reporter.add(alarms=lambda: [self._schedule.event_alarm(self.trainer, time.monotonic())])
         if options.resume:
             self._reporter.log_resume()
@@ -209,6 +215,7 @@ class Learner:
     def _checkpoint(self, *, wait: bool = False) -> None:
         with self._times.measure("checkpoint"):
             self._storage.save(self.trainer, self._feed.ledger, self._reporter.elapsed, self._epoch, wait=wait)
+            self._compaction.on_checkpoint(self._feed.ledger, failed=bool(self._storage.alarm))
         self._schedule.checkpoint.restart(time.monotonic())
 
     def _end(self, state: str) -> None:

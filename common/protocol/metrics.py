@@ -68,6 +68,8 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("malformed_by/*", "requests", "that brought nothing, by worker; the worst eight, the others together"),
         Metric("turned_away", "requests", "of workers that are cut off, refused without being looked at"),
         Metric("uncounted_episodes", "episodes", "that did not count, as this learner has not seen all their steps"),
+        Metric("descriptors", "", "that the process holds, where it listens; from half of its limit on an alarm"),
+        Metric("waiting_connections", "", "that hung up before they were let in, and hold up new members 0.1 s each"),
         Metric("elapsed", "s", "since the run began, earlier starts included"),
         Metric(
             "waits/*",

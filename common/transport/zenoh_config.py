@@ -16,6 +16,16 @@ LEASE_MS: Final = 4000
 """A frozen peer counts as gone after this time."""
 CONNECT_MS: Final = 1000
 """Longest try to connect."""
+ACCEPT_MS: Final = 4000
+"""Time that a connection has to become a session once it is there, and its TLS handshake is done."""
+ACCEPT_PENDING: Final = 1000
+"""Connections that may be on that way at once; beyond them new ones are hung up on."""
+HANDSHAKE_MS: Final = 60_000
+"""Time that a connection has for its TLS handshake.
+
+Zenoh takes 100 ms for each handshake that fails and lets nobody in meanwhile. The longer silent connections may hang,
+the fewer of them fail in a second.
+"""
 
 Values = dict[str, Any]
 """Zenoh's configuration keys, and a JSON value for each."""
@@ -28,8 +38,10 @@ def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = 
     what `common.protocol.access` grants to it.
     """
     values = _base(mode, endpoint, lane) | {
-        "listen/endpoints": [endpoint.locator(lane)],
+        "listen/endpoints": [_door(endpoint, lane)],
         "listen/exit_on_failure": True,
+        "transport/unicast/accept_timeout": ACCEPT_MS,
+        "transport/unicast/accept_pending": ACCEPT_PENDING,
     }
     credentials = endpoint.credentials
     if credentials is not None:
@@ -46,7 +58,13 @@ def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = 
 def routing(endpoint: Endpoint) -> Values:
     """Return the configuration of a router, which takes both lanes; links of the two never mix."""
     values = listening(endpoint, "bulk", "router")
-    return values | {"listen/endpoints": [endpoint.locator("control"), endpoint.locator("bulk")]}
+    return values | {"listen/endpoints": [_door(endpoint, "control"), _door(endpoint, "bulk")]}
+
+
+def _door(endpoint: Endpoint, lane: Lane) -> str:
+    """Return where a lane listens, with the bounds of that listener."""
+    bounds = "" if endpoint.credentials is None else f"#tls_handshake_timeout_ms={HANDSHAKE_MS}"
+    return endpoint.locator(lane) + bounds
 
 
 def document(values: Values) -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.errors import RunDirError
-from common.history import End, Entry, Record, Resume, Start, Unreadable, read
+from common.history import End, Entry, Record, Resume, Start, Summary, Unreadable, read
 from deploy.local.run_directory import HISTORY, METRICS
 
 MOST_CHUNKS: Final = 2**26
@@ -50,6 +50,7 @@ class Audit:
         doubled: one sentence for each id that was accepted twice.
         damaged: lines of histories that cannot be read, each of them named.
         torn: last lines that were torn off when their process was killed or its disk was full, which is no defect.
+        summed: chunks of which the learner's history holds totals alone.
         held: chunks that are held in memory, those of all histories together.
     """
 
@@ -63,6 +64,7 @@ class Audit:
     doubled: list[str] = field(default_factory=list)
     damaged: int = 0
     torn: int = 0
+    summed: int = 0
     held: int = 0
 
     @property
@@ -79,9 +81,9 @@ class Audit:
         """Return a sentence for whatever is unexplained or doubled."""
         return [*self.unexplained, *self.doubled]
 
-    def book(self, worker: str, fate: str, steps: int) -> None:
-        """Count one chunk."""
-        self.chunks[fate] += 1
+    def book(self, worker: str, fate: str, steps: int, chunks: int = 1) -> None:
+        """Count chunks, one unless said otherwise, with so many steps together."""
+        self.chunks[fate] += chunks
         self.steps[fate] += steps
         self.workers.setdefault(worker, Counter())[fate] += steps
 
@@ -100,6 +102,7 @@ class Audit:
             "doubled": len(self.doubled),
             "damaged_lines": self.damaged,
             "torn_lines": self.torn,
+            "summed_chunks": self.summed,
             "named": self.named(),
         }
 
@@ -118,13 +121,15 @@ class _Taken:
     """One start of a worker as the learner's history tells it: fate and steps by number.
 
     The history may begin later than the run, with a checkpoint that was taken up: `first` is the first number that this
-    one did not know.
+    one did not know. Chunks up to number `summed` are known by their `summary` alone.
     """
 
     fate: dict[int, tuple[str, int]] = field(default_factory=dict)
     first: int = 1
     missing: int = 0
     missing_before: set[int] = field(default_factory=set)
+    summary: Summary | None = None
+    summed: int = 0
 
     def declared_missing(self, number: int) -> bool:
         """Return whether the next number that the learner knows came with the word that those before are missing."""
@@ -151,17 +156,19 @@ def audit(run_dir: Path) -> Audit:
     for worker, incarnation in [*made, *taken]:
         newest[worker] = max(newest.get(worker, 0), incarnation)
     for source in sorted({*made, *taken}):
-        part = taken[source] if source in taken else _unheard(source, taken)
+        part = taken[source] if source in taken else _unheard(source, taken, made[source])
         _compare(source, made.get(source), part, source[1] < newest[source[0]], found)
     _hold_against_ledger(run_dir / METRICS, found, whole=all(part.first == 1 for part in taken.values()))
     return found
 
 
-def _unheard(source: Source, taken: dict[Source, _Taken]) -> _Taken:
-    """Return what the learner tells of a start that it does not name: nothing, or that it ended before all it tells."""
+def _unheard(source: Source, taken: dict[Source, _Taken], made: _Made) -> _Taken:
+    """Return what the learner's history holds of a start that it does not name: nothing, or more than single lines."""
     worker, start = source
-    before = any(w == worker and s > start and part.first > 1 for (w, s), part in taken.items())
-    return _Taken(first=sys.maxsize if before else 1)
+    later = [part for (w, s), part in taken.items() if w == worker and s > start]
+    if any(part.summary is not None for part in later):
+        return _Taken(summed=max(made.told, default=0))
+    return _Taken(first=sys.maxsize if any(part.first > 1 for part in later) else 1)
 
 
 def _records(path: Path, found: Audit) -> list[Record]:
@@ -193,6 +200,10 @@ def _learner(records: list[Record], found: Audit) -> dict[Source, _Taken]:
                 found.starts += 1
             case Resume():
                 _roll_back(taken, record)
+            case Summary():
+                part = taken.setdefault((record.worker, record.incarnation), _Taken())
+                part.summary, part.summed = record, record.last
+                _book_summary(record, found)
             case Entry(verdict="duplicate"):
                 found.duplicates += record.steps
             case Entry(verdict="missing"):
@@ -203,6 +214,21 @@ def _learner(records: list[Record], found: Audit) -> dict[Source, _Taken]:
                 for source, number in _numbers(record):
                     _take(taken.setdefault(source, _Taken()), source, number, record, found)
     return taken
+
+
+def _book_summary(summary: Summary, found: Audit) -> None:
+    """Count the chunks of which only totals are left."""
+    found.duplicates += summary.duplicates
+    found.summed += summary.accepted + summary.refused + summary.lost
+    fates = (
+        ("accepted", summary.accepted, summary.accepted_steps),
+        ("rejected", summary.refused, summary.refused_steps),
+        ("lost", summary.lost, summary.lost_steps + summary.missing_steps),
+    )
+    for fate, chunks, steps in fates:
+        found.book(summary.worker, fate, steps, chunks)
+    found.lost_with["learner"] += summary.lost_steps
+    found.lost_with["unknown"] += summary.missing_steps
 
 
 def _take(part: _Taken, source: Source, number: int, record: Entry, found: Audit) -> None:
@@ -249,7 +275,8 @@ def _compare(source: Source, made: _Made | None, taken: _Taken, replaced: bool, 
         return
     over = made.over or replaced
     _compare_verdicts(source, made, taken, found)
-    for number, steps in made.steps.items():
+    single = {number: steps for number, steps in made.steps.items() if number > taken.summed}
+    for number, steps in single.items():
         fate, counted = taken.fate.get(number, ("", 0))
         if fate in ("accepted", "rolled back") and counted != steps:
             found.unexplained.append(f"{_name(source, number)} has {steps} steps, and {counted} were counted.")
@@ -278,6 +305,8 @@ def _compare(source: Source, made: _Made | None, taken: _Taken, replaced: bool, 
 
 def _compare_verdicts(source: Source, made: _Made, taken: _Taken, found: Audit) -> None:
     for number, told in sorted(made.told.items()):
+        if number <= taken.summed:
+            continue
         said, meant = _TOLD[told]
         fate = taken.fate.get(number, ("", 0))[0]
         if fate and fate not in meant:
@@ -288,7 +317,7 @@ def _compare_verdicts(source: Source, made: _Made, taken: _Taken, found: Audit) 
 
 def _without_worker(source: Source, taken: _Taken, found: Audit) -> None:
     """Book a worker of which there is no history of its own; numbers that the learner never saw must be missed."""
-    expected = taken.first
+    expected = max(taken.first, taken.summed + 1)
     for number, (fate, steps) in sorted(taken.fate.items()):
         if number > expected and number not in taken.missing_before:
             found.unexplained.append(f"{_name(source, expected)} to {number - 1} never came, and nobody says why.")

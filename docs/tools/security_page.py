@@ -4,7 +4,9 @@ from typing import Final
 
 from common.protocol import access, keys
 from common.protocol.frame import MAX_FRAME
+from common.transport.admission import MOST_WAITING
 from common.transport.credentials import ROLES
+from common.transport.zenoh_config import ACCEPT_MS, HANDSHAKE_MS
 from learner.intake.peer_penalties import CUT_SECONDS, LIMIT
 from learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD
 
@@ -96,6 +98,27 @@ with a certificate may see whether a learner lives, so that no answer from a liv
 flight nodes do not ask for one, and a denied one hears nothing. When certificates do not fit, the connecting side says
 which and why, and exits with code 2.
 
+## Strangers at the door
+
+Whoever reaches the ports can open connections and leave them half open. Members that are in stay served; what suffers
+is the admission of new ones:
+
+- Silent connections to a listener with TLS may take {handshake_seconds} s for their handshake. With 400 of them held,
+  a new member gets in at once.
+- Silent connections to a listener without TLS are closed after {accept_seconds} s. With 900 held, a new member gets in
+  at once; with 1,500, not until they are gone.
+- For each TLS handshake that fails or is broken off Zenoh takes 0.1 s, one after another, and admits nobody meanwhile.
+  300 connections that hang up keep new members out for 32 s, and ten a second for as long as they come.
+
+The last is [an open issue of Zenoh](https://github.com/eclipse-zenoh/zenoh/issues/2685) that no setting changes. The
+learner and the router raise an alarm when {most_waiting} such connections wait, or when half of their descriptors are
+in use (`waiting_connections`, `descriptors`). Only a firewall prevents it: let only the members' networks reach the
+ports, or limit new connections by address, for instance with nftables (a member opens two links):
+
+```
+tcp dport {{ 7447, 7448 }} ct state new meter members {{ ip saddr limit rate over 4/second burst 40 packets }} drop
+```
+
 ## Protected, from whom
 
 | what | from whom |
@@ -115,8 +138,8 @@ which and why, and exits with code 2.
   unencrypted.
 - From a worker that lies well: valid, finite transitions that are made up are learnt from (poisoning). Its share is
   in the ledger by name; whether it is true is not checked.
-- Against floods: somebody who reaches the ports can open connections; a member who does not wait for answers can fill
-  its link. Use a firewall.
+- Against floods of connections by strangers: see [above](#strangers-at-the-door). A member who does not wait for
+  answers can fill its link.
 - From a worker that ends episodes early, where their length is not fixed: each step that it delivers may end an
   episode, and the run ends after `episodes` of them. On the farm the length is fixed.
 - From a worker that delivers too much: whole and new chunks are taken in the order in which they come, so who sends
@@ -142,6 +165,9 @@ def security_page() -> str:
         limit=LIMIT,
         seconds=f"{CUT_SECONDS:.0f}",
         limit_frame=MAX_FRAME // 2**20,
+        handshake_seconds=HANDSHAKE_MS // 1000,
+        accept_seconds=ACCEPT_MS // 1000,
+        most_waiting=MOST_WAITING + 1,
         hold=f"{HOLD_SECONDS:.0f}",
         held=MOST_HELD,
         held_bytes=MOST_BYTES // 2**20,

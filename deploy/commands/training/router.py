@@ -1,16 +1,23 @@
 """`eia-sec router`: a Zenoh router in a process of its own, with the run's access list when links are TLS."""
 
 import sys
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from common.process import StopSignal, log
+from common.transport.admission import admission
 from common.transport.bus import Bus
 from common.transport.endpoint import DEFAULT, Endpoint
 from common.transport.zenoh_config import document, routing
 from deploy.exit_codes import DONE
 from deploy.options import parse
+
+LOOK_SECONDS: Final = 1.0
+ALARM_SECONDS: Final = 60.0
+"""Pause between two alarms."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +52,20 @@ def command(arguments: Sequence[str]) -> int:
     stop.install()
     with Bus.route(endpoint):
         log(f"router: listening on {endpoint} and the port after it, {_admitted(endpoint)}.")
-        stop.event.wait()
+        _watch(endpoint, stop)
         log("router: told to stop.")
     return DONE
+
+
+def _watch(endpoint: Endpoint, stop: StopSignal) -> None:
+    """Log now and then what keeps new members out, until a signal comes."""
+    logged = -ALARM_SECONDS
+    while not stop.event.wait(LOOK_SECONDS):
+        alarms, now = admission(endpoint).alarms(), time.monotonic()
+        if alarms and now - logged >= ALARM_SECONDS:
+            logged = now
+            for alarm in alarms:
+                log(f"router: {alarm}")
 
 
 def _admitted(endpoint: Endpoint) -> str:

@@ -1,0 +1,105 @@
+"""Old lines of a learner's history as sums: it stays small whatever workers send, and no loss is dropped from it.
+
+Chunks that are in every checkpoint that is kept will never be asked for one by one again. So their lines can go, and
+one line for each start of a worker keeps the totals.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Final
+
+from common.history import SUMMED, Entry, Record, Resume, Start, Summary, Unreadable
+
+MOST_STARTS: Final = 64
+"""Starts of a worker with a line each; older ones share one."""
+Marks = Mapping[str, tuple[int, int]]
+"""For each worker the incarnation and the next sequence number in a checkpoint."""
+
+
+def summarised(records: Iterable[Record], marks: Marks) -> list[Record]:
+    """Return a learner's records with the chunks before the marks as sums.
+
+    Args:
+        records: the history; what is before the marks is final, so no start of the learner can resume from before them.
+        marks: where each worker stood in the oldest checkpoint that is kept.
+    """
+    totals = _Totals()
+    head: list[Record] = []
+    rest: list[Record] = []
+    for record in records:
+        match record:
+            case Entry() if record.worker in marks:
+                for part, before in _split(record, marks[record.worker]):
+                    (totals.add if before else rest.append)(part)
+            case Entry():
+                rest.append(record)
+            case Summary():
+                totals.merge(record)
+            case Resume():
+                totals.roll_back(record)
+            case Start() | Unreadable():
+                head.append(record)
+    return [*head, *totals.summaries(), *rest]
+
+
+def _split(entry: Entry, mark: tuple[int, int]) -> list[tuple[Entry, bool]]:
+    """Return the parts of an entry before and from a mark on, and for each whether it is the first."""
+    start, expected = mark
+    if (entry.incarnation, entry.last) < mark:
+        return [(entry, True)]
+    if entry.incarnation != start or entry.first >= expected or entry.verdict in SUMMED:
+        return [(entry, False)]
+    behind = (entry.last - expected + 1) * entry.steps
+    produced, flown = max(0, entry.produced - behind), max(0, entry.flown - behind)
+    return [
+        (replace(entry, last=expected - 1, produced=produced, flown=flown), True),
+        (replace(entry, first=expected), False),
+    ]
+
+
+class _Totals:
+    def __init__(self) -> None:
+        self._sums: dict[str, dict[int, Summary]] = defaultdict(dict)
+        self._accepted: list[Entry] = []
+
+    def merge(self, part: Summary) -> None:
+        """Add what was summed before."""
+        held = self._sums[part.worker].get(part.incarnation)
+        self._sums[part.worker][part.incarnation] = part if held is None else held.plus(part)
+
+    def add(self, entry: Entry) -> None:
+        """Add an entry; one of accepted chunks may still be rolled back."""
+        whole = Summary(entry.worker, entry.incarnation, 0 if entry.verdict in SUMMED else entry.last)
+        chunks, steps = len(entry.numbers), len(entry.numbers) * entry.steps
+        match entry.verdict:
+            case "accepted":
+                self._accepted.append(entry)
+                self.merge(replace(whole, accepted=chunks, accepted_steps=steps))
+            case "refused":
+                self.merge(replace(whole, refused=chunks, refused_steps=steps))
+            case "missing":
+                self.merge(replace(whole, missing_steps=entry.steps))
+            case "duplicate":
+                self.merge(replace(whole, duplicates=entry.steps))
+
+    def roll_back(self, resume: Resume) -> None:
+        """Turn accepted chunks that a checkpoint does not hold into lost ones."""
+        for entry in self._accepted:
+            for part, held in _split(entry, resume.workers.get(entry.worker, (0, 0))):
+                if not held:
+                    chunks, steps = len(part.numbers), len(part.numbers) * part.steps
+                    whole = Summary(part.worker, part.incarnation, part.last)
+                    self.merge(replace(whole, accepted=-chunks, accepted_steps=-steps, lost=chunks, lost_steps=steps))
+        self._accepted.clear()
+
+    def summaries(self) -> list[Summary]:
+        """Return one summary for each of a worker's newest starts, and one for those before."""
+        found: list[Summary] = []
+        for by_start in self._sums.values():
+            parts = [by_start[start] for start in sorted(by_start)]
+            while len(parts) > MOST_STARTS:
+                oldest, second = parts[:2]
+                parts[:2] = [replace(oldest.plus(second), incarnation=second.incarnation, last=second.last)]
+            found += parts
+        return found

@@ -1,0 +1,107 @@
+"""Strangers who hold connections half open: members stay served, newcomers get in, an alarm says what waits."""
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from common.protocol import keys
+from common.transport.admission import MOST_WAITING, Admission, admission
+from common.transport.bus import Bus
+from common.transport.credentials import load
+from common.transport.endpoint import Endpoint, free_endpoint
+from common.transport.zenoh_config import ACCEPT_MS
+from tests.system.fleet import until
+
+KEY = keys.TRANSITION.key("run", worker="a")
+HELLO = b"\x16\x03\x01\x02\x00"
+"""The first bytes of a TLS handshake that never goes on."""
+
+
+def places(keys_folder: Path, protocol: str) -> tuple[Endpoint, Endpoint]:
+    """Return one place twice, as its listener and a worker see it."""
+    place = free_endpoint()
+    if protocol == "tcp":
+        return place, place
+    names = ("learner.learner", "rollout.a")
+    listener, worker = (replace(place, protocol="tls", credentials=load(keys_folder / name)) for name in names)
+    return listener, worker
+
+
+@contextmanager
+def half_open(place: Endpoint, count: int) -> Iterator[None]:
+    """Hold so many connections that say nothing further."""
+    with ExitStack() as stack:
+        for _ in range(count):
+            stranger = stack.enter_context(socket.create_connection((place.host, place.port), timeout=5.0))
+            if place.credentials is not None:
+                stranger.sendall(HELLO)
+        yield
+
+
+@contextmanager
+def answering(bus: Bus) -> Iterator[None]:
+    """Answer requests from a thread until the bus is closed."""
+    server = bus.serve(KEY, 64)
+
+    def answer() -> None:
+        for incoming in server:
+            incoming.reply(b"answer")
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    try:
+        yield
+    finally:
+        bus.close()
+        thread.join(10.0)
+
+
+@pytest.mark.parametrize("protocol", ["tcp", "tls"])
+def test_half_open_connections_keep_nobody_out(keys_folder, protocol):
+    """With 150 of them held, longer than a connection may take, a member is served and a newcomer gets in at once."""
+    listener, worker = places(keys_folder, protocol)
+    with Bus.listen(listener, "control") as bus, answering(bus), Bus.connect(worker, "control", wait=10.0) as member:
+        # A request that comes before the server's declaration finds nobody.
+        until(lambda: member.ask(KEY, b"request", 5.0) == b"answer", "an answer")
+        with half_open(listener, 150):
+            end = time.monotonic() + ACCEPT_MS / 1000.0 + 1.0
+            slowest = 0.0
+            while time.monotonic() < end:
+                asked = time.monotonic()
+                assert member.ask(KEY, b"request", 5.0) == b"answer"
+                slowest = max(slowest, time.monotonic() - asked)
+                time.sleep(0.02)
+            came = time.monotonic()
+            Bus.connect(worker, "control", wait=10.0).close()
+            assert time.monotonic() - came < 3.0
+            assert slowest < 1.0
+        assert member.ask(KEY, b"request", 5.0) == b"answer"
+
+
+def test_what_hung_up_is_seen_and_named(keys_folder):
+    """Connections in the line are counted while they wait, and the alarm says how long that takes."""
+    listener, _ = places(keys_folder, "tls")
+    with Bus.listen(listener, "control"):
+        before = admission(listener)
+        with half_open(listener, 2 * MOST_WAITING):
+            time.sleep(0.5)
+            held = admission(listener)
+        time.sleep(0.3)
+        gone = admission(listener)
+    assert (before.waiting, held.waiting) == (0, 0)
+    assert held.descriptors >= before.descriptors + 2 * MOST_WAITING
+    assert gone.waiting > MOST_WAITING
+    assert f"{gone.waiting} connections hung up" in gone.alarms()[0]
+    assert held.alarms() == []
+
+
+@pytest.mark.parametrize(("descriptors", "alarms"), [(500, 0), (513, 1)])
+def test_too_many_descriptors_are_an_alarm(descriptors, alarms):
+    """From half of what a process may have on."""
+    assert len(Admission(descriptors, 1024, MOST_WAITING).alarms()) == alarms
