@@ -150,6 +150,14 @@ def flood(f: Figures) -> str:
     )
 
 
+def hostile_chunks(f: Figures) -> str:
+    """Say what came of requests that are spoilt in one field each."""
+    return (
+        f"{f['kinds']:,} kinds in {f['requests']:,} requests, {f['answered']:,} of them answered; the honest worker keeps "
+        f"{f['share_kept']:.0%} of its rate; the learner {f['learner_grew_mib']:+.1f} MiB; {explained(f)}"
+    )
+
+
 def full_disk(f: Figures) -> str:
     """Say what came of a full disk."""
     return f"{f['alarms']} alarms; a new checkpoint {f['seconds_to_recover']:.1f} s after there was room again"
@@ -205,6 +213,12 @@ ROWS = (
     Row("a proxy that does so between real processes", "every chunk is taken once", bad_proxy, "test_proxy.py"),
     Row("mutated frames", "typed errors only; at most +32 MiB", mutated_frames, "test_decoder.py"),
     Row("flood of junk by one of four workers", "the others keep 80 % of their rate", flood, "test_refusals.py"),
+    Row(
+        "requests spoilt in one field each, generated from the messages",
+        "all answered; the honest worker keeps 80 % of its rate; at most +32 MiB",
+        hostile_chunks,
+        "test_hostile.py",
+    ),
     Row("full disk", "training goes on; the checkpoint before loads", full_disk, "test_disk.py"),
     Row("SIGTERM and Ctrl-C, 50 times", "exit 0 within 10 s, no orphan", stops, "test_stops.py"),
     Row("soak", "below 1 MiB an hour; threads and descriptors flat", soak, "test_soak.py"),

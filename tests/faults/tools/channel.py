@@ -20,7 +20,7 @@ from common.protocol import keys
 from common.protocol.chunk_messages import from_request, to_message, to_request
 from common.protocol.messages import ChunkAck, Envelope
 from common.team import GroupSpec, TeamSpec
-from common.transitions import TRANSITION, Chunk, Rows
+from common.transitions import FARM_METRICS, TRANSITION, Chunk, Rows
 from learner.intake.chunk_rules import ChunkRules
 from learner.intake.ledger import Intake
 from learner.intake.receiver import Receiver
@@ -28,7 +28,9 @@ from tests.system.fleet import until
 
 TEAM = TeamSpec((GroupSpec("one", 2, 3, 2),))
 RUN = "road"
-RULES = ChunkRules(environments=1, chunk_steps=1, spool_chunks=64, shortest=1, longest=100)
+RULES = ChunkRules(
+    environments=1, chunk_steps=1, spool_chunks=64, shortest=1, longest=100, episode_metrics=FARM_METRICS
+)
 
 
 class Parcel:
