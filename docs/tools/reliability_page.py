@@ -153,8 +153,8 @@ def flood(f: Figures) -> str:
 def hostile_chunks(f: Figures) -> str:
     """Say what came of requests that are spoilt in one field each."""
     return (
-        f"{f['kinds']:,} kinds in {f['requests']:,} requests, {f['answered']:,} of them answered; the honest worker keeps "
-        f"{f['share_kept']:.0%} of its rate; the learner {f['learner_grew_mib']:+.1f} MiB; {explained(f)}"
+        f"{f['kinds']:,} kinds in {f['requests']:,} requests, {f['answered']:,} of them answered; the honest worker "
+        f"keeps {f['share_kept']:.0%} of its rate; the learner {f['learner_grew_mib']:+.1f} MiB; {explained(f)}"
     )
 
 
