@@ -89,7 +89,7 @@ def _kinds_of(message: Message) -> Iterator[Kind]:
         spoilt = _arrays(whole[1][item.name]) if is_array else _scalars(whole[0][item.name])
         for what, value in spoilt:
             yield Kind(f"{name}.{item.name} {what}", type(message), _with(whole, item.name, value))
-        for other in fields(message):  # type: ignore[arg-type]  # likewise
+        for other in fields(message):  # type: ignore[arg-type]  # every message is a dataclass
             if other.name != item.name:
                 value = whole[1].get(other.name, whole[0].get(other.name))
                 yield Kind(f"{name}.{item.name} is {other.name}", type(message), _with(whole, item.name, value))
@@ -129,7 +129,7 @@ def _arrays(honest: np.ndarray) -> Iterator[tuple[str, Any]]:
 
 
 def _parts(message: Message) -> Parts:
-    values = {item.name: getattr(message, item.name) for item in fields(message)}  # type: ignore[arg-type]  # likewise
+    values = {item.name: getattr(message, item.name) for item in fields(message)}  # type: ignore[arg-type]  # every message is a dataclass
     arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
     return {name: value for name, value in values.items() if name not in arrays}, arrays
 
