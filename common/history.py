@@ -81,7 +81,7 @@ class Entry:
 
     @property
     def numbers(self) -> range:
-        """Return the chunks of which it tells one by one; none where it tells a sum."""
+        """Return the numbers of its chunks; none where it holds a total."""
         return range(0) if self.verdict in SUMMED else range(self.first, self.last + 1)
 
 
@@ -300,7 +300,7 @@ class History:
 
     @property
     def records(self) -> int:
-        """Return how many records the file comes to once consecutive chunks are joined."""
+        """Return the number of records once consecutive chunks are joined."""
         return len(self._joined)
 
     def rewrite(self, change: Callable[[Iterable[Record]], Iterable[Record]]) -> None:
@@ -345,7 +345,7 @@ class History:
         self._rewrite(path)
 
     def _keep_aside(self, path: Path, error: Exception) -> None:
-        """Put a history that cannot be read under another name, and say so for good: what it tells is missing here."""
+        """Put a history that cannot be read under another name, and say so for good: its records are missing here."""
         aside = path.with_name(path.name + ".unreadable")
         with suppress(OSError):
             os.replace(path, aside)

@@ -239,8 +239,8 @@ class Bus:
             payload: the request's frame.
             timeout: s.
             attachment: the envelope's frame.
-            again: told the seconds since the request was made, now and then; True makes it once more, and the first
-                answer to any counts. Who serves the key may get the request as often.
+            again: called now and then with the seconds since the request was made; True makes it once more. The
+                first answer to any of them counts, and the server may get each of them.
 
         Returns:
             The answer's frame, or None when nobody serves the key or the time ran out.

@@ -1,8 +1,8 @@
-"""The offline audit of a run: the processes' histories held against one another, chunk by chunk.
+"""The offline audit of a run: the processes' histories compared with one another, chunk by chunk.
 
-Every chunk has an id: worker, incarnation, sequence number. Each one that was made must be accepted once, or rejected,
-or declared lost, or still be in flight, and its worker must have been told what the learner wrote down; whatever else
-is found is named, and so is every line that was damaged after it was written.
+Every chunk has an id: worker, incarnation, sequence number. Each one that was produced must be accepted once, rejected,
+declared lost or still in flight, and the answer that its worker got must be the learner's verdict. The audit names
+whatever else it finds, and every line that was damaged after it was written.
 """
 
 import json
@@ -18,17 +18,17 @@ from common.history import End, Entry, Record, Resume, Start, Summary, Unreadabl
 from deploy.local.run_directory import HISTORY, METRICS
 
 MOST_CHUNKS: Final = 2**26
-"""Most chunks that histories may tell of; an audit holds each of them in memory."""
+"""Most chunks in all histories; an audit holds each of them in memory."""
 NAMED: Final = 20
 """Sentences that the command prints one by one; it counts the rest, and as JSON it prints all."""
 FATES: Final = ("accepted", "lost", "rejected", "in_flight")
-_TOLD: Final = {
+_ANSWERS: Final = {
     "acknowledged": ("accepted", ("accepted", "rolled back")),
     "refused": ("refused", ("refused",)),
     # An answer was lost on its way, and the chunk came again.
     "repeated": ("a duplicate", ("accepted", "rolled back", "refused")),
 }
-"""For each verdict in a worker's history how it is said, and the learner's verdicts that it may stand for."""
+"""For each answer in a worker's history its wording, and the learner's verdicts that it may stand for."""
 
 Source = tuple[str, int]
 """A worker's name and incarnation."""
@@ -41,8 +41,8 @@ class Audit:
     Attributes:
         chunks: for each fate, chunks.
         steps: for each fate, environment steps.
-        lost_with: steps that were lost with the learner (acknowledged, not yet in a checkpoint), with a worker (made,
-            never delivered), or whose loss only the learner knows of.
+        lost_with: steps that were lost with the learner (acknowledged, not yet in a checkpoint), with a worker
+            (produced, never delivered), or whose loss only the learner knows of.
         workers: for each worker, steps by fate.
         duplicates: chunks that came again and were not counted again.
         starts: starts of the learner.
@@ -69,7 +69,7 @@ class Audit:
 
     @property
     def produced(self) -> int:
-        """Return the environment steps that were made."""
+        """Return the environment steps that were produced."""
         return sum(self.steps[fate] for fate in FATES)
 
     @property
@@ -108,20 +108,20 @@ class Audit:
 
 
 @dataclass
-class _Made:
-    """One start of a worker as its own history tells it: steps and verdicts by number, and whether it has ended."""
+class _Sent:
+    """One start of a worker by its own history: steps and answers by number, and whether it has ended."""
 
     steps: dict[int, int] = field(default_factory=dict)
-    told: dict[int, str] = field(default_factory=dict)
+    answers: dict[int, str] = field(default_factory=dict)
     over: bool = False
 
 
 @dataclass
-class _Taken:
-    """One start of a worker as the learner's history tells it: fate and steps by number.
+class _Received:
+    """One start of a worker by the learner's history: fate and steps by number.
 
-    The history may begin later than the run, with a checkpoint that was taken up: `first` is the first number that this
-    one did not know. Chunks up to number `summed` are known by their `summary` alone.
+    The history may begin later than the run, with the checkpoint of a resume: `first` is the first number that this one
+    did not hold. Chunks up to number `summed` are known by their `summary` alone.
     """
 
     fate: dict[int, tuple[str, int]] = field(default_factory=dict)
@@ -147,28 +147,28 @@ def audit(run_dir: Path) -> Audit:
     if not (folder / "learner.jsonl").is_file():
         raise RunDirError(f"{run_dir} holds no {HISTORY}/learner.jsonl; is it a run directory?")
     found = Audit()
-    taken = _learner(_records(folder / "learner.jsonl", found), found)
-    made: dict[Source, _Made] = {}
+    received = _learner(_records(folder / "learner.jsonl", found), found)
+    sent: dict[Source, _Sent] = {}
     for path in sorted(folder.glob("*.jsonl")):
         if path.name != "learner.jsonl":
-            _worker(_records(path, found), made)
+            _worker(_records(path, found), sent)
     newest: dict[str, int] = {}
-    for worker, incarnation in [*made, *taken]:
+    for worker, incarnation in [*sent, *received]:
         newest[worker] = max(newest.get(worker, 0), incarnation)
-    for source in sorted({*made, *taken}):
-        part = taken[source] if source in taken else _unheard(source, taken, made[source])
-        _compare(source, made.get(source), part, source[1] < newest[source[0]], found)
-    _hold_against_ledger(run_dir / METRICS, found, whole=all(part.first == 1 for part in taken.values()))
+    for source in sorted({*sent, *received}):
+        part = received[source] if source in received else _unheard(source, received, sent[source])
+        _compare(source, sent.get(source), part, source[1] < newest[source[0]], found)
+    _hold_against_ledger(run_dir / METRICS, found, whole=all(part.first == 1 for part in received.values()))
     return found
 
 
-def _unheard(source: Source, taken: dict[Source, _Taken], made: _Made) -> _Taken:
+def _unheard(source: Source, received: dict[Source, _Received], sent: _Sent) -> _Received:
     """Return what the learner's history holds of a start that it does not name: nothing, or more than single lines."""
     worker, start = source
-    later = [part for (w, s), part in taken.items() if w == worker and s > start]
+    later = [part for (w, s), part in received.items() if w == worker and s > start]
     if any(part.summary is not None for part in later):
-        return _Taken(summed=max(made.told, default=0))
-    return _Taken(first=sys.maxsize if any(part.first > 1 for part in later) else 1)
+        return _Received(summed=max(sent.answers, default=0))
+    return _Received(first=sys.maxsize if any(part.first > 1 for part in later) else 1)
 
 
 def _records(path: Path, found: Audit) -> list[Record]:
@@ -179,7 +179,7 @@ def _records(path: Path, found: Audit) -> list[Record]:
     found.torn += torn
     found.held += sum(len(part.numbers) for part in records if isinstance(part, Entry))
     if found.held > MOST_CHUNKS:
-        raise RunDirError(f"with {path} the histories tell of {found.held:,} chunks, more than {MOST_CHUNKS:,}.")
+        raise RunDirError(f"with {path} the histories hold {found.held:,} chunks, more than {MOST_CHUNKS:,}.")
     for number, record in enumerate(records, start=1):
         if isinstance(record, Unreadable):
             found.damaged += 1
@@ -192,28 +192,28 @@ def _numbers(entry: Entry) -> Iterator[tuple[Source, int]]:
         yield (entry.worker, entry.incarnation), number
 
 
-def _learner(records: list[Record], found: Audit) -> dict[Source, _Taken]:
-    taken: dict[Source, _Taken] = {}
+def _learner(records: list[Record], found: Audit) -> dict[Source, _Received]:
+    received: dict[Source, _Received] = {}
     for record in records:
         match record:
             case Start():
                 found.starts += 1
             case Resume():
-                _roll_back(taken, record)
+                _roll_back(received, record)
             case Summary():
-                part = taken.setdefault((record.worker, record.incarnation), _Taken())
+                part = received.setdefault((record.worker, record.incarnation), _Received())
                 part.summary, part.summed = record, record.last
                 _book_summary(record, found)
             case Entry(verdict="duplicate"):
                 found.duplicates += record.steps
             case Entry(verdict="missing"):
-                part = taken.setdefault((record.worker, record.incarnation), _Taken())
+                part = received.setdefault((record.worker, record.incarnation), _Received())
                 part.missing += record.steps
                 part.missing_before.add(record.first)
             case Entry():
                 for source, number in _numbers(record):
-                    _take(taken.setdefault(source, _Taken()), source, number, record, found)
-    return taken
+                    _take(received.setdefault(source, _Received()), source, number, record, found)
+    return received
 
 
 def _book_summary(summary: Summary, found: Audit) -> None:
@@ -231,53 +231,53 @@ def _book_summary(summary: Summary, found: Audit) -> None:
     found.lost_with["unknown"] += summary.missing_steps
 
 
-def _take(part: _Taken, source: Source, number: int, record: Entry, found: Audit) -> None:
+def _take(part: _Received, source: Source, number: int, record: Entry, found: Audit) -> None:
     before = part.fate.get(number)
     if before is not None and before[0] == "accepted":
         found.doubled.append(f"{_name(source, number)} was {record.verdict} after it had been accepted.")
     part.fate[number] = (record.verdict, record.steps)
 
 
-def _roll_back(taken: dict[Source, _Taken], resume: Resume) -> None:
+def _roll_back(received: dict[Source, _Received], resume: Resume) -> None:
     for worker, (incarnation, expected) in resume.workers.items():
-        part = taken.setdefault((worker, incarnation), _Taken())
+        part = received.setdefault((worker, incarnation), _Received())
         if not part.fate:
             part.first = expected
-    for (worker, incarnation), part in taken.items():
+    for (worker, incarnation), part in received.items():
         held = resume.workers.get(worker, (0, 0))
         for number, (fate, steps) in part.fate.items():
             if fate == "accepted" and (incarnation, number) >= held:
                 part.fate[number] = ("rolled back", steps)
 
 
-def _worker(records: list[Record], made: dict[Source, _Made]) -> None:
-    now: _Made | None = None
+def _worker(records: list[Record], sent: dict[Source, _Sent]) -> None:
+    now: _Sent | None = None
     for record in records:
         match record:
             case Start():
                 if now is not None:
                     now.over = True
-                now = made.setdefault((record.name, record.incarnation), _Made())
+                now = sent.setdefault((record.name, record.incarnation), _Sent())
             case End() if now is not None:
                 now.over = True
             case Entry():
                 for source, number in _numbers(record):
-                    part = made.setdefault(source, _Made())
+                    part = sent.setdefault(source, _Sent())
                     if record.verdict == "produced":
                         part.steps[number] = record.steps
-                    elif record.verdict in _TOLD:
-                        part.told[number] = record.verdict
+                    elif record.verdict in _ANSWERS:
+                        part.answers[number] = record.verdict
 
 
-def _compare(source: Source, made: _Made | None, taken: _Taken, replaced: bool, found: Audit) -> None:
-    if made is None:
-        _without_worker(source, taken, found)
+def _compare(source: Source, sent: _Sent | None, received: _Received, replaced: bool, found: Audit) -> None:
+    if sent is None:
+        _without_worker(source, received, found)
         return
-    over = made.over or replaced
-    _compare_verdicts(source, made, taken, found)
-    single = {number: steps for number, steps in made.steps.items() if number > taken.summed}
+    over = sent.over or replaced
+    _compare_verdicts(source, sent, received, found)
+    single = {number: steps for number, steps in sent.steps.items() if number > received.summed}
     for number, steps in single.items():
-        fate, counted = taken.fate.get(number, ("", 0))
+        fate, counted = received.fate.get(number, ("", 0))
         if fate in ("accepted", "rolled back") and counted != steps:
             found.unexplained.append(f"{_name(source, number)} has {steps} steps, and {counted} were counted.")
         if fate == "accepted":
@@ -287,49 +287,57 @@ def _compare(source: Source, made: _Made | None, taken: _Taken, replaced: bool, 
             found.lost_with["learner"] += steps
         elif fate == "refused":
             found.book(source[0], "rejected", steps)
-        elif taken.declared_missing(number):
+        elif received.declared_missing(number):
             found.book(source[0], "lost", steps)
             found.lost_with["learner"] += steps
-        elif number in made.told and number < taken.first:
-            found.book(source[0], "rejected" if made.told[number] == "refused" else "accepted", steps)
-        elif number in made.told:
-            said = _TOLD[made.told[number]][0]
-            found.unexplained.append(f"{_name(source, number)} was told to be {said}, and the learner knows nothing.")
+        elif number in sent.answers and number < received.first:
+            found.book(source[0], "rejected" if sent.answers[number] == "refused" else "accepted", steps)
+        elif number in sent.answers:
+            said = _ANSWERS[sent.answers[number]][0]
+            found.unexplained.append(
+                f"{_name(source, number)} was answered as {said}, and the learner knows nothing of it."
+            )
         else:
             found.book(source[0], "lost" if over else "in_flight", steps)
             if over:
                 found.lost_with["worker"] += steps
-    for number in sorted(set(taken.fate) - set(made.steps)):
-        found.unexplained.append(f"{_name(source, number)} was {taken.fate[number][0]}, and its worker never made it.")
+    for number in sorted(set(received.fate) - set(sent.steps)):
+        found.unexplained.append(
+            f"{_name(source, number)} was {received.fate[number][0]}, and its worker never produced it."
+        )
 
 
-def _compare_verdicts(source: Source, made: _Made, taken: _Taken, found: Audit) -> None:
-    for number, told in sorted(made.told.items()):
-        if number <= taken.summed:
+def _compare_verdicts(source: Source, sent: _Sent, received: _Received, found: Audit) -> None:
+    for number, answer in sorted(sent.answers.items()):
+        if number <= received.summed:
             continue
-        said, meant = _TOLD[told]
-        fate = taken.fate.get(number, ("", 0))[0]
+        said, meant = _ANSWERS[answer]
+        fate = received.fate.get(number, ("", 0))[0]
         if fate and fate not in meant:
-            found.unexplained.append(f"{_name(source, number)} was {fate}, and its worker was told that it is {said}.")
-        elif not fate and number not in made.steps:
-            found.unexplained.append(f"{_name(source, number)} was told to be {said}, and its worker never made it.")
+            found.unexplained.append(
+                f"{_name(source, number)} was {fate}, and its worker was answered that it is {said}."
+            )
+        elif not fate and number not in sent.steps:
+            found.unexplained.append(
+                f"{_name(source, number)} was answered as {said}, and its worker never produced it."
+            )
 
 
-def _without_worker(source: Source, taken: _Taken, found: Audit) -> None:
+def _without_worker(source: Source, received: _Received, found: Audit) -> None:
     """Book a worker of which there is no history of its own; numbers that the learner never saw must be missed."""
-    expected = max(taken.first, taken.summed + 1)
-    for number, (fate, steps) in sorted(taken.fate.items()):
-        if number > expected and number not in taken.missing_before:
+    expected = max(received.first, received.summed + 1)
+    for number, (fate, steps) in sorted(received.fate.items()):
+        if number > expected and number not in received.missing_before:
             found.unexplained.append(f"{_name(source, expected)} to {number - 1} never came, and nobody says why.")
         expected = number + 1
         kind = {"accepted": "accepted", "refused": "rejected"}.get(fate, "lost")
         found.book(source[0], kind, steps)
         if kind == "lost":
             found.lost_with["learner"] += steps
-    if taken.missing:
-        found.steps["lost"] += taken.missing
-        found.workers.setdefault(source[0], Counter())["lost"] += taken.missing
-        found.lost_with["unknown"] += taken.missing
+    if received.missing:
+        found.steps["lost"] += received.missing
+        found.workers.setdefault(source[0], Counter())["lost"] += received.missing
+        found.lost_with["unknown"] += received.missing
 
 
 def _hold_against_ledger(metrics: Path, found: Audit, *, whole: bool) -> None:
@@ -337,8 +345,8 @@ def _hold_against_ledger(metrics: Path, found: Audit, *, whole: bool) -> None:
 
     Args:
         metrics: the learner's records.
-        found: what the histories tell.
-        whole: whether they go back to the run's beginning; if not, the ledger's sums are of more than they tell.
+        found: the result of the histories.
+        whole: whether they go back to the run's beginning; if not, the ledger's sums cover more.
     """
     try:
         lines = metrics.read_text(encoding="utf-8", errors="replace").splitlines()[-2:]
@@ -348,8 +356,8 @@ def _hold_against_ledger(metrics: Path, found: Audit, *, whole: bool) -> None:
     if [record.get("kind") for record in last if isinstance(record, dict)] != ["status", "end"]:
         return
     ledger = last[0].get("ledger", {})
-    told = {"accepted": ledger.get("accepted"), "steps in replay": last[0].get("environment_steps")}
-    for name, value in told.items():
+    claims = {"accepted": ledger.get("accepted"), "steps in replay": last[0].get("environment_steps")}
+    for name, value in claims.items():
         if whole and value != found.steps["accepted"]:
             found.unexplained.append(f"{name}: the learner says {value}, the histories {found.steps['accepted']}.")
     if ledger.get("unexplained"):

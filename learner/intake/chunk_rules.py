@@ -32,7 +32,7 @@ class ChunkRules:
         spool_chunks: chunks that a worker holds at most.
         shortest: fewest steps of an episode.
         longest: most steps of an episode.
-        episode_metrics: names of what a finished episode came to.
+        episode_metrics: names of the metrics of a finished episode.
     """
 
     environments: int

@@ -87,7 +87,7 @@ class ExperienceFeed:
         unexplained = self._receiver.unexplained(self._trainer.environment_steps)
         return {
             "lag_versions": self._lag,
-            **self._receiver.figures(),
+            **self._receiver.metrics(),
             "ledger": {**ledger, "unexplained": unexplained},
             "ledgers": ledgers,
         }

@@ -10,10 +10,20 @@ from common.protocol.messages import Envelope
 
 Status = Literal["accepted", "duplicate", "gap"]
 ROWS: Final = 16
-"""Workers whose accounts are told one by one; those of all others are summed."""
+"""Workers that a report lists one by one; it sums the others."""
 OTHERS: Final = "(others)"
 """What the sum is called, which no worker can be."""
-_TOLD: Final = ("accepted", "lost", "rejected", "in_flight", "unexplained", "duplicates", "refused", "aged", "damaged")
+_REPORTED: Final = (
+    "accepted",
+    "lost",
+    "rejected",
+    "in_flight",
+    "unexplained",
+    "duplicates",
+    "refused",
+    "aged",
+    "damaged",
+)
 
 
 @dataclass(frozen=True)
@@ -74,7 +84,7 @@ class WorkerLedger:
         """Return the account of a start that has ended: what has not arrived by now is lost."""
         return replace(self, lost=self.lost + self.in_flight, produced=self.flown)
 
-    def figures(self) -> dict[str, int]:
+    def sums(self) -> dict[str, int]:
         """Return the account over all starts; see `Intake.totals`."""
         return _summed([self] if self.earlier is None else [self, self.earlier])
 
@@ -198,11 +208,11 @@ class Intake:
         name OTHERS and says how many `workers` it holds. Columns add up to the totals exactly.
 
         Args:
-            rows: most workers that are told one by one.
+            rows: most workers that are listed one by one.
         """
         closed, workers = self.now()
         totals = _summed([closed, *workers.values()])
-        every = ((name, ledger.figures()) for name, ledger in workers.items())
+        every = ((name, ledger.sums()) for name, ledger in workers.items())
         chosen = dict(heapq.nsmallest(rows, every, key=_trouble_first)) if rows else {}
         rest = {name: total - sum(part[name] for part in chosen.values()) for name, total in totals.items()}
         hidden = len(workers) - len(chosen)
@@ -265,13 +275,13 @@ class Intake:
 
 
 def _trouble_first(row: tuple[str, dict[str, int]]) -> tuple[int, int, str]:
-    name, figures = row
-    return -(figures["lost"] + figures["rejected"]), -figures["produced"], name
+    name, sums = row
+    return -(sums["lost"] + sums["rejected"]), -sums["produced"], name
 
 
 def _summed(parts: list[WorkerLedger]) -> dict[str, int]:
-    """Return what is told of some accounts together."""
-    sums = {name: sum(getattr(part, name) for part in parts) for name in _TOLD}
+    """Return the reported sums of some accounts."""
+    sums = {name: sum(getattr(part, name) for part in parts) for name in _REPORTED}
     return {"produced": sum(part.flown for part in parts), **sums}
 
 

@@ -1,7 +1,7 @@
-"""Workers that keep sending what brings nothing: counted by name, cut off for a while, and named.
+"""Workers that send repeated invalid requests: counted by name, cut off for a while, and reported.
 
-A request brings nothing when it cannot be read or used, and also when it comes again or out of its turn. Honest workers
-send such, on a bad road; but not many in a row.
+A request is invalid when it cannot be read or used, and also when it is a repetition or out of turn. On a bad network
+honest workers send some of these, but not many in a row.
 """
 
 import time
@@ -14,9 +14,9 @@ LIMIT: Final = 20
 CUT_SECONDS: Final = 60.0
 """How long; afterwards it has one try, and a good one clears it."""
 MOST_PEERS: Final = 256
-"""Workers that are kept account of; beyond them the one that was bad longest ago is forgotten."""
+"""Workers with a count; beyond them the one whose last invalid request is oldest is dropped."""
 NAMED: Final = 8
-"""Workers that a report names."""
+"""Workers that a report lists."""
 
 
 @dataclass
@@ -28,7 +28,7 @@ class _Account:
 
 
 class PeerPenalties:
-    """The account of bad requests, by the name in the key, which no certificate but the worker's own may use.
+    """Counts invalid requests by the name in the key, which only the worker's own certificate may use.
 
     Args:
         clock: seconds; for tests.
@@ -40,7 +40,7 @@ class PeerPenalties:
         self._forgotten = 0
 
     def bad(self, peer: str, reason: str) -> bool:
-        """Book a bad request; return whether it is the one that cuts the peer off."""
+        """Count an invalid request; return whether it cuts the peer off."""
         account = self._accounts.pop(peer, None) or _Account()
         self._accounts[peer] = account
         if len(self._accounts) > MOST_PEERS:
@@ -54,12 +54,12 @@ class PeerPenalties:
         return cut
 
     def good(self, peer: str) -> None:
-        """Book a good request."""
+        """Count a valid request: the row of invalid ones is over."""
         if (account := self._accounts.get(peer)) is not None:
             account.row, account.until = 0, None
 
     def refusal(self, peer: str) -> str | None:
-        """Return what to answer to a peer that is cut off, or None when its requests are looked at."""
+        """Return the answer to a peer that is cut off, or None for one that is served."""
         account = self._accounts.get(peer)
         until = None if account is None else account.until  # another thread may be taking it away
         if account is None or until is None or self._clock() >= until:
@@ -72,7 +72,7 @@ class PeerPenalties:
         return found[:NAMED]
 
     def counts(self) -> dict[str, int]:
-        """Return the bad requests of the worst peers by name, and of all others together."""
+        """Return the invalid requests of the worst peers by name, and of all others together."""
         worst = sorted(self._accounts.items(), key=lambda item: -item[1].total)
         counts = {peer: account.total for peer, account in worst[:NAMED]}
         rest = sum(account.total for _, account in worst[NAMED:]) + self._forgotten

@@ -149,8 +149,8 @@ class Receiver:
         """Whether chunks are still taken."""
         return self._thread.is_alive()
 
-    def figures(self) -> dict[str, Any]:
-        """Return what a report says of the front door."""
+    def metrics(self) -> dict[str, Any]:
+        """Return the metrics of the intake."""
         return {
             "queue": self.arrivals.qsize(),
             "malformed": self.malformed + self.server.wild,
@@ -281,7 +281,7 @@ class Receiver:
         self._log(f"a chunk of worker {sender.name} came damaged: {error}")
         expected = self.intake.expected(sender)
         if sender.sequence < expected:
-            self._record("duplicate", sender, 1)  # its worker is told so, as of one that came whole
+            self._record("duplicate", sender, 1)  # the answer is the same as for a whole copy
             return "duplicate", ""
         self._bad(sender.name, str(error))
         start, sequence, times = self._damaged.get(sender.name, (0, 0, 0))
@@ -305,10 +305,10 @@ class Receiver:
     def _answer(self, incoming: Incoming, sender: Envelope, verdicts: list[Verdict]) -> None:
         """Send the verdicts, after booking the request against its sender when it brought nothing."""
         version = 0 if verdicts[-1][0] == "refused" else self.required_version
-        told, reasons = zip(*verdicts, strict=True)
-        if not set(told) & WORTH_LOOKING:
-            self._bad(sender.name, f"chunk {sender.sequence} is a {told[0]}.")
-        incoming.reply(ChunkAck(told, reasons, self.intake.expected(sender), version).encode())
+        names, reasons = zip(*verdicts, strict=True)
+        if not set(names) & WORTH_LOOKING:
+            self._bad(sender.name, f"chunk {sender.sequence} is a {names[0]}.")
+        incoming.reply(ChunkAck(names, reasons, self.intake.expected(sender), version).encode())
 
     def _record(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:
         """Write a verdict into the history."""

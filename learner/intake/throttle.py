@@ -1,4 +1,4 @@
-"""Refusals that are held back: whoever floods waits for the answers, and asks again only so often."""
+"""Refusals that are delayed, so that a peer that waits for its answers cannot flood the learner."""
 
 import threading
 import time
@@ -10,13 +10,13 @@ from typing import Final
 from common.transport.bus import Incoming
 
 HOLD_SECONDS: Final = 5.0
-"""Time for which a refusal is held back; less than a worker's patience, so that it learns the reason."""
+"""Delay of a refusal, s; less than a worker's patience, so that it learns the reason."""
 MOST_HELD: Final = 256
-"""Requests that are held at most; beyond them the oldest is refused at once."""
+"""Most requests that are held; beyond them the oldest is refused at once."""
 MOST_BYTES: Final = 32 * 2**20
-"""The same for the memory that they take."""
+"""Most bytes that they may take, likewise."""
 LEAST_BYTES: Final = 65_536
-"""What one request takes at least: the receive buffer that Zenoh keeps for it."""
+"""Least bytes of one request: the receive buffer that Zenoh keeps for it."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +28,10 @@ class _Held:
 
 
 class Throttle:
-    """Requests whose refusal is decided and waits; any thread may call.
+    """Holds refused requests for a while; any thread may call.
 
     Attributes:
-        turned_away: requests that were ever put here.
+        turned_away: requests that were ever held.
 
     Args:
         clock: seconds; for tests.
@@ -45,7 +45,7 @@ class Throttle:
         self._lock = threading.Lock()
 
     def hold(self, incoming: Incoming, reason: str) -> None:
-        """Hold a request back, to be refused later; nobody may read its payload any more."""
+        """Hold a request, to be refused later; its payload is dropped."""
         size = max(LEAST_BYTES, len(incoming.payload))
         incoming.payload = b""
         with self._lock:
@@ -55,7 +55,7 @@ class Throttle:
         self.release()
 
     def release(self) -> None:
-        """Refuse what has been held long enough, and the oldest as long as too much is held."""
+        """Refuse the requests that are due, and the oldest while too much is held."""
         while (held := self._next()) is not None:
             held.incoming.refuse(held.reason)
 

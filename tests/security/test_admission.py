@@ -85,15 +85,18 @@ def test_half_open_connections_keep_nobody_out(keys_folder, protocol):
 
 
 def test_what_hung_up_is_seen_and_named(keys_folder):
-    """Connections in the line are counted while they wait, and the alarm says how long that takes."""
-    listener, _ = places(keys_folder, "tls")
-    with Bus.listen(listener, "control"):
+    """Connections in the line are counted while they wait, an alarm says how long that takes, members stay served."""
+    listener, worker = places(keys_folder, "tls")
+    with Bus.listen(listener, "control") as bus, answering(bus), Bus.connect(worker, "control", wait=10.0) as member:
+        until(lambda: member.ask(KEY, b"request", 5.0) == b"answer", "an answer")
         before = admission(listener)
         with half_open(listener, 2 * MOST_WAITING):
             time.sleep(0.5)
             held = admission(listener)
         time.sleep(0.3)
-        gone = admission(listener)
+        gone, asked = admission(listener), time.monotonic()
+        assert member.ask(KEY, b"request", 5.0) == b"answer"
+        assert time.monotonic() - asked < 1.0
     assert (before.waiting, held.waiting) == (0, 0)
     assert held.descriptors >= before.descriptors + 2 * MOST_WAITING
     assert gone.waiting > MOST_WAITING

@@ -30,7 +30,7 @@ def made(count):
 
 
 def test_all_fates(tmp_path):
-    """Accepted, rejected, lost with the learner and in flight are told apart, and their sum is what was made."""
+    """Accepted, rejected, lost with the learner and in flight are kept apart, and their sum is what was produced."""
     learner = [("accepted", 1, 4, 10), ("refused", 5, 5, 0), Resume({"a": (1, 3)}), ("accepted", 6, 6, 10)]
     found = write(
         tmp_path, learner, [made(8), ("acknowledged", 1, 4, 10), ("refused", 5, 5, 10), ("acknowledged", 6, 6, 10)]
@@ -51,7 +51,7 @@ def test_what_an_ended_worker_held_is_lost(tmp_path):
 @pytest.mark.parametrize(
     ("learner", "worker", "said"),
     [
-        ([("accepted", 1, 2, 10)], [made(3), ("acknowledged", 1, 3, 10)], "chunk a/1/3 was told"),
+        ([("accepted", 1, 2, 10)], [made(3), ("acknowledged", 1, 3, 10)], "chunk a/1/3 was answered"),
         ([("accepted", 1, 4, 10)], [made(3), ("acknowledged", 1, 3, 10)], "chunk a/1/4 was accepted"),
         ([("accepted", 1, 3, 20)], [made(3)], "chunk a/1/1 has 10 steps"),
         ([("accepted", 1, 2, 10), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never came"),
@@ -61,18 +61,18 @@ def test_what_an_ended_worker_held_is_lost(tmp_path):
         (
             [("refused", 1, 1, 0)],
             [made(1), ("acknowledged", 1, 1, 10)],
-            "chunk a/1/1 was refused, and its worker was told",
+            "chunk a/1/1 was refused, and its worker was answered",
         ),
         ([("accepted", 1, 1, 10)], [made(1), ("refused", 1, 1, 10)], "chunk a/1/1 was accepted, and its worker was"),
         (
             [("accepted", 1, 2, 10), Resume({"a": (1, 2)})],
             [made(2), ("acknowledged", 1, 1, 10), ("refused", 2, 2, 10)],
-            "chunk a/1/2 was rolled back, and its worker was told that it is refused",
+            "chunk a/1/2 was rolled back, and its worker was answered that it is refused",
         ),
         (
             [("accepted", 1, 1, 10)],
             [made(1), ("acknowledged", 1, 2, 10)],
-            "chunk a/1/2 was told to be accepted, and its worker",
+            "chunk a/1/2 was answered as accepted, and its worker",
         ),
     ],
 )
@@ -102,7 +102,7 @@ def test_a_late_beginning_that_is_explained(tmp_path, before):
 
 @pytest.mark.parametrize("late", [True, False])
 def test_a_late_beginning_beside_workers_that_remember_all(tmp_path, late):
-    """What a worker was told before the checkpoint with which the history begins is believed; without one it is not."""
+    """Answers from before the checkpoint with which the history begins are believed; without one they are not."""
     worker = [made(6), ("acknowledged", 1, 3, 10), ("refused", 4, 4, 10), ("acknowledged", 5, 6, 10)]
     found = write(tmp_path, [*([Resume({"a": (1, 5)})] if late else []), ("accepted", 5, 6, 10)], worker)
     assert found.clean == late, found.unexplained
@@ -110,7 +110,7 @@ def test_a_late_beginning_beside_workers_that_remember_all(tmp_path, late):
 
 
 def test_a_start_before_a_late_beginning(tmp_path):
-    """A worker's start that had ended before the checkpoint is not in it, and what it was told is believed, too."""
+    """A start that had ended before the checkpoint is not in it, and the answers that it got are believed, too."""
     learner = [Resume({"a": (2, 3)}), Entry("accepted", "a", 2, 3, 3, 10, 30, 30)]
     worker = [made(2), ("acknowledged", 1, 2, 10), Start("rollout", "a", 2)]
     worker += [Entry(verdict, "a", 2, 1, 3, 10, 30, 30) for verdict in ("produced", "acknowledged")]
@@ -161,10 +161,10 @@ def test_a_torn_last_line_is_no_defect(tmp_path):
 
 
 def test_more_chunks_than_memory_holds_are_refused_before_they_are_counted(tmp_path, monkeypatch):
-    """Histories of all processes together may tell of so many chunks, and sums of duplicates do not count."""
+    """Histories of all processes together may hold so many chunks, and sums of duplicates do not count."""
     monkeypatch.setattr("deploy.monitor.audit.MOST_CHUNKS", 19)
     learner = [("accepted", 1, 10, 10), ("duplicate", 1, 1000, 5)]
-    with pytest.raises(RunDirError, match=r"rollout-a.jsonl the histories tell of 20 chunks, more than 19"):
+    with pytest.raises(RunDirError, match=r"rollout-a.jsonl the histories hold 20 chunks, more than 19"):
         write(tmp_path, learner, [made(10)])
     monkeypatch.setattr("deploy.monitor.audit.MOST_CHUNKS", 20)
     assert audit(tmp_path).held == 20
