@@ -39,9 +39,6 @@ lint: $(READY)
 
 docs: $(READY)
 	@$(VENV)/bin/python -m docs.tools.pages
-	@$(VENV)/bin/python -m docs.tools.results
-	@$(VENV)/bin/python -m docs.tools.reproduce_page
-	@$(VENV)/bin/python -m docs.tools.environment_page
 
 site: $(READY)
 	@NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict --quiet

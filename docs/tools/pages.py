@@ -1,126 +1,90 @@
-"""The generated pages and pictures of docs/: written by `python -m docs.tools.pages`, held up to date by a test."""
+"""Refreshes the generated blocks and pictures of README and docs: `python -m docs.tools.pages`, or `make docs`."""
 
-import ast
-import dataclasses
-import inspect
 import sys
-import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
+from typing import Final
 
-from common.config import RunConfig
-from common.config.files import flatten, format_value
-from common.config.presets import PRESETS
-from common.config.sites import Sites
+from deploy.cli import COMMANDS
 from deploy.reports.farm_plots import draw_densities
-from docs.tools.monitoring_page import monitoring_page
-from docs.tools.security_page import security_page
-
-_HEAD = """# Configuration
-
-Generated from the dataclasses in `common/config` by `make docs`; do not edit.
-
-Every key can be set in a TOML file (`--config file.toml`), in the section named here, and on the command line
-(`--algorithm.batch 256`). A file may hold any part of the configuration; the preset gives the rest. Values in
-**bold** differ from the default preset. "(ours)" marks a constant that the paper does not give; A and W numbers
-name the reading of the paper behind a value, and a symbol is the paper's.
-"""
+from docs.tools import environment_tables, monitoring_tables, reliability_table, reproduce_tables, security_tables
+from docs.tools.blocks import Block, replaced, table
+from docs.tools.configuration_tables import configuration_tables
+from docs.tools.measurements import measured
 
 
-def field_docs(section: type[Any]) -> dict[str, str]:
-    """Return the docstring that stands under each field of a dataclass, by field name, on one line."""
-    definition = ast.parse(textwrap.dedent(inspect.getsource(section))).body[0]
-    assert isinstance(definition, ast.ClassDef)
-    docs = {}
-    for field, following in zip(definition.body, definition.body[1:], strict=False):
-        match field, following:
-            case (
-                ast.AnnAssign(target=ast.Name(id=name)),
-                ast.Expr(value=ast.Constant(value=str(text))),
-            ):
-                docs[name] = " ".join(text.split())
-    return docs
+def commands_table() -> str:
+    """Return one row for each command."""
+    return table(["command", "what it does"], [[f"`eia-sec {name}`", c.summary] for name, c in COMMANDS.items()])
 
 
-def sections(config: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every dataclass of a nested configuration with its dotted name, the outermost (named "") first."""
-    yield prefix, config
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from sections(value, f"{prefix}.{field.name}" if prefix else field.name)
+def _declared(make: Callable[[], str]) -> Block:
+    """Return a block that follows from the code alone."""
+    return lambda _: make()
 
 
-def configuration_page() -> str:
-    """Return docs/reference/configuration.md: one table for each section, one row for each key."""
-    parts = [_HEAD]
-    for name, section in sections(RunConfig()):
-        rows = [_row(name, section, field.name) for field in dataclasses.fields(section)]
-        rows = [row for row in rows if row]
-        if rows:
-            title = f"`[{name}]`" if name else "Top of the file"
-            parts.append(
-                f"## {title}\n\n{inspect.getdoc(type(section))}\n\n" + "\n".join([*_table_head(), *rows]) + "\n"
-            )
-    return "\n".join(parts)
+def _measured(*names: str) -> dict[str, Block]:
+    return {name: partial(measured, name) for name in names}
 
 
-def _table_head() -> list[str]:
-    names = ["key", "type", *PRESETS, "meaning"]
-    return [_cells(names), _cells(["---"] * len(names))]
-
-
-def _row(section_name: str, section: Any, field: str) -> str:
-    """Return one key's table row, or nothing when the field is a section of its own."""
-    if dataclasses.is_dataclass(getattr(section, field)):
-        return ""
-    key = f"{section_name}.{field}" if section_name else field
-    default = flatten(PRESETS["default"])[key]
-    values = [flatten(config)[key] for config in PRESETS.values()]
-    shown = [_value(value) if value == default else f"**{_value(value)}**" for value in values]
-    kind = _type(get_type_hints(type(section))[field])
-    return _cells([f"`{field}`", kind, *shown, field_docs(type(section))[field]])
-
-
-def _value(value: Any) -> str:
-    return value if isinstance(value, str) else format_value(value)
-
-
-def _type(wanted: Any) -> str:
-    if get_origin(wanted) is Literal:
-        return " or ".join(f"`{choice}`" for choice in get_args(wanted))
-    if wanted == Sites:
-        return "list of places"
-    if get_origin(wanted) is tuple:
-        return "list of integers"
-    return {bool: "boolean", int: "integer", float: "number", str: "text"}[wanted]
-
-
-def _cells(cells: list[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
-
-
-PAGES: Final[dict[str, Callable[[], str]]] = {
-    "reference/configuration.md": configuration_page,
-    "reference/monitoring.md": monitoring_page,
-    "reference/security.md": security_page,
+PAGES: Final[Mapping[str, Mapping[str, Block]]] = {
+    "README.md": _measured("results"),
+    "docs/explanation/architecture.md": _measured("second-worker"),
+    "docs/explanation/capacity.md": _measured("capacity"),
+    "docs/explanation/method.md": _measured("forms"),
+    "docs/explanation/reliability.md": {"faults": reliability_table.faults},
+    "docs/explanation/reproduce.md": reproduce_tables.BLOCKS,
+    "docs/how-to/debug_training.md": _measured("checkpoint"),
+    "docs/how-to/hosts.md": _measured("hosts"),
+    "docs/how-to/own_environment.md": _measured("tasks"),
+    "docs/how-to/vehicles.md": _measured("fly"),
+    "docs/how-to/watch.md": _measured("watch"),
+    "docs/reference/commands.md": {"commands": _declared(commands_table)},
+    "docs/reference/configuration.md": {"configuration": _declared(configuration_tables)},
+    "docs/reference/environment.md": environment_tables.BLOCKS,
+    "docs/reference/heuristics.md": _measured("heuristics"),
+    "docs/reference/monitoring.md": {
+        "subscriber": monitoring_tables.subscriber,
+        "keys": _declared(monitoring_tables.keys_table),
+        "frame": _declared(monitoring_tables.frame_table),
+        "messages": _declared(monitoring_tables.messages_tables),
+        "metrics": _declared(monitoring_tables.metrics_tables),
+        "snapshot": _declared(monitoring_tables.snapshot_tables),
+    },
+    "docs/reference/security.md": {
+        "access": _declared(security_tables.access_table),
+        "limits": _declared(security_tables.limits_table),
+    },
+    "docs/results/README.md": _measured("default-run", "paper-preset"),
 }
-"""Every generated page: its file name in docs/ and the function that returns its text."""
+"""Every page with generated blocks: its path, and what makes each block."""
 
-PICTURES: Final[dict[str, Callable[[Path], None]]] = {"images/densities.png": draw_densities}
-"""Every generated picture: its file name in docs/ and the function that draws it."""
+PICTURES: Final[Mapping[str, Callable[[Path], None]]] = {
+    "docs/images/densities.png": draw_densities,
+    "docs/images/farm.png": environment_tables.draw_farm,
+}
+"""Every picture that follows from the code: its path, and the function that draws it."""
+
+
+def refreshed(page: str, root: Path) -> str:
+    """Return a page of a repository with its blocks made anew."""
+    text = (root / page).read_text(encoding="utf-8")
+    for name, block in PAGES[page].items():
+        text = replaced(text, name, block(root))
+    return text
 
 
 def main(arguments: list[str]) -> None:
-    """Write every generated page and picture into the folder given (docs when none is)."""
-    folder = Path(arguments[0]) if arguments else Path("docs")
-    for name, page in PAGES.items():
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / name).write_text(page(), encoding="utf-8")
+    """Refresh every page and picture of a repository (this one when none is given), and the pages of its studies."""
+    root = Path(arguments[0]) if arguments else Path()
+    for page in PAGES:
+        (root / page).write_text(refreshed(page, root), encoding="utf-8")
+    for folder in reproduce_tables.studies(root):
+        (folder / "README.md").write_text(reproduce_tables.written(folder), encoding="utf-8")
     for name, draw in PICTURES.items():
-        (folder / name).parent.mkdir(exist_ok=True)
-        draw(folder / name)
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        draw(root / name)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""The results in README.md: the policy that ships, its preset over several seeds, and the paper's methods."""
+"""The table of results in README.md, and what stands behind it in docs/results/README.md."""
 
 from typing import Any, Final
 
-from experiments.studies.analysis.evidence import early_farms
+from docs.tools.blocks import wrapped
 from experiments.studies.analysis.verdicts import shown
 from experiments.studies.methods import DEFAULT_PRESET, EIA_SEC
-from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
+from experiments.studies.scales import FIRST_REPORTED
 
 RUN: Final = "EIA-SEC (this run)"
 
@@ -26,20 +26,51 @@ def policies_table(run: dict[str, Any], label: str) -> list[str]:
     return rows
 
 
+def results_block(study: dict[str, Any], seeds: dict[str, Any]) -> str:
+    """Return the block of README.md: learned methods and heuristics in one table, and one line on how they compare.
+
+    Args:
+        study: the results of the study `training`.
+        seeds: the results of the study `default`.
+    """
+    size, own = seeds["sizes"], seeds["methods"][DEFAULT_PRESET]
+    learned = {"**EIA-SEC, default preset**": own}
+    learned |= {_compared(name): method for name, method in study["methods"].items()}
+    rows = [(name, "learned", method["mean_reward"], method["figures"]) for name, method in learned.items()]
+    for name, policy in seeds["references"]["policies"].items():
+        figures = {figure: [value] * 3 for figure, value in policy["figures"].items()}
+        rows.append((name, "heuristic", [policy["mean_reward"]] * 3, figures))
+    rows.sort(key=lambda row: -row[2][0])
+    lines = ["| policy | | reward per agent | AoI | VDF |", "|---|---|---:|---:|---:|"]
+    for name, kind, reward, figures in rows:
+        lines.append(f"| {name} | {kind} | {shown(reward)} | {figures['aoi'][0]:.2f} | {figures['vdf'][0]:.2f} |")
+    level = round(own["mean_reward"][2])
+    ahead = [name for name, kind, reward, _ in rows if kind == "heuristic" and round(reward[0]) > level]
+    verdict = f"{len(ahead)} of {len(seeds['references']['policies'])} heuristics score higher: {', '.join(ahead)}."
+    conditions = f"""Mean reward without noise over {size["farms"]} farms that neither training nor tuning used. Learned
+        methods have {len(own["runs"])} seeds, with a 95 % interval over the seeds. AoI is the mean age of the sensors'
+        information and VDF that of the plots' images; low is good."""
+    reading = f"""**{verdict}** They see the whole farm; a
+        trained UAV sees only its surroundings, its number and the time."""
+    return "\n".join([wrapped(conditions), "", *lines, "", wrapped(reading)])
+
+
+def _compared(name: str) -> str:
+    return f"{name}, as compared with the others" if name == EIA_SEC.name else name
+
+
 def _methods_rows(study: dict[str, Any]) -> list[str]:
     """Return the methods of the study `training`, tuned and trained alike, best reward first."""
     methods = sorted(study["methods"].items(), key=lambda item: -item[1]["reward"][0])
-    first, seeds, size = next(iter(study["methods"])), len(methods[0][1]["runs"]), study["sizes"]
+    first, size = next(iter(study["methods"])), study["sizes"]
     commits = dict.fromkeys(run["commit"] for method in study["methods"].values() for run in method["runs"])
-    start = size.get("first_farm", FIRST_FARM)
-    early = f", of which the preset was chosen on {FIRST_FARM}..{FIRST_REPORTED - 1}" if early_farms(study) else ""
+    conditions = f"""The methods of the paper, each with equal tuning, {size["episodes"]} episodes and
+        {len(methods[0][1]["runs"])} seeds, all with the plain observations of the preset `study`, on farms
+        {_farms(size)}. Numbers are interquartile means with a 95 % bootstrap interval over the seeds ([how far to trust
+        it](../explanation/reproduce.md#statistics)). Normalised: 0 is the random policy, 1 the best heuristic. Made by
+        `{study["command"]}`, commits {", ".join(commits)}."""
     rows = [
-        "Beside the paper's baselines, every method with the plain views of the preset `study`: equal tuning,",
-        f"{size['episodes']} episodes and {seeds} seeds each, flown on",
-        f"farms {start}..{start + size['farms'] - 1}{early}; interquartile means, in brackets 95 % of",
-        "a bootstrap over the seeds ([what that is worth](docs/explanation/reproduce.md#statistics)), and",
-        "normalised: 0 is the random policy, 1 the best heuristic. Made by",
-        f"`{study['command']}`, commits {', '.join(commits)}.",
+        wrapped(conditions),
         "",
         f"| method | reward per agent | normalised | AoI | VDF | P({first} is better) |",
         "|---|---:|---:|---:|---:|---:|",
@@ -49,39 +80,28 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
         figures = [shown(method["figures"][figure], 2) for figure in ("aoi", "vdf")]
         cells = [shown(method["reward"]), shown(method["normalised"], 2), *figures, shown(better, 2) if better else ""]
         rows.append(" | ".join(["", f"**{name}**" if name == first else name, *cells, ""]).strip())
-    return [*rows, "", "[All claims of the paper, one by one](docs/explanation/reproduce.md).", ""]
+    return [*rows, ""]
 
 
-def _rank(flown: dict[str, Any]) -> list[str]:
+def _farms(size: dict[str, Any]) -> str:
+    return f"{size['first_farm']}..{size['first_farm'] + size['farms'] - 1}"
+
+
+def _rank(flown: dict[str, Any]) -> str:
     """Return where the policy that ships stands among the heuristics; two with overlapping intervals are level."""
     rewards = {result["policy"]: result["reward"] for result in flown["results"]}
     mean, low, high = rewards.pop("trained")
     named = sorted(rewards.items(), key=lambda item: -item[1][0])
     above = ", ".join(f"{name} {reward[0]:.0f}" for name, reward in named if reward[1] > high)
     level = ", ".join(f"{name} {reward[0]:.0f}" for name, reward in named if reward[1] <= high and reward[2] >= low)
-    return [
-        f"On farms {flown['first_farm']}..{flown['last_farm']} the policy that ships earns {mean:.0f}"
-        f" ({low:.0f}..{high:.0f}). More earn the heuristics",
-        f"{above or 'none'}; as much: {level or 'none'}",
-        "([all of them](docs/reference/heuristics.md)).",
-    ]
+    return (
+        f"The policy that ships scores {mean:.0f} ({low:.0f}..{high:.0f}) on farms {flown['first_farm']}.."
+        f"{flown['last_farm']}. Heuristics that score higher: {above or 'none'}. Level with it: {level or 'none'}."
+    )
 
 
-def _seeds(study: dict[str, Any]) -> list[str]:
-    """Return what the seeds of the default preset came to in the study `default`."""
-    own, size = study["methods"][DEFAULT_PRESET], study["sizes"]
-    aoi, vdf = (shown(own["figures"][figure], 2) for figure in ("aoi", "vdf"))
-    return [
-        f"{len(own['runs'])} seeds of the preset earn {shown(own['mean_reward'])} on farms",
-        f"{size['first_farm']}..{size['first_farm'] + size['farms'] - 1} (mean; in brackets 95 % over the seeds),",
-        f"AoI {aoi}, VDF {vdf}; with the settings of the comparison below it is",
-        f"{shown(study['methods'][EIA_SEC.name]['mean_reward'])} ([study](docs/results/reproduce/default/README.md)).",
-        "",
-    ]
-
-
-def run_block(run: dict[str, Any], study: dict[str, Any], flown: dict[str, Any], seeds: dict[str, Any]) -> str:
-    """Return the block of README.md.
+def default_block(run: dict[str, Any], study: dict[str, Any], flown: dict[str, Any], seeds: dict[str, Any]) -> str:
+    """Return the block of docs/results/README.md: what the results in the README rest on.
 
     Args:
         run: the evaluation of the run whose policy ships.
@@ -89,29 +109,20 @@ def run_block(run: dict[str, Any], study: dict[str, Any], flown: dict[str, Any],
         flown: every policy that has a name, on all farms that are reported on.
         seeds: the results of the study `default`.
     """
-    farms = run["evaluations"][0]["farms"]
-    chosen = ",\nbut on which the preset's settings were chosen" if farms[0] < FIRST_REPORTED else ""
-    return "\n".join(
-        [
-            f"Noise-free, farms {farms[0]}..{farms[-1]}, which training never saw (it uses 0..19){chosen}; one seed.",
-            "",
-            *policies_table(run, "EIA-SEC, default preset"),
-            "",
-            "AoI is the age of information of the sensors, VDF (visual data freshness) that of the plots' images:",
-            "means over the episode of counters that rise until the next visit, so low is good.",
-            "",
-            *_rank(flown),
-            "",
-            f"Made by `{run['command']}`, which is what `make train`",
-            f"does today (seed {run['seed']}, commit {run['commit']}): {run['episodes']:,} episodes,",
-            f"{run['environment_steps']:,} environment steps, {run['updates']:,} update rounds of all twelve agents in",
-            f"{run['seconds'] / 60:.0f} minutes on two shared cores without an accelerator. The paper reports 895 for",
-            "EIA-SEC, on its own farm. [Curves](docs/results/default/curves.png),",
-            "[all results](docs/results/README.md).",
-            "",
-            *_seeds(seeds),
-            *_methods_rows(study),
-            "![Paths of all UAVs on an unseen farm](docs/results/default/trajectories.png)",
-            "",
-        ]
-    )
+    farms, own = run["evaluations"][0]["farms"], seeds["methods"][DEFAULT_PRESET]
+    chosen = " but on which the preset's settings were chosen" if farms[0] < FIRST_REPORTED else ""
+    aoi, vdf = (shown(own["figures"][figure], 2) for figure in ("aoi", "vdf"))
+    first = f"""The run whose policy ships, without noise on farms {farms[0]}..{farms[-1]}, which training never saw (it
+        uses 0..19){chosen}; one seed:"""
+    origin = f"""Made by `{run["command"]}` (seed {run["seed"]}, commit {run["commit"]}), which is what
+        `make train` does: {run["episodes"]:,} episodes, {run["environment_steps"]:,} environment steps and
+        {run["updates"]:,} updates of all
+        twelve agents in {run["seconds"] / 60:.0f} minutes on two shared cores without an accelerator. The paper reports
+        895 for EIA-SEC, on its own farm. [Curves](default/curves.png), [paths](default/trajectories.png)."""
+    several = f"""{len(own["runs"])} seeds of the preset score {shown(own["mean_reward"])} on farms
+        {_farms(seeds["sizes"])} (mean, with a 95 % interval over the seeds), AoI {aoi}, VDF {vdf}
+        ([study](reproduce/default/README.md))."""
+    rank = f"{_rank(flown)} [All of them](../reference/heuristics.md)."
+    table = policies_table(run, "EIA-SEC, default preset")
+    parts = [wrapped(first), "", *table, "", wrapped(origin), "", wrapped(rank), "", wrapped(several), ""]
+    return "\n".join([*parts, *_methods_rows(study)])

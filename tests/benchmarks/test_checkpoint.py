@@ -7,9 +7,7 @@ import sys
 
 from benchmarks.peers.catalogue import ROOT
 from deploy.reports.provenance import PACKAGES
-from docs.tools.results import BLOCKS, NOT_MEASURED, PAUSE_AIM, refreshed
-
-DOCUMENT = "docs/how-to/debug_training.md"
+from docs.tools.measurements import NOT_MEASURED, PAUSE_AIM, checkpoint_block, measured
 
 
 def test_a_result_names_its_origin_and_is_shown(tmp_path):
@@ -28,7 +26,7 @@ def test_a_result_names_its_origin_and_is_shown(tmp_path):
     assert written["bytes"] > 4 * written["rows"] * written["row_numbers"]
     for name in ("turn_ms_{}_writing", "turn_ms_{}_else", "pause_ms_{}"):
         assert 0.0 < written[name.format("median")] <= written[name.format("most")]
-    text = refreshed(DOCUMENT, (ROOT / DOCUMENT).read_text(encoding="utf-8"), tmp_path)
+    text = measured("checkpoint", tmp_path)
     assert NOT_MEASURED not in text
     assert f"| training stopped | {written['pause_ms_median']:.1f} | {written['pause_ms_most']:.1f} |" in text
     assert list(tmp_path.iterdir()) == [tmp_path / "docs"]
@@ -39,6 +37,5 @@ def test_the_verdict_is_that_of_the_longest_pause():
     names = ("turn_ms_median_writing", "turn_ms_most_writing", "turn_ms_median_else", "turn_ms_most_else", "copy_ms")
     data = {**dict.fromkeys(names, 7.0), "command": "x", "commit": "y", "write_seconds_median": 1.0, "bytes": 2**21}
     data |= {"checkpoints": 2, "agents": 12, "width": 64, "rows": 9, "cores": 2, "pause_ms_median": 1.0}
-    block = BLOCKS[DOCUMENT][2]
-    verdicts = [block({**data, "pause_ms_most": most}) for most in (PAUSE_AIM, PAUSE_AIM + 0.5)]
+    verdicts = [checkpoint_block({**data, "pause_ms_most": most}) for most in (PAUSE_AIM, PAUSE_AIM + 0.5)]
     assert [re.findall(r"at most; (.+)\.", text) for text in verdicts] == [["met: 50.0 ms"], ["not met: 50.5 ms"]]

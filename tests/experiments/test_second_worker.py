@@ -13,11 +13,10 @@ from common.errors import EiaSecError, UsageError
 from common.transport.endpoint import free_endpoint
 from deploy.local.supervisor import Child
 from deploy.monitor.snapshot import Ledger, ProcessRow
-from docs.tools.results import BLOCKS
+from docs.tools.measurements import second_worker_block
 from experiments.network import second_worker
 from experiments.network.second_worker import Arguments, Crew, measure, memory, wait_for
 
-BLOCK = BLOCKS["docs/explanation/architecture.md"][2]
 SLOW = Arguments(workers=(1, 2, 4), seconds=10.0, settle=1.0)
 
 
@@ -107,7 +106,7 @@ def test_each_number_of_workers_is_measured(supervisor, monkeypatch):
     assert supervisor.started["rollout-1"].process.wait() == -signal.SIGKILL
     (key,) = bus.asked
     assert key.endswith("drain")
-    text = BLOCK({"command": "c", "commit": "d", **found})
+    text = second_worker_block({"command": "c", "commit": "d", **found})
     assert "| 4 | 400 | 40 |" in text
     assert f"on {os.cpu_count()} cores" in text
 

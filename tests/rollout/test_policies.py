@@ -10,7 +10,7 @@ from common.errors import PolicyError
 from common.policy_file import save_policy
 from common.team import farm_team
 from deploy.policies.evaluate import EvaluateArguments
-from docs.tools.pages import field_docs
+from docs.tools.configuration_tables import field_docs
 from rollout import policies
 from rollout.policies import HEURISTICS, POLICIES, RELAYS, TASKS, ActorPolicy, policy_of
 from rollout.sim.batch import FarmBatch

@@ -23,7 +23,7 @@ from common.config import (
     WorldConfig,
 )
 from common.errors import ConfigError
-from docs.tools.pages import field_docs, sections
+from docs.tools.configuration_tables import field_docs, sections
 
 SECTIONS = [type(section) for _, section in sections(RunConfig())]
 NUMBERS = [

@@ -16,7 +16,7 @@ from deploy.hosts import operations
 from deploy.hosts.fleet_file import Containers, Coordinator, Host, Learner, Network, Router, Training, read
 from deploy.hosts.plan import here, processes
 from deploy.hosts.render import render
-from docs.tools.pages import field_docs
+from docs.tools.configuration_tables import field_docs
 
 ROOT = Path(__file__).resolve().parents[3]
 EXAMPLE = ROOT / "deploy" / "fleet.toml"

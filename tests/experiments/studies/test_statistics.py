@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import mannwhitneyu, trim_mean
 
 from common.errors import ConfigError
-from docs.tools.reproduce_page import COVERAGE as COVERAGE_FILE
+from docs.tools.reproduce_tables import COVERAGE as COVERAGE_FILE
 from experiments.studies.analysis.coverage import block, coverage
 from experiments.studies.analysis.statistics import (
     LEVEL,

@@ -7,11 +7,11 @@ import pytest
 from common.protocol import codec, keys, messages, metrics
 from common.protocol.metrics import Metric, undeclared
 from deploy.monitor import snapshot
-from docs.tools.monitoring_page import attribute_docs, monitoring_page
+from docs.tools.monitoring_tables import attribute_docs, messages_tables
 from elite import service as elite
-from learner import reports
-from learner import service as learner
+from learner import schedule
 from learner.intake import ledger
+from learner.reporting import curves, reporter
 from rollout.worker import service as rollout
 
 
@@ -29,12 +29,12 @@ def test_every_family_says_who_sends_what_to_whom(family):
 
 def test_what_the_page_says_of_paces_is_so():
     """Metrics once a second from every role, progress ten times."""
-    paces = {learner.REPORT_SECONDS, rollout.REPORT_SECONDS, elite.REPORT_SECONDS}
+    paces = {schedule.REPORT_SECONDS, rollout.REPORT_SECONDS, elite.REPORT_SECONDS}
     assert (paces, keys.METRIC.pace) == ({1.0}, "1 per second")
-    assert f"{1.0 / learner.PROGRESS_SECONDS:.0f} per second" == keys.PROGRESS.pace
+    assert f"{1.0 / schedule.PROGRESS_SECONDS:.0f} per second" == keys.PROGRESS.pace
     text = " ".join(metric.meaning for metric in metrics.METRICS["learner"])
     assert f"of at most {ledger.ROWS}, the others in `{ledger.OTHERS}`" in text
-    assert (reports.IMITATIONS, reports.SMOOTHED_EPISODES) == (4, 40)
+    assert (reporter.IMITATIONS, curves.SMOOTHED_EPISODES) == (4, 40)
 
 
 def test_every_field_on_the_page_is_explained():
@@ -44,7 +44,7 @@ def test_every_field_on_the_page_is_explained():
     kinds += [kind for kind in vars(snapshot).values() if dataclasses.is_dataclass(kind)]
     for kind in kinds:
         assert [item.name for item in dataclasses.fields(kind) if not attribute_docs(kind).get(item.name)] == []
-    page = monitoring_page()
+    page = messages_tables()
     assert all(f"### {name}," in page for name in readable)
 
 

@@ -1,23 +1,15 @@
-"""The page of faults and full doses: docs/explanation/reliability.md from the figures in docs/results/reliability.
+"""The table of faults in docs/explanation/reliability.md, from the numbers in docs/results/reliability.
 
-    EIA_SEC_FIGURES=docs/results/reliability python -m pytest -m nightly tests/faults     # the doses, about an hour
-    python -m docs.tools.reliability_page                                                     # the page
-
-What the page says besides its table is in `docs/tools/reliability_page.md`.
+EIA_SEC_FIGURES=docs/results/reliability python -m pytest -m nightly tests/faults     # the full doses, about an hour
 """
 
 import json
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 FIGURES = Path("docs/results/reliability")
-PAGE = Path("docs/explanation/reliability.md")
-TEXT = Path(__file__).with_suffix(".md")
-TABLE = "<!-- table -->\n"
-"""Where the table stands in the text."""
 Figures = dict[str, Any]
 
 
@@ -39,7 +31,7 @@ def lost(figures: Figures) -> str:
 
 
 def killed_workers(f: Figures) -> str:
-    """Say what kills of workers came to."""
+    """Describe kills of workers."""
     return (
         f"{f['kills']} kills among {f['workers']} workers with spools of one chunk: {lost(f)}, "
         f"{f['lost_chunks_per_kill']:.2f} a kill; a replacement delivers after {seconds(f['seconds_to_replace'])}; "
@@ -48,16 +40,17 @@ def killed_workers(f: Figures) -> str:
 
 
 def killed_learner(f: Figures) -> str:
-    """Say what kills of the learner came to."""
+    """Describe kills of the learner."""
     return (
-        f"{f['kills']} kills, {f['inside_a_checkpoint_write']} of them inside a write: chunks flow again after "
+        f"{f['kills']} kills, {f['inside_a_checkpoint_write']} of them during a checkpoint write: chunks arrive again "
+        "after "
         f"{seconds(f['seconds_to_resume'])}; {f['ledger_lost']:,} steps in {f['lost_chunks']} chunks were acknowledged "
-        f"after the last checkpoint, and exactly those are declared lost; {explained(f)}"
+        f"after the last checkpoint, and exactly those are counted as lost; {explained(f)}"
     )
 
 
 def killed_coordinator(f: Figures) -> str:
-    """Say what kills of the coordinator came to."""
+    """Describe kills of the coordinator."""
     order = "all in order" if f["in_order"] else "not in order"
     return (
         f"{f['kills']} kills: {f['events']} events, {order}; the next event after "
@@ -66,16 +59,16 @@ def killed_coordinator(f: Figures) -> str:
 
 
 def killed_router(f: Figures) -> str:
-    """Say what kills of the router came to."""
+    """Describe kills of the router."""
     return (
-        f"{f['kills']} kills, {f['outage_seconds']:.0f} s without a router each: chunks flow again after "
+        f"{f['kills']} kills, {f['outage_seconds']:.0f} s without a router each: chunks arrive again after "
         f"{seconds(f['seconds_to_recover'])}; {lost(f)}; the worker grew by "
         f"{f['worker_grew_mib']:.1f} MiB; {explained(f)}"
     )
 
 
 def frozen_learner(f: Figures) -> str:
-    """Say how workers fared while the learner stood still."""
+    """Describe how workers fared while the learner stood still."""
     rows = [
         f"{row['seconds']:.0f} s: back in {row['seconds_to_recover']:.1f} s, worker {row['worker_grew_mib']:+.1f} MiB"
         for row in f["freezes"]
@@ -84,16 +77,18 @@ def frozen_learner(f: Figures) -> str:
 
 
 def replaced_learner(f: Figures) -> str:
-    """Say what became of a learner that thawed too late."""
+    """Describe what became of a learner that thawed too late."""
     falls = f["falls_of_the_epoch"]
     applied = (
-        "the worker's actors are of the new one throughout" if falls == 0 else f"{falls} times the old one's applied"
+        "the worker uses the new learner's actors throughout"
+        if falls == 0
+        else f"the old learner's actors were applied {falls} times"
     )
-    return f"it ends with code {f['old_learner_exit_code']}; {applied}; {lost(f)}; {explained(f)}"
+    return f"it exits with code {f['old_learner_exit_code']}; {applied}; {lost(f)}; {explained(f)}"
 
 
 def partitions(f: Figures) -> str:
-    """Say how workers fared while they were cut off."""
+    """Describe how workers fared while they were cut off."""
     names = {"link": "link down", "both": "both ways", "to_learner": "to the learner", "to_worker": "to the worker"}
     rows = []
     for way, name in names.items():
@@ -108,7 +103,7 @@ def partitions(f: Figures) -> str:
 
 
 def bad_links(f: Figures) -> str:
-    """Say how chunks travel on slow, narrow and stalled links."""
+    """Describe how chunks travel on slow, narrow and stalled links."""
     rates = ", ".join(f"{name} {rate:.1f}" for name, rate in f["chunks_per_second"].items())
     return (
         f"chunks a second: {rates}; after a stall of {f['stall_seconds']:.0f} s back in "
@@ -117,41 +112,42 @@ def bad_links(f: Figures) -> str:
 
 
 def bad_road(f: Figures) -> str:
-    """Say what came of a bad road."""
+    """Describe delivery over a bad channel."""
     return (
-        f"{f['chunks']:,} chunks in {f['sendings']:,} sendings ({f['duplicated']:,} doubled, {f['reordered']:,} "
-        f"overtaken, {f['cut']:,} cut, {f['flipped']:,} flipped): {f['accepted']:,} accepted, "
+        f"{f['chunks']:,} chunks in {f['sendings']:,} sendings ({f['duplicated']:,} duplicated, {f['reordered']:,} "
+        f"reordered, {f['cut']:,} truncated, {f['flipped']:,} flipped): {f['accepted']:,} accepted, "
         f"{f['accepted_twice']} of them twice; "
-        f"{f['counted_damaged']:,} counted as damaged, the other {f['unseen']:,} lay behind a chunk that had to "
-        "come again"
+        f"{f['counted_damaged']:,} counted as damaged, the other {f['unseen']:,} followed a chunk that had to be "
+        "sent again"
     )
 
 
 def bad_proxy(f: Figures) -> str:
-    """Say what came of a proxy that does the same to messages of real processes."""
+    """Describe delivery through a bad proxy between real processes."""
     return (
-        f"{f['accepted_chunks']:,} chunks of two workers ({f['duplicated']:,} requests doubled, {f['reordered']:,} "
-        f"once more behind newer ones, {f['cut']:,} cut, {f['flipped']:,} flipped): {f['doubled']} taken twice; "
-        f"{f['counted_damaged']:,} counted as damaged, the other {f['unseen']:,} lay behind a chunk that had to come "
+        f"{f['accepted_chunks']:,} chunks of two workers ({f['duplicated']:,} requests duplicated, {f['reordered']:,} "
+        f"sent again after newer ones, {f['cut']:,} truncated, {f['flipped']:,} flipped): "
+        f"{f['doubled']} accepted twice; "
+        f"{f['counted_damaged']:,} counted as damaged, the other {f['unseen']:,} followed a chunk that had to be sent "
         f"again; {explained(f)}"
     )
 
 
 def mutated_frames(f: Figures) -> str:
-    """Say what came of mutated frames."""
+    """Describe the decoding of mutated frames."""
     return f"{f['frames']:,} frames, {f['messages']:,} still messages; memory {f['grown_mib']:+.1f} MiB"
 
 
 def flood(f: Figures) -> str:
-    """Say what a flood left the others."""
+    """Describe what the others kept during a flood."""
     return (
-        f"{f['junk_requests']:,} requests of 128 KiB: the others keep {f['share_kept']:.0%} of their rate; who floods "
-        f"is cut off and named; {explained(f)}"
+        f"{f['junk_requests']:,} requests of 128 KiB: the others keep {f['share_kept']:.0%} of their rate; the "
+        f"flooder is cut off and named; {explained(f)}"
     )
 
 
 def hostile_chunks(f: Figures) -> str:
-    """Say what came of requests that are spoilt in one field each."""
+    """Describe requests with one invalid field each."""
     return (
         f"{f['kinds']:,} kinds in {f['requests']:,} requests, {f['answered']:,} of them answered; the honest worker "
         f"keeps {f['share_kept']:.0%} of its rate; the learner {f['learner_grew_mib']:+.1f} MiB; {explained(f)}"
@@ -159,17 +155,17 @@ def hostile_chunks(f: Figures) -> str:
 
 
 def full_disk(f: Figures) -> str:
-    """Say what came of a full disk."""
-    return f"{f['alarms']} alarms; a new checkpoint {f['seconds_to_recover']:.1f} s after there was room again"
+    """Describe a full disk."""
+    return f"{f['alarms']} alarms; a new checkpoint {f['seconds_to_recover']:.1f} s after space was freed"
 
 
 def stops(f: Figures) -> str:
-    """Say how stops went."""
+    """Describe how stops went."""
     return f"{f['stops']} stops: ended after {seconds(f['seconds_to_end'])}"
 
 
 def soak(f: Figures) -> str:
-    """Say what grew."""
+    """Describe what grew."""
     rows = [
         f"{name} {row['mib_per_hour']:+.1f} MiB an hour ({row['mib']:.0f} MiB), threads {row['threads'][0]} to "
         f"{row['threads'][1]}, descriptors {row['descriptors'][0]} to {row['descriptors'][1]}"
@@ -202,53 +198,56 @@ class Row:
 
 ROWS = (
     Row("kill -9 a worker, 50 times", "at most one unsent chunk a kill, counted", killed_workers, "test_kills.py"),
-    Row("kill -9 the learner, 20 times", "resumes; the ledger's losses are exact", killed_learner, "test_kills.py"),
-    Row("kill -9 the coordinator, 20 times", "the schedule goes on", killed_coordinator, "test_kills.py"),
+    Row(
+        "kill -9 the learner, 20 times",
+        "resumes; the ledger counts the losses exactly",
+        killed_learner,
+        "test_kills.py",
+    ),
+    Row("kill -9 the coordinator, 20 times", "the schedule continues", killed_coordinator, "test_kills.py"),
     Row("kill -9 the router, 20 times", "nothing lost", killed_router, "test_kills.py"),
     Row("learner frozen", "worker at most +64 MiB; back within 10 s", frozen_learner, "test_freezes.py"),
     Row("learner frozen, replaced, thawed", "nothing of the old one is applied", replaced_learner, "test_freezes.py"),
     Row("partitions between network namespaces", "back within 15 s", partitions, "test_partitions.py"),
     Row("slow, narrow and stalled links", "nothing lost", bad_links, "test_partitions.py"),
-    Row("a road that doubles, reorders, cuts and flips", "the accepted set is exact", bad_road, "test_messages.py"),
-    Row("a proxy that does so between real processes", "every chunk is taken once", bad_proxy, "test_proxy.py"),
-    Row("mutated frames", "typed errors only; at most +32 MiB", mutated_frames, "test_decoder.py"),
-    Row("flood of junk by one of four workers", "the others keep 80 % of their rate", flood, "test_refusals.py"),
     Row(
-        "requests spoilt in one field each, generated from the messages",
+        "a channel that duplicates, reorders, truncates and flips bits",
+        "the accepted set is exact",
+        bad_road,
+        "test_messages.py",
+    ),
+    Row(
+        "a proxy that does the same between real processes", "every chunk is accepted once", bad_proxy, "test_proxy.py"
+    ),
+    Row("mutated frames", "typed errors only; at most +32 MiB", mutated_frames, "test_decoder.py"),
+    Row(
+        "a flood of invalid requests by one of four workers",
+        "the others keep 80 % of their rate",
+        flood,
+        "test_refusals.py",
+    ),
+    Row(
+        "requests with one invalid field each, generated from the message declarations",
         "all answered; the honest worker keeps 80 % of its rate; at most +32 MiB",
         hostile_chunks,
         "test_hostile.py",
     ),
-    Row("full disk", "training goes on; the checkpoint before loads", full_disk, "test_disk.py"),
-    Row("SIGTERM and Ctrl-C, 50 times", "exit 0 within 10 s, no orphan", stops, "test_stops.py"),
+    Row("full disk", "training continues; the previous checkpoint loads", full_disk, "test_disk.py"),
+    Row("SIGTERM and Ctrl-C, 50 times", "exit 0 within 10 s, no orphan processes", stops, "test_stops.py"),
     Row("soak", "below 1 MiB an hour; threads and descriptors flat", soak, "test_soak.py"),
 )
 
 
-def table(folder: Path) -> str:
-    """Return the table for a folder of figures."""
-    lines = ["| fault | must hold | measured | commit | small dose in |", "|---|---|---|---|---|"]
+def faults(root: Path) -> str:
+    """Return the table for the numbers in a repository."""
+    folder = root / FIGURES
+    lines = ["| fault | must hold | measured | commit | small version in |", "|---|---|---|---|---|"]
     for row in ROWS:
         path = folder / f"{row.figures}.json"
-        measured, commit = "not run at full dose yet", "-"
+        measured, commit = "not run at full scale yet", "-"
         if path.exists():
             figures = json.loads(path.read_text(encoding="utf-8"))
             measured, commit = row.told(figures), figures["commit"]
         cells = [row.fault, row.holds, measured, commit, f"`tests/faults/{row.test}`"]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
-
-
-def page(folder: Path) -> str:
-    """Return the page for a folder of figures."""
-    return TEXT.read_text(encoding="utf-8").replace(TABLE, table(folder))
-
-
-def main(arguments: list[str]) -> None:
-    """Write the page."""
-    target = Path(arguments[0]) if arguments else PAGE
-    target.write_text(page(FIGURES), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

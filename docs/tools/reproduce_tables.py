@@ -1,12 +1,12 @@
 """The generated blocks of docs/explanation/reproduce.md, from the committed results."""
 
-import json
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from docs.tools.blocks import Block, read_json
 from experiments.studies.analysis import coverage, targets
 from experiments.studies.analysis.claims import CLAIMS, heuristics, training
 from experiments.studies.analysis.evidence import early_farms
@@ -24,10 +24,10 @@ COVERAGE: Final = RESULTS / "coverage.json"
 
 def comparison(root: Path) -> str:
     """Return the comparison with the paper that the results in a repository allow."""
-    held = {name: full(_read(root / RESULTS / name / "results.json")) for name in CLAIMS}
+    held = {name: full(read_json(root / RESULTS / name / "results.json")) for name in CLAIMS}
     groups: dict[str, list[Row]] = {name: claims(held[name]) for name, claims in CLAIMS.items()}
     groups["training"] = training(held["training"], held["ablation"])
-    groups["training"] += heuristics(held["training"], _read(root / HEURISTICS))
+    groups["training"] += heuristics(held["training"], read_json(root / HEURISTICS))
     count = Counter(row.verdict for rows in groups.values() for row in rows)
     parts = [", ".join(f"{number} {verdict}" for verdict, number in sorted(count.items())) + ".\n"]
     for name, rows in groups.items():
@@ -37,33 +37,23 @@ def comparison(root: Path) -> str:
 
 def beaten(root: Path) -> str:
     """Return the targets of the project beside what the results in a repository came to."""
-    study = full(_read(root / RESULTS / "default" / "results.json"))
-    return targets.block(_read(root / HEURISTICS), study, _read(root / REACH))
+    study = full(read_json(root / RESULTS / "default" / "results.json"))
+    return targets.block(read_json(root / HEURISTICS), study, read_json(root / REACH))
 
 
 def counted(root: Path) -> str:
     """Return how often the statistics are right."""
-    return coverage.block(_read(root / COVERAGE))
+    return coverage.block(read_json(root / COVERAGE))
 
 
 SHOWN: Final = re.compile(r"!\[.*?\]\((.*?)\)")
 """Pictures on a page."""
-BLOCKS: Final[Mapping[str, Callable[[Path], str]]] = {
+BLOCKS: Final[Mapping[str, Block]] = {
     "statistics": counted,
     "targets": beaten,
     "comparison": comparison,
 }
-"""Every block by the word in its two marks."""
-
-
-def refreshed(text: str, root: Path) -> str:
-    """Return the page with its blocks written anew."""
-    for name, block in BLOCKS.items():
-        begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
-        head, found, rest = text.partition(begin)
-        _, _, tail = rest.partition(end)
-        text = f"{head}{begin}\n{block(root)}{end}{tail}" if found else text
-    return text
+"""Every block of the page by its name."""
 
 
 def _origin(name: str, data: Any, root: Path) -> str:
@@ -78,23 +68,13 @@ def _origin(name: str, data: Any, root: Path) -> str:
     return f"`eia-sec reproduce {name}`: {NOT_RUN}{seen}.\n"
 
 
-def _read(path: Path) -> Any:
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+def studies(root: Path) -> list[Path]:
+    """Return the folder of every study whose results are in a repository."""
+    return sorted(path.parent for path in (root / RESULTS).rglob("results.json"))
 
 
 def written(folder: Path) -> str:
     """Return a study's page from the results in its folder, with the pictures that it shows today."""
-    data = _read(folder / "results.json")
+    data = read_json(folder / "results.json")
     pictures = SHOWN.findall((folder / "README.md").read_text(encoding="utf-8"))
     return page(STUDIES[data["study"]].title, data, pictures)
-
-
-def main() -> None:
-    """Write the blocks anew, and the words of each study's page; its data and pictures are `--redraw`'s."""
-    for results in RESULTS.rglob("results.json"):
-        (results.parent / "README.md").write_text(written(results.parent), encoding="utf-8")
-    PAGE.write_text(refreshed(PAGE.read_text(encoding="utf-8"), Path()), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,13 +1,13 @@
-"""Result blocks of README and docs, written from committed data by `python -m docs.tools.results`."""
+"""Blocks that show one committed measurement each."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 from deploy.reports.intervals import interval_table
 from docs.tools import capacity
-from docs.tools.readme_results import policies_table, run_block
+from docs.tools.blocks import read_json
+from docs.tools.readme_results import default_block, policies_table, results_block
 
 TRAINING: Final = "docs/results/reproduce/training/results.json"
 PRESET: Final = "docs/results/reproduce/default/results.json"
@@ -20,26 +20,8 @@ TAIL_EPISODES: Final = 40
 """Episodes at the end of a training curve whose mean is its final value."""
 
 
-def refreshed(document: str, text: str, root: Path) -> str:
-    """Return a document with its block written anew.
-
-    Args:
-        document: its path in the repository, a key of BLOCKS.
-        text: its present text, with the block's two marks in it.
-        root: the repository.
-    """
-    name, sources, block = BLOCKS[document]
-    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
-    head, _, rest = text.partition(begin)
-    _, _, tail = rest.partition(end)
-    paths = [root / source for source in sources]
-    if not all(path.is_file() for path in paths):
-        return f"{head}{begin}\n{NOT_MEASURED}{end}{tail}"
-    data = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
-    return f"{head}{begin}\n{block(*data)}{end}{tail}"
-
-
-def _paper_block(run: dict[str, Any]) -> str:
+def paper_block(run: dict[str, Any]) -> str:
+    """Return the block on the run of the paper preset."""
     rounds, minutes = run["updates"], run["seconds"] / 60
     return "\n".join(
         [
@@ -52,7 +34,8 @@ def _paper_block(run: dict[str, Any]) -> str:
     )
 
 
-def _second_worker_block(data: dict[str, Any]) -> str:
+def second_worker_block(data: dict[str, Any]) -> str:
+    """Return the block on what a second worker adds."""
     steps, ledger = data["environment_steps_per_second"], data["ledger"]
     # Results made before the number was written down are of a machine with two.
     cores = data.get("cores", 2)
@@ -90,7 +73,8 @@ def _sweep_rows(sweep: list[dict[str, Any]]) -> list[str]:
     return [*rows, "", "Memory is PSS, pages that processes share divided among them, and in brackets RSS.", ""]
 
 
-def _forms_block(data: dict[str, Any]) -> str:
+def forms_block(data: dict[str, Any]) -> str:
+    """Return the block on the forms of the shared ensemble critic."""
     rows = ["| form | reward per agent, last episodes | largest critic loss | |", "|---|---:|---:|---|"]
     for result in data["results"]:
         curve = result["curve"]
@@ -111,7 +95,8 @@ def _forms_block(data: dict[str, Any]) -> str:
     )
 
 
-def _tasks_block(*tasks: dict[str, Any]) -> str:
+def tasks_block(*tasks: dict[str, Any]) -> str:
+    """Return the block on two tasks of other people's."""
     rows = [
         "| task | trained | random actions | seeds | environment steps | minutes a seed |",
         "|---|---:|---:|---:|---:|---:|",
@@ -141,7 +126,8 @@ def _tasks_block(*tasks: dict[str, Any]) -> str:
     )
 
 
-def _heuristics_block(data: dict[str, Any]) -> str:
+def heuristics_block(data: dict[str, Any]) -> str:
+    """Return the block on every heuristic on the reported farms."""
     return "\n".join(
         [
             f"`{data['command']}`, commit {data['commit']}: farms {data['first_farm']}..{data['last_farm']}, one",
@@ -152,7 +138,8 @@ def _heuristics_block(data: dict[str, Any]) -> str:
     )
 
 
-def _hosts_block(data: dict[str, Any]) -> str:
+def hosts_block(data: dict[str, Any]) -> str:
+    """Return the block on the run on six hosts."""
     ledger, reward = data["ledger"], data["reward_per_agent"]
     workers = ", ".join(f"{name} {steps:,}" for name, steps in data["accepted_by_worker"].items())
     rows = [
@@ -191,7 +178,8 @@ def _hosts_block(data: dict[str, Any]) -> str:
     )
 
 
-def _watch_block(data: dict[str, Any]) -> str:
+def watch_block(data: dict[str, Any]) -> str:
+    """Return the block on what watching costs a worker."""
     bare, *others = data["watchers"]
     rows = [
         "| watchers | watching, of its processor time | frames a second | a whole step, more than without | it had |",
@@ -222,7 +210,8 @@ def _watch_block(data: dict[str, Any]) -> str:
     )
 
 
-def _fly_block(data: dict[str, Any]) -> str:
+def fly_block(data: dict[str, Any]) -> str:
+    """Return the block on the latency of a flight node."""
     rows = [
         "| rate | decisions | latency, ms: median, 99 %, most | round trip, ms: median, 99 %, most | left out |",
         "|---:|---:|---:|---:|---:|",
@@ -247,7 +236,8 @@ def _fly_block(data: dict[str, Any]) -> str:
     )
 
 
-def _checkpoint_block(data: dict[str, Any]) -> str:
+def checkpoint_block(data: dict[str, Any]) -> str:
+    """Return the block on how long a checkpoint stops training."""
     longest, size = data["pause_ms_most"], data["bytes"] / 2**20
     verdict = "met" if longest <= PAUSE_AIM else "not met"
     rows = [
@@ -273,32 +263,28 @@ def _checkpoint_block(data: dict[str, Any]) -> str:
     )
 
 
-BLOCKS: Final[dict[str, tuple[str, tuple[str, ...], Callable[..., str]]]] = {
-    "README.md": ("results", ("docs/results/default/evaluation.json", TRAINING, HEURISTICS, PRESET), run_block),
-    "docs/results/README.md": ("paper", ("docs/results/paper/evaluation.json",), _paper_block),
-    "docs/explanation/architecture.md": ("second-worker", ("docs/results/second_worker.json",), _second_worker_block),
-    "docs/explanation/capacity.md": ("capacity", capacity.SOURCES, capacity.block),
-    "docs/how-to/vehicles.md": ("latency", ("docs/results/fly.json",), _fly_block),
-    "docs/reference/heuristics.md": ("heuristics", (HEURISTICS,), _heuristics_block),
-    "docs/how-to/hosts.md": ("hosts", ("docs/results/hosts/results.json",), _hosts_block),
-    "docs/explanation/method.md": ("forms", ("docs/results/critic_forms/forms.json",), _forms_block),
-    "docs/how-to/own_environment.md": (
-        "tasks",
+MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
+    "capacity": (capacity.SOURCES, capacity.block),
+    "checkpoint": (("docs/results/checkpoint.json",), checkpoint_block),
+    "default-run": (("docs/results/default/evaluation.json", TRAINING, HEURISTICS, PRESET), default_block),
+    "fly": (("docs/results/fly.json",), fly_block),
+    "forms": (("docs/results/critic_forms/forms.json",), forms_block),
+    "heuristics": ((HEURISTICS,), heuristics_block),
+    "hosts": (("docs/results/hosts/results.json",), hosts_block),
+    "paper-preset": (("docs/results/paper/evaluation.json",), paper_block),
+    "results": ((TRAINING, PRESET), results_block),
+    "second-worker": (("docs/results/second_worker.json",), second_worker_block),
+    "tasks": (
         ("docs/results/tasks/simple_spread/results.json", "docs/results/tasks/half_cheetah/results.json"),
-        _tasks_block,
+        tasks_block,
     ),
-    "docs/how-to/debug_training.md": ("checkpoint", ("docs/results/checkpoint.json",), _checkpoint_block),
-    "docs/how-to/watch.md": ("cost", ("docs/results/watch.json",), _watch_block),
+    "watch": (("docs/results/watch.json",), watch_block),
 }
-"""For each document: the block's name, the data that it shows, and the function that writes it."""
+"""For each block: the data that it shows, and the function that writes it."""
 
 
-def main() -> None:
-    """Write every block anew."""
-    for document in BLOCKS:
-        path = Path(document)
-        path.write_text(refreshed(document, path.read_text(encoding="utf-8"), Path()), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+def measured(name: str, root: Path) -> str:
+    """Return the block of a measurement; it says so where its data is missing."""
+    sources, block = MEASUREMENTS[name]
+    data = [read_json(root / source) for source in sources]
+    return NOT_MEASURED if None in data else block(*data)

@@ -1,8 +1,8 @@
-"""The picture and the generated tables of docs/reference/environment.md."""
+"""The picture and the tables of docs/reference/environment.md."""
 
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,19 +13,23 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.config.presets import PRESETS, preset
 from common.team import farm_team
+from docs.tools.blocks import Block
 from rollout.envs.spaces import Part, observation_parts
 from rollout.policies import policy_of
 from rollout.rendering.render import Renderer
 from rollout.sim.batch import FarmBatch
 
-PAGE: Final = Path("docs/reference/environment.md")
-PICTURE: Final = Path("docs/images/farm.png")
 TIMINGS: Final = Path("docs/results/environment.json")
 POLICY: Final = "trained"
 FARM: Final = 1000
 EPISODE: Final = 0
 STEP: Final = 205
 """The step that the picture shows; VDF has risen a few times by then."""
+
+
+def draw_farm(path: Path) -> None:
+    """Draw the picture into a file."""
+    matplotlib.image.imsave(path, picture())
 
 
 def picture() -> NDArray[np.uint8]:
@@ -42,20 +46,6 @@ def picture() -> NDArray[np.uint8]:
     return pixels
 
 
-def refreshed(text: str, root: Path = Path()) -> str:
-    """Return the page with its tables written anew."""
-    blocks = {
-        "spaces": spaces_table(preset("study").farm),
-        "timings": timings(json.loads((root / TIMINGS).read_text(encoding="utf-8"))),
-    }
-    for name, block in blocks.items():
-        begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
-        head, _, rest = text.partition(begin)
-        _, _, tail = rest.partition(end)
-        text = f"{head}{begin}\n{block}{end}{tail}"
-    return text
-
-
 def spaces_table(config: FarmConfig) -> str:
     """Return one table row for each part of each type's observation."""
     lines = ["| agents | observation | numbers | from | to | meaning |", "|---|---|---:|---:|---:|---|"]
@@ -69,8 +59,9 @@ def spaces_table(config: FarmConfig) -> str:
     return "\n".join(lines) + "\n"
 
 
-def timings(data: dict[str, Any]) -> str:
+def timings(root: Path) -> str:
     """Return what the interfaces cost, as measured."""
+    data: dict[str, Any] = json.loads((root / TIMINGS).read_text(encoding="utf-8"))
     lines = [
         "| interface | farms | simulator alone, µs | through the interface, µs | ratio |",
         "|---|---:|---:|---:|---:|",
@@ -97,12 +88,5 @@ def _runs(parts: tuple[Part, ...]) -> Iterator[tuple[int, Part]]:
             yield times, part._replace(name=name if times == 1 else f"each {name}")
 
 
-def main() -> None:
-    """Write the picture and the page's tables anew."""
-    PICTURE.parent.mkdir(parents=True, exist_ok=True)
-    matplotlib.image.imsave(PICTURE, picture())
-    PAGE.write_text(refreshed(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+BLOCKS: Final[Mapping[str, Block]] = {"spaces": lambda _: spaces_table(preset("study").farm), "timings": timings}
+"""Every block of the page by its name."""

@@ -1,0 +1,124 @@
+"""The figures in README and docs are those of the committed results."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from common.config.files import from_toml
+from common.config.presets import PRESETS
+from docs.tools.measurements import HEURISTICS, MEASUREMENTS, NOT_MEASURED, measured, watch_block
+from docs.tools.readme_results import default_block, results_block
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("name", MEASUREMENTS)
+def test_a_measurement_that_was_not_made_is_said(name: str, tmp_path: Path) -> None:
+    """Without its data a block says so; with it there is more to read."""
+    assert measured(name, tmp_path) == NOT_MEASURED
+    assert len(measured(name, ROOT)) > 300
+
+
+def test_the_cost_of_watching_tells_its_commit_when_it_is_known() -> None:
+    """A file that names none is shown without; nothing is made up."""
+    data = json.loads((ROOT / "docs" / "results" / "watch.json").read_text(encoding="utf-8"))
+    without = {key: value for key, value in data.items() if key != "commit"}
+    assert ", commit abc1234 (" in watch_block({**without, "commit": "abc1234"})
+    assert "commit" not in watch_block(without)
+    watched = data["watchers"][-1]
+    shown = [line for line in watch_block(without).splitlines() if line.startswith(f"| {watched['watchers']} |")]
+    assert [f"{watched['watching_percent']:.2f} %" in line for line in shown] == [True]
+
+
+def test_the_kept_run_is_that_of_the_default_preset() -> None:
+    """What the README calls the default preset's result was made with exactly its settings."""
+    kept = from_toml(ROOT / "docs" / "results" / "default" / "config.toml", PRESETS["quick"])
+    assert kept == PRESETS["default"]
+
+
+def test_watching_costs_the_worker_less_than_two_percent() -> None:
+    """What the page says of the committed figures is what they are."""
+    data = json.loads((ROOT / "docs" / "results" / "watch.json").read_text(encoding="utf-8"))
+    watched = [line for line in data["watchers"] if line["watchers"]]
+    assert {line["watchers"] for line in watched} >= {1, 4}
+    assert all(line["watching_percent"] < 2.0 for line in watched)
+    control = {**data["watchers"][0], "other_share": 0.25, "extra_percent": 7.5}
+    block = watch_block({**data, "control": control})
+    assert "busy with nothing for 25 % of its time |" in block
+    assert "+7.5 %" in block
+
+
+def results() -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]]:
+    """Return the default run, the smoke study of methods, every policy as flown, and a study of the default preset."""
+    folder = ROOT / "docs" / "results"
+    files = ("default/evaluation.json", "reproduce/smoke/training/results.json")
+    run, study = (json.loads((folder / file).read_text(encoding="utf-8")) for file in files)
+    flown = json.loads((ROOT / HEURISTICS).read_text(encoding="utf-8"))
+    own = {
+        "mean_reward": [1310.0, 1300.0, 1320.0],
+        "figures": {"aoi": [0.5, 0.48, 0.51], "vdf": [1.8, 1.8, 1.8]},
+        "runs": [{}] * 5,
+    }
+    policies = {
+        "high": {"mean_reward": 1321.0, "figures": {"aoi": 0.1, "vdf": 0.2}},
+        "level": {"mean_reward": 1320.0, "figures": {"aoi": 0.1, "vdf": 0.2}},
+    }
+    seeds = {
+        "methods": {"default preset": own},
+        "references": {"policies": policies},
+        "sizes": {"first_farm": 1020, "farms": 80},
+    }
+    return run, study, flown, seeds
+
+
+def rows_of(text: str) -> list[list[str]]:
+    """Return the cells of a text's tables, heads and rules left out."""
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in text.splitlines() if row.startswith("|")]
+    return [row for number, row in enumerate(rows) if number > 1 and not row[0].startswith("---")]
+
+
+def test_the_readme_orders_policies_by_reward_and_names_those_ahead() -> None:
+    """Learned methods and heuristics share one table, best first; a heuristic inside the interval is not ahead."""
+    _, study, _, seeds = results()
+    text = results_block(study, seeds)
+    rows = rows_of(text)
+    assert [row[0] for row in rows][:3] == ["high", "level", "**EIA-SEC, default preset**"]
+    assert rows[2][2] == "1310 (1300..1320)"
+    assert {row[0].partition(",")[0] for row in rows if row[1] == "learned"} >= set(study["methods"])
+    rewards = [float(row[2].partition(" ")[0]) for row in rows]
+    assert rewards == sorted(rewards, reverse=True)
+    assert "**1 of 2 heuristics score higher: high.**" in text
+
+
+def test_methods_stand_in_the_order_of_their_rewards() -> None:
+    """Every method of the study has a row, the best first, with the runs' commits; what it is compared with is bold."""
+    run, study, flown, seeds = results()
+    _, _, part = default_block(run, study, flown, seeds).partition("The methods of the paper")
+    rows = rows_of(part)
+    wanted = sorted(study["methods"], key=lambda name: -study["methods"][name]["reward"][0])
+    assert [row[0].strip("*") for row in rows] == wanted
+    assert [row[0] for row in rows if row[0].startswith("**")] == ["**EIA-SEC**"]
+    assert [row[0] for row in rows if not row[5]] == ["**EIA-SEC**"]
+    words = " ".join(part.split())
+    assert f"commits {study['commit']}." in words
+    assert f"{study['sizes']['episodes']} episodes and {study['sizes']['seeds']} seeds" in words
+
+
+def test_the_policy_that_ships_is_ranked() -> None:
+    """Heuristics with a clearly higher reward are named as ahead, those within its interval as level, others not."""
+    run, study, _, seeds = results()
+    rewards = {
+        "trained": (50, 45, 55),
+        "high": (70, 65, 75),
+        "higher": (80, 75, 85),
+        "alike": (56, 52, 60),
+        "low": (9, 8, 10),
+    }
+    found = [{"policy": name, "reward": reward} for name, reward in rewards.items()]
+    text = default_block(run, study, {"first_farm": 1, "last_farm": 2, "results": found}, seeds).replace("\n", " ")
+    assert "The policy that ships scores 50 (45..55) on farms 1..2." in text
+    assert "score higher: higher 80, high 70. Level with it: alike 56." in text
+    assert "5 seeds of the preset score 1310 (1300..1320) on farms 1020..1099" in text
+    assert "AoI 0.50 (0.48..0.51), VDF 1.80 (" in text
