@@ -5,7 +5,7 @@ from typing import Any, Final
 from docs.tools.blocks import wrapped
 from experiments.studies.analysis.verdicts import shown
 from experiments.studies.methods import DEFAULT_PRESET, EIA_SEC
-from experiments.studies.scales import FIRST_REPORTED
+from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
 
 RUN: Final = "EIA-SEC (this run)"
 
@@ -84,7 +84,8 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
 
 
 def _farms(size: dict[str, Any]) -> str:
-    return f"{size['first_farm']}..{size['first_farm'] + size['farms'] - 1}"
+    first = size.get("first_farm", FIRST_FARM)
+    return f"{first}..{first + size['farms'] - 1}"
 
 
 def _rank(flown: dict[str, Any]) -> str:

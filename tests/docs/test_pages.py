@@ -80,7 +80,7 @@ def pages_in_strings(source):
             text = node.value
         else:
             continue
-        if len(text) > PROSE_CHARACTERS and re.search(r"^#{1,4} \w", text, re.MULTILINE):
+        if len(text) > PROSE_CHARACTERS and re.search(r"^#{2,4} \w", text, re.MULTILINE):
             found.append(text)
     return found
 
@@ -97,7 +97,7 @@ def test_no_page_is_written_in_python(name):
 
 def test_a_page_in_python_would_be_found():
     """A long string with a heading is found, plain or formatted; a docstring and a long string without one are not."""
-    page = "# Title\\n\\n" + "word " * 200
+    page = "## Title\\n\\n" + "word " * 200
     assert pages_in_strings(f'TEXT = "{page}"')
     assert pages_in_strings(f'TEXT = f"{page}{{name}}"')
     assert not pages_in_strings(f'"""{page}"""\n')
