@@ -133,7 +133,7 @@ def parse(line: str) -> Record:
     try:
         match json.loads(line):
             case ["start", str(role), str(name), int(incarnation)]:
-                return Start(_name(role), _name(name), incarnation)
+                return Start(_name(role), _name(name), _whole(incarnation)[0])
             case ["resume", dict(workers)]:
                 return Resume({_name(name): _whole(inc, expected) for name, (inc, expected) in workers.items()})
             case ["end"]:
@@ -245,10 +245,9 @@ class _Joined:
 class History:
     """Writes a process's history; without a path nothing is written.
 
-    A file that is there already is gone on with; one that cannot be read is kept under another name. A disk that takes
-    no more is no reason to stop: `failure` says so, and the whole file is tried anew with the next record. A file that
-    was removed is written anew. Where another process has put its own file in this one's place, nothing more is written
-    (`taken_over`).
+    An existing file is continued; one that cannot be read is kept under another name. When the disk takes no more, or
+    the file was removed while in use, `failure` says so, and the next record writes the whole file anew from memory.
+    Once another process has put its own file in this one's place, nothing more is written (`taken_over`).
 
     Args:
         path: the file; its folder is made.
@@ -289,6 +288,8 @@ class History:
                 return
             self._joined.add(record)
             self._lines += 1
+            if removed and self._file is not None:
+                self._standing = f"{self._path.name} was removed while in use and has been written anew."
             if self._file is None or removed or self._lines >= REWRITE_LINES:
                 self._rewrite(self._path)
                 return
@@ -357,6 +358,7 @@ class History:
         self._shut()
         beside = path.with_name(path.name + ".new")
         try:
+            path.parent.mkdir(exist_ok=True)
             with beside.open("w", encoding="utf-8") as file:
                 file.writelines(text(record) + "\n" for record in self._joined)
             os.replace(beside, path)

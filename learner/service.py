@@ -11,17 +11,17 @@ from common.config.files import to_toml
 from common.errors import BusError, EiaSecError, UsageError
 from common.history import History
 from common.imitation import ImitationEvent
-from common.process import Presence, StopSignal, connect, incarnation
+from common.process import Presence, StopSignal, connect
 from common.protocol import keys
 from common.protocol.messages import ConfigurationMessage
 from common.team import TeamSpec
 from common.transport.admission import admission
 from common.transport.bus import Bus
 from learner.checkpoint.compaction import HistoryCompaction
-from learner.checkpoint.recovery import recover_losses
+from learner.checkpoint.recovery import last_epoch, recover_losses
 from learner.checkpoint.storage import RunStorage
 from learner.control.command_server import CommandServer
-from learner.control.epoch import SuccessorWatch
+from learner.control.epoch import SuccessorWatch, next_epoch
 from learner.control.imitation_server import ImitationServer
 from learner.control.publisher import Publisher
 from learner.intake.chunk_rules import ChunkRules
@@ -75,7 +75,7 @@ class Learner:
         self._reporter.add(self._feed.metrics, self._feed.alarms)
         self._reporter.add(lambda: {"malformed_commands": self._commands.malformed})
         self._reporter.add(lambda: {"waits": self._times.seconds()})
-        self._reporter.add(lambda: {"checkpoints": self._storage.statistics()}, lambda: [self._storage.alarm])
+        self._reporter.add(lambda: {"checkpoints": self._storage.statistics()}, self._storage.alarms)
         self._reporter.add(alarms=lambda: [self._history.failure])
         if options.listen:
             endpoint = options.endpoint
@@ -87,9 +87,9 @@ class Learner:
     def _restore(self) -> tuple[Intake, float]:
         """Resume from the newest checkpoint, if asked to; return the ledger and the seconds that the run has taken."""
         ledger, resume, directory = Intake(), self._options.resume, self._options.run_dir
-        elapsed, before = self._storage.restore(self.trainer, ledger) if resume else (0.0, 0)
-        self._epoch = max(incarnation(), before + 1)
+        elapsed, epoch = self._storage.restore(self.trainer, ledger) if resume else (0.0, 0)
         self._history = History(directory / HISTORY if directory else None)
+        self._epoch = next_epoch(max(epoch, last_epoch(self._history.before)))
         recover_losses(self._history, ledger, self._epoch, resumed=resume)
         return ledger, elapsed
 
@@ -209,6 +209,7 @@ class Learner:
 
     def _report(self) -> None:
         self._schedule.report.restart(time.monotonic())
+        self._storage.require_same_directory()
         self._receiver.throttle.release()
         self._reporter.report(self._state)
 

@@ -1,5 +1,6 @@
 """The run directory: one configuration, one user at a time."""
 
+import errno
 import fcntl
 import os
 from contextlib import suppress
@@ -14,6 +15,8 @@ from common.errors import RunDirError
 CONFIG = "config.toml"
 METRICS = "metrics.jsonl"
 POLICY = "policy.safetensors"
+LAST_LINE_BYTES = 2**16
+"""Part of the end of metrics.jsonl that holds its last line; a record of the end is far shorter."""
 HISTORY = "history"
 """Folder of the processes' own accounts, see `common.history`."""
 
@@ -35,6 +38,7 @@ class RunDirectory:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._lock: IO[str] | None = None
+        self._folder: int | None = None
 
     def prepare(self, config: RunConfig, *, resume: bool) -> None:
         """Create the folder with its configuration, or check that it is this configuration's.
@@ -64,21 +68,30 @@ class RunDirectory:
         self.path.mkdir(parents=True, exist_ok=True)
         held.write_text(to_toml(config), encoding="utf-8")
 
-    def lock(self, name: str) -> None:
-        """Keep the folder for this process under a lock's name.
+    def lock(self, name: str, *, directory: bool = False) -> None:
+        """Reserve the folder for this process; the lock ends with the process.
+
+        Args:
+            name: file in the folder that is locked; processes with different names do not exclude each other.
+            directory: lock the folder itself as well. Unlike a file in it, nobody can remove the folder while it is in
+                use and put a new one beside the lock. File systems that lock no folders, such as NFS, lack this.
 
         Raises:
-            RunDirError: while another process has it, or when it is not for this user to write.
+            RunDirError: while another process holds the lock, or when this user may not write here.
         """
         try:
             self._lock = (self.path / name).open("w", encoding="utf-8")
+            if directory:
+                self._folder = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         except OSError as error:
             raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if self._folder is not None:
+                _lock_folder(self._folder)
         except OSError as error:
             raise RunDirError(f"{self.path} is in use by another process.") from error
-        with suppress(OSError):  # whom the lock belongs to is a help on a disk with room, and no more
+        with suppress(OSError):  # the number only helps whoever looks for the owner; a full disk may lack room for it
             self._lock.write(str(os.getpid()))
             self._lock.flush()
 
@@ -109,12 +122,15 @@ class RunDirectory:
         return (self.path / CONFIG).exists()
 
     def finished(self) -> bool:
-        """Return whether the newest start of the learner here came to the end of its run."""
+        """Return whether the learner's newest start here came to the end of its run."""
         try:
-            lines = (self.path / METRICS).read_text(encoding="utf-8", errors="replace").splitlines()
+            with (self.path / METRICS).open("rb") as file:
+                size = file.seek(0, os.SEEK_END)
+                file.seek(max(0, size - LAST_LINE_BYTES))
+                lines = file.read(LAST_LINE_BYTES).splitlines()
         except OSError:
             return False
-        return bool(lines) and '"kind": "end"' in lines[-1] and '"state": "finished"' in lines[-1]
+        return bool(lines) and b'"kind": "end"' in lines[-1] and b'"state": "finished"' in lines[-1]
 
     def _compare(self, held: RunConfig, wanted: RunConfig, *, resume: bool) -> None:
         found = differences(method_of(held), method_of(wanted)) if resume else differences(held, wanted)
@@ -126,3 +142,14 @@ class RunDirectory:
         return [
             entry for entry in self.path.iterdir() if entry.name not in ("logs", HISTORY) and entry.suffix != ".lock"
         ]
+
+
+def _lock_folder(descriptor: int) -> None:
+    """Lock an open folder where the file system can; raise BlockingIOError while another process has it."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError as error:
+        if error.errno not in (errno.EBADF, errno.EINVAL, errno.ENOTSUP, errno.ENOLCK):
+            raise

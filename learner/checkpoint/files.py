@@ -3,13 +3,14 @@
     DIRECTORY/checkpoint-00000007/tensors.safetensors
     DIRECTORY/checkpoint-00000007/manifest.json         {"body", "bytes", "format", "sha256", "tensors"}
 
-`tensors` is the SHA-256 of the tensors' file and `sha256` that of the manifest without this entry, so a flipped bit is
-noticed wherever it is. A checkpoint is written under a temporary name, flushed to the disk, renamed, and the rename is
-flushed too: what bears a checkpoint's name is complete, unless the disk itself damages it later. One that is found to
-be damaged loses its name, so that it does not count among those that are kept, and stays until the next is found.
+`tensors` is the SHA-256 of the tensors' file, and `sha256` that of the manifest without this entry, so a flipped bit
+anywhere is noticed. A checkpoint is written under a temporary name, flushed to disk and renamed, and the rename is
+flushed as well. A folder with a checkpoint's name is therefore complete unless the disk damages it later. A checkpoint
+found to be damaged loses its name, so that it does not count among those that are kept; it stays until the next one is
+found.
 
-Tensors are hashed and written piece by piece. The library's own `save` would first copy all of them twice into memory,
-and hold the interpreter's lock meanwhile, under which no other thread trains.
+Tensors are hashed and written piece by piece. The library's own `save` first copies all of them twice in memory and
+holds the interpreter's lock meanwhile, so that training would stop.
 """
 
 import hashlib
@@ -20,6 +21,7 @@ import re
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -44,6 +46,8 @@ _PARTIAL = "partial-"
 _DAMAGED = "damaged-"
 _DTYPES: Final = {torch.float64: "F64", torch.int64: "I64", torch.float32: "F32", torch.int32: "I32", torch.uint8: "U8"}
 _PIECE_BYTES: Final = 2**20
+_FAULTS: Final = (OSError, ValueError, KeyError, TypeError, RecursionError, SafetensorError)
+"""What reading a damaged checkpoint may raise."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ def save(
             untouched.
         OSError: when the disk does not take it; likewise.
     """
-    directory.mkdir(parents=True, exist_ok=True)
+    directory.mkdir(exist_ok=True)
     for leftover in directory.glob(f"{_PARTIAL}*"):
         shutil.rmtree(leftover, ignore_errors=True)
     existing = _checkpoints(directory)
@@ -106,8 +110,12 @@ def save(
     return final
 
 
-def load_latest(directory: Path) -> Found | None:
+def load_latest(directory: Path, most_bytes: int = MAX_TENSORS) -> Found | None:
     """Read the newest checkpoint that is whole.
+
+    Args:
+        directory: where checkpoints live.
+        most_bytes: largest tensors' file that is read; a larger one counts as damaged.
 
     Returns:
         the checkpoint, or None when there is none at all.
@@ -118,7 +126,7 @@ def load_latest(directory: Path) -> Found | None:
     skipped: list[tuple[Path, str]] = []
     for _, path in reversed(_checkpoints(directory)):
         try:
-            tensors, manifest = load(path)
+            tensors, manifest = load(path, most_bytes)
         except CheckpointError as error:
             skipped.append((path, str(error)))
         else:
@@ -140,20 +148,36 @@ def set_aside(paths: Sequence[Path]) -> None:
         path.rename(path.with_name(_DAMAGED + path.name))
 
 
-def load(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+def load(path: Path, most_bytes: int = MAX_TENSORS) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Read and verify one checkpoint folder; return its tensors and its manifest's body.
 
+    What does not verify is read once more from the disk itself, because a read can go wrong as well as a write.
+
     Raises:
-        CheckpointError: when it cannot be read, or anything in it differs from what was written.
+        CheckpointError: when it cannot be read, is too large, or differs from what was written.
     """
     try:
-        text = _read(path / "manifest.json", MAX_MANIFEST)
-        data = _read(path / "tensors.safetensors", MAX_TENSORS)
-        manifest = json.loads(text)
-        body = _verified(manifest, text, data)
-        return safetensors.torch.load(data), body
-    except (OSError, ValueError, KeyError, TypeError, RecursionError, SafetensorError) as error:
+        return _load(path, most_bytes)
+    except _FAULTS:
+        _forget(path)
+    try:
+        return _load(path, most_bytes)
+    except _FAULTS as error:
         raise CheckpointError(f"checkpoint {path.name} is damaged: {error}.") from error
+
+
+def _load(path: Path, most_bytes: int) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    text = _read(path / "manifest.json", MAX_MANIFEST)
+    data = _read(path / "tensors.safetensors", min(most_bytes, MAX_TENSORS))
+    body = _verified(json.loads(text), text, data)
+    return safetensors.torch.load(data), body
+
+
+def _forget(path: Path) -> None:
+    """Ask the system to drop its copy of a checkpoint's files in memory, so that the next read goes to the disk."""
+    for file in path.glob("*"):
+        with suppress(OSError), file.open("rb") as opened:
+            os.posix_fadvise(opened.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
 
 
 def _verified(manifest: Any, text: bytes, data: bytes) -> dict[str, Any]:
@@ -183,9 +207,11 @@ def _checkpoints(directory: Path) -> list[tuple[int, Path]]:
 
 
 def _read(path: Path, limit: int) -> bytes:
-    if path.stat().st_size > limit:
-        raise ValueError(f"{path.name} is larger than {limit} bytes")
-    return path.read_bytes()
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > limit:
+            raise ValueError(f"{path.name} is larger than {limit} bytes")
+        return file.read(size)
 
 
 def _header(tensors: Mapping[str, Tensor | Frozen]) -> tuple[list[str], bytes]:

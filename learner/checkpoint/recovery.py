@@ -1,21 +1,30 @@
-"""What the learner's history says beyond the checkpoint that it resumes from: acknowledged, and lost with it."""
+"""What a resumed learner reads from its history: the chunks that were accepted after the checkpoint and are lost.
 
-from common.history import Entry, History, Resume, Start
+A worker forgets a chunk once it is acknowledged. So a chunk that the learner accepted after its last checkpoint does
+not come again: it is lost, and booked as lost here rather than with the worker's next delivery, which may never come.
+"""
+
+from collections.abc import Iterable
+
+from common.history import Entry, History, Record, Resume, Start
 from common.protocol.messages import Envelope
 from learner.intake.ledger import Intake
 
 
-def recover_losses(history: History, intake: Intake, epoch: int, *, resumed: bool) -> int:
-    """Begin a start of the learner in its history, and book what an earlier one had accepted too late to keep it.
+def last_epoch(records: Iterable[Record]) -> int:
+    """Return the highest epoch of a learner in a history, or 0."""
+    starts = (r.incarnation for r in records if isinstance(r, Start) and r.role == "learner")
+    return max(starts, default=0)
 
-    A chunk that was acknowledged after the last checkpoint does not come again, because its worker has let go of it.
-    It is lost, and is booked as that here, rather than when its worker next delivers, which may be never.
+
+def recover_losses(history: History, intake: Intake, epoch: int, *, resumed: bool) -> int:
+    """Record a start of the learner in its history, and book what an earlier start accepted after the checkpoint.
 
     Args:
         history: the learner's own.
         intake: the ledger of the checkpoint, or an empty one; the losses are booked in it.
         epoch: this start's fencing epoch.
-        resumed: whether this start goes on with an earlier one.
+        resumed: whether this start continues an earlier one.
 
     Returns:
         the environment steps that are lost in this way.
@@ -32,17 +41,27 @@ def recover_losses(history: History, intake: Intake, epoch: int, *, resumed: boo
 
 
 def _book(intake: Intake, entry: Entry) -> None:
+    """Book the chunks of an entry that the ledger does not know yet, in time that does not depend on their number."""
     known = intake.workers.get(entry.worker)
     if known is not None and entry.incarnation < known.incarnation:
         return
     first = max(entry.first, known.expected if known is not None and entry.incarnation == known.incarnation else 0)
-    for number in range(first, entry.last + 1):
-        sender = Envelope("rollout", entry.worker, entry.incarnation, number)
-        behind = (entry.last - number) * entry.steps
-        produced, flown = entry.produced - behind, max(0, entry.flown - behind)
-        if entry.verdict == "accepted":
-            intake.lose(sender, entry.steps, produced, flown)
-        elif entry.produced:
-            intake.refuse_aged(sender, entry.steps, produced, flown)
-        else:
-            intake.refuse(sender)
+    if first > entry.last:
+        return
+    # Only the first chunk can follow a gap. Those behind it continue the counts, so they are booked as one.
+    _book_chunks(intake, entry, first, first)
+    if first < entry.last:
+        _book_chunks(intake, entry, first + 1, entry.last)
+
+
+def _book_chunks(intake: Intake, entry: Entry, first: int, last: int) -> None:
+    """Book chunks `first` to `last` of an entry at once."""
+    chunks, behind = last - first + 1, (entry.last - last) * entry.steps
+    steps, produced, flown = chunks * entry.steps, entry.produced - behind, max(0, entry.flown - behind)
+    sender = Envelope("rollout", entry.worker, entry.incarnation, last)
+    if entry.verdict == "accepted":
+        intake.lose(sender, steps, produced, flown)
+    elif entry.produced:
+        intake.refuse_aged(sender, steps, produced, flown, chunks)
+    else:
+        intake.refuse(sender, chunks)

@@ -1,19 +1,23 @@
-"""What the learner keeps in its run directory: checkpoints of the whole run, and the newest actors."""
+"""The run directory as the learner uses it: checkpoints of the whole run, and the newest policy."""
 
 import time
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from common.config import RunConfig
 from common.config.files import digest, method_of
-from common.errors import CheckpointError, PolicyError, RunDirError
+from common.errors import PolicyError, RunDirError
 from common.policy_file import save_policy
 from common.process import log
 from learner.checkpoint import files
+from learner.checkpoint.trainer_state import counter, finite, mapping
 from learner.checkpoint.writer import CheckpointWriter
+from learner.data.replay import LARGE, SMALL
 from learner.intake.ledger import Intake
 from learner.trainer import Trainer
 
+SLACK_BYTES: Final = 64 * 2**20
+"""Size of everything in a checkpoint's tensors but networks and replay, and more."""
 CHECKPOINTS = "checkpoints"
 POLICY = "policy.safetensors"
 
@@ -43,6 +47,7 @@ class RunStorage:
         self._config = config
         self._digest, self._method = digest(config), digest(method_of(config))
         self._writer = CheckpointWriter(directory / CHECKPOINTS, config.learner.keep_checkpoints) if directory else None
+        self._identity = None if directory is None else _identity(directory)
         self.skipped = 0
         self.pause = self.longest_pause = 0.0
 
@@ -50,6 +55,21 @@ class RunStorage:
     def alarm(self) -> str:
         """Why the newest checkpoint is missing, or empty."""
         return self._writer.failure if self._writer else ""
+
+    def alarms(self) -> list[str]:
+        """Return what is wrong with the checkpoints and the directory."""
+        gone = self._directory is not None and _identity(self._directory) is None
+        return [self.alarm, f"the run directory {self._directory} is gone; nothing is kept." if gone else ""]
+
+    def require_same_directory(self) -> None:
+        """Raise RunDirError when the run directory's path leads to another directory than at the start.
+
+        What this learner writes there would mix with another run, or with a copy of its own.
+        """
+        if self._directory is None or self._identity is None:
+            return
+        if (now := _identity(self._directory)) is not None and now != self._identity:
+            raise RunDirError(f"another directory has taken the place of the run directory {self._directory}.")
 
     def save(self, trainer: Trainer, ledger: Ledger, elapsed: float, epoch: int, *, wait: bool = False) -> None:
         """Begin to write a checkpoint of this instant, or count it as skipped while the one before is being written.
@@ -114,7 +134,7 @@ class RunStorage:
         """
         if self._directory is None or not (self._directory / CHECKPOINTS).is_dir():
             return 0.0, 0
-        found = files.load_latest(self._directory / CHECKPOINTS)
+        found = files.load_latest(self._directory / CHECKPOINTS, largest_state(trainer))
         if found is None:
             return 0.0, 0
         self._set_aside(found)
@@ -122,12 +142,10 @@ class RunStorage:
         # Checkpoints of earlier versions name the whole configuration.
         if manifest.get("configuration") not in (self._method, self._digest):
             raise RunDirError(f"the checkpoint in {self._directory} belongs to another configuration.")
-        try:
-            trainer.restore(found.tensors, manifest["trainer"])
-            intake.restore(manifest["intake"])
-            return float(manifest["elapsed"]), int(manifest["epoch"])
-        except (KeyError, TypeError, ValueError) as error:
-            raise CheckpointError(f"the checkpoint in {self._directory} is not readable: {error}") from error
+        elapsed, epoch = finite(manifest, "elapsed"), counter(manifest, "epoch")
+        intake.restore(mapping(manifest, "intake"))
+        trainer.restore(found.tensors, mapping(manifest, "trainer"))
+        return elapsed, epoch
 
     def _set_aside(self, found: files.Found) -> None:
         for _, message in found.skipped:
@@ -154,3 +172,19 @@ class RunStorage:
             log(f"ALARM: {error}")
             return str(error)
         return ""
+
+
+def largest_state(trainer: Trainer) -> int:
+    """Return an upper bound, in bytes, for the tensors in a checkpoint of this trainer."""
+    engine = sum(tensor.nbytes for tensor in trainer.engine.tensors().values())
+    rows = sum(getattr(trainer.replay, name).nbytes for name in (*LARGE, *SMALL))
+    return int(engine + rows + 8 * trainer.replay.capacity + SLACK_BYTES)
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Return what tells a directory from every other one, or None when it is not there."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino

@@ -29,6 +29,12 @@ def current_names(tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> tu
     )
 
 
+MOST_COUNT: Final = 2**62
+"""No counter of a run comes near this; a larger one would not fit the messages that carry it."""
+MOST_EPISODES: Final = 4096
+"""Most episodes that a checkpoint may remember."""
+
+
 def checked_tensors(targets: Mapping[str, Tensor], source: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return, by the targets' names, the sources that may be copied into them.
 
@@ -93,8 +99,10 @@ def episode_summaries(records: Any) -> list[EpisodeSummary]:
         CheckpointError: when they are no such records.
     """
     try:
+        if len(records) > MOST_EPISODES:
+            raise ValueError(f"{len(records)} are too many")
         return [_episode_summary(record) for record in records]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise CheckpointError(f"the checkpoint's record of an episode is not readable: {error}.") from error
 
 
@@ -102,17 +110,29 @@ def _episode_summary(record: Mapping[str, Any]) -> EpisodeSummary:
     values = dict(record)
     if "figures" in values:  # as earlier versions wrote it
         values["metrics"] = values.pop("figures")
-    return EpisodeSummary(**{**values, "reward": tuple(float(value) for value in values["reward"])})
+    metrics = {str(name): _number(value) for name, value in values["metrics"].items()}
+    reward = tuple(_number(value) for value in values["reward"])
+    episode = EpisodeSummary(**{**values, "reward": reward, "metrics": metrics})
+    if not reward or not all(type(number) is int for number in (episode.farm, episode.episode, episode.steps)):
+        raise ValueError("an entry has the wrong type")
+    return episode
+
+
+def _number(value: Any) -> float:
+    number = float(value)
+    if isinstance(value, bool | str) or not math.isfinite(number):
+        raise ValueError(f"{value!r} is not a number"[:80])
+    return number
 
 
 def counter(state: Mapping[str, Any], name: str) -> int:
     """Return a counter of the state.
 
     Raises:
-        CheckpointError: when it is missing, no integer or negative.
+        CheckpointError: when it is missing, no integer, negative, or larger than any counter of ours.
     """
     value = state.get(name)
-    if type(value) is not int or value < 0:
+    if type(value) is not int or not 0 <= value < MOST_COUNT:
         raise CheckpointError(f"the checkpoint's {name} is not a count.")
     return value
 

@@ -31,6 +31,8 @@ from learner.engine import Batch
 
 LARGE = ("observation", "action", "reward")
 SMALL = ("flag", "version", "successor", "uses")
+MOST_COUNT = 2**62
+"""No counter comes near this; a larger one would not fit the arrays that it is compared with."""
 COUNTS = ("head", "rows", "written", "drawn", "dropped", "retired", "retired_uses", "oldest_version")
 
 
@@ -235,7 +237,7 @@ class Replay:
         counts, used = self._checked(tensors, plain)
         drawable, ends = IndexSet(self.capacity), OpenEnds()
         drawable.restore(tensors["drawable"].numpy())
-        ends.restore(plain["ends"])
+        ends.restore(plain["ends"], counts["written"])
         for name, target in self._targets().items():
             target[:used].copy_(tensors[name])
             target[used:].zero_()
@@ -249,7 +251,7 @@ class Replay:
     def _checked(self, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> tuple[dict[str, int], int]:
         if set(tensors) != {*LARGE, *SMALL, "drawable"} or set(plain) != {*COUNTS, "ends"}:
             raise CheckpointError("the replay buffer's fields are not those of this version.")
-        if not all(type(plain[name]) is int and plain[name] >= 0 for name in COUNTS):
+        if not all(type(plain[name]) is int and 0 <= plain[name] < MOST_COUNT for name in COUNTS):
             raise CheckpointError("a counter of the replay buffer is not a count.")
         counts = {name: plain[name] for name in COUNTS}
         used, written = counts["rows"], counts["written"]
@@ -263,6 +265,10 @@ class Replay:
             raise CheckpointError("the places that may be drawn do not fit the replay buffer.")
         if ((successor < 0) | (successor >= used)).any():
             raise CheckpointError("the replay buffer's successors do not fit the replay buffer.")
+        if not ((tensors["flag"][drawable] & TRANSITION) != 0).all():
+            raise CheckpointError("a row that may be drawn from the replay buffer holds no step.")
+        if not all(torch.isfinite(tensors[name]).all() for name in LARGE):
+            raise CheckpointError("the replay buffer holds a number that is not finite.")
         return counts, used
 
 

@@ -84,15 +84,31 @@ class OpenEnds:
         """Return the open ends as plain values."""
         return {source: [number, [list(end) for end in ends]] for source, (number, ends) in self._ends.items()}
 
-    def restore(self, state: Any) -> None:
-        """Continue from `state`; raise CheckpointError when it is none."""
+    def restore(self, state: Any, written: int) -> None:
+        """Continue from `state`.
+
+        Args:
+            state: what `state` returned.
+            written: rows that were ever written into the ring; no end has a running number beyond them.
+
+        Raises:
+            CheckpointError: when it is no such state.
+        """
         try:
+            if len(state) > MAX_SOURCES:
+                raise ValueError(f"{len(state)} sources")
             self._ends = {
-                str(source): (int(number), [(str(name), int(row)) for name, row in ends])
+                str(source): (_count(number, 2**63), [(str(name), _count(row, written)) for name, row in ends])
                 for source, (number, ends) in state.items()
             }
         except (AttributeError, TypeError, ValueError) as error:
             raise CheckpointError(f"the replay buffer's open segments are not readable: {error}.") from error
+
+
+def _count(value: Any, limit: int) -> int:
+    if type(value) is not int or not 0 <= value < limit:
+        raise ValueError("a number is none of ours")
+    return value
 
 
 def _name(observation: NDArray[np.float32]) -> str:

@@ -2,7 +2,7 @@
 
 import heapq
 import threading
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Final, Literal, NamedTuple
 
 from common.errors import CheckpointError
@@ -158,21 +158,26 @@ class Intake:
         """Book a chunk as lost that an earlier start of the learner had accepted, after its last checkpoint."""
         self._spend(sender, steps, produced, flown, lost=steps)
 
-    def refuse(self, sender: Envelope) -> None:
-        """Book a refused chunk of which only the sender is known; its number is spent."""
+    def refuse(self, sender: Envelope, chunks: int = 1) -> None:
+        """Book a refused chunk of which only the sender is known; its number is spent.
+
+        Args:
+            sender: who sent it.
+            chunks: how many refused chunks to book at once, of which the sender's number is the last.
+        """
         ledger = self._ledger(sender)
         self.workers[sender.name] = replace(
             ledger,
             expected=max(ledger.expected, sender.sequence + 1),
-            refused=ledger.refused + 1,
+            refused=ledger.refused + chunks,
             # Behind a gap nobody knows which of the missing steps were in refused chunks: all of them are lost.
-            pending_gap=(gap := ledger.pending_gap or sender.sequence > ledger.expected),
+            pending_gap=(gap := ledger.pending_gap or sender.sequence - chunks + 1 > ledger.expected),
             pending_rejected=not gap,
         )
 
-    def refuse_aged(self, sender: Envelope, steps: int, produced: int, flown: int) -> int:
-        """Book a chunk that is refused because its policy is too old; return the steps before it that are lost."""
-        return self._spend(sender, steps, produced, flown, rejected=steps, refused=1, aged=1)
+    def refuse_aged(self, sender: Envelope, steps: int, produced: int, flown: int, chunks: int = 1) -> int:
+        """Book a chunk, or several at once, refused because of an old policy; return the steps before that are lost."""
+        return self._spend(sender, steps, produced, flown, rejected=steps, refused=chunks, aged=chunks)
 
     def note_damaged(self, sender: Envelope) -> None:
         """Count a damaged frame; its number is not spent, so the chunk can come again."""
@@ -229,7 +234,7 @@ class Intake:
         try:
             self.closed = _ended(state["closed"])
             self.workers = {str(name): _rebuilt(entry) for name, entry in state["workers"].items()}
-        except (KeyError, TypeError, AttributeError) as error:
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
             raise CheckpointError(f"the checkpoint's ledger is not readable: {error}") from error
 
     def _spend(self, sender: Envelope, steps: int, produced: int, flown: int, **booked: int) -> int:
@@ -287,12 +292,23 @@ def _summed(parts: list[WorkerLedger]) -> dict[str, int]:
 
 def _ended(entry: dict[str, Any]) -> WorkerLedger:
     """Return a checkpoint's sum of ended starts; an older form says too little in `produced`."""
-    return replace(WorkerLedger(**entry), produced=entry["flown"])
+    return replace(_account(entry), produced=entry["flown"])
 
 
 def _rebuilt(entry: dict[str, Any]) -> WorkerLedger:
     earlier = entry.get("earlier")
-    return WorkerLedger(**{**entry, "earlier": None if earlier is None else _ended(earlier)})
+    return replace(_account({**entry, "earlier": None}), earlier=None if earlier is None else _ended(earlier))
+
+
+def _account(entry: dict[str, Any]) -> WorkerLedger:
+    """Return one account; raise ValueError when a count is none."""
+    account = WorkerLedger(**entry)
+    for field in fields(WorkerLedger):
+        value = getattr(account, field.name)
+        fits = type(value) is field.type and value >= 0 if field.name != "earlier" else value is None
+        if not fits or (field.name in ("incarnation", "expected") and value >= 2**63 - 1):
+            raise ValueError(f"{field.name} is not a count")
+    return account
 
 
 def _add(total: WorkerLedger, part: WorkerLedger) -> WorkerLedger:

@@ -7,12 +7,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
+from common.file_identity import names_open_file
 from common.imitation import ImitationEvent
 from common.team import TeamSpec
 
 
 class MetricsLog:
     """Appends records to metrics.jsonl; without a directory it writes nothing.
+
+    A file that is removed while in use is begun anew, and `failure` says so from then on.
 
     Args:
         directory: the run directory, or None.
@@ -26,7 +29,7 @@ class MetricsLog:
         self.failure = ""
         self._path = None if directory is None else directory / "metrics.jsonl"
         self._file: TextIO | None = None
-        self._lost = 0
+        self._lost = self._removed = 0
         self._started = time.monotonic() - elapsed
         self._append("")
 
@@ -48,6 +51,9 @@ class MetricsLog:
         if self._path is None:
             return
         try:
+            if self._file is not None and not names_open_file(self._path, self._file.fileno()):
+                self._removed += 1
+                self._shut()
             if self._file is None:
                 self._file = _reopened(self._path)
             self._file.write(line)
@@ -57,7 +63,13 @@ class MetricsLog:
             self.failure = f"metrics.jsonl cannot be written: {error.strerror}; {self._lost} records are lost."
             self._shut()
         else:
-            self.failure = f"{self._lost} records of metrics.jsonl could not be written." if self._lost else ""
+            self.failure = self._past_failures()
+
+    def _past_failures(self) -> str:
+        """Return what is missing from the file for good, or an empty string."""
+        lost = f"{self._lost} records of metrics.jsonl could not be written." if self._lost else ""
+        removed = "metrics.jsonl was removed while in use; the records up to then are gone." if self._removed else ""
+        return f"{lost} {removed}".strip()
 
     def _shut(self) -> None:
         file, self._file = self._file, None

@@ -1,7 +1,7 @@
-"""TensorBoard scalars in the run directory, beside metrics.jsonl: tensorboard --logdir RUN_DIR shows them.
+"""TensorBoard scalars in the run directory; `tensorboard --logdir RUN_DIR` shows them.
 
-Events are written at once by the library's event writer. Its `SummaryWriter` is not used, because it hands them to a
-thread through a queue that blocks the training for ever once a full disk has ended that thread.
+We use the library's event writer and not its `SummaryWriter`, which passes events to a thread through a bounded queue.
+Once a full disk has ended that thread, the queue fills up and blocks training for ever.
 """
 
 import time
@@ -16,7 +16,7 @@ from tensorboardX.proto.summary_pb2 import Summary
 
 FOLDER = "tensorboard"
 RETRY_SECONDS = 60.0
-"""Pause after a failure until the next file is begun: a full disk may take the file and not what goes into it."""
+"""Pause after a failure before the next file is begun; a full disk may take a new file but not its contents."""
 
 
 class TensorBoardWriter:
@@ -26,43 +26,51 @@ class TensorBoardWriter:
         directory: the run directory, or None.
 
     Attributes:
-        failure: why the scalars could not be written, or empty.
+        failure: why scalars could not be written, or empty.
     """
 
     def __init__(self, directory: Path | None) -> None:
         self.failure = ""
         self._folder = None if directory is None else directory / FOLDER
         self._writer: Any = None
-        self._lost, self._again = 0, 0.0
+        self._file: Path | None = None
+        self._lost, self._removed, self._again = 0, 0, 0.0
 
     def write(self, step: int, scalars: Mapping[str, float]) -> None:
         """Append scalars by their names.
 
         Args:
             step: environment steps of the run.
-            scalars: values; groups of names are divided by a slash.
+            scalars: values by name; slashes in a name separate groups.
         """
         values = [Summary.Value(tag=name, simple_value=value) for name, value in scalars.items()]
         self._put(Event(wall_time=time.time(), step=step, summary=Summary(value=values)))
 
     def resume(self, step: int) -> None:
-        """Say that a run goes on from a step: TensorBoard then leaves out what stands beyond it in earlier files."""
-        # It leaves out the step itself, too, which is not beyond.
+        """Record that a run goes on from a step, so that TensorBoard leaves out what earlier files hold beyond it."""
+        # TensorBoard leaves out the step of this event as well, but the checkpoint's own step stays valid.
         self._put(Event(wall_time=time.time(), step=step + 1, session_log=SessionLog(status=SessionLog.START)))
 
+    def close(self) -> None:
+        """Close the file; later scalars are dropped."""
+        if self._writer is not None:
+            with suppress(OSError):  # each event was flushed, or counted as lost
+                self._writer.close()
+        self._writer = self._folder = None
+
     def _put(self, event: Any) -> None:
-        """Write an event; one that the disk does not take is counted, and after a while another file is begun."""
+        """Write an event, or count it as lost; after a failure another file is begun when RETRY_SECONDS have passed."""
         if self._folder is None:
             return
         try:
+            if self._file is not None and self._writer is not None and not self._file.exists():
+                self._removed += 1
+                self._writer = None
             if self._writer is None:
                 if time.monotonic() < self._again:
                     self._lost += 1
                     return
-                self._folder.mkdir(exist_ok=True)
-                # The library's names differ by the second only; two starts within one would share a file.
-                start = len(list(self._folder.iterdir()))
-                self._writer = EventsWriter(str(self._folder / "events"), f".{start}")
+                self._open(self._folder)
             self._writer.write_event(event)
             self._writer.flush()
         except OSError as error:
@@ -70,18 +78,33 @@ class TensorBoardWriter:
             self.failure = f"TensorBoard's scalars cannot be written: {error.strerror or error}; {self._lost} are lost."
             self._writer, self._again = None, time.monotonic() + RETRY_SECONDS
         else:
-            self.failure = f"{self._lost} events of TensorBoard's could not be written." if self._lost else ""
+            self.failure = self._past_failures()
 
-    def close(self) -> None:
-        """Close the file; nothing is written any more."""
-        if self._writer is not None:
-            with suppress(OSError):  # each event was flushed, or counted
-                self._writer.close()
-        self._writer = self._folder = None
+    def _open(self, folder: Path) -> None:
+        """Begin another event file, whose name sorts after those of earlier starts.
+
+        TensorBoard reads files in the order of their names. The library's names begin with the wall clock, which a
+        clock that was set back would put before files that were written earlier.
+        """
+        folder.mkdir(exist_ok=True)
+        before = {path.name for path in folder.iterdir()}
+        self._writer = EventsWriter(str(folder / f"events.start-{_next_start(before):06d}"))
+        self._file = next((path for path in folder.iterdir() if path.name not in before), None)
+
+    def _past_failures(self) -> str:
+        lost = f"{self._lost} events of TensorBoard's could not be written." if self._lost else ""
+        removed = "TensorBoard's event file was removed while in use; its scalars are gone." if self._removed else ""
+        return f"{lost} {removed}".strip()
+
+
+def _next_start(names: set[str]) -> int:
+    """Return a number above those of all event files, and above their count."""
+    numbers = [name.removeprefix("events.start-")[:6] for name in names if name.startswith("events.start-")]
+    return max([len(names), *(int(number) for number in numbers if number.isdecimal())]) + 1
 
 
 def flattened(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
-    """Return the numbers of nested maps by names with slashes between; whatever is no number is left out."""
+    """Return the numbers in nested mappings, with the names on the way joined by slashes; skip what is no number."""
     result: dict[str, float] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):

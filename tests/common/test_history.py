@@ -176,21 +176,6 @@ def test_a_history_that_cannot_be_read_is_kept_and_said(tmp_path, monkeypatch):
     assert History(path).failure == ""
 
 
-def test_a_history_that_is_removed_is_written_anew(tmp_path):
-    """With the next record all records stand in a new file; nothing goes into the one that is no longer there."""
-    path = tmp_path / "h.jsonl"
-    one = History(path)
-    for number in (1, 2):
-        one.add(chunk(number))
-    path.unlink()
-    one.add(chunk(3))
-    assert [(r.first, r.last) for r in read(path)[0] if isinstance(r, Entry)] == [(1, 3)]
-    assert (one.failure, one.taken_over) == ("", False)
-    one.add(chunk(4))
-    one.close()
-    assert read(path)[0][-2:] == [chunk(4), End()]
-
-
 def test_a_history_that_another_process_took_over_is_left_alone(tmp_path):
     """The older writer says so and writes no more: neither into the new file nor over it, not even at its end."""
     path = tmp_path / "h.jsonl"
@@ -220,3 +205,39 @@ def test_a_failing_disk_does_not_hide_another_writer(tmp_path):
     assert old.taken_over
     new.close()
     assert read(path)[0] == [chunk(1), chunk(2), End()]
+
+
+@pytest.mark.parametrize("how", ["removed", "renamed", "folder"])
+def test_a_history_that_is_removed_is_written_anew(tmp_path, how):
+    """The next record notices, an alarm says so for good, and the file holds every record again."""
+    path = tmp_path / "history" / "h.jsonl"
+    one = History(path)
+    one.add(chunk(1))
+    assert one.failure == ""
+    if how == "renamed":
+        path.rename(path.with_name("elsewhere"))
+    else:
+        path.unlink()
+    if how == "folder":
+        path.parent.rmdir()
+    one.add(chunk(2))
+    assert one.failure == "h.jsonl was removed while in use and has been written anew."
+    one.add(chunk(3, steps=4))
+    one.close()
+    assert (one.failure != "", one.taken_over) == (True, False)
+    assert [(r.first, r.last) for r in History(path).before if isinstance(r, Entry)] == [(1, 2), (3, 3)]
+
+
+def test_a_history_whose_directory_is_gone_is_an_alarm(tmp_path):
+    """The run directory itself is not made anew; when it is back, the whole history is written."""
+    path = tmp_path / "run" / "history" / "h.jsonl"
+    one = History(path)
+    one.add(chunk(1))
+    (tmp_path / "run").rename(tmp_path / "away")
+    one.add(chunk(2))
+    assert "could not be written: No such file" in one.failure
+    assert not (tmp_path / "run").exists()
+    (tmp_path / "away").rename(tmp_path / "run")
+    one.add(chunk(3))
+    assert "written anew" in one.failure
+    assert [(r.first, r.last) for r in History(path).before if isinstance(r, Entry)] == [(1, 3)]

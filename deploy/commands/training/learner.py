@@ -80,7 +80,7 @@ def command(arguments: Sequence[str]) -> int:
     if options.run_dir is not None:
         directory = RunDirectory(options.run_dir)
         directory.prepare(options.settings, resume=resume)
-        directory.lock("learner.lock")
+        directory.lock("learner.lock", directory=True)
         directory.adopt(options.settings)
     serve(
         LearnerOptions(

@@ -1,9 +1,13 @@
 """A resumed learner books exactly what was acknowledged after its checkpoint, and takes none of it twice."""
 
+import random
+import time
+
 import pytest
 
 from common.history import Entry, History
 from common.protocol.messages import Envelope
+from learner.checkpoint import recovery
 from learner.checkpoint.recovery import recover_losses
 from learner.intake.ledger import Intake
 
@@ -86,3 +90,56 @@ def test_a_long_range_is_gone_through_from_where_the_checkpoint_ends(tmp_path):
     before = intake.totals()["lost"]
     assert recover_losses(history, intake, 2, resumed=True) == 10
     assert intake.totals()["lost"] == before + 10
+
+
+def test_a_forged_line_of_many_chunks_takes_no_time(tmp_path):
+    """Sixteen lines of 2^24 chunks each are booked at once; each line's chunks all count."""
+    many = 2**24
+    lines = [f'["accepted","w{index}",1,1,{many},10,{many * 10},{many * 10}]' for index in range(8)]
+    lines += [f'["refused","r{index}",1,1,{many},10,{many * 10},{many * 10}]' for index in range(4)]
+    lines += [f'["refused","n{index}",1,1,{many},0,0,0]' for index in range(4)]
+    path, intake = tmp_path / "learner.jsonl", Intake()
+    path.write_text("\n".join(lines) + "\n")
+    started = time.perf_counter()
+    assert recover_losses(History(path), intake, 2, resumed=True) == 8 * 10 * many
+    assert time.perf_counter() - started < 1.0
+    totals = intake.totals()
+    assert (totals["rejected"], totals["refused"], totals["aged"]) == (4 * 10 * many, 8 * many, 4 * many)
+    assert {ledger.expected for ledger in intake.workers.values()} == {many + 1}
+    assert intake.unexplained() == 0
+
+
+def booked_one_by_one(intake, entry):
+    """Book an entry's chunks singly, in order."""
+    known = intake.workers.get(entry.worker)
+    for number in range(max(entry.first, known.expected if known else 0), entry.last + 1):
+        sender = Envelope("rollout", entry.worker, entry.incarnation, number)
+        behind = (entry.last - number) * entry.steps
+        counts = entry.steps, entry.produced - behind, max(0, entry.flown - behind)
+        if entry.verdict == "accepted":
+            intake.lose(sender, *counts)
+        elif entry.produced:
+            intake.refuse_aged(sender, *counts)
+        else:
+            intake.refuse(sender)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_chunks_booked_at_once_count_as_chunks_booked_one_by_one(seed):
+    """Random histories with gaps, refusals and overlaps give the same account of every worker."""
+    draw = random.Random(seed)
+    at_once, singly = Intake(), Intake()
+    number, produced = 1, 0
+    for _ in range(30):
+        number += draw.choice([0, 0, 0, 3])
+        count, steps = draw.randint(1, 6), draw.choice([5, 10])
+        produced += draw.choice([0, 0, steps]) + count * steps
+        unknown = draw.random() < 0.3
+        verdict = "refused" if unknown else draw.choice(["accepted", "accepted", "refused"])
+        counts = (0, 0, 0) if unknown else (steps, produced, produced + draw.choice([0, 7]))
+        entry = Entry(verdict, "w", 1, number, number + count - 1, *counts)
+        number += count - draw.choice([0, 0, 1])
+        recovery._book(at_once, entry)
+        booked_one_by_one(singly, entry)
+        assert at_once.workers == singly.workers
+    assert at_once.totals()["produced"] > 0

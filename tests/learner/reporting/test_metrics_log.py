@@ -160,3 +160,51 @@ def test_a_training_that_diverges_is_an_alarm():
     assert diverging({"critic_loss": {"c": 1.0, "m": 2.0}}) == ""
     found = diverging({"critic_loss": {"c": float("nan"), "m": float("inf")}, "q_mean": {"c": 1.0}})
     assert found == "the training diverges: critic_loss/c and 1 more is not finite."
+
+
+@pytest.mark.parametrize("how", ["removed", "renamed", "replaced"])
+def test_metrics_that_are_removed_while_in_use_are_begun_anew(tmp_path, how):
+    """The next record goes into a file that the path names, and an alarm says from then on what is missing."""
+    path = tmp_path / "metrics.jsonl"
+    log = MetricsLog(tmp_path)
+    log.write("status", episodes=1)
+    assert log.failure == ""
+    if how == "renamed":
+        path.rename(tmp_path / "elsewhere")
+    else:
+        path.unlink()
+    if how == "replaced":
+        path.write_text('{"kind": "status", "time": 0.0, "episodes": 7}\n')
+    log.write("status", episodes=2)
+    log.write("status", episodes=3)
+    assert log.failure == "metrics.jsonl was removed while in use; the records up to then are gone."
+    log.close()
+    assert told(path, "status", "episodes") == ([7] if how == "replaced" else []) + [2, 3]
+
+
+def test_an_event_file_that_is_removed_while_in_use_is_begun_anew(tmp_path):
+    """TensorBoard's scalars go on in another file, and an alarm says so."""
+    made = TensorBoardWriter(tmp_path)
+    made.write(1, {"a": 1.0})
+    (file,) = (tmp_path / FOLDER).iterdir()
+    file.unlink()
+    made.write(2, {"a": 2.0})
+    made.close()
+    assert made.failure == "TensorBoard's event file was removed while in use; its scalars are gone."
+    assert [event.step for event in events(tmp_path / FOLDER) if event.summary.value] == [2]
+
+
+def test_event_files_sort_by_start_and_not_by_the_clock(tmp_path, monkeypatch):
+    """TensorBoard reads files by name; a later start comes later, even after the clock was set back."""
+    folder = tmp_path / FOLDER
+    folder.mkdir()
+    (folder / "events.out.tfevents.1900000000.host.0").touch()
+    names = []
+    for clock in (1_800_000_000.0, 1_700_000_000.0, 1_600_000_000.0):
+        monkeypatch.setattr("time.time", lambda clock=clock: clock)
+        made = TensorBoardWriter(tmp_path)
+        made.write(1, {"a": 1.0})
+        made.close()
+        names.append(made._file.name)
+    assert sorted(path.name for path in folder.iterdir())[1:] == names
+    assert all("tfevents" in name for name in names)

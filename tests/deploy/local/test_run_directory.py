@@ -1,0 +1,101 @@
+"""A run directory belongs to one learner at a time, whatever happens to the files in it."""
+
+import multiprocessing
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import pytest
+
+from common.config import RunConfig
+from common.config.files import to_toml
+from common.errors import RunDirError, UsageError
+from deploy.local.run_directory import LAST_LINE_BYTES, RunDirectory
+
+
+def hold(path: Path, line: Connection) -> None:
+    """Lock a run directory as a learner does, in a process of its own, until told to end."""
+    directory = RunDirectory(path)
+    try:
+        directory.lock("learner.lock", directory=True)
+    except RunDirError as error:
+        line.send(str(error))
+    else:
+        line.send("held")
+    line.recv()
+
+
+@pytest.mark.parametrize("deed", ["nothing", "removed", "renamed"])
+def test_a_second_learner_is_refused_although_the_lock_file_is_gone(tmp_path: Path, deed: str) -> None:
+    """The folder itself is locked; once the first learner has ended, the next one gets it."""
+    path = tmp_path / "run"
+    path.mkdir()
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    first = context.Process(target=hold, args=(path, theirs))
+    first.start()
+    assert ours.recv() == "held"
+    if deed == "renamed":
+        (path / "learner.lock").rename(path / "old.lock")
+    elif deed != "nothing":
+        (path / "learner.lock").unlink()
+    with pytest.raises(RunDirError, match="in use by another process"):
+        RunDirectory(path).lock("learner.lock", directory=True)
+    ours.send("end")
+    first.join(10.0)
+    RunDirectory(path).lock("learner.lock", directory=True)
+
+
+def test_the_supervisor_does_not_exclude_its_learner(tmp_path: Path) -> None:
+    """`train` locks a file of its own in the folder, and the learner that it starts locks the folder."""
+    supervisor, learner = RunDirectory(tmp_path), RunDirectory(tmp_path)
+    supervisor.lock("train.lock")
+    learner.lock("learner.lock", directory=True)
+    with pytest.raises(RunDirError, match="in use"):
+        RunDirectory(tmp_path).lock("train.lock")
+
+
+def test_a_file_system_that_locks_no_folders_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """NFS answers EBADF; the lock file alone has to do there."""
+
+    def refuse(descriptor: object, operation: int) -> None:
+        if isinstance(descriptor, int):
+            raise OSError(9, "Bad file descriptor")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    directory = RunDirectory(tmp_path)
+    directory.lock("learner.lock", directory=True)
+    assert (tmp_path / "learner.lock").read_text() != ""
+
+
+def test_only_the_end_of_long_metrics_is_read(tmp_path: Path) -> None:
+    """The last line decides, whatever stands before it; a line that is longer than any of ours is no end."""
+    metrics = tmp_path / "metrics.jsonl"
+    end = '{"kind": "end", "time": 1.0, "state": "finished"}\n'
+    metrics.write_text('{"kind": "status"}\n' * 20_000 + end)
+    assert RunDirectory(tmp_path).finished()
+    metrics.write_text(end + '{"kind": "resume"}\n')
+    assert not RunDirectory(tmp_path).finished()
+    metrics.write_text(end[:-2] + ', "x": "' + "x" * LAST_LINE_BYTES + '"}\n')
+    assert not RunDirectory(tmp_path).finished()
+
+
+def test_a_configuration_that_the_disk_has_damaged_is_one_sentence(tmp_path: Path) -> None:
+    """Bytes of config.toml are flipped one at a time: the same configuration, another one, or a typed error."""
+    directory, config = RunDirectory(tmp_path), RunConfig(seed=7)
+    directory.prepare(config, resume=False)
+    path, whole, sentences = tmp_path / "config.toml", to_toml(config).encode(), []
+    for place in range(0, len(whole), 17):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ (1 << place % 8)]) + whole[place + 1 :])
+        with suppress(UsageError):
+            directory.prepare(config, resume=True)
+            continue
+        sentences.append(_complaint(directory, config))
+    assert len(sentences) > len(whole) // 17 // 2
+    assert all(text.endswith(".") and "\n" not in text for text in sentences)
+
+
+def _complaint(directory: RunDirectory, config: RunConfig) -> str:
+    with pytest.raises(UsageError) as error:
+        directory.prepare(config, resume=True)
+    return str(error.value)
