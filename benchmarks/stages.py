@@ -13,9 +13,9 @@ from numba.extending import intrinsic
 import rollout.sim.kernel.step as kernel
 from common.config import FarmConfig
 from rollout.sim.batch import FarmBatch
-from rollout.sim.kernel.compiler.decorators import SEALED
+from rollout.sim.kernel.compiler.decorators import ALLOCATION_FREE
 
-STAGED = ("_survey", "_serve_tasks", "_observe", "_step")
+STAGED = ("_update_geometry", "_serve_tasks", "_observe", "_step")
 """Functions whose calls are stages, unless they call one of these themselves."""
 STAGES = 32
 PLACE = np.zeros(STAGES + 1, np.int64)
@@ -51,7 +51,7 @@ def _read(typing: Any, address: Any) -> Any:
     return types.int64(types.int64), generate
 
 
-@numba.njit(**SEALED)
+@numba.njit(**ALLOCATION_FREE)
 def _tick(stage: int) -> None:
     """End a stage; a negative one only begins the first."""
     now, last = _cycles(), ADDRESS + 8 * STAGES
@@ -80,16 +80,15 @@ def _instrumented() -> tuple[Any, list[str]]:
                 body += ast.parse(f"_tick({len(stages)})").body
                 stages.append(name.strip("_"))
         function.body = body if function.name != "_step" else [*ast.parse("_tick(-1)").body, *body]
-    module.body = [node for node in module.body if not ast.unparse(node).startswith("run = ")]
-    source = ast.unparse(ast.fix_missing_locations(module)).replace("@sealed_entry", "@sealed")
+    source = ast.unparse(ast.fix_missing_locations(module)).replace("@allocation_free_entry", "@allocation_free")
     names: dict[str, Any] = {"_tick": _tick, "__name__": "instrumented"}
     exec(compile(source, "instrumented step", "exec"), names)  # our own source, read from beside this file
-    return names["_compile_run"](1), stages
+    return names["step_range"], stages
 
 
 def stage_shares(config: FarmConfig, environments: int) -> dict[str, float]:
     """Return each stage's share of a step, over an episode of a batch."""
-    run, stages = _instrumented()
+    step_range, stages = _instrumented()
     batch = FarmBatch(config, environments)
     random = np.random.default_rng(0)
     for _ in range(2):
@@ -98,7 +97,7 @@ def stage_shares(config: FarmConfig, environments: int) -> dict[str, float]:
         PLACE[:] = 0
         for _ in range(config.world.steps):
             batch._action[...] = random.uniform(-1.0, 1.0, batch._action.shape)
-            run(batch._frames[0].address, kernel.STEP, 0, environments)
+            step_range(batch._arguments[0].address, 0, environments, False)
     cycles = dict.fromkeys(stages, 0.0)
     for name, count in zip(stages, PLACE.tolist(), strict=False):
         cycles[name] += count

@@ -15,10 +15,9 @@ from common.errors import SimulationError
 from common.seeds import derive, stream
 from common.team import Float32, TeamSpec, farm_team
 from common.transitions import FARM_METRICS, EpisodeSummary
-from rollout.sim.kernel.arrays import make_scratch
-from rollout.sim.kernel.compiler.argument_pack import FrozenFrame, make_frame
-from rollout.sim.kernel.rewards import REWARD_PARTS
-from rollout.sim.kernel.step import BEGIN, CHECK, NOT_FINITE, OUT_OF_TIME, STEP, run
+from rollout.sim.kernel.arrays import REWARD_PARTS, make_scratch
+from rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_workspace
+from rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
 from rollout.sim.layout import Layout, make_layout
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
@@ -72,13 +71,13 @@ class FarmBatch:
             raise SimulationError(f"{environments} environments on {threads} threads: both must be at least 1.")
         self.config = config
         self.team: TeamSpec = farm_team(config)
-        frame = make_frame(config, environments)
-        scratches = (frame.scratch, *(make_scratch(config) for _ in range(min(threads, environments) - 1)))
-        self._frames = [FrozenFrame(frame._replace(scratch=scratch)) for scratch in scratches]
-        borders = [environments * k // len(self._frames) for k in range(len(self._frames) + 1)]
+        shared = make_workspace(config, environments)
+        scratches = (shared.scratch, *(make_scratch(config) for _ in range(min(threads, environments) - 1)))
+        self._arguments = [PackedArguments(shared._replace(scratch=scratch)) for scratch in scratches]
+        borders = [environments * k // len(self._arguments) for k in range(len(self._arguments) + 1)]
         self._shares = list(itertools.pairwise(borders))
-        self._pool = ThreadPoolExecutor(len(self._frames) - 1, "farms") if len(self._frames) > 1 else None
-        self._constants, self._state, self._action = frame.constants, frame.state, frame.action
+        self._pool = ThreadPoolExecutor(len(self._arguments) - 1, "farms") if len(self._arguments) > 1 else None
+        self._constants, self._state, self._action = shared.constants, shared.state, shared.action
         self._seeds: list[tuple[int, int]] = [(-1, -1)] * environments
         self.observation: Float32 = self._state.observation
         self.reward: Float32 = self._state.reward
@@ -151,7 +150,7 @@ class FarmBatch:
         state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
         for array in (state.reward, state.parts, state.energy, state.utility, state.served, state.returns, state.sums):
             array[e] = 0.0
-        run(self._frames[0].address, BEGIN, e, e + 1)
+        begin_episode(self._arguments[0].address, e)
 
     def step(self, action: Float32) -> None:
         """Step every environment.
@@ -167,7 +166,8 @@ class FarmBatch:
         if action.shape != own.shape or action.dtype != own.dtype:
             raise SimulationError(f"actions are {action.dtype}{list(action.shape)}, not float32{list(own.shape)}.")
         own[...] = action
-        objection = run(self._frames[0].address, CHECK if self._pool else CHECK + STEP, 0, len(own))
+        address = self._arguments[0].address
+        objection = check_step(address) if self._pool else step_range(address, 0, len(own), True)
         if objection == NOT_FINITE:
             raise SimulationError("an action is not finite.")
         if objection == OUT_OF_TIME:
@@ -177,9 +177,9 @@ class FarmBatch:
 
     def _step_shares(self, pool: ThreadPoolExecutor) -> None:
         """Step a share of the environments on each thread, the first on the caller's own."""
-        work = list(zip(self._frames, self._shares, strict=True))
-        others = [pool.submit(run, frame.address, STEP, *share) for frame, share in work[1:]]
-        run(work[0][0].address, STEP, *work[0][1])
+        work = [(packed.address, *share, False) for packed, share in zip(self._arguments, self._shares, strict=True)]
+        others = [pool.submit(step_range, *share) for share in work[1:]]
+        step_range(*work[0])
         for other in others:
             other.result()
 
@@ -205,7 +205,7 @@ class FarmBatch:
         """Return farms that go on as these would; threads are started anew."""
         twin = object.__new__(FarmBatch)
         memo[id(self)] = twin
-        fresh = ThreadPoolExecutor(len(self._frames) - 1, "farms") if self._pool else None
+        fresh = ThreadPoolExecutor(len(self._arguments) - 1, "farms") if self._pool else None
         twin.__dict__ |= copy.deepcopy({name: item for name, item in self.__dict__.items() if name != "_pool"}, memo)
         twin._pool = fresh
         return twin

@@ -1,6 +1,5 @@
 """Poisson-disk places: darts are thrown by a density, and one that lands too close to another is taken out."""
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -10,7 +9,7 @@ from common.config import WorldConfig
 from common.errors import ConfigError
 from common.seeds import stream
 from rollout.sim.densities import make_density
-from rollout.sim.kernel.compiler.decorators import compiled_entry, sources_digest
+from rollout.sim.kernel.compiler.decorators import compiled_entry
 
 BLOCKS: Final = 64
 """Blocks of candidate places that are tried before a layout is given up."""
@@ -49,42 +48,36 @@ def sample_positions(world: WorldConfig, seed: int, kind: str) -> NDArray[np.flo
     )
 
 
-def _compile_keep(digest: int) -> Callable[..., int]:
-    @compiled_entry
-    def keep_spaced(
-        candidate: NDArray[np.float64],
-        size: NDArray[np.float64],
-        spacing: float,
-        place: NDArray[np.float64],
-        placed: int,
-        first: NDArray[np.int64],
-        after: NDArray[np.int64],
-    ) -> int:
-        """Keep the candidates [K, 2] that lie at least `spacing` from all places; return how many places there are."""
-        columns, rows = first.shape
-        free = digest > 0
-        for k in range(len(candidate)):
-            x, y = candidate[k]
-            column = min(int(x / size[0] * columns), columns - 1)
-            row = min(int(y / size[1] * rows), rows - 1)
-            free = True
-            for i in range(max(0, column - 1), min(columns, column + 2)):
-                for j in range(max(0, row - 1), min(rows, row + 2)):
-                    other = first[i, j]
-                    while other >= 0 and free:
-                        dx, dy = place[other, 0] - x, place[other, 1] - y
-                        free = dx * dx + dy * dy >= spacing * spacing
-                        other = after[other]
-            if free:
-                place[placed, 0], place[placed, 1] = x, y
-                after[placed] = first[column, row]
-                first[column, row] = placed
-                placed += 1
-            if placed == len(place):
-                break
-        return placed
-
-    return keep_spaced
-
-
-_keep_spaced = _compile_keep(sources_digest())
+@compiled_entry
+def _keep_spaced(
+    candidate: NDArray[np.float64],
+    size: NDArray[np.float64],
+    spacing: float,
+    place: NDArray[np.float64],
+    placed: int,
+    first: NDArray[np.int64],
+    after: NDArray[np.int64],
+) -> int:
+    """Keep the candidates [K, 2] that lie at least `spacing` from all places; return how many places there are."""
+    columns, rows = first.shape
+    free = True
+    for k in range(len(candidate)):
+        x, y = candidate[k]
+        column = min(int(x / size[0] * columns), columns - 1)
+        row = min(int(y / size[1] * rows), rows - 1)
+        free = True
+        for i in range(max(0, column - 1), min(columns, column + 2)):
+            for j in range(max(0, row - 1), min(rows, row + 2)):
+                other = first[i, j]
+                while other >= 0 and free:
+                    dx, dy = place[other, 0] - x, place[other, 1] - y
+                    free = dx * dx + dy * dy >= spacing * spacing
+                    other = after[other]
+        if free:
+            place[placed, 0], place[placed, 1] = x, y
+            after[placed] = first[column, row]
+            first[column, row] = placed
+            placed += 1
+        if placed == len(place):
+            break
+    return placed

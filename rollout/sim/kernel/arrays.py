@@ -1,6 +1,6 @@
 """The arrays that the compiled simulator works on, all allocated once."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,10 +9,12 @@ from common.config import FarmConfig
 from common.team import farm_team
 from rollout.sim.kernel.assignment.exchanges import Exchanges, make_exchanges
 from rollout.sim.kernel.constants import Array, Constants, Indices, Int32
-from rollout.sim.kernel.rewards import REWARD_PARTS
 from rollout.sim.layout import cell_counts
 
 Float32 = NDArray[np.float32]
+
+REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "idle", "motivation")
+"""The weighted parts of a reward in the order in which they are stored; the reward is their sum."""
 
 
 class State(NamedTuple):
@@ -121,7 +123,7 @@ class Farm(NamedTuple):
     quality: Array
 
 
-class Assigning(NamedTuple):
+class AssignmentScratch(NamedTuple):
     """Working memory of the assignment.
 
     Attributes:
@@ -192,7 +194,7 @@ class Scratch(NamedTuple):
     power: Array
     item: Indices
     share: Array
-    assigning: Assigning
+    assigning: AssignmentScratch
 
 
 def make_state(config: FarmConfig, environments: int) -> State:
@@ -267,7 +269,7 @@ def make_scratch(config: FarmConfig) -> Scratch:
         power=np.zeros(collectors),
         item=np.zeros(max(sensors, world.plots_x * world.plots_y), np.int64),
         share=np.zeros(sensors),
-        assigning=Assigning(
+        assigning=AssignmentScratch(
             pair=np.zeros((served, relays)),
             exchanges=make_exchanges(served, relays),
             cost=np.zeros((served, places)),
@@ -277,7 +279,7 @@ def make_scratch(config: FarmConfig) -> Scratch:
     )
 
 
-class Frame(NamedTuple):
+class Workspace(NamedTuple):
     """All that one thread works with.
 
     Attributes:

@@ -2,13 +2,14 @@
 
 import math
 
-from rollout.sim.kernel.compiler.decorators import merged, sealed
-from rollout.sim.kernel.constants import Array, CameraConstants, FleetConstants, Indices, Int32
+from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from rollout.sim.kernel.constants import Array, CameraConstants, Constants, FleetConstants, Int32
 from rollout.sim.kernel.spatial.neighbours import is_nearest
 from rollout.sim.kernel.spatial.tallies import add, tally_plots
 
 
-@sealed
+@allocation_free
 def plot_quality(camera: CameraConstants, x: float, y: float, column: int, row: int) -> float:
     """Return Q_plot: the share of the plot's grid cells closer than d_th to a UAV over (x, y) (W21, W22)."""
     good = 0
@@ -19,42 +20,19 @@ def plot_quality(camera: CameraConstants, x: float, y: float, column: int, row: 
     return good / len(camera.grid_x)
 
 
-@sealed
-def photograph(
-    fleet: FleetConstants,
-    camera: CameraConstants,
-    position: Array,
-    apart_square: Array,
-    linked: Array,
-    step: int,
-    rising: Indices,
-    level: Array,
-    due: Int32,
-    below: Array,
-    above: Array,
-    utility: Array,
-    taken: Indices,
-) -> None:
+@inlined
+def photograph(c: Constants, farm: Farm, s: Scratch) -> None:
     """Take an image of every plot, credit the good ones and update VDF (W18 to W23).
 
-    The UAV closest to a plot's centre photographs the whole plot and is credited with VDF(t - t_step); ties go to
-    the lowest index. A plot with VDF 0 that is not due needs no image: it stays at 0 either way.
+    The UAV closest to a plot's centre photographs the whole plot and is credited with VDF(t - t_step); ties go to the
+    lowest index. Images count only where the relay is in range (W4). A plot with VDF 0 that is not due needs no image,
+    because it stays at 0 either way.
 
-    Args:
-        fleet: the UAVs.
-        camera: plots and cells.
-        position: [n, 2] m.
-        apart_square: [n] square of the distance to the next UAV of the plane, m^2.
-        linked: [n_m + n_d] 1 where images count (W4).
-        step: number of this step, from 1.
-        rising: [2] the step at which any VDF rises next, in its second entry; updated.
-        level: [n_px, n_py] VDF; updated.
-        due: [n_px, n_py] step at which VDF rises next; updated.
-        below: tally of VDF; updated.
-        above: tally of VDF; updated.
-        utility: [n] out for these UAVs: VMUF of this step.
-        taken: [n_px n_py] scratch.
+    Updates `level`, `level_due`, `rising` and the tally of VDF. Writes `utility` of the monitoring UAVs: VMUF.
     """
+    fleet, camera, position, linked, step = c.fleet, c.camera, farm.position, s.linked, farm.step
+    level, due, below, above, rising = farm.level, farm.level_due, farm.level_below, farm.level_above, farm.rising
+    utility, taken, apart_square = farm.utility, s.item, s.apart_square
     successes, due_now = 0, rising[1] == step
     for u in range(fleet.relays, fleet.collectors):
         utility[u] = 0.0
@@ -79,7 +57,7 @@ def photograph(
         level[column, row] = 0.0
 
 
-@merged
+@inlined
 def _succeeds(
     fleet: FleetConstants, camera: CameraConstants, position: Array, apart_square: Array, u: int, column: int, row: int
 ) -> bool:
@@ -95,7 +73,7 @@ def _succeeds(
     )
 
 
-@sealed
+@allocation_free
 def _rise(camera: CameraConstants, step: int, level: Array, due: Int32) -> int:
     """Let VDF rise where a cycle ends; return the step at which any rises next."""
     soonest = step + camera.cycle
@@ -108,7 +86,7 @@ def _rise(camera: CameraConstants, step: int, level: Array, due: Int32) -> int:
     return soonest
 
 
-@sealed
+@allocation_free
 def _span(place: float, reach: float, size: float, plots: int) -> tuple[int, int]:
     """Return the first and last plot along an axis that a reach around a place touches."""
     low = int(max(0.0, math.floor((place - reach) / size)))

@@ -5,14 +5,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.compiler.decorators import sealed
-from rollout.sim.kernel.constants import Array, FleetConstants, FlightConstants, Indices
+from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from rollout.sim.kernel.constants import Array, Constants, FleetConstants, FlightConstants, Indices
 from rollout.sim.kernel.planes import height_of, kind_of
 
 Float32 = NDArray[np.float32]
 
 
-@sealed
+@allocation_free
 def flight_power(flight: FlightConstants, speed: float) -> float:
     """Return P_fly(|v|), W: as printed, or induced power m g v_i / eta plus body drag (W5)."""
     if flight.physical:
@@ -24,31 +25,22 @@ def flight_power(flight: FlightConstants, speed: float) -> float:
     return flight.c1 * speed * speed + flight.c2 / speed + flight.weight * speed
 
 
-@sealed
-def fly(
-    fleet: FleetConstants,
-    flight: FlightConstants,
-    action: Float32,
-    direction: Array,
-    position: Array,
-    previous: Array,
-    energy: Array,
-    outside: Array,
-    motivated: Array,
-) -> None:
+@inlined
+def fly(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
     """Fly one step with the commanded velocity v = action * (V_x-max, V_y-max).
 
+    Reads the directions that the UAVs saw before the step. Updates `position`, clipped to the field (W11). Writes
+    `energy` at the commanded velocity (W6, W7), and in the scratch `previous`, `outside` (ACT) and `motivated`, which
+    is 1 where v . D > 0 (W25).
+
     Args:
-        fleet: the UAVs.
-        flight: flight power.
+        c: constants.
+        farm: the environment.
+        s: scratch.
         action: [2 n] commanded velocities as shares of the largest ones; clipped to [-1, 1].
-        direction: [n, 2] D_VDF or D_AoI that the UAV saw, (0, 0) if none.
-        position: [n, 2] m; updated, clipped to the field (W11).
-        previous: [n, 2] out: positions before the step, m.
-        energy: [n] out: E(k) - E(k-1) at the commanded velocity, J (W6, W7).
-        outside: [n] out: ACT, 1 where the position was clipped.
-        motivated: [n] out: M_V or M_D, 1 where v . D > 0 (W25).
     """
+    fleet, flight, position, direction, energy = c.fleet, c.flight, farm.position, farm.direction, farm.energy
+    previous, outside, motivated = s.previous, s.outside, s.motivated
     for u in range(len(position)):
         vx = min(1.0, max(-1.0, np.float64(action[2 * u]))) * fleet.speed_x
         vy = min(1.0, max(-1.0, np.float64(action[2 * u + 1]))) * fleet.speed_y
@@ -63,7 +55,7 @@ def fly(
         outside[u] = 1.0 if position[u, 0] != x or position[u, 1] != y else 0.0
 
 
-@sealed
+@allocation_free
 def separation(fleet: FleetConstants, position: Array, a: int, b: int) -> float:
     """Return the 3-D distance between two UAVs, m."""
     dx, dy = position[a, 0] - position[b, 0], position[a, 1] - position[b, 1]
@@ -71,31 +63,16 @@ def separation(fleet: FleetConstants, position: Array, a: int, b: int) -> float:
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@sealed
-def find_nearest(
-    fleet: FleetConstants,
-    position: Array,
-    x: Array,
-    y: Array,
-    peer: Indices,
-    apart_square: Array,
-    neighbour: Indices,
-    distance: Array,
-    crowded: Array,
-) -> None:
+@inlined
+def find_nearest(c: Constants, farm: Farm, s: Scratch) -> None:
     """Find each UAV's closest UAV, UAV_N (W10).
 
-    Args:
-        fleet: the UAVs.
-        position: [n, 2] m.
-        x: [n] out: the same along each axis, m.
-        y: [n] out: m.
-        peer: [n] out: index of the closest of the same plane, -1 if there is none; the lowest of several.
-        apart_square: [n] out: square of its distance, m^2.
-        neighbour: [n] out: index of the closest, in the plane or anywhere.
-        distance: [n] out: d_U, m.
-        crowded: [n] out: 1 where a UAV of the same plane is closer than the collision distance.
+    Writes in the scratch `peer` and `apart_square` (the closest of the same plane), `neighbour` and `distance` (the
+    closest in the plane or anywhere), `crowded`, and the positions along each axis, `x` and `y`. Ties go to the lowest
+    index.
     """
+    fleet, position, x, y, peer, apart_square = c.fleet, farm.position, s.x, s.y, s.peer, s.apart_square
+    neighbour, distance, crowded = s.neighbour, s.distance, s.crowded
     for u in range(len(position)):
         x[u], y[u], peer[u], apart_square[u] = position[u, 0], position[u, 1], -1, math.inf
     borders = 0, fleet.relays, fleet.collectors, fleet.uavs
@@ -109,7 +86,7 @@ def find_nearest(
             neighbour[u], distance[u] = _nearest_anywhere(fleet, position, u)
 
 
-@sealed
+@allocation_free
 def _find_peers(first: int, x: Array, y: Array, peer: Indices, apart_square: Array) -> None:
     """Let the UAVs of one plane, of which the first is given, learn of each other; several at once."""
     for u in range(len(x)):
@@ -122,7 +99,7 @@ def _find_peers(first: int, x: Array, y: Array, peer: Indices, apart_square: Arr
             peer[other] = first + u if less else peer[other]
 
 
-@sealed
+@allocation_free
 def _nearest_anywhere(fleet: FleetConstants, position: Array, u: int) -> tuple[int, float]:
     """Return the UAV closest to a UAV, -1 if there is none, and its distance."""
     nearest, least = -1, math.inf
@@ -133,7 +110,7 @@ def _nearest_anywhere(fleet: FleetConstants, position: Array, u: int) -> tuple[i
     return nearest, least
 
 
-@sealed
+@allocation_free
 def safety_risk(
     fleet: FleetConstants, closing: bool, previous: Array, neighbour: Indices, distance: Array, u: int
 ) -> float:

@@ -16,8 +16,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.compiler.decorators import sealed
-from rollout.sim.kernel.constants import Array, CameraConstants, FleetConstants, Indices, Int32, ObservationConstants
+from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from rollout.sim.kernel.constants import Array, Constants, FleetConstants, ObservationConstants
 from rollout.sim.kernel.planes import height_of
 from rollout.sim.kernel.spatial.neighbours import ALL, EMPTY, HOLDING, nearest_sensors
 
@@ -28,17 +29,17 @@ SENSOR_SCALE: Final = 50.0
 PER_SCALE: Final = 1.0 / SENSOR_SCALE
 
 
-@sealed
+@allocation_free
 def _share(fleet: FleetConstants, position: Array, u: int) -> tuple[float, float]:
     return 2.0 * position[u, 0] * fleet.per_width - 1.0, 2.0 * position[u, 1] * fleet.per_depth - 1.0
 
 
-@sealed
+@allocation_free
 def _sign(what: ObservationConstants, offset: float) -> float:
     return -1.0 if what.mirrored and offset < 0.0 else 1.0
 
 
-@sealed
+@allocation_free
 def _put_place(what: ObservationConstants, x: float, y: float, sx: float, sy: float, seen: Float32, at: int) -> int:
     seen[at], seen[at + 1] = sx * x, sy * y
     at += 2
@@ -48,7 +49,7 @@ def _put_place(what: ObservationConstants, x: float, y: float, sx: float, sy: fl
     return at
 
 
-@sealed
+@allocation_free
 def _put_offset(
     fleet: FleetConstants, dx: float, dy: float, dz: float, sx: float, sy: float, seen: Float32, at: int
 ) -> int:
@@ -57,7 +58,7 @@ def _put_offset(
     return at + 3
 
 
-@sealed
+@allocation_free
 def _put_uav(
     fleet: FleetConstants, position: Array, u: int, other: int, sx: float, sy: float, seen: Float32, at: int
 ) -> int:
@@ -68,7 +69,7 @@ def _put_uav(
     return _put_offset(fleet, dx, dy, height_of(fleet, other) - height_of(fleet, u), sx, sy, seen, at)
 
 
-@sealed
+@allocation_free
 def _put_self(what: ObservationConstants, time: float, rank: int, count: int, seen: Float32, at: int) -> int:
     if what.identity:
         for other in range(count):
@@ -80,7 +81,7 @@ def _put_self(what: ObservationConstants, time: float, rank: int, count: int, se
     return at
 
 
-@sealed
+@allocation_free
 def _put_sensor(what: ObservationConstants, level: float, dx: float, dy: float, seen: Float32, at: int) -> int:
     seen[at] = level
     if what.printed:
@@ -90,36 +91,24 @@ def _put_sensor(what: ObservationConstants, level: float, dx: float, dy: float, 
     return at + 3
 
 
-@sealed
-def see_relays(
-    fleet: FleetConstants,
-    what: ObservationConstants,
-    time: float,
-    position: Array,
-    peer: Indices,
-    neighbour: Indices,
-    centroid: Array,
-    farthest: Indices,
-    seen: Float32,
-    at: int,
-) -> int:
+@inlined
+def see_relays(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> int:
     """Write o_c of all relays: own place; nearest relay, all relays' and served centroid, farthest served, nearest UAV.
 
+    Zeros are seen for the centroid and the farthest UAV of a relay that serves nobody.
+
     Args:
-        fleet: the UAVs.
-        what: whether the view is mirrored, and whether rank and time are seen.
+        c: constants.
+        farm: the environment, in whose row it writes.
+        s: scratch.
         time: share of the episode that is over.
-        position: [n, 2] m.
-        peer: [n] nearest UAV of the plane.
-        neighbour: [n] nearest UAV.
-        centroid: [n_c + 1, 3] of those served, and of all relays; zeros are seen for a relay that serves nobody.
-        farthest: [n_c] farthest served, -1 if none.
-        seen: [O] out: the row.
-        at: where to begin.
+        at: where to begin in the row.
 
     Returns:
         where the next type begins.
     """
+    fleet, what, position, seen = c.fleet, c.observation, farm.position, farm.observation
+    peer, neighbour, centroid, farthest = s.peer, s.neighbour, s.centroid, s.farthest
     for u in range(fleet.relays):
         x, y = _share(fleet, position, u)
         sx, sy = _sign(what, x), _sign(what, y)
@@ -140,38 +129,15 @@ def see_relays(
     return at
 
 
-@sealed
-def see_plots(
-    fleet: FleetConstants,
-    what: ObservationConstants,
-    time: float,
-    camera: CameraConstants,
-    position: Array,
-    neighbour: Indices,
-    direction: Array,
-    level: Array,
-    seen: Float32,
-    at: int,
-) -> int:
+@inlined
+def see_plots(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> int:
     """Write o_m of all monitoring UAVs: own place, VDF of the window of plots around, D_VDF, nearest UAV.
 
-    Plots outside the field are seen with VDF 0: they are worth as little as one just photographed.
-
-    Args:
-        fleet: the UAVs.
-        what: the window, and what else is seen.
-        time: share of the episode that is over.
-        camera: the plots.
-        position: [n, 2] m.
-        neighbour: [n] nearest UAV.
-        direction: [n, 2] D_VDF.
-        level: [n_px, n_py] VDF.
-        seen: [O] out: the row.
-        at: where to begin.
-
-    Returns:
-        where the next type begins.
+    Plots outside the field are seen with VDF 0: they are worth as little as one just photographed. Arguments and result
+    as for `see_relays`.
     """
+    fleet, what, camera, position, seen = c.fleet, c.observation, c.camera, farm.position, farm.observation
+    neighbour, direction, level = s.neighbour, farm.direction, farm.level
     columns, rows = level.shape
     reach, count = what.window // 2, fleet.collectors - fleet.relays
     for u in range(fleet.relays, fleet.collectors):
@@ -197,48 +163,17 @@ def see_plots(
     return at
 
 
-@sealed
-def see_sensors(
-    fleet: FleetConstants,
-    what: ObservationConstants,
-    time: float,
-    level_max: float,
-    position: Array,
-    neighbour: Indices,
-    direction: Array,
-    sensor: Array,
-    cell_start: Int32,
-    age: Array,
-    waiting: Indices,
-    around: Indices,
-    square: Array,
-    nearest: Indices,
-    nearest_square: Array,
-    seen: Float32,
-    at: int,
-) -> None:
+@inlined
+def see_sensors(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> None:
     """Write o_d of all data collection UAVs: own place, n sensors near, D_AoI, nearest UAV.
 
-    Args:
-        fleet: the UAVs.
-        what: n, which, and whether only AoI is seen.
-        time: share of the episode that is over.
-        level_max: AoI_max.
-        position: [n, 2] m.
-        neighbour: [n] nearest UAV.
-        direction: [n, 2] D_AoI.
-        sensor: [2, S] m.
-        cell_start: first sensor of each cell.
-        age: [S] AoI.
-        waiting: [1] how many sensors hold data.
-        around: [S + 1] scratch.
-        square: [S + 1] scratch.
-        nearest: [n_d, n] the sensors seen by each in the step before; updated.
-        nearest_square: [n] scratch.
-        seen: [O] out: the row.
-        at: where to begin.
+    Updates `listed`, the sensors that each UAV sees: those of the step before bound how far one has to look. Arguments
+    as for `see_relays`.
     """
-    holding, wanted, per_level = waiting[0], what.sensors, 1.0 / level_max
+    fleet, what, position, neighbour, direction = c.fleet, c.observation, farm.position, s.neighbour, farm.direction
+    sensor, cell_start, age, waiting, seen = farm.sensor, farm.cell_start, farm.age, farm.waiting, farm.observation
+    around, square, nearest, nearest_square = s.around, s.square, farm.listed, s.nearest_square
+    holding, wanted, per_level = waiting[0], what.sensors, 1.0 / c.radio.level_max
     count = fleet.uavs - fleet.collectors
     for u in range(fleet.collectors, fleet.uavs):
         x, y, listed = position[u, 0], position[u, 1], nearest[u - fleet.collectors]

@@ -1,10 +1,10 @@
 """The three flight planes: communication (0), monitoring (1) and data collection UAVs (2), in row order."""
 
-from rollout.sim.kernel.compiler.decorators import sealed
+from rollout.sim.kernel.compiler.decorators import allocation_free
 from rollout.sim.kernel.constants import FleetConstants
 
 
-@sealed
+@allocation_free
 def kind_of(fleet: FleetConstants, u: int) -> int:
     """Return the type of a UAV."""
     if u < fleet.relays:
@@ -12,7 +12,7 @@ def kind_of(fleet: FleetConstants, u: int) -> int:
     return 1 if u < fleet.collectors else 2
 
 
-@sealed
+@allocation_free
 def height_of(fleet: FleetConstants, u: int) -> float:
     """Return the flight height of a UAV: H_c, H_m or H_d, m."""
     height: float = fleet.height[u]

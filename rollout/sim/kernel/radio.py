@@ -6,14 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from rollout.sim.kernel.compiler.decorators import sealed
-from rollout.sim.kernel.constants import (
-    Array,
-    FleetConstants,
-    Indices,
-    Int32,
-    ObservationConstants,
-)
+from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from rollout.sim.kernel.constants import Array, Constants, FleetConstants, Indices
 from rollout.sim.kernel.link import CHANCES, NEGLIGIBLE, RadioConstants
 from rollout.sim.kernel.planes import height_of
 from rollout.sim.kernel.spatial.neighbours import block_around, gather, is_nearest
@@ -31,7 +26,7 @@ LEAST_AGE: Final = sys.float_info.min
 """The least AoI above 0."""
 
 
-@sealed
+@allocation_free
 def draw(key: np.uint64, step: int, sensor: int) -> float:
     """Return the uniform number in [0, 1) of a packet: splitmix64 of the episode's key at counter (step, sensor).
 
@@ -45,13 +40,13 @@ def draw(key: np.uint64, step: int, sensor: int) -> float:
     return uniform
 
 
-@sealed
+@allocation_free
 def received_power(radio: RadioConstants, square: float) -> float:
     """Return the power received over a distance given by its square, m^2, in mW: free space and vegetation (W12)."""
     return radio.power / square * math.exp(-radio.vegetation * math.exp(radio.half_exponent * math.log(square)))
 
 
-@sealed
+@allocation_free
 def delivery(radio: RadioConstants, signal: float, interference: float) -> float:
     """Return 1 - PLR = (1 - BER)^(8 L) from the signal's and the interferers' power, mW; 0 below NEGLIGIBLE."""
     sinr = signal / (interference + radio.noise)
@@ -60,7 +55,7 @@ def delivery(radio: RadioConstants, signal: float, interference: float) -> float
     return chance if chance >= NEGLIGIBLE else 0.0
 
 
-@sealed
+@allocation_free
 def _square(position: Array, u: int, sensor: Array, j: int) -> float:
     """Return the square of the horizontal distance from a UAV to a sensor, m^2."""
     dx, dy = sensor[0, j] - position[u, 0], sensor[1, j] - position[u, 1]
@@ -68,26 +63,26 @@ def _square(position: Array, u: int, sensor: Array, j: int) -> float:
     return square
 
 
-@sealed
-def interfere(
-    fleet: FleetConstants, radio: RadioConstants, position: Array, sensor: Array, woken: Indices, power: Array
-) -> None:
+@inlined
+def interfere(c: Constants, farm: Farm, s: Scratch) -> None:
     """Sum up what disturbs each data collection UAV (W14).
 
-    Args:
-        fleet: the UAVs.
-        radio: the link.
-        position: [n, 2] m.
-        sensor: [2, S] m.
-        woken: [n_d] scratch: the nearest sensor that each UAV wakes, -1 if it wakes none.
-        power: [n_d] out: power from the strongest woken sensor of each other UAV, mW; 0 without the switch.
+    Writes into `power` what arrives from the strongest woken sensor of each other UAV, mW; 0 without the switch. The
+    nearest sensor that each UAV wakes stands in `woken`, -1 for none.
     """
+    fleet, radio, position, sensor, woken, power = c.fleet, c.radio, farm.position, farm.sensor, s.woken, s.power
     for k in range(len(power)):
         power[k] = 0.0
         woken[k] = -1
-    if not radio.interference:
-        return
-    first, count = fleet.collectors, len(power)
+    if radio.interference:
+        _wake(fleet, position, sensor, woken)
+        _disturb(fleet, radio, position, sensor, woken, power)
+
+
+@allocation_free
+def _wake(fleet: FleetConstants, position: Array, sensor: Array, woken: Indices) -> None:
+    """Find for each data collection UAV the nearest of the sensors to which it is the nearest."""
+    first, count = fleet.collectors, len(woken)
     for j in range(sensor.shape[1]):
         owner, apart = 0, math.inf
         for k in range(count):
@@ -96,6 +91,14 @@ def interfere(
                 owner, apart = k, square
         if woken[owner] < 0 or apart < _square(position, first + owner, sensor, woken[owner]):
             woken[owner] = j
+
+
+@allocation_free
+def _disturb(
+    fleet: FleetConstants, radio: RadioConstants, position: Array, sensor: Array, woken: Indices, power: Array
+) -> None:
+    """Add up the power that the woken sensors of the others bring to each UAV, mW."""
+    first, count = fleet.collectors, len(power)
     height = height_of(fleet, first)
     for k in range(count):
         for other in range(count):
@@ -104,7 +107,7 @@ def interfere(
                 power[k] += received_power(radio, square + height * height)
 
 
-@sealed
+@allocation_free
 def _share_delivered(
     radio: RadioConstants, square: float, height: float, interference: float, key: np.uint64, step: int, sensor: int
 ) -> float:
@@ -124,7 +127,7 @@ def _share_delivered(
     return 1.0 if uniform < chance else 0.0
 
 
-@sealed
+@allocation_free
 def _belongs(
     fleet: FleetConstants, position: Array, apart_square: Array, u: int, sensor: Array, j: int, square: float
 ) -> bool:
@@ -134,55 +137,32 @@ def _belongs(
     return nearest
 
 
-@sealed
-def send(
-    fleet: FleetConstants,
-    seen: ObservationConstants,
-    radio: RadioConstants,
-    position: Array,
-    apart_square: Array,
-    linked: Array,
-    key: np.uint64,
-    step: int,
-    sensor: Array,
-    cell_start: Int32,
-    interference: Array,
-    rising: Indices,
-    age: Array,
-    due: Int32,
-    utility: Array,
-    served: Array,
-    around: Indices,
-    square: Array,
-    sent: Indices,
-    share: Array,
-) -> int:
+@inlined
+def send(c: Constants, farm: Farm, s: Scratch) -> int:
     """Let every sensor send to its nearest data collection UAV, and credit AoI(t - t_step) of what arrives (W17, W19).
 
-    Returns how many sensors delivered. One with AoI 0 that is not due needs no packet: it stays at 0 either way.
+    A sensor with AoI 0 that is not due needs no packet, because it stays at 0 either way. Deliveries count only where
+    the relay is in range (W4).
 
-    Args:
-        fleet: the UAVs.
-        seen: the sensor cells.
-        radio: the link.
-        position: [n, 2] m.
-        apart_square: [n] square of the distance to the next UAV of the plane, m^2.
-        linked: [n_m + n_d] 1 where deliveries count (W4).
-        key: of the episode's packets.
-        step: number of this step, from 1.
-        sensor: [2, S] m.
-        cell_start: first sensor of each cell.
-        interference: [n_d] mW.
-        rising: [2] the step at which any AoI rises next, in its first entry.
-        age: [S] AoI before the step.
-        due: [S] step at which AoI rises next.
-        utility: [n] out for these UAVs: DCUF of this step.
-        served: [n_d] out: sensors of AoI above 0 that delivered (their shares, in expected delivery).
-        around: [S + 1] scratch.
-        square: [S + 1] scratch.
-        sent: [S] out: the sensors that delivered.
-        share: [S] out: which share, 1 but in expected delivery.
+    Writes `utility` of the data collection UAVs (DCUF), `served` (sensors of AoI above 0 that delivered; the sum of
+    their shares in expected delivery), and in the scratch `item` and `share`: the sensors that delivered, and which
+    share.
+
+    Returns:
+        how many sensors delivered.
     """
+    fleet, seen, radio, position, sensor, age, due = (
+        c.fleet,
+        c.observation,
+        c.radio,
+        farm.position,
+        farm.sensor,
+        farm.age,
+        farm.age_due,
+    )
+    apart_square, linked, interference, key, step = s.apart_square, s.linked, s.power, farm.key, farm.step
+    cell_start, rising, around, square, sent, share = farm.cell_start, farm.rising, s.around, s.square, s.item, s.share
+    utility, served = farm.utility, farm.served
     delivered, first, limit, due_now = 0, fleet.collectors, radio.reach * radio.reach, rising[0] == step
     height, least = height_of(fleet, first), 0.0 if due_now else LEAST_AGE
     for k in range(len(served)):
@@ -204,45 +184,28 @@ def send(
     return delivered
 
 
-@sealed
-def update_age(
-    fleet: FleetConstants,
-    seen: ObservationConstants,
-    radio: RadioConstants,
-    step: int,
-    delivered: int,
-    sent: Indices,
-    share: Array,
-    sensor: Array,
-    cell_start: Int32,
-    rising: Indices,
-    age: Array,
-    due: Int32,
-    cycle: Int32,
-    below: Array,
-    above: Array,
-    waiting: Indices,
-) -> None:
+@inlined
+def update_age(c: Constants, farm: Farm, s: Scratch, delivered: int) -> None:
     """Let AoI rise by 1, up to AoI_max, where a cycle ends, and fall to 0 where data arrived (W18).
 
+    Updates `age`, `age_due`, `rising`, `waiting` and the tally of AoI.
+
     Args:
-        fleet: the field.
-        seen: the sensor cells.
-        radio: AoI_max.
-        step: number of this step, from 1.
-        delivered: how many sensors delivered.
-        sent: [S] which they are.
-        share: [S] the share that each delivered.
-        sensor: [2, S] m.
-        cell_start: first sensor of each cell.
-        rising: [2] the step at which any AoI rises next, in its first entry; updated.
-        age: [S] AoI; updated.
-        due: [S] step at which it rises next; updated.
-        cycle: [S] T_UA, steps.
-        below: tally of AoI; updated.
-        above: tally of AoI; updated.
-        waiting: [1] how many sensors hold data; updated.
+        c: constants.
+        farm: the environment.
+        s: scratch, with the sensors that delivered.
+        delivered: how many delivered.
     """
+    fleet, seen, radio, sensor, cell_start, step = (
+        c.fleet,
+        c.observation,
+        c.radio,
+        farm.sensor,
+        farm.cell_start,
+        farm.step,
+    )
+    rising, age, due, cycle, sent, share = farm.rising, farm.age, farm.age_due, farm.cycle, s.item, s.share
+    below, above, waiting = farm.age_below, farm.age_above, farm.waiting
     due_now = rising[0] == step
     if due_now:
         soonest = due[0] + cycle[0]

@@ -2,47 +2,35 @@
 
 import math
 
-from rollout.sim.kernel.arrays import Assigning
+from rollout.sim.kernel.arrays import AssignmentScratch, Farm, Scratch
 from rollout.sim.kernel.assignment.exchanges import settle
 from rollout.sim.kernel.assignment.hungarian import assign
-from rollout.sim.kernel.compiler.decorators import sealed
-from rollout.sim.kernel.compiler.logarithm import logarithm
-from rollout.sim.kernel.constants import LEAST_LINK, Array, FleetConstants, Indices, RelayConstants
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from rollout.sim.kernel.compiler.logarithm import vectorisable_log
+from rollout.sim.kernel.constants import LEAST_LINK, Array, Constants, FleetConstants, Indices, RelayConstants
 from rollout.sim.kernel.motion import separation
 from rollout.sim.kernel.planes import height_of
 
 
-@sealed
-def assign_relays(
-    fleet: FleetConstants,
-    relay: RelayConstants,
-    position: Array,
-    x: Array,
-    y: Array,
-    fresh: bool,
-    work: Assigning,
-    assignment: Indices,
-    linked: Array,
-    quality: Array,
-) -> None:
+@inlined
+def assign_relays(c: Constants, farm: Farm, s: Scratch, fresh: bool) -> None:
     """Assign every monitoring and data collection UAV to a relay (W2, W3).
 
-    The cost of a pair is cost_distance d / diagonal + cost_link FSPL(d) / FSPL(diagonal); every relay stands in
-    `capacity` columns. Where a few swaps make the assignment of the step before the only best one, that is it.
+    The cost of a pair is cost_distance d / diagonal + cost_link FSPL(d) / FSPL(diagonal). Every relay stands in
+    `capacity` columns. The assignment of the step before is kept where a few swaps show that it is the only best one.
+
+    Updates `assignment` and writes `quality`, the signal-to-noise ratio of each link, and `linked`, 1 where the relay
+    is within link range (W4).
 
     Args:
-        fleet: the UAVs.
-        relay: weights and capacity.
-        position: [n, 2] m.
-        x: [n] the same along each axis, m.
-        y: [n] m.
-        fresh: whether there is no step before.
-        work: scratch.
-        assignment: [n_m + n_d] relay of each served UAV; updated.
-        linked: [n_m + n_d] out: 1 where the relay is within link range (W4).
-        quality: [n_m + n_d] out: signal-to-noise ratio of the link to the relay, dB.
+        c: constants.
+        farm: the environment.
+        s: scratch.
+        fresh: whether the episode begins, so that there is no step before.
     """
-    _weigh_pairs(fleet, relay, x, y, work.pair)
+    fleet, relay, position, work, assignment = c.fleet, c.relay, farm.position, s.assigning, farm.assignment
+    linked, quality = s.linked, farm.quality
+    _weigh_pairs(fleet, relay, s.x, s.y, work.pair)
     if fresh or not settle(work.pair, assignment, relay.capacity, work.exchanges):
         _assign_anew(fleet, relay, position, work, assignment)
     for served in range(len(assignment)):
@@ -51,13 +39,13 @@ def assign_relays(
         quality[served] = relay.budget - _loss(relay, distance)
 
 
-@sealed
+@allocation_free
 def _loss(relay: RelayConstants, distance: float) -> float:
     """Return the free-space loss between two UAVs, dB (W12)."""
     return relay.loss_scale * math.log(max(distance * distance, LEAST_LINK)) + relay.loss_offset
 
 
-@sealed
+@allocation_free
 def _weigh_pairs(fleet: FleetConstants, relay: RelayConstants, x: Array, y: Array, pair: Array) -> None:
     """Write the cost of each pair, up to a constant and to 1e-12, several pairs at once."""
     link = relay.cost_link * relay.loss_scale
@@ -67,12 +55,12 @@ def _weigh_pairs(fleet: FleetConstants, relay: RelayConstants, x: Array, y: Arra
         for i in range(fleet.relays):
             dx, dy = x[i] - own_x, y[i] - own_y
             square = dx * dx + dy * dy + dz * dz
-            costs[i] = relay.cost_distance * math.sqrt(square) + link * logarithm(max(square, LEAST_LINK))
+            costs[i] = relay.cost_distance * math.sqrt(square) + link * vectorisable_log(max(square, LEAST_LINK))
 
 
-@sealed
+@allocation_free
 def _assign_anew(
-    fleet: FleetConstants, relay: RelayConstants, position: Array, work: Assigning, assignment: Indices
+    fleet: FleetConstants, relay: RelayConstants, position: Array, work: AssignmentScratch, assignment: Indices
 ) -> None:
     """Assign from scratch, so that ties fall as in the reference."""
     for served in range(len(assignment)):
@@ -86,31 +74,18 @@ def _assign_anew(
         assignment[served] //= relay.capacity
 
 
-@sealed
-def serve(
-    fleet: FleetConstants,
-    relay: RelayConstants,
-    position: Array,
-    assignment: Indices,
-    service: Array,
-    centroid: Array,
-    farthest: Indices,
-    number: Array,
-    far: Array,
-) -> None:
+@inlined
+def measure_service(c: Constants, farm: Farm, s: Scratch) -> None:
     """Compute D_c = epsilon_1 D_cg + epsilon_2 D_cf + epsilon_3 D_cc of every relay, in three dimensions.
 
-    Args:
-        fleet: the UAVs.
-        relay: epsilon_1 to epsilon_3.
-        position: [n, 2] m.
-        assignment: [n_m + n_d] relay of each served UAV.
-        service: [n_c] out: D_c, m; D_cg = D_cf = 0 for a relay that serves nobody.
-        centroid: [n_c + 1, 3] out: centroid of those served by each relay, and in the last row that of all relays.
-        farthest: [n_c] out: index of the farthest UAV served, -1 if none.
-        number: [n_c] scratch: how many are served.
-        far: [n_c] scratch: how far the farthest is, m.
+    Writes D_c into `service` after keeping D_c(k-1) in `earlier`. A relay that serves nobody has D_cg = D_cf = 0.
+    Writes in the scratch `centroid`, whose last row is the centroid of all relays, and `farthest`, -1 where nobody is
+    served.
     """
+    fleet, relay, position, assignment, service = c.fleet, c.relay, farm.position, farm.assignment, farm.service
+    centroid, farthest, number, far = s.centroid, s.farthest, s.number, s.far
+    for i in range(fleet.relays):
+        s.earlier[i] = service[i]
     count = fleet.relays
     centroid[:, :] = 0.0
     for i in range(count):
@@ -139,7 +114,7 @@ def serve(
         service[i] += relay.weight_relays * _to_point(fleet, position, i, centroid[count])
 
 
-@sealed
+@allocation_free
 def _to_point(fleet: FleetConstants, position: Array, u: int, point: Array) -> float:
     dx, dy, dz = point[0] - position[u, 0], point[1] - position[u, 1], point[2] - height_of(fleet, u)
     return math.sqrt(dx * dx + dy * dy + dz * dz)

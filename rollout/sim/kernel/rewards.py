@@ -1,71 +1,56 @@
-"""The rewards r_c, r_m and r_d, part by part."""
+"""The rewards r_c, r_m and r_d of a step, part by part.
+
+    relays       r_c = - alpha_1 (D_c(k) - D_c(k-1)) t_step                          positioning
+    monitors     r_m = + alpha_5 VMUF t_step - alpha_6 P_M t_step + alpha_7 M_V t_step      utility, idle, motivation
+    collectors   r_d = + alpha_8 DCUF t_step - alpha_9 P_C t_step + alpha_10 M_D t_step     utility, idle, motivation
+    everybody    ... - alpha_2 (E(k) - E(k-1)) - alpha_3 SR t_step - alpha_4 ACT t_step     energy, risk, boundary
+
+A relay earns what D_c, its distance from where it serves well, falls in the step.
+P_M and P_C are 1 in a step that serves nothing. The energy is an amount already and is not multiplied by t_step (W7).
+The sign of alpha_1 is that of `farm.reward.positioning_sign`; `RewardConstants` holds all weights with their signs.
+"""
 
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from rollout.sim.kernel.compiler.decorators import sealed
-from rollout.sim.kernel.constants import Array, FleetConstants, Indices, RewardConstants
+from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.compiler.decorators import inlined
+from rollout.sim.kernel.constants import Constants
 from rollout.sim.kernel.link import NEGLIGIBLE
 from rollout.sim.kernel.motion import safety_risk
 
-REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "idle", "motivation")
-"""The parts of a reward, in the order in which they are stored; each is weighted, and the reward is their sum."""
+POSITIONING: Final = 0
+ENERGY: Final = 1
+RISK: Final = 2
+BOUNDARY: Final = 3
+UTILITY: Final = 4
+IDLE: Final = 5
+MOTIVATION: Final = 6
+"""Columns of `parts`, in the order of `REWARD_PARTS`."""
 
 
-@sealed
-def reward_step(
-    fleet: FleetConstants,
-    weight: RewardConstants,
-    previous: Array,
-    neighbour: Indices,
-    distance: Array,
-    energy: Array,
-    outside: Array,
-    motivated: Array,
-    utility: Array,
-    service: Array,
-    earlier_service: Array,
-    parts: Array,
-    reward: NDArray[np.float32],
-) -> None:
-    """Weigh what a step did.
+@inlined
+def reward_step(c: Constants, farm: Farm, s: Scratch) -> None:
+    """Write the weighted parts of every UAV's reward into `parts` [n, K], and their sums into `reward` [n].
 
-    Every part but the energy, which is an amount already (W7), is multiplied by t_step as printed. P_M and P_C take
-    less than NEGLIGIBLE for nothing, which matters to expected delivery alone: its shares never quite reach 0.
-
-    Args:
-        fleet: the UAVs.
-        weight: alpha_1 to alpha_10 with their signs.
-        previous: [n, 2] positions before the step, m.
-        neighbour: [n] nearest UAV now.
-        distance: [n] d_U, m.
-        energy: [n] of this step, J.
-        outside: [n] ACT.
-        motivated: [n] M_V and M_D.
-        utility: [n] VMUF and DCUF of this step (W20).
-        service: [n_c] D_c(k), m.
-        earlier_service: [n_c] D_c(k-1), m.
-        parts: [n, K] out: weighted parts.
-        reward: [n] out: their sums.
+    A utility below NEGLIGIBLE counts as none. That matters in expected delivery alone, where shares never quite reach
+    0.
     """
-    seconds = fleet.seconds
-    for u in range(len(energy)):
-        risk = safety_risk(fleet, weight.closing, previous, neighbour, distance, u)
+    fleet, weight, parts, seconds = c.fleet, c.reward, farm.parts, c.fleet.seconds
+    for u in range(fleet.uavs):
         for part in range(parts.shape[1]):
             parts[u, part] = 0.0
-        parts[u, 1] = weight.energy * energy[u]
-        parts[u, 2] = weight.risk * risk * seconds
-        parts[u, 3] = weight.boundary * outside[u] * seconds
+        risk = safety_risk(fleet, weight.closing, s.previous, s.neighbour, s.distance, u)
+        parts[u, ENERGY] = weight.energy * farm.energy[u]
+        parts[u, RISK] = weight.risk * risk * seconds
+        parts[u, BOUNDARY] = weight.boundary * s.outside[u] * seconds
         if u < fleet.relays:
-            parts[u, 0] = weight.positioning * (service[u] - earlier_service[u]) * seconds
+            parts[u, POSITIONING] = weight.positioning * (farm.service[u] - s.earlier[u]) * seconds
         else:
             task = 0 if u < fleet.collectors else 1
-            parts[u, 4] = weight.utility[task] * utility[u] * seconds
-            parts[u, 5] = weight.idle[task] * seconds if utility[u] < NEGLIGIBLE else 0.0
-            parts[u, 6] = weight.motivation[task] * motivated[u] * seconds
+            parts[u, UTILITY] = weight.utility[task] * farm.utility[u] * seconds
+            parts[u, IDLE] = weight.idle[task] * seconds if farm.utility[u] < NEGLIGIBLE else 0.0
+            parts[u, MOTIVATION] = weight.motivation[task] * s.motivated[u] * seconds
         total = 0.0
         for part in range(parts.shape[1]):
             total += parts[u, part]
-        reward[u] = total
+        farm.reward[u] = total

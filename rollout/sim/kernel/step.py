@@ -1,11 +1,13 @@
-"""The simulator's entrance: the start of an episode and one step of the whole batch.
+"""The simulator's entry points: the start of an episode, the check of a step and the step itself.
 
-Order inside step k, t = k t_step: motivation judges the commanded velocity by the direction seen before the step;
-the UAVs move; relays are assigned and D_c(k) is taken at the new positions; sensors send and plots are photographed
-there, credited with AoI(t - t_step) and VDF(t - t_step); counters rise or fall; then everybody observes.
+Order inside step k, t = k t_step: motivation judges the commanded velocity by the direction seen before the step; the
+UAVs move; relays are assigned and D_c(k) is taken at the new positions; sensors send and plots are photographed there,
+credited with AoI(t - t_step) and VDF(t - t_step); counters rise or fall; then everybody observes.
+
+Every stage takes the same three records: `Constants` of the configuration, `Farm` with the state of one environment,
+and `Scratch`, which is overwritten in every step.
 """
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -13,24 +15,21 @@ from numpy.typing import NDArray
 
 from rollout.sim.kernel.arrays import Farm, Scratch, State
 from rollout.sim.kernel.camera import photograph
-from rollout.sim.kernel.compiler.argument_pack import thaw
-from rollout.sim.kernel.compiler.decorators import merged, sealed, sealed_entry, sources_digest
-from rollout.sim.kernel.compiler.prefetch import ask_for
+from rollout.sim.kernel.compiler.argument_pack import unpack
+from rollout.sim.kernel.compiler.decorators import allocation_free, allocation_free_entry, inlined
+from rollout.sim.kernel.compiler.prefetch import prefetch
 from rollout.sim.kernel.constants import Constants
 from rollout.sim.kernel.motion import find_nearest, fly
 from rollout.sim.kernel.observation import see_plots, see_relays, see_sensors
 from rollout.sim.kernel.radio import interfere, send, update_age
-from rollout.sim.kernel.relays import assign_relays, serve
+from rollout.sim.kernel.relays import assign_relays, measure_service
 from rollout.sim.kernel.rewards import reward_step
 from rollout.sim.kernel.spatial.quadrants import point_to_age, point_to_level
 from rollout.sim.kernel.spatial.tallies import tally_plots, tally_sensors, total
 
 Float32 = NDArray[np.float32]
 
-BEGIN: Final = 0
-STEP: Final = 1
-CHECK: Final = 2
-NOTHING: Final = 0
+POSSIBLE: Final = 0
 """Nothing forbids the step."""
 NOT_FINITE: Final = 1
 """An action is not finite."""
@@ -39,173 +38,74 @@ OUT_OF_TIME: Final = 2
 LARGEST: Final = np.finfo(np.float32).max
 
 
-@merged
+@inlined
 def _farm(state: State, e: int) -> Farm:
     """Return the views of one environment."""
     return Farm(
-        state.key[e],
-        state.time[e],
-        state.position[e],
-        state.direction[e],
-        state.assignment[e],
-        state.service[e],
-        state.sensor[e],
-        state.cell_start[e],
-        state.by_row[e],
-        state.row_start[e],
-        state.cycle[e],
-        state.age[e],
-        state.age_due[e],
-        state.level[e],
-        state.level_due[e],
-        state.observation[e],
-        state.reward[e],
-        state.parts[e],
-        state.energy[e],
-        state.utility[e],
-        state.served[e],
-        state.returns[e],
-        state.sums[e],
-        state.rising[e],
-        state.age_below[e],
-        state.age_above[e],
-        state.waiting[e],
-        state.level_below[e],
-        state.level_above[e],
-        state.listed[e],
-        state.quality[e],
+        key=state.key[e],
+        step=state.time[e],
+        position=state.position[e],
+        direction=state.direction[e],
+        assignment=state.assignment[e],
+        service=state.service[e],
+        sensor=state.sensor[e],
+        cell_start=state.cell_start[e],
+        by_row=state.by_row[e],
+        row_start=state.row_start[e],
+        cycle=state.cycle[e],
+        age=state.age[e],
+        age_due=state.age_due[e],
+        level=state.level[e],
+        level_due=state.level_due[e],
+        observation=state.observation[e],
+        reward=state.reward[e],
+        parts=state.parts[e],
+        energy=state.energy[e],
+        utility=state.utility[e],
+        served=state.served[e],
+        returns=state.returns[e],
+        sums=state.sums[e],
+        rising=state.rising[e],
+        age_below=state.age_below[e],
+        age_above=state.age_above[e],
+        waiting=state.waiting[e],
+        level_below=state.level_below[e],
+        level_above=state.level_above[e],
+        listed=state.listed[e],
+        quality=state.quality[e],
     )
 
 
-@merged
-def _survey(c: Constants, farm: Farm, s: Scratch, fresh: bool) -> None:
-    """Take stock at the present positions: nearest UAVs and relays."""
-    find_nearest(c.fleet, farm.position, s.x, s.y, s.peer, s.apart_square, s.neighbour, s.distance, s.crowded)
-    assign_relays(
-        c.fleet, c.relay, farm.position, s.x, s.y, fresh, s.assigning, farm.assignment, s.linked, farm.quality
-    )
-    for i in range(c.fleet.relays):
-        s.earlier[i] = farm.service[i]
-    serve(c.fleet, c.relay, farm.position, farm.assignment, farm.service, s.centroid, s.farthest, s.number, s.far)
+@inlined
+def _update_geometry(c: Constants, farm: Farm, s: Scratch, fresh: bool) -> None:
+    """Find nearest UAVs, relays and D_c at the present positions."""
+    find_nearest(c, farm, s)
+    assign_relays(c, farm, s, fresh)
+    measure_service(c, farm, s)
 
 
-@merged
+@inlined
 def _serve_tasks(c: Constants, farm: Farm, s: Scratch) -> None:
     """Photograph plots and collect data at the present positions."""
-    photograph(
-        c.fleet,
-        c.camera,
-        farm.position,
-        s.apart_square,
-        s.linked,
-        farm.step,
-        farm.rising,
-        farm.level,
-        farm.level_due,
-        farm.level_below,
-        farm.level_above,
-        farm.utility,
-        s.item,
-    )
-    interfere(c.fleet, c.radio, farm.position, farm.sensor, s.woken, s.power)
-    delivered = send(
-        c.fleet,
-        c.observation,
-        c.radio,
-        farm.position,
-        s.apart_square,
-        s.linked,
-        farm.key,
-        farm.step,
-        farm.sensor,
-        farm.cell_start,
-        s.power,
-        farm.rising,
-        farm.age,
-        farm.age_due,
-        farm.utility,
-        farm.served,
-        s.around,
-        s.square,
-        s.item,
-        s.share,
-    )
-    update_age(
-        c.fleet,
-        c.observation,
-        c.radio,
-        farm.step,
-        delivered,
-        s.item,
-        s.share,
-        farm.sensor,
-        farm.cell_start,
-        farm.rising,
-        farm.age,
-        farm.age_due,
-        farm.cycle,
-        farm.age_below,
-        farm.age_above,
-        farm.waiting,
-    )
+    photograph(c, farm, s)
+    interfere(c, farm, s)
+    delivered = send(c, farm, s)
+    update_age(c, farm, s, delivered)
 
 
-@merged
+@inlined
 def _observe(c: Constants, farm: Farm, s: Scratch) -> None:
     """Find the directions and write the row of observations."""
-    point_to_level(c.fleet, c.camera, farm.position, farm.level_below, farm.level_above, farm.direction)
-    point_to_age(
-        c.fleet,
-        c.observation,
-        farm.position,
-        farm.sensor,
-        farm.cell_start,
-        farm.by_row,
-        farm.row_start,
-        farm.age,
-        farm.age_below,
-        farm.age_above,
-        farm.direction,
-    )
-    seen = farm.observation
-    what, time = c.observation, farm.step * c.observation.per_steps
-    at = see_relays(c.fleet, what, time, farm.position, s.peer, s.neighbour, s.centroid, s.farthest, seen, 0)
-    at = see_plots(c.fleet, what, time, c.camera, farm.position, s.neighbour, farm.direction, farm.level, seen, at)
-    see_sensors(
-        c.fleet,
-        what,
-        time,
-        c.radio.level_max,
-        farm.position,
-        s.neighbour,
-        farm.direction,
-        farm.sensor,
-        farm.cell_start,
-        farm.age,
-        farm.waiting,
-        s.around,
-        s.square,
-        farm.listed,
-        s.nearest_square,
-        seen,
-        at,
-    )
+    point_to_level(c, farm)
+    point_to_age(c, farm)
+    time = farm.step * c.observation.per_steps
+    monitors = see_relays(c, farm, s, time, 0)
+    collectors = see_plots(c, farm, s, time, monitors)
+    see_sensors(c, farm, s, time, collectors)
 
 
-@sealed
-def _begin(c: Constants, farm: Farm, s: Scratch) -> None:
-    """Start an episode at the positions and levels that are in its state."""
-    tally_plots(farm.level, farm.level_below, farm.level_above)
-    tally_sensors(c.observation, farm.cell_start, farm.age, farm.age_below, farm.age_above, farm.waiting)
-    for k in range(len(farm.listed)):
-        for rank in range(c.observation.sensors):
-            farm.listed[k, rank] = rank
-    _survey(c, farm, s, True)
-    _observe(c, farm, s)
-
-
-@merged
-def _account(c: Constants, farm: Farm, s: Scratch) -> None:
+@inlined
+def _add_up(c: Constants, farm: Farm, s: Scratch) -> None:
     """Add the step to the episode's sums."""
     sums = farm.sums
     sums[0] += total(farm.age_above) / len(farm.age)
@@ -217,77 +117,85 @@ def _account(c: Constants, farm: Farm, s: Scratch) -> None:
         farm.returns[u] += farm.reward[u]
 
 
-@merged
-def _step(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
-    fly(c.fleet, c.flight, action, farm.direction, farm.position, s.previous, farm.energy, s.outside, s.motivated)
-    _survey(c, farm, s, False)
-    _serve_tasks(c, farm, s)
-    reward_step(
-        c.fleet,
-        c.reward,
-        s.previous,
-        s.neighbour,
-        s.distance,
-        farm.energy,
-        s.outside,
-        s.motivated,
-        farm.utility,
-        farm.service,
-        s.earlier,
-        farm.parts,
-        farm.reward,
-    )
+@allocation_free
+def _begin(c: Constants, farm: Farm, s: Scratch) -> None:
+    """Start an episode at the positions and levels that are in its state."""
+    tally_plots(farm.level, farm.level_below, farm.level_above)
+    tally_sensors(c.observation, farm.cell_start, farm.age, farm.age_below, farm.age_above, farm.waiting)
+    for k in range(len(farm.listed)):
+        for rank in range(c.observation.sensors):
+            farm.listed[k, rank] = rank
+    _update_geometry(c, farm, s, True)
     _observe(c, farm, s)
-    _account(c, farm, s)
 
 
-@sealed
-def _objection(farms: State, action: Float32, steps: int) -> int:
-    """Return what forbids a step, or NOTHING."""
+@inlined
+def _step(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
+    fly(c, farm, s, action)
+    _update_geometry(c, farm, s, False)
+    _serve_tasks(c, farm, s)
+    reward_step(c, farm, s)
+    _observe(c, farm, s)
+    _add_up(c, farm, s)
+
+
+@allocation_free
+def _objection(state: State, action: Float32, steps: int) -> int:
+    """Return what forbids a step of all environments, or POSSIBLE."""
     for e in range(len(action)):
-        if farms.time[e] < 0 or farms.time[e] >= steps:
+        if state.time[e] < 0 or state.time[e] >= steps:
             return OUT_OF_TIME
     finite = True
     for e in range(len(action)):
         for k in range(action.shape[1]):
             finite &= abs(action[e, k]) <= LARGEST
-    return NOTHING if finite else NOT_FINITE
+    return POSSIBLE if finite else NOT_FINITE
 
 
-def _compile_run(digest: int) -> Callable[..., int]:
-    @sealed_entry
-    def run(address: int, task: int, first: int, last: int) -> int:
-        """Work on environments; none sees another.
+@allocation_free_entry
+def begin_episode(address: int, e: int) -> None:
+    """Start the episode of environment e at the positions and levels in its state.
 
-        It is one function so that the machine code is made once.
-
-        Args:
-            address: of a frame stored by `FrozenFrame`.
-            task: BEGIN starts their episodes at the positions and levels in their state. STEP steps them with the
-                frame's actions, unchecked. CHECK steps nothing, and looks at all environments. STEP + CHECK checks all,
-                and steps only if nothing forbids it.
-            first: first environment.
-            last: one past the last.
-
-        Returns:
-            NOTHING, NOT_FINITE or OUT_OF_TIME.
-        """
-        c, state, scratch, action = thaw(address)
-        if task >= CHECK and digest > 0:
-            objection = _objection(state, action, c.fleet.steps)
-            if objection != NOTHING or task == CHECK:
-                return objection
-        for e in range(first, last):
-            if e + 1 < last:
-                ask_for(state, e + 1)
-            if task == BEGIN:
-                _begin(c, _farm(state, e), scratch)
-            else:
-                state.time[e] += 1
-                _step(c, _farm(state, e), scratch, action[e])
-        return NOTHING
-
-    return run
+    Args:
+        address: of a workspace, see `PackedArguments`.
+        e: the environment.
+    """
+    c, state, scratch, _ = unpack(address)
+    _begin(c, _farm(state, e), scratch)
 
 
-run = _compile_run(sources_digest())
+@allocation_free_entry
+def check_step(address: int) -> int:
+    """Return what forbids a step of all environments with the workspace's actions: NOT_FINITE, OUT_OF_TIME or POSSIBLE.
+
+    Args:
+        address: of a workspace.
+    """
+    c, state, _, action = unpack(address)
+    return _objection(state, action, c.fleet.steps)
+
+
+@allocation_free_entry
+def step_range(address: int, first: int, last: int, check: bool) -> int:
+    """Step environments `first` to `last` - 1 with the workspace's actions; none sees another.
+
+    Args:
+        address: of a workspace.
+        first: first environment.
+        last: one past the last.
+        check: whether to do what `check_step` does first, and to step nothing if something forbids it.
+
+    Returns:
+        NOT_FINITE, OUT_OF_TIME or POSSIBLE.
+    """
+    c, state, scratch, action = unpack(address)
+    if check:
+        objection = _objection(state, action, c.fleet.steps)
+        if objection != POSSIBLE:
+            return objection
+    for e in range(first, last):
+        if e + 1 < last:
+            prefetch(state, e + 1)
+        state.time[e] += 1
+        _step(c, _farm(state, e), scratch, action[e])
+    return POSSIBLE

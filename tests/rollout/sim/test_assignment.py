@@ -12,7 +12,7 @@ from rollout.sim.batch import FarmBatch
 from rollout.sim.kernel.assignment.exchanges import make_exchanges, settle
 from rollout.sim.kernel.assignment.hungarian import assign
 from rollout.sim.kernel.compiler.decorators import compiled
-from rollout.sim.kernel.compiler.logarithm import logarithm
+from rollout.sim.kernel.compiler.logarithm import vectorisable_log
 from rollout.sim.layout import make_layout
 from rollout.sim.reference import ReferenceFarm
 
@@ -108,7 +108,7 @@ def test_the_logarithm_is_the_library_s():
     @compiled
     def logarithms(numbers, found):
         for k in range(len(numbers)):
-            found[k] = logarithm(numbers[k])
+            found[k] = vectorisable_log(numbers[k])
 
     found = np.empty_like(given)
     logarithms(given, found)

@@ -11,7 +11,8 @@ import pytest
 from common.config import CameraConfig, FarmConfig, RadioConfig, RelayConfig, WorldConfig
 from common.errors import SimulationError
 from rollout.sim.batch import FarmBatch, start_positions
-from rollout.sim.kernel.compiler.decorators import sealed
+from rollout.sim.kernel.compiler import decorators
+from rollout.sim.kernel.compiler.decorators import allocation_free, compiled_entry, sources_digest
 from rollout.sim.kernel.radio import draw
 from rollout.sim.reference import packet_draw
 
@@ -128,12 +129,27 @@ def test_a_step_keeps_no_memory():
 def test_what_allocates_does_not_compile():
     """The kernel's functions are compiled without the allocating runtime, so an array made in a step is refused."""
 
-    @sealed
+    @allocation_free
     def allocate(count: int) -> float:
         return np.zeros(count)[0]
 
     with pytest.raises(numba.errors.NumbaError):
         allocate(3)
+
+
+def test_machine_code_is_compiled_anew_when_a_source_changes(monkeypatch):
+    """The key of an entry's machine code on disk holds the digest of all kernel sources, not only of its own file."""
+
+    @compiled_entry
+    def twice(number: int) -> int:
+        return 2 * number
+
+    assert twice(3) == 6
+    codegen = numba.core.registry.cpu_target.target_context.codegen()
+    before = twice._cache._index_key(twice.signatures[0], codegen)
+    assert sources_digest() in before
+    monkeypatch.setattr(decorators, "sources_digest", lambda: "another")
+    assert twice._cache._index_key(twice.signatures[0], codegen) != before
 
 
 def test_actions_may_be_read_only_and_strided():

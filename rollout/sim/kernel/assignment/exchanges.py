@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.compiler.decorators import sealed
+from rollout.sim.kernel.compiler.decorators import allocation_free
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -66,7 +66,7 @@ def make_exchanges(rows: int, columns: int) -> Exchanges:
     )
 
 
-@sealed
+@allocation_free
 def settle(pair: Array, chosen: Indices, capacity: int, work: Exchanges) -> bool:
     """Improve an assignment until no round of exchanges does; return whether it is now the only best one.
 
@@ -91,7 +91,7 @@ def settle(pair: Array, chosen: Indices, capacity: int, work: Exchanges) -> bool
     return False
 
 
-@sealed
+@allocation_free
 def _list_rows(chosen: Indices, work: Exchanges) -> None:
     """List each column's rows."""
     for column in range(len(work.load)):
@@ -102,7 +102,7 @@ def _list_rows(chosen: Indices, work: Exchanges) -> None:
         work.load[column] += 1
 
 
-@sealed
+@allocation_free
 def _find_exchanges(pair: Array, capacity: int, work: Exchanges, column: int, nodes: int) -> None:
     """Find the least cost of moving one row from a column to each other column, and the column's arcs of the room."""
     columns, has_room = len(work.load), work.load[column] < capacity
@@ -126,7 +126,7 @@ def _find_exchanges(pair: Array, capacity: int, work: Exchanges, column: int, no
         work.cost[columns, columns] = math.inf
 
 
-@sealed
+@allocation_free
 def _lower_prices(work: Exchanges, nodes: int) -> bool:
     """Let no price exceed another by more than the exchange costs; return whether any node was looked at again."""
     looked = False
@@ -142,7 +142,7 @@ def _lower_prices(work: Exchanges, nodes: int) -> bool:
     return looked
 
 
-@sealed
+@allocation_free
 def _improve(pair: Array, chosen: Indices, capacity: int, work: Exchanges, nodes: int) -> bool:
     """Go round every cycle by which prices fell; return False if one of them saves nothing."""
     found = False
@@ -168,7 +168,7 @@ def _improve(pair: Array, chosen: Indices, capacity: int, work: Exchanges, nodes
     return True
 
 
-@sealed
+@allocation_free
 def _go_round(chosen: Indices, work: Exchanges, last: int) -> bool:
     """Make the exchanges of the cycle through a node, and mark its nodes; return False if that saves nothing."""
     columns, saved, node = len(work.load), 0.0, last

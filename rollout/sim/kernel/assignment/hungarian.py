@@ -5,11 +5,11 @@ The scan order is that of `scipy.optimize.linear_sum_assignment` (Crouse 2016), 
 
 import math
 
-from rollout.sim.kernel.compiler.decorators import sealed
+from rollout.sim.kernel.compiler.decorators import allocation_free
 from rollout.sim.kernel.constants import Array, Indices
 
 
-@sealed
+@allocation_free
 def _augment(
     cost: Array, numbers: Array, owner: Indices, path: Indices, reached: Indices, todo: Indices, row: int
 ) -> tuple[int, float]:
@@ -41,7 +41,7 @@ def _augment(
     return sink, length
 
 
-@sealed
+@allocation_free
 def assign(cost: Array, numbers: Array, indices: Indices, chosen: Indices) -> None:
     """Give each row a column of its own so that the sum of costs is least.
 

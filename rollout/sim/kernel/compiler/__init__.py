@@ -1,1 +1,6 @@
-"""How the kernel is compiled: decorators, packed arguments, prefetching and a vectorisable logarithm."""
+"""What makes the simulator fast beyond plain compiled Python, one module each.
+
+`decorators`: how functions are compiled, and the key of the machine code on disk. `argument_pack`: arguments unpacked
+once, not at every call. `prefetch`: memory of the next environment, requested early. `logarithm`: a logarithm that the
+compiler can vectorise.
+"""

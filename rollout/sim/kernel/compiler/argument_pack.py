@@ -1,7 +1,7 @@
 """Arguments that are unpacked once, not at every call.
 
-Taking some sixty arrays and a hundred numbers out of Python objects costs more than a step of a farm. So a frame is
-turned once into the machine's own form and stored, and the simulator's entrance only gets its address.
+Unpacking some sixty arrays and a hundred numbers from Python objects costs more than a step of a farm. So a workspace
+is written to memory once, in the form in which compiled code holds it, and entry points take its address alone.
 """
 
 import copy
@@ -16,96 +16,90 @@ from numba.extending import intrinsic
 from common.config import FarmConfig
 from common.errors import SimulationError
 from common.team import farm_team
-from rollout.sim.kernel.arrays import Frame, make_scratch, make_state
-from rollout.sim.kernel.compiler.decorators import sealed_entry, sources_digest
+from rollout.sim.kernel.arrays import Workspace, make_scratch, make_state
+from rollout.sim.kernel.compiler.decorators import allocation_free_entry
 from rollout.sim.kernel.constants import constants
 from rollout.sim.layout import cell_counts
 
 
-def make_frame(config: FarmConfig, environments: int) -> Frame:
-    """Allocate a frame."""
+def make_workspace(config: FarmConfig, environments: int) -> Workspace:
+    """Allocate a workspace."""
     action = np.zeros((environments, farm_team(config).action_size), np.float32)
-    return Frame(
+    return Workspace(
         constants(config, cell_counts(config.world)), make_state(config, environments), make_scratch(config), action
     )
 
 
 typeof: Final[Callable[[Any], Any]] = numba.typeof
-FRAME: Final = typeof(make_frame(FarmConfig(), 1))
-"""The compiler's type of every frame."""
+WORKSPACE: Final = typeof(make_workspace(FarmConfig(), 1))
+"""The compiler's type of every workspace."""
 
 
-def _type_size(typing: Any, frame: Any) -> Any:
-    """Return how many bytes a frame takes."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return context.get_constant(types.int64, context.get_abi_sizeof(context.get_value_type(FRAME)))
-
-    return types.int64(frame), generate
-
-
-def _type_store(typing: Any, address: Any, frame: Any) -> Any:
-    """Write a frame to an address."""
+def _type_size(typing: Any, workspace: Any) -> Any:
+    """Return how many bytes a workspace takes."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = context.get_value_type(FRAME).as_pointer()
+        return context.get_constant(types.int64, context.get_abi_sizeof(context.get_value_type(WORKSPACE)))
+
+    return types.int64(workspace), generate
+
+
+def _type_store(typing: Any, address: Any, workspace: Any) -> Any:
+    """Write a workspace to an address."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place = context.get_value_type(WORKSPACE).as_pointer()
         builder.store(arguments[1], builder.inttoptr(arguments[0], place))
         return context.get_dummy_value()
 
-    return types.void(types.int64, frame), generate
+    return types.void(types.int64, workspace), generate
 
 
-def _type_thaw(typing: Any, address: Any) -> Any:
-    """Return the frame at an address. The arrays are borrowed: whoever froze them must keep them."""
+def _type_unpack(typing: Any, address: Any) -> Any:
+    """Return the workspace at an address. Its arrays are borrowed: `PackedArguments` keeps them alive."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = context.get_value_type(FRAME).as_pointer()
+        place = context.get_value_type(WORKSPACE).as_pointer()
         return builder.load(builder.inttoptr(arguments[0], place))
 
-    return FRAME(types.int64), generate
+    return WORKSPACE(types.int64), generate
 
 
-_size: Final = cast(Callable[[Frame], int], intrinsic(_type_size))
-_store: Final = cast(Callable[[int, Frame], None], intrinsic(_type_store))
-thaw: Final = cast(Callable[[int], Frame], intrinsic(_type_thaw))
+_size: Final = cast(Callable[[Workspace], int], intrinsic(_type_size))
+_store: Final = cast(Callable[[int, Workspace], None], intrinsic(_type_store))
+unpack: Final = cast(Callable[[int], Workspace], intrinsic(_type_unpack))
 
 
-def _compile_freeze(digest: int) -> Any:
-    @sealed_entry
-    def freeze(frame: Frame, address: int) -> int:
-        """Write a frame to an address unless that is 0; return how many bytes it takes."""
-        if address != 0 and digest > 0:
-            _store(address, frame)
-        return _size(frame)
-
-    return freeze
+@allocation_free_entry
+def _pack(workspace: Workspace, address: int) -> int:
+    """Write a workspace to an address unless that is 0; return how many bytes it takes."""
+    if address != 0:
+        _store(address, workspace)
+    return _size(workspace)
 
 
-_freeze = _compile_freeze(sources_digest())
-
-
-class FrozenFrame:
-    """A frame in the machine's own form.
+class PackedArguments:
+    """A workspace in the form in which compiled code holds it.
 
     Args:
-        frame: what to store; it is kept, so that its arrays live as long as this object.
+        workspace: what to pack; it is kept, so that its arrays live as long as this object.
 
     Attributes:
-        frame: what is stored.
-        address: where.
+        workspace: what is packed.
+        address: where it is, for the entry points.
 
     Raises:
-        SimulationError: an array has another type than every frame.
+        SimulationError: an array has another type than in every workspace.
     """
 
-    def __init__(self, frame: Frame) -> None:
-        if typeof(frame) != FRAME:
+    def __init__(self, workspace: Workspace) -> None:
+        if typeof(workspace) != WORKSPACE:
             raise SimulationError("the simulator's arrays have types that it was not compiled for.")
-        self.frame = frame
-        self._memory = np.zeros(_freeze(frame, 0) // 8 + 1, np.int64)
+        self.workspace = workspace
+        self._memory = np.zeros(_pack(workspace, 0) // 8 + 1, np.int64)
         self.address: int = self._memory.ctypes.data
-        _freeze(frame, self.address)
+        _pack(workspace, self.address)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> "FrozenFrame":
-        """Return a frame of copied arrays: the stored form points at arrays and cannot be copied as bytes."""
-        return FrozenFrame(copy.deepcopy(self.frame, memo))
+    def __deepcopy__(self, memo: dict[int, Any]) -> "PackedArguments":
+        """Return the arguments of a copied workspace: packed bytes point at arrays and cannot be copied as they are."""
+        return PackedArguments(copy.deepcopy(self.workspace, memo))

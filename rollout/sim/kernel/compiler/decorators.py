@@ -1,5 +1,16 @@
-"""The one way in which the simulator's functions are compiled."""
+"""How the simulator's functions are compiled.
 
+    @compiled                a function that other compiled functions call
+    @allocation_free         the same, and the compiler refuses it if it could allocate memory
+    @inlined                 the same, copied into its callers: for functions that take whole records
+    @compiled_entry          a function that Python calls; its machine code is kept on disk
+    @allocation_free_entry   the same, allocation-free
+
+Numba keys the machine code on disk by the file of the entry alone, not by those of the functions that it calls. The two
+entry decorators add a digest of all kernel sources to that key, so a change anywhere compiles the entries anew.
+"""
+
+import functools
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +22,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 STRICT: Final[dict[str, Any]] = {"nogil": True, "fastmath": False, "error_model": "numpy"}
 """Strict arithmetic, so that results are bit-equal everywhere."""
-SEALED: Final[dict[str, Any]] = {**STRICT, "_nrt": False}
+ALLOCATION_FREE: Final[dict[str, Any]] = {**STRICT, "_nrt": False}
 """Without the compiler's runtime: what would allocate memory or count references is refused by the compiler."""
 
 
@@ -20,33 +31,38 @@ def compiled(function: Function) -> Function:
     return cast(Function, numba.njit(**STRICT)(function))
 
 
-def sealed(function: Function) -> Function:
+def allocation_free(function: Function) -> Function:
     """Compile a function of the step, which must not allocate."""
-    return cast(Function, numba.njit(**SEALED)(function))
+    return cast(Function, numba.njit(**ALLOCATION_FREE)(function))
 
 
-def merged(function: Function) -> Function:
-    """Compile a sealed function into those that call it: for those that get a whole farm, which is much to pass."""
-    return cast(Function, numba.njit(inline="always", **SEALED)(function))
+def inlined(function: Function) -> Function:
+    """Copy an allocation-free function into those that call it; passing whole records would cost more than it does."""
+    return cast(Function, numba.njit(inline="always", **ALLOCATION_FREE)(function))
 
 
 def compiled_entry(function: Function) -> Function:
-    """Compile a function that Python calls, and keep the machine code on disk.
-
-    The function must be a closure over `sources_digest()`: the compiler's cache looks at the entry's own file and
-    at what it closes over, but not at the files of the functions that it calls.
-    """
-    return cast(Function, numba.njit(cache=True, **STRICT)(function))
+    """Compile a function that Python calls, and keep the machine code on disk."""
+    return cast(Function, _keyed_by_sources(numba.njit(cache=True, **STRICT)(function)))
 
 
-def sealed_entry(function: Function) -> Function:
-    """Do both: keep the machine code on disk, and refuse to allocate."""
-    return cast(Function, numba.njit(cache=True, **SEALED)(function))
+def allocation_free_entry(function: Function) -> Function:
+    """Do the same with a function that must not allocate."""
+    return cast(Function, _keyed_by_sources(numba.njit(cache=True, **ALLOCATION_FREE)(function)))
 
 
-def sources_digest() -> int:
-    """Return a number above 0 that changes with any source of the kernel."""
+def _keyed_by_sources(dispatcher: Any) -> Any:
+    """Add the digest of all kernel sources to the key of a function's machine code on disk."""
+    cache = dispatcher._cache
+    plain_key = cache._index_key
+    cache._index_key = lambda signature, codegen: (*plain_key(signature, codegen), sources_digest())
+    return dispatcher
+
+
+@functools.cache
+def sources_digest() -> str:
+    """Return a digest of all sources of the kernel."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())
-    return 1 + int.from_bytes(digest.digest()[:7], "little")
+    return digest.hexdigest()

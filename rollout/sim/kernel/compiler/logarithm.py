@@ -8,7 +8,7 @@ import numpy as np
 from numba.core import types
 from numba.extending import intrinsic
 
-from rollout.sim.kernel.compiler.decorators import sealed
+from rollout.sim.kernel.compiler.decorators import allocation_free
 
 MANTISSA: Final = 52
 """Bits of a float64's fraction."""
@@ -36,8 +36,8 @@ _bits: Final = cast(Callable[[float], int], _reinterpreted(types.float64, types.
 _number: Final = cast(Callable[[int], float], _reinterpreted(types.int64, types.float64))
 
 
-@sealed
-def logarithm(x: float) -> float:
+@allocation_free
+def vectorisable_log(x: float) -> float:
     """Return ln x of a finite x from 1 on, to 1e-13 of 1 + ln x.
 
     x = 2^k m with m from sqrt(1/2) to sqrt(2); ln m = 2 artanh z with z = (m - 1) / (m + 1), by its series.

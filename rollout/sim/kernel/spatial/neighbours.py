@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from rollout.sim.kernel.compiler.decorators import sealed
+from rollout.sim.kernel.compiler.decorators import allocation_free
 from rollout.sim.kernel.constants import Array, FleetConstants, Indices, Int32, ObservationConstants
 
 ALL: Final = 0
@@ -16,13 +16,13 @@ WAITING: Final = 0.5
 """AoI from which on a sensor counts as holding data; without expected delivery AoI is a whole number."""
 
 
-@sealed
+@allocation_free
 def cell_of(share: float, cells: int) -> int:
     """Return the cell at a share of the axis, by the very product with which the layout numbers sensors."""
     return int(min(cells - 1.0, max(0.0, share * cells)))
 
 
-@sealed
+@allocation_free
 def is_nearest(
     position: Array, apart_square: Array, first: int, last: int, u: int, x: float, y: float, square: float
 ) -> bool:
@@ -51,7 +51,7 @@ def is_nearest(
     return True
 
 
-@sealed
+@allocation_free
 def gather(
     seen: ObservationConstants,
     block: tuple[int, int, int, int],
@@ -99,7 +99,7 @@ def gather(
     return found
 
 
-@sealed
+@allocation_free
 def block_around(
     fleet: FleetConstants, seen: ObservationConstants, x: float, y: float, reach: float
 ) -> tuple[int, int, int, int]:
@@ -112,7 +112,7 @@ def block_around(
     )
 
 
-@sealed
+@allocation_free
 def nearest_sensors(
     fleet: FleetConstants,
     seen: ObservationConstants,
@@ -171,7 +171,7 @@ def nearest_sensors(
         limit *= 2.0
 
 
-@sealed
+@allocation_free
 def _select(around: Indices, square: Array, found: int, wanted: int, nearest: Indices, nearest_square: Array) -> int:
     """Write those of a list by rising number that have the least squares, in rising order; return how many."""
     held = 0

@@ -7,8 +7,9 @@ sums the first wins; where every sum is 0 there is no direction.
 import math
 from typing import Final
 
-from rollout.sim.kernel.compiler.decorators import sealed
-from rollout.sim.kernel.constants import Array, CameraConstants, FleetConstants, Int32, ObservationConstants
+from rollout.sim.kernel.arrays import Farm
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from rollout.sim.kernel.constants import Array, Constants, Int32, ObservationConstants
 from rollout.sim.kernel.spatial.neighbours import cell_of
 
 DIAGONAL: Final = math.sqrt(0.5)
@@ -18,7 +19,7 @@ CLEAR: Final = 1e-6
 """By how much a sum must lead to need no closer look, AoI; more than rounding can make."""
 
 
-@sealed
+@allocation_free
 def diagonal(sums: tuple[float, float, float, float]) -> tuple[float, float]:
     """Return the unit diagonal towards the largest sum, (0, 0) if all four are 0."""
     best, most = 0, sums[0]
@@ -29,38 +30,24 @@ def diagonal(sums: tuple[float, float, float, float]) -> tuple[float, float]:
     return length if best in (0, 3) else -length, length if best in (0, 1) else -length
 
 
-@sealed
-def point_to_age(
-    fleet: FleetConstants,
-    seen: ObservationConstants,
-    position: Array,
-    sensor: Array,
-    cell_start: Int32,
-    by_row: Int32,
-    row_start: Int32,
-    age: Array,
-    below: Array,
-    above: Array,
-    direction: Array,
-) -> None:
-    """Write D_AoI of every data collection UAV.
+@inlined
+def point_to_age(c: Constants, farm: Farm) -> None:
+    """Write D_AoI of every data collection UAV into `direction`.
 
-    Whole cells are summed first. Only if those in the UAV's own column and row of cells, which its quadrants divide,
-    could change which sum is largest, their sensors are looked at.
-
-    Args:
-        fleet: the UAVs.
-        seen: the sensor cells.
-        position: [n, 2] m.
-        sensor: [2, S] m.
-        cell_start: first sensor of each cell.
-        by_row: [S] the sensors row by row of cells.
-        row_start: [cells + 1] where each cell's begin in that list, row by row.
-        age: [S] AoI.
-        below: [cells_y + 1, cells_x] AoI in the cells below each row.
-        above: [cells_y + 1, cells_x] AoI in the cells of each row and above.
-        direction: [n, 2] out.
+    Whole cells are summed first, by the tally of AoI. A UAV's quadrants divide only the cells of its own column and
+    row; their sensors are looked at only where they could change which sum is largest.
     """
+    fleet, seen, position, sensor, cell_start, by_row, row_start, age = (
+        c.fleet,
+        c.observation,
+        farm.position,
+        farm.sensor,
+        farm.cell_start,
+        farm.by_row,
+        farm.row_start,
+        farm.age,
+    )
+    below, above, direction = farm.age_below, farm.age_above, farm.direction
     for u in range(fleet.collectors, fleet.uavs):
         x, y = position[u, 0], position[u, 1]
         i, k = cell_of(x / fleet.width, seen.cells_x), cell_of(y / fleet.depth, seen.cells_y)
@@ -82,7 +69,7 @@ def point_to_age(
         direction[u, 0], direction[u, 1] = diagonal(sums)
 
 
-@sealed
+@allocation_free
 def _decided(sums: tuple[float, float, float, float], more: tuple[float, float, float, float]) -> bool:
     """Return whether one sum stays larger than all others, whatever of `more` is added to each."""
     best = 0
@@ -95,7 +82,7 @@ def _decided(sums: tuple[float, float, float, float], more: tuple[float, float, 
     return rival < sums[best]
 
 
-@sealed
+@allocation_free
 def _divide(
     seen: ObservationConstants,
     x: float,
@@ -138,20 +125,11 @@ def _divide(
     return northeast, northwest, southwest, southeast
 
 
-@sealed
-def point_to_level(
-    fleet: FleetConstants, camera: CameraConstants, position: Array, below: Array, above: Array, direction: Array
-) -> None:
-    """Write D_VDF of every monitoring UAV, from the VDF at the plot centres in each quadrant.
-
-    Args:
-        fleet: the UAVs.
-        camera: the plots.
-        position: [n, 2] m.
-        below: [n_py + 1, n_px] VDF of the plots below each row.
-        above: [n_py + 1, n_px] VDF of the plots of each row and above.
-        direction: [n, 2] out.
-    """
+@inlined
+def point_to_level(c: Constants, farm: Farm) -> None:
+    """Write D_VDF of every monitoring UAV into `direction`, from the VDF at the plot centres in each quadrant."""
+    fleet, camera, position, direction = c.fleet, c.camera, farm.position, farm.direction
+    below, above = farm.level_below, farm.level_above
     for u in range(fleet.relays, fleet.collectors):
         i = _first_centre(position[u, 0], camera.plot_width, camera.plots_x)
         j = _first_centre(position[u, 1], camera.plot_depth, camera.plots_y)
@@ -165,7 +143,7 @@ def point_to_level(
         direction[u, 0], direction[u, 1] = diagonal((northeast, northwest, southwest, southeast))
 
 
-@sealed
+@allocation_free
 def _first_centre(place: float, size: float, plots: int) -> int:
     """Return the first plot along an axis whose centre does not lie before a place."""
     first = int(min(float(plots), max(0.0, math.floor(place / size - 0.5))))

@@ -5,12 +5,12 @@ that over row r and all rows over it. A quadrant's sum is then that of a piece o
 numbers unless delivery is expected, so that adding to a tally leaves the very sums that a fresh count would give.
 """
 
-from rollout.sim.kernel.compiler.decorators import sealed
+from rollout.sim.kernel.compiler.decorators import allocation_free
 from rollout.sim.kernel.constants import Array, FleetConstants, Indices, Int32, ObservationConstants
 from rollout.sim.kernel.spatial.neighbours import WAITING, cell_of
 
 
-@sealed
+@allocation_free
 def add(below: Array, above: Array, column: int, row: int, amount: float) -> None:
     """Let what lies at a place of the grid grow by an amount."""
     for r in range(row + 1, len(below)):
@@ -19,7 +19,7 @@ def add(below: Array, above: Array, column: int, row: int, amount: float) -> Non
         above[r, column] += amount
 
 
-@sealed
+@allocation_free
 def _accumulate(below: Array, above: Array) -> None:
     """Turn what each place holds, given in `above`, into the tally."""
     rows, columns = len(above) - 1, above.shape[1]
@@ -33,7 +33,7 @@ def _accumulate(below: Array, above: Array) -> None:
             above[r, column] += above[r + 1, column]
 
 
-@sealed
+@allocation_free
 def tally_plots(level: Array, below: Array, above: Array) -> None:
     """Count VDF [n_px, n_py] afresh."""
     for column in range(level.shape[0]):
@@ -42,7 +42,7 @@ def tally_plots(level: Array, below: Array, above: Array) -> None:
     _accumulate(below, above)
 
 
-@sealed
+@allocation_free
 def tally_sensors(
     seen: ObservationConstants, cell_start: Int32, age: Array, below: Array, above: Array, waiting: Indices
 ) -> None:
@@ -58,7 +58,7 @@ def tally_sensors(
     _accumulate(below, above)
 
 
-@sealed
+@allocation_free
 def add_sensor(
     fleet: FleetConstants,
     seen: ObservationConstants,
@@ -76,7 +76,7 @@ def add_sensor(
     waiting[0] += holders
 
 
-@sealed
+@allocation_free
 def total(above: Array) -> float:
     """Return the sum over the whole grid."""
     amount = 0.0

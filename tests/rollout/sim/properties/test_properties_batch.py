@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from common.config import FarmConfig
 from common.transitions import EpisodeSummary
 from rollout.sim.batch import FarmBatch
-from rollout.sim.kernel.step import run
+from rollout.sim.kernel.step import step_range
 from tests.rollout.sim.course import STARTING, STEPPING, begin, fly
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, switches, worlds
 
@@ -86,7 +86,7 @@ def test_the_same_seeds_fly_the_same(flight):
     for name in (*STARTING, *STEPPING):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
     assert first.summary == again.summary
-    assert len(run.signatures) == 1
+    assert len(step_range.signatures) == 1
 
 
 def literals_and_booleans() -> list[tuple[str, str, object]]:

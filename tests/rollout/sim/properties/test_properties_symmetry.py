@@ -13,8 +13,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common.action_adapters import SIGNS
 from common.config import FarmConfig
-from common.team import SIGNS, farm_team
+from common.team import farm_team
 from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_levels
 from rollout.sim.layout import Layout
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, placed, renumbered, worlds
