@@ -148,9 +148,12 @@ def test_counters_rise_by_one_when_due_and_else_only_fall(flight):
 @given(flights())
 def test_counters_fall_only_where_a_uav_could_serve_them(flight):
     """Served means: by the nearest UAV of the right kind, near enough, with its relay in range; then it also must."""
-    for tally in tallies(fly(flight)):
+    course = fly(flight)
+    for index, tally in enumerate(tallies(course)):
         assert not ((tally.share > 0.0) & ~tally.possible.any(axis=1)).any()
-        assert (tally.after[tally.certain.any(axis=1)] == 0.0).all()
+        # In expected delivery a chance that rounds to just below 1 leaves a rest.
+        rest = 0.0 if whole(course, index) else 1e-9
+        assert (tally.after[tally.certain.any(axis=1)] <= rest).all()
 
 
 @dose(40)
