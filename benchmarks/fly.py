@@ -20,9 +20,9 @@ import tyro
 
 from common.config import FarmConfig
 from common.errors import EiaSecError
+from common.farm import farm_team
 from common.protocol import keys
 from common.protocol.messages import MetricMessage
-from common.team import farm_team
 from common.transport.bus import Bus, Subscription
 from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.exit_codes import run_command

@@ -9,30 +9,17 @@ import hashlib
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from common.action_adapters import ActionAdapter, Lattice, MirroredAxes, adapter_from_dict, adapter_to_dict
-from common.config import FarmConfig
 from common.config.checks import within
-from common.config.control import Control
 from common.errors import ConfigError, SchemaError
 from common.names import check_name
 
 Float32 = NDArray[np.float32]
-
-COMMUNICATION: Final = "communication"
-MONITORING: Final = "monitoring"
-COLLECTION: Final = "collection"
-LETTERS: Final = {COMMUNICATION: "c", MONITORING: "m", COLLECTION: "d"}
-"""The farm's types by the paper's letters."""
-
-COMMUNICATION_OBSERVATION: Final = 17
-"""Own (x, y); nearest relay, relay centroid, served centroid, farthest served, nearest UAV as (dx, dy, distance)."""
-TASK_OBSERVATION: Final = 7
-"""Besides plots and sensors: own (x, y); D_VDF or D_AoI (x, y); nearest UAV as (dx, dy, distance)."""
 
 
 @dataclass(frozen=True)
@@ -234,32 +221,3 @@ class TeamSpec:
 def _slices(sizes: list[int]) -> tuple[slice, ...]:
     ends = np.cumsum([0, *sizes]).tolist()
     return tuple(slice(a, b) for a, b in itertools.pairwise(ends))
-
-
-def farm_team(farm: FarmConfig) -> TeamSpec:
-    """Return the team of a farm: communication, monitoring and data collection UAVs, in that order."""
-    per_sensor = 1 if farm.observation.form == "printed" else 3
-    seen = farm.observation
-    plots, sensors = seen.window**2 + 2 * seen.lattice, per_sensor * seen.sensors
-    sizes = (
-        (COMMUNICATION, farm.world.communication_uavs, COMMUNICATION_OBSERVATION, farm.control.communication),
-        (MONITORING, farm.world.monitoring_uavs, TASK_OBSERVATION + plots, farm.control.monitoring),
-        (COLLECTION, farm.world.collection_uavs, TASK_OBSERVATION + sensors, farm.control.collection),
-    )
-    return TeamSpec(
-        tuple(
-            GroupSpec(name, count, size + 2 * seen.mirrored + _self(farm, count), 2, _adapters(farm, control))
-            for name, count, size, control in sizes
-        )
-    )
-
-
-def _adapters(farm: FarmConfig, control: Control) -> tuple[ActionAdapter, ...]:
-    """Return the adapters of UAVs with that control; raise ConfigError for UAVs too slow for any lattice."""
-    lattice = (Lattice.spanning(*farm.world.reach),) if control == "lattice" else ()
-    return (*lattice, *((MirroredAxes(),) if farm.observation.mirrored else ()))
-
-
-def _self(farm: FarmConfig, count: int) -> int:
-    """Return how many numbers of an observation say which agent it is and what time it is."""
-    return count * farm.observation.identity + farm.observation.clock

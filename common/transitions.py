@@ -30,10 +30,6 @@ _WHOLE: Final = re.compile(
 
 LARGEST: Final = 1e7
 """Largest size of a number in a row: observations are of about 1, rewards of some hundreds."""
-FARM_METRICS: Final = ("aoi", "vdf", "collisions", "boundary", "energy_j")
-"""Of a farm's episode: mean AoI over sensors and steps and mean VDF over plots and steps, units; UAV steps spent closer
-than the collision distance to a UAV of the same plane; UAV steps that ran against the field's edge; energy of all
-UAVs, J."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +82,7 @@ class EpisodeSummary:
         episode: the episode's seed.
         steps: environment steps.
         reward: [agents] sum of each agent's rewards.
-        metrics: the episode metrics of the environment, by name; the same names for every episode. The farm's are
-            FARM_METRICS.
+        metrics: the environment's episode metrics, by name; the same names for every episode.
     """
 
     farm: int

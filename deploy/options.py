@@ -16,6 +16,7 @@ from common.config.files import from_toml
 from common.config.presets import PRESETS
 from common.config.sites import Sites
 from common.errors import ConfigError, UsageError
+from common.farm import require_farm
 from deploy.local.run_directory import RunDirectory
 from rollout.farm_files import read_farm
 
@@ -25,6 +26,9 @@ SHORT: Final = {"--env": "--env.name", "--algorithm": "--algorithm.name"}
 """Options by a shorter name."""
 
 _REGISTRY: Final = ConstructorRegistry()
+
+
+NO_FARM: Final = "--farm-file brings sensors for the farm, and this run is about {}."
 
 
 @_REGISTRY.struct_rule
@@ -48,9 +52,7 @@ def base_configuration(arguments: Sequence[str], default: str = "default") -> Ru
 
 def with_farm_file(config: RunConfig, path: Path) -> RunConfig:
     """Return the configuration with the sensors and the field of a farm file; raise ConfigError for its mistakes."""
-    if not config.env.is_farm:
-        raise ConfigError(f"--farm-file brings sensors for the farm, and this run is about {config.env.name}.")
-    return replace(config, farm=read_farm(path).on(config.farm))
+    return replace(config, farm=read_farm(path).on(require_farm(config, NO_FARM)))
 
 
 def require_env(config: RunConfig, named: str | None) -> None:
@@ -61,7 +63,7 @@ def require_env(config: RunConfig, named: str | None) -> None:
     Raises:
         UsageError: it is about such an environment.
     """
-    if not config.env.is_farm and config.env.name != named:
+    if config.env.is_third_party and config.env.name != named:
         raise UsageError(f"this run is about {config.env.name}, whose code is run only with --env {config.env.name}.")
 
 
@@ -101,8 +103,8 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
             spelt = _spelt_out(kind, arguments)
             parsed = tyro.cli(kind, args=spelt, prog=f"eia-sec {name}", default=default, registry=_REGISTRY)
         settings = getattr(parsed, "settings", None)
-        if isinstance(settings, RunConfig) and not settings.env.is_farm and _value_of(arguments, "--farm-file"):
-            raise UsageError(f"--farm-file brings sensors for the farm, and this run is about {settings.env.name}.")
+        if isinstance(settings, RunConfig) and _value_of(arguments, "--farm-file"):
+            require_farm(settings, NO_FARM)
         return cast(T, parsed)
     except SystemExit as stop:
         if stop.code in (0, None):

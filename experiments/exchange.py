@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.config.presets import PRESETS
-from common.team import COLLECTION, MONITORING, Float32, farm_team
+from common.farm import COLLECTION, MONITORING, farm_team
+from common.team import Float32
 from deploy.reports.provenance import provenance
 from experiments.reporting import farm_range, tell
 from rollout.evaluation import episode_seed

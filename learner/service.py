@@ -8,6 +8,7 @@ import torch
 
 from common.config import RunConfig
 from common.config.files import to_toml
+from common.environment import EnvironmentSpec
 from common.errors import BusError, EiaSecError, UsageError
 from common.history import History
 from common.imitation import ImitationEvent
@@ -51,7 +52,7 @@ class Learner:
     Args:
         options: how to start.
         config: the run.
-        team: the layout of the team.
+        environment: the run's environment.
         control: the control lane.
         bulk: the bulk lane, on which chunks arrive.
 
@@ -59,8 +60,10 @@ class Learner:
         trainer: networks, replay and counters.
     """
 
-    def __init__(self, options: LearnerOptions, config: RunConfig, team: TeamSpec, control: Bus, bulk: Bus) -> None:
-        self._options = options
+    def __init__(
+        self, options: LearnerOptions, config: RunConfig, environment: EnvironmentSpec, control: Bus, bulk: Bus
+    ) -> None:
+        self._options, team = options, environment.team
         warm_up(config, team)
         self.trainer = Trainer(config, team)
         self._storage = RunStorage(options.run_dir, config)
@@ -70,8 +73,8 @@ class Learner:
         self._times, self._state = PhaseTimes(), "training"
         self._open_control(config, team, control, ledger)
         presence = Presence(control, options.run, "learner", "learner", self._epoch)
-        self._reporter = Reporter(options.run_dir, team, self.trainer, presence, config.episodes, elapsed)
-        self._open_bulk(config, team, bulk, ledger)
+        self._reporter = Reporter(options.run_dir, environment, self.trainer, presence, config.episodes, elapsed)
+        self._open_bulk(config, environment, bulk, ledger)
         self._reporter.add(self._feed.metrics, self._feed.alarms)
         self._reporter.add(lambda: {"malformed_commands": self._commands.malformed})
         self._reporter.add(lambda: {"waits": self._times.seconds()})
@@ -103,11 +106,12 @@ class Learner:
         server = control.serve(keys.IMITATION.key(run), 4)
         self._imitations = ImitationServer(server, self.trainer, self._commands.lease, self._epoch, self._on_imitation)
 
-    def _open_bulk(self, config: RunConfig, team: TeamSpec, bulk: Bus, ledger: Intake) -> None:
+    def _open_bulk(self, config: RunConfig, environment: EnvironmentSpec, bulk: Bus, ledger: Intake) -> None:
         server = bulk.serve(keys.TRANSITION.pattern(self._options.run), 256)
         absorbed = ledger.now()
-        rules, lockstep, version = ChunkRules.of(config), self._options.lockstep, self.trainer.version
-        self._receiver = Receiver(server, team, rules, ledger, config.replay, lockstep, self._history, version)
+        rules, lockstep, version = ChunkRules.of(config, environment), self._options.lockstep, self.trainer.version
+        team, replay = environment.team, config.replay
+        self._receiver = Receiver(server, team, rules, ledger, replay, lockstep, self._history, version)
         self._feed = ExperienceFeed(self._receiver, self.trainer, absorbed, self._reporter.log_episodes)
 
     def run(self, stop: StopSignal) -> bool:
@@ -248,13 +252,13 @@ class Learner:
         self._commands.answer()
 
 
-def serve(options: LearnerOptions, config: RunConfig, team: TeamSpec) -> bool:
+def serve(options: LearnerOptions, config: RunConfig, environment: EnvironmentSpec) -> bool:
     """Run the learner until it is done; return whether the run is finished.
 
     Args:
         options: how to start.
         config: the run.
-        team: the layout of the team of the run's environment.
+        environment: the run's environment.
 
     Raises:
         EndpointError: when the endpoint is taken, or the router does not answer.
@@ -270,7 +274,7 @@ def serve(options: LearnerOptions, config: RunConfig, team: TeamSpec) -> bool:
         return connect(options.endpoint, name, stop, options.patience)
 
     with lane("control") as control, lane("bulk") as bulk:
-        learner = Learner(options, config, team, control, bulk)
+        learner = Learner(options, config, environment, control, bulk)
         try:
             return learner.run(stop)
         finally:

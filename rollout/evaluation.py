@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig, RunConfig
+from common.environment import EnvironmentSpec
 from common.errors import ConfigError
 from common.seeds import derive
-from common.team import LETTERS, TeamSpec
+from common.team import TeamSpec
 from common.transitions import EpisodeSummary
 from rollout.envs.base import Environments, make_environments
 from rollout.policies import BatchPolicy, Policy
@@ -50,6 +51,7 @@ class Evaluation:
         episodes: episodes on each farm.
         total: means over all farms.
         per_farm: means over the episodes of each farm, in the order of `farms`.
+        environment: what names and labels the types of agents and the episode metrics.
     """
 
     policy: str
@@ -57,22 +59,26 @@ class Evaluation:
     episodes: int
     total: Score
     per_farm: tuple[Score, ...]
+    environment: EnvironmentSpec
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the evaluation as `eia-sec evaluate --json` prints it; the farm's types by the paper's letters."""
+        """Return the evaluation as `eia-sec evaluate --json` prints it; types by their short names."""
         total = self.total
         return {
             "policy": self.policy,
             "farms": list(self.farms),
             "episodes": self.episodes,
-            "reward": {"mean": total.reward, **_lettered(total)},
+            "reward": {"mean": total.reward, **self._types(total)},
             "steps": total.steps,
             **total.metrics,
             "per_farm": [
-                {"farm": farm, "reward": score.reward, **_lettered(score), "steps": score.steps, **score.metrics}
+                {"farm": farm, "reward": score.reward, **self._types(score), "steps": score.steps, **score.metrics}
                 for farm, score in zip(self.farms, self.per_farm, strict=True)
             ],
         }
+
+    def _types(self, score: Score) -> dict[str, float]:
+        return {self.environment.short_names.get(name, name): value for name, value in score.types.items()}
 
 
 @dataclass(frozen=True)
@@ -143,9 +149,10 @@ def evaluate_environments(
             _begin(flown, policy, part)
             while not flown.ended.all():
                 flown.step(policy.act(flown))
+            environment = flown.spec
             scores += [_score(flown.team, flown.summary(index)) for index in range(len(part))]
     per_farm = [_mean(scores[first : first + episodes]) for first in range(0, len(jobs), episodes)]
-    return Evaluation(name, tuple(farms), episodes, _mean(per_farm), tuple(per_farm))
+    return Evaluation(name, tuple(farms), episodes, _mean(per_farm), tuple(per_farm), environment)
 
 
 def evaluate(
@@ -229,7 +236,3 @@ def _mean(scores: Sequence[Score]) -> Score:
         steps=float(np.mean([score.steps for score in scores])),
         metrics={name: float(np.mean([score.metrics[name] for score in scores])) for name in first.metrics},
     )
-
-
-def _lettered(score: Score) -> dict[str, float]:
-    return {LETTERS.get(name, name): value for name, value in score.types.items()}

@@ -16,10 +16,11 @@ from typing import Any, Final, Protocol, TypeVar
 import numpy as np
 
 from common.actors import TeamActors
-from common.config import FarmConfig
+from common.config import FarmConfig, RunConfig
 from common.errors import PolicyError
+from common.farm import farm_of, farm_team
 from common.policy_file import load_policy
-from common.team import Float32, GroupSpec, TeamSpec, farm_team
+from common.team import Float32, GroupSpec, TeamSpec
 from rollout.envs.base import Environments
 from rollout.heuristics import greedy, horizon, hungarian, lawnmower, tour
 from rollout.heuristics.composite import CompositePolicy, GroupPolicyFactory
@@ -132,6 +133,9 @@ POLICIES: Final[dict[str, Callable[[FarmConfig], Policy]]] = {
 }
 """Every policy that has a name, made for a farm's configuration. TASK+RELAYS, as in greedy+centroid, names others."""
 
+REFERENCES: Final = ("lawnmower", "greedy", "static", "random")
+"""What a run's report compares with; heuristics that plan ahead take minutes, and `eia-sec evaluate` flies them."""
+
 HEURISTICS: Final = tuple(name for name in POLICIES if name != "trained")
 """The policies that learn nothing."""
 
@@ -152,6 +156,26 @@ def policy_of(name: str, config: FarmConfig) -> Policy:
     raise PolicyError(
         f"there is no policy {name!r}: give one of {', '.join(POLICIES)}, TASK+{'|'.join(RELAYS)}, or a policy file."
     )
+
+
+def run_policy(name: str, config: RunConfig) -> BatchPolicy[Any]:
+    """Return a policy for a run's environment: on the farm as `policy_of`, elsewhere random or a policy file.
+
+    Raises:
+        PolicyError: there is none of that name, or it cannot be used.
+    """
+    if (farm := farm_of(config)) is not None:
+        return policy_of(name, farm)
+    if name == "random":
+        return RandomPolicy()
+    if not Path(name).is_file():
+        raise PolicyError(f"outside the farm there is no policy {name!r}: give random, or a policy file.")
+    return ActorPolicy(load_policy(Path(name))[0])
+
+
+def reference_policies(config: RunConfig) -> tuple[str, ...]:
+    """Return the names of the policies that a run's report compares with the trained one."""
+    return ("random",) if farm_of(config) is None else REFERENCES
 
 
 def _describe(team: TeamSpec) -> str:

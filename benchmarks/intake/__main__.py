@@ -31,7 +31,7 @@ from benchmarks.peers.venvs import interpreter, provide
 from common.config import RolloutConfig
 from common.config.presets import preset
 from common.errors import EiaSecError
-from common.team import farm_team
+from common.farm import farm_team
 from common.transport.endpoint import free_endpoint
 from deploy.local.threads import thread_environment
 from deploy.reports.provenance import provenance

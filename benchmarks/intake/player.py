@@ -15,10 +15,10 @@ import zenoh
 from benchmarks.intake.record import record
 from benchmarks.intake.sink import RUN
 from common.config.presets import preset
+from common.farm import farm_team
 from common.protocol import keys
 from common.protocol.chunk_messages import fitting, to_message, to_request
 from common.protocol.messages import ChunkAck, ChunkMessage, Envelope
-from common.team import farm_team
 from common.transport.endpoint import Endpoint
 from common.transport.zenoh_config import connecting
 from deploy.local.memory import keep_freed_memory

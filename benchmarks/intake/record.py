@@ -10,7 +10,7 @@ from benchmarks.intake.chunks import NAMES
 from common.actors import TeamActors
 from common.config import RunConfig
 from common.config.presets import preset
-from common.team import farm_team
+from common.farm import farm_team
 from common.transitions import Chunk
 from rollout.worker.collector import Collector
 

@@ -11,8 +11,8 @@ from benchmarks.intake.chunks import CAPACITY, Window, tell
 from benchmarks.intake.record import configuration
 from common.config import ReplayConfig
 from common.config.presets import preset
+from common.farm import farm_environment
 from common.protocol import keys
-from common.team import farm_team
 from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint
 from deploy.local.memory import keep_freed_memory
@@ -37,13 +37,14 @@ def main() -> None:
     options = parser.parse_args()
     keep_freed_memory()
     endpoint = Endpoint.parse(options.endpoint, shared_memory=options.shared_memory)
-    team = farm_team(preset("study").farm)
+    environment = farm_environment(preset("study").farm)
+    team = environment.team
     replay, taken = Replay(team, CAPACITY), [0, 0]
     with Bus.connect(endpoint, "bulk", wait=30.0) if options.routed else Bus.listen(endpoint, "bulk") as bus:
         receiver = Receiver(
             bus.serve(keys.TRANSITION.pattern(RUN), WAITING),
             team,
-            ChunkRules.of(configuration(options.bytes)),
+            ChunkRules.of(configuration(options.bytes), environment),
             Intake(),
             ReplayConfig(capacity=CAPACITY),
             lockstep=False,

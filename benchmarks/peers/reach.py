@@ -33,9 +33,9 @@ from common.actors import TeamActors
 from common.config import RunConfig
 from common.config.presets import PRESETS
 from common.errors import EiaSecError
+from common.farm import farm_team
 from common.protocol import keys
 from common.protocol.messages import ParametersMessage
-from common.team import farm_team
 from common.transport.bus import Bus, Sample
 from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.commands.training.train import RUN

@@ -12,7 +12,7 @@ from benchmarks.peers.catalogue import OURS, ROOT, Program
 from benchmarks.peers.venvs import interpreter
 from common.config.presets import preset
 from common.errors import EiaSecError
-from common.team import farm_team
+from common.farm import farm_team
 from deploy.local.threads import thread_environment
 
 LIMIT = 1800.0

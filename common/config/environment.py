@@ -38,9 +38,9 @@ class EnvConfig:
         self.prefixes()
 
     @property
-    def is_farm(self) -> bool:
-        """Whether it is this package's farm."""
-        return self.name == FARM
+    def is_third_party(self) -> bool:
+        """Whether making it imports and runs code from outside this package."""
+        return self.name != FARM
 
     def keywords(self) -> dict[str, Any]:
         """Return `arguments` as a map; raise ConfigError when they are no JSON object."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from common.config.checks import not_negative, positive, within
-from common.config.environment import MOST_EPISODE_STEPS, EnvConfig
+from common.config.environment import EnvConfig
 from common.config.farm import FarmConfig
 from common.config.learning import AlgorithmConfig, EliteConfig, ExplorationConfig, ReplayConfig
 from common.errors import ConfigError
@@ -120,10 +120,3 @@ class RunConfig:
                 f"replay.capacity {self.replay.capacity} holds no batch of {self.algorithm.batch} or no chunk of "
                 f"{self.rollout.environments} times {self.rollout.chunk_steps} steps; it takes up to two rows for each."
             )
-
-    @property
-    def episode_steps(self) -> tuple[int, int]:
-        """Fewest and most steps of an episode; farms all last equally long."""
-        if self.env.is_farm:
-            return self.farm.world.steps, self.farm.world.steps
-        return 1, self.env.steps or MOST_EPISODE_STEPS

@@ -1,10 +1,11 @@
-"""Whether a run's largest messages (chunks, actors, flights for the elite) fit into a frame, told at its start."""
+"""Whether a run's largest messages (chunks, actors, evaluations) fit into a frame; checked when the run starts."""
 
 import math
 from typing import Final
 
 from common.actors import head_outputs, parameter_count
 from common.config import RunConfig
+from common.environment import EnvironmentSpec
 from common.errors import ConfigError
 from common.protocol.frame import MAX_FRAME
 from common.team import TeamSpec
@@ -12,22 +13,23 @@ from common.team import TeamSpec
 ROOM: Final = 2**20
 """Bytes of a frame that are left for what stands beside rows and parameters."""
 EPISODE_BYTES: Final = 128
-"""Bytes of a finished episode beside its rewards: seeds, steps and figures."""
+"""Bytes of a finished episode beside its rewards: seeds, steps and metrics."""
 
 
-def chunk_bytes(config: RunConfig, team: TeamSpec) -> int:
+def chunk_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
     """Return the bytes of a worker's largest chunk: one whose episodes are as short as the environment allows."""
-    steps = config.rollout.chunk_steps
-    ends = math.ceil(steps / config.episode_steps[0])
+    steps, team = config.rollout.chunk_steps, environment.team
+    ends = math.ceil(steps / environment.episode_steps[0])
     row = 4 * (team.observation_size + team.action_size + team.agents) + 1
     episodes = config.rollout.environments * ends
     return config.rollout.chunk_rows(ends) * row + episodes * (EPISODE_BYTES + 4 * team.agents)
 
 
-def evaluation_bytes(config: RunConfig, team: TeamSpec) -> int:
+def evaluation_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
     """Return the bytes of the rewards of an imitation event's flights; 0 where an episode's length is not known."""
     flights = min(config.elite.farms, config.rollout.train_farms)
-    return 4 * flights * config.farm.world.steps * team.agents if config.env.is_farm and config.elite.enabled else 0
+    fewest, most = environment.episode_steps
+    return 4 * flights * most * environment.team.agents if config.elite.enabled and fewest == most else 0
 
 
 def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
@@ -38,10 +40,11 @@ def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
     )
 
 
-def require_frames(config: RunConfig, team: TeamSpec) -> None:
+def require_frames(config: RunConfig, environment: EnvironmentSpec) -> None:
     """Raise ConfigError for a run whose workers could not deliver a chunk or a flight, or be sent the actors."""
-    most = MAX_FRAME - ROOM
-    chunk, actors, flights = chunk_bytes(config, team), actor_bytes(config, team), evaluation_bytes(config, team)
+    most, team = MAX_FRAME - ROOM, environment.team
+    chunk, flights = chunk_bytes(config, environment), evaluation_bytes(config, environment)
+    actors = actor_bytes(config, team)
     if chunk > most:
         raise ConfigError(
             f"a chunk of {config.rollout.environments} environments times {config.rollout.chunk_steps} steps takes up "
@@ -55,6 +58,6 @@ def require_frames(config: RunConfig, team: TeamSpec) -> None:
         )
     if flights > most:
         raise ConfigError(
-            f"the rewards of {config.elite.farms} flights of {config.farm.world.steps} steps with {team.agents} agents "
-            f"take {flights / 2**20:.0f} MiB, a message at most {most // 2**20}; lower elite.farms."
+            f"the rewards of {config.elite.farms} flights of {environment.episode_steps[1]} steps with {team.agents} "
+            f"agents take {flights / 2**20:.0f} MiB, a message at most {most // 2**20}; lower elite.farms."
         )

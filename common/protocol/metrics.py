@@ -98,11 +98,12 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         ),
         Metric("curves/reward/*", "reward", "mean per agent over the newest 40 episodes: all agents, and each type"),
         Metric("curves/steps", "steps", "length of an episode, over the same"),
+        Metric("curves/*", "", "the environment's episode metrics, over the same"),
         Metric(
-            "curves/*",
+            "environment/*",
             "",
-            "what else an episode came to, over the same: aoi, vdf (units), collisions, boundary "
-            "(UAV steps), energy_j (J) on the farm",
+            "labels for views: short_names of the types of agents, and episode_metrics, a list of maps: name, unit, "
+            "meaning, label, digits, factor, plotted, group",
         ),
         Metric("statistics/*", "", "running means of the training; docs/how-to/debug_training.md says what each is"),
         Metric("evaluation_steps", _STEPS, "flown without noise for imitation"),

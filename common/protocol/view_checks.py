@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.errors import SchemaError
+from common.farm import farm_team
 from common.protocol.messages import ViewMessage
-from common.team import farm_team
 
 FRAMES: Final = 32
 """Most frames in one message."""

@@ -18,9 +18,9 @@ from typing import Any, Final, Literal, TypeVar, get_args, get_origin, get_type_
 from common.config import RunConfig
 from common.config.files import with_setting
 from common.errors import ConfigError, UsageError
+from common.farm import farm_environment, farm_of
 from common.names import check_name
 from common.protocol.message_sizes import require_frames
-from common.team import farm_team
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.options import base_configuration
 
@@ -309,6 +309,7 @@ def _configuration(fleet: FleetSpec) -> RunConfig:
     config = base_configuration(arguments)
     for assignment in training.set:
         config = with_setting(config, assignment)
-    if config.env.is_farm:  # other environments may be installed on the learner's host alone, which looks itself
-        require_frames(config, farm_team(config.farm))
+    farm = farm_of(config)
+    if farm is not None:  # other environments may be installed on the learner's host alone, which looks itself
+        require_frames(config, farm_environment(farm))
     return config

@@ -92,7 +92,7 @@ def worker(fleet: FleetSpec, places: Places, host: str, name: str) -> Process:
     """Return one worker."""
     config = fleet.config
     joining = _joining(fleet, places, Identity("rollout", name))
-    allowed = () if config.env.is_farm else ("--env", config.env.name)
+    allowed = ("--env", config.env.name) if config.env.is_third_party else ()
     history = ("--history", f"{places.run_dir}/{HISTORY}/rollout-{name}.jsonl")
     return Process(
         "rollout", name, host, ("rollout", *joining, *_shared(fleet), *history, *allowed), config.rollout.threads

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from common.errors import SchemaError
 from common.protocol.messages import MetricMessage
-from common.team import LETTERS
+from deploy.monitor.environment_labels import plotted, type_label
 from deploy.monitor.sanitised import metrics
 from deploy.monitor.snapshot import ImitationRow, Ledger
 
@@ -22,8 +22,6 @@ COUNTERS: Final = ("environment_steps", *COUNTED.values())
 """Metrics of which rates are shown."""
 MOST_ALARMS: Final = 16
 """Most alarms of one process that are shown; the rest are counted."""
-NAME_LENGTH: Final = 14
-"""Most characters of a type's name."""
 _LEDGER: Final = ("produced", "accepted", "duplicates", "rejected", "in_flight", "unexplained", "lost")
 _SHOWN: Final = frozenset((*COUNTERS, *_LEDGER, "alarms", "episodes", "queue", "spooled", "waiting_seconds"))
 """The metrics of a worker or flight node that a view shows; the rest of its report is dropped."""
@@ -106,12 +104,13 @@ def _check(values: Mapping[str, Any]) -> None:
         ledger_of(ledger)
         int(ledger.get("workers", 0))
     for event in values.get("imitations", []):
-        imitation_row(event)
+        imitation_row(event, values)
     for name in ("elites", "waits", "curves"):
         if not isinstance(values.get(name, {}), dict):
             raise SchemaError(f"{name} is not a map.")
     for number in (*values.get("elites", {}).values(), *values.get("waits", {}).values()):
         float(number)
+    plotted(values), type_label(values, "")
     float(values.get("rate", 0)), float(values.get("next_episode", 0)), int(values.get("failures", 0))
     if not all(isinstance(text, str) for text in values.get("alarms", [])):
         raise SchemaError("an alarm is not a text.")
@@ -124,23 +123,18 @@ def ledger_of(values: Mapping[str, Any]) -> Ledger:
     return Ledger(**counts, lost=None if lost is None else int(lost))
 
 
-def imitation_row(event: Mapping[str, Any]) -> ImitationRow:
-    """Return an imitation event as the learner reports it."""
+def imitation_row(event: Mapping[str, Any], learner: Mapping[str, Any]) -> ImitationRow:
+    """Return an imitation event as the learner reports it among its metrics."""
     scores = event.get("scores", {})
     return ImitationRow(
         event=int(event["event"]),
         episode=int(event["episode"]),
         rate=float(event["rate"]),
         elites=tuple(
-            (type_label(kind), int(elite), _score(scores.get(kind), int(elite)))
+            (type_label(learner, kind), int(elite), _score(scores.get(kind), int(elite)))
             for kind, elite in event["elites"].items()
         ),
     )
-
-
-def type_label(kind: Any) -> str:
-    """Return what a type of agent is called in the view: the paper's letter, else the beginning of its name."""
-    return LETTERS.get(kind, str(kind)[:NAME_LENGTH])
 
 
 def _score(scores: Any, elite: int) -> float | None:

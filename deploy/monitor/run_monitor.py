@@ -10,7 +10,8 @@ from common.protocol import keys
 from common.protocol.messages import Envelope, MetricMessage
 from common.transport.bus import Bus
 from deploy.monitor.alarms import examine
-from deploy.monitor.process_report import COUNTED, ProcessReport, imitation_row, ledger_of, type_label
+from deploy.monitor.environment_labels import plotted, type_label
+from deploy.monitor.process_report import COUNTED, ProcessReport, imitation_row, ledger_of
 from deploy.monitor.sanitised import plain
 from deploy.monitor.snapshot import Imitation, ProcessRow, Series, Snapshot
 from learner.intake.ledger import OTHERS
@@ -35,9 +36,6 @@ MOST_TEXT: Final = 200
 """Most characters of an alarm."""
 UNREADABLE: Final = (ProtocolError, TypeError, ValueError, LookupError, AttributeError, OverflowError)
 """What reading malformed metrics raises."""
-FRESHNESS: Final = {"aoi": "AoI", "vdf": "VDF"}
-LENGTH: Final = {"steps": "episode steps"}
-"""What is shown in place of AoI and VDF where there are none."""
 
 
 class _TurnedAwayError(ProtocolError):
@@ -111,7 +109,7 @@ class RunMonitor:
         seen.follow(name[0], message, sender.version, now)
         if name[0] == LEARNER and seen.values.get("curves"):
             curves = seen.values["curves"]
-            others = {kind: curves[kind] for kind in (*FRESHNESS, *LENGTH) if kind in curves}
+            others = {curve.name: curves[curve.name] for curve in plotted(seen.values) if curve.name in curves}
             for part, values in ((self._rewards, curves.get("reward", {})), (self._others, others)):
                 for kind, value in values.items():
                     if kind not in part and len(part) >= MOST_CURVES:
@@ -151,7 +149,8 @@ class RunMonitor:
             episodes=episodes,
             episodes_total=total,
             reward=tuple(
-                Series(type_label(kind), tuple(points), _digits(points)) for kind, points in self._rewards.items()
+                Series(type_label(values, kind), tuple(points), _digits(points))
+                for kind, points in self._rewards.items()
             ),
             freshness=self._freshness(),
             steps=int(values.get("environment_steps", 0)),
@@ -178,11 +177,10 @@ class RunMonitor:
         return max(found, key=lambda seen: seen.at) if found else None
 
     def _freshness(self) -> tuple[Series, ...]:
-        shown = FRESHNESS if all(kind in self._others for kind in FRESHNESS) else LENGTH
         return tuple(
-            Series(name, tuple(self._others[kind]), 2 if shown is FRESHNESS else 0)
-            for kind, name in shown.items()
-            if kind in self._others
+            Series(curve.label, tuple(self._others[curve.name]), curve.digits)
+            for curve in plotted(self.learner_values())
+            if curve.name in self._others
         )
 
     def _learner_wait(self) -> float | None:
@@ -202,14 +200,14 @@ class RunMonitor:
 
     def _imitation(self) -> Imitation:
         elite, learner = self._of("elite"), self._of(LEARNER)
-        values = elite.values if elite else {}
+        values, reported = elite.values if elite else {}, self.learner_values()
         events = int(learner.values.get("event", 0)) if learner else 0
         return Imitation(
             events=events,
             rate=float(values["rate"]) if values.get("rate") else None,
             next_episode=int(values["next_episode"]) if values.get("next_episode") else None,
-            elites=tuple((type_label(kind), int(index)) for kind, index in values.get("elites", {}).items()),
-            newest=tuple(map(imitation_row, learner.values.get("imitations", []))) if learner else (),
+            elites=tuple((type_label(reported, kind), int(index)) for kind, index in values.get("elites", {}).items()),
+            newest=tuple(imitation_row(event, reported) for event in reported.get("imitations", [])),
         )
 
     def _row(

@@ -12,15 +12,12 @@ from common.config import RunConfig
 from common.config.files import from_toml, with_setting
 from common.config.presets import PRESETS
 from common.errors import PolicyError, RunDirError, UsageError
-from common.policy_file import load_policy
 from deploy.exit_codes import DONE
 from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from deploy.options import require_env, with_farm_file
 from deploy.reports.comparison_tables import comparison_table
-from rollout.envs.base import Environments
-from rollout.evaluation import Evaluation, evaluate, evaluate_run
-from rollout.heuristics.random import RandomPolicy
-from rollout.policies import ActorPolicy, BatchPolicy, policy_of
+from rollout.evaluation import Evaluation, evaluate_run
+from rollout.policies import run_policy
 
 MAX_FARMS: Final = 100_000
 
@@ -76,10 +73,7 @@ def run(arguments: EvaluateArguments) -> Evaluation:
     config = configuration_of(arguments)
     name = policy_name(arguments)
     shown = arguments.run_dir.name if arguments.run_dir and not arguments.policy else name
-    if config.env.is_farm:
-        policy = policy_of(name, config.farm)
-        return evaluate(config.farm, policy, farms, arguments.episodes, name=shown)
-    return evaluate_run(config, _decider(name), farms, arguments.episodes, name=shown)
+    return evaluate_run(config, run_policy(name, config), farms, arguments.episodes, name=shown)
 
 
 def policy_name(arguments: EvaluateArguments) -> str:
@@ -92,15 +86,6 @@ def policy_name(arguments: EvaluateArguments) -> str:
     if not path.is_file():
         raise RunDirError(f"{arguments.run_dir} holds no {POLICY}: the run has not saved a policy yet.")
     return str(path)
-
-
-def _decider(name: str) -> BatchPolicy[Environments]:
-    """Return a policy for an environment other than the farm."""
-    if name == "random":
-        return RandomPolicy()
-    if not Path(name).is_file():
-        raise PolicyError(f"outside the farm there is no policy {name!r}: give random, or a policy file.")
-    return ActorPolicy(load_policy(Path(name))[0])
 
 
 def parse_farms(text: str) -> range:

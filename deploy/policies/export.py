@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -11,11 +12,12 @@ from common.action_adapters import ADAPTERS
 from common.actors import TeamActors, parameter_views
 from common.config import RunConfig
 from common.config.files import digest
+from common.environment import TensorNames
 from common.errors import PolicyError
+from common.farm import farm_environment, farm_of
 from common.team import Float32, GroupSpec
 from deploy.local import contained_files
 from deploy.policies.onnx_actions import adapter_nodes
-from deploy.policies.tensor_names import action_names, action_scale, observation_names
 
 if TYPE_CHECKING:
     from onnx import ModelProto
@@ -68,14 +70,22 @@ def description(config: RunConfig, actors: TeamActors, metadata: Mapping[str, st
         "agents": {
             name: {
                 "type": group.name,
-                "observation": observation_names(config, group),
-                "action": action_names(config, group),
-                "action_scale": action_scale(config, group),
+                **asdict(tensor_names(config, group)),
                 "adapters": [{"kind": adapter.kind, **adapter.constants()} for adapter in group.adapters],
             }
             for name, group in zip(agent_names(actors), kinds, strict=True)
         },
     }
+
+
+def tensor_names(config: RunConfig, group: GroupSpec) -> TensorNames:
+    """Return the environment's names of what a type observes and does, or numbered ones where it has none."""
+    farm = farm_of(config)
+    known = {} if farm is None else farm_environment(farm).tensor_names
+    if group.name in known:
+        return known[group.name]
+    seen = tuple(f"observation_{index}" for index in range(group.observation_size))
+    return TensorNames(seen, tuple(f"action_{index}" for index in range(group.action_size)))
 
 
 def export_safetensors(folder: Path, config: RunConfig, actors: TeamActors, metadata: Mapping[str, str]) -> list[Path]:

@@ -1,22 +1,11 @@
 """Evaluations side by side: a table for the terminal and one for a document."""
 
-from collections.abc import Callable, Sequence
-from typing import Final
+from collections.abc import Sequence
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from common.team import LETTERS
 from rollout.evaluation import Evaluation
-
-FORMS: Final[dict[str, tuple[str, Callable[[float], str]]]] = {
-    "aoi": ("AoI", lambda value: f"{value:.2f}"),
-    "vdf": ("VDF", lambda value: f"{value:.2f}"),
-    "collisions": ("collisions", lambda value: f"{value:.1f}"),
-    "boundary": ("boundary", lambda value: f"{value:.1f}"),
-    "energy_j": ("energy, kJ", lambda value: f"{value / 1000.0:.0f}"),
-}
-"""The farm's metrics: heading and form. Collisions and boundary are UAV steps."""
 
 
 def comparison_table(evaluations: Sequence[Evaluation]) -> Table:
@@ -38,9 +27,9 @@ def comparison_markdown(evaluations: Sequence[Evaluation]) -> str:
 
 def _columns(evaluations: Sequence[Evaluation]) -> list[str]:
     """Return the headings: reward over all agents and over each type, then the metrics or the length of episodes."""
-    first = evaluations[0].total
-    metrics = [FORMS[name][0] if name in FORMS else name for name in first.metrics] or ["steps"]
-    return ["policy", "reward", *(LETTERS.get(name, name) for name in first.types), *metrics]
+    first, environment = evaluations[0].total, evaluations[0].environment
+    metrics = [metric.label for metric in environment.episode_metrics] or ["steps"]
+    return ["policy", "reward", *(environment.short_names.get(name, name) for name in first.types), *metrics]
 
 
 def _rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
@@ -50,15 +39,14 @@ def _rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
         [
             evaluation.policy,
             *(f"{value:.{digits}f}" for value in (total.reward, *total.types.values())),
-            *([_shown(name, value) for name, value in total.metrics.items()] or [f"{total.steps:.0f}"]),
+            *(
+                [metric.text(total.metrics[metric.name]) for metric in evaluation.environment.episode_metrics]
+                or [f"{total.steps:.0f}"]
+            ),
         ]
         for evaluation in sorted(evaluations, key=lambda item: -item.total.reward)
         for total in [evaluation.total]
     ]
-
-
-def _shown(name: str, value: float) -> str:
-    return FORMS[name][1](value) if name in FORMS else f"{value:.2f}"
 
 
 def _title(evaluations: Sequence[Evaluation]) -> str:

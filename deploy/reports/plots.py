@@ -18,7 +18,8 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from common.team import COLLECTION, MONITORING, farm_team
+from common.environment import EpisodeMetric
+from common.farm import farm_team
 from rollout.evaluation import Trajectory
 from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, LABELS, SENSOR_MARKERS, STYLES, TYPES, LineStyle
 
@@ -37,24 +38,35 @@ SMOOTH_SHARE: Final = 0.05
 TEXT: Final[dict[str, Any]] = {"fontsize": 9}
 FADING: Final = "path: faint at first, full at the end"
 SCALE_LABELS: Final = ("AoI of a sensor, end", "VDF of a plot, end")
+LENGTH: Final = EpisodeMetric("steps", "steps of an episode", "length of an episode", "steps")
 _SHADES: Final = LinearSegmentedColormap.from_list("plots", ["#FFFFFF", "#B5B5B5"])
 
 Numbers = NDArray[np.float64]
 
 
-def curves(metrics: Sequence[Mapping[str, Any]], path: Path, levels: Mapping[str, float] | None = None) -> None:
-    """Draw reward, and AoI and VDF or where there are none the length of episodes, against episodes.
+def curves(
+    metrics: Sequence[Mapping[str, Any]],
+    path: Path,
+    levels: Mapping[str, float] | None = None,
+    episode_metrics: Sequence[EpisodeMetric] = (),
+) -> None:
+    """Draw reward, and the episode metrics or the length of episodes, against training episodes.
 
     Args:
         metrics: the run's records; those of kind "episodes" are drawn, those of kind "imitation" become ticks, all
             others are left out.
         path: the picture, PNG.
         levels: mean reward per agent of other policies by name, drawn as labelled lines.
+        episode_metrics: the environment's; those that it wants plotted are drawn below the rewards.
     """
-    curves_figure(metrics, levels).savefig(path, dpi=DPI)
+    curves_figure(metrics, levels, episode_metrics).savefig(path, dpi=DPI)
 
 
-def curves_figure(metrics: Sequence[Mapping[str, Any]], levels: Mapping[str, float] | None = None) -> Figure:
+def curves_figure(
+    metrics: Sequence[Mapping[str, Any]],
+    levels: Mapping[str, float] | None = None,
+    episode_metrics: Sequence[EpisodeMetric] = (),
+) -> Figure:
     """Return the picture that `curves` saves."""
     records = [record for record in metrics if record.get("kind") == "episodes"]
     events = [int(record["episodes"]) for record in metrics if record.get("kind") == "imitation"]
@@ -70,16 +82,14 @@ def curves_figure(metrics: Sequence[Mapping[str, Any]], levels: Mapping[str, flo
     _levels(upper, levels or {})
     _events(upper, events)
     upper.set_ylabel("reward of an episode, per agent")
-    farm = bool(records) and all(key in records[0] for key in ("aoi", "vdf"))
-    shown = (
-        (("aoi", COLLECTION, "mean AoI"), ("vdf", MONITORING, "mean VDF")) if farm else (("steps", "mean", "steps"),)
-    )
-    for key, name, label in shown:
-        values = np.array([record[key] for record in records], np.float64)
-        _curve(lower, episodes, values, COLOURS[name], label, STYLES[name])
+    shown = [metric for metric in episode_metrics if metric.plotted and records and metric.name in records[0]]
+    for metric in shown or [LENGTH]:
+        values = np.array([record[metric.name] for record in records], np.float64)
+        colour, style = COLOURS.get(metric.group, COLOURS["mean"]), STYLES.get(metric.group, STYLES["mean"])
+        _curve(lower, episodes, values, colour, metric.label, style)
     lower.set_ylim(bottom=0.0)
     lower.set_xlabel("training episodes")
-    lower.set_ylabel("units (lower is fresher)" if farm else "steps of an episode")
+    lower.set_ylabel(", ".join(dict.fromkeys(metric.unit for metric in shown or [LENGTH])))
     for axes in (upper, lower):
         axes.grid(True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)

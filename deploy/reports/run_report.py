@@ -8,17 +8,15 @@ from typing import Any
 from rich.console import Console
 
 from common.config import RunConfig
+from common.farm import farm_of
 from common.policy_file import load_policy
 from deploy.local.run_directory import METRICS, POLICY, RunDirectory
 from deploy.reports.comparison_tables import comparison_table
 from deploy.reports.plots import curves, trajectories
-from rollout.evaluation import Evaluation, evaluate, evaluate_run, record
-from rollout.heuristics.random import RandomPolicy
-from rollout.policies import ActorPolicy, policy_of
+from rollout.evaluation import Evaluation, evaluate_run, record
+from rollout.policies import ActorPolicy, reference_policies, run_policy
 
 TRAINED = "EIA-SEC (this run)"
-SHOWN = ("lawnmower", "greedy", "static", "random")
-"""The other policies of the report; those that plan ahead take minutes, and `eia-sec evaluate --policy` flies them."""
 
 
 def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[str], console: Console) -> None:
@@ -33,16 +31,19 @@ def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[s
     path = directory.path
     first = config.evaluation.first_farm
     farms = range(first, first + config.evaluation.farms)
-    what = "farms" if config.env.is_farm else "scenario seeds"
-    console.print(f"evaluating on {what} {first}..{first + config.evaluation.farms - 1}, which training never saw ...")
+    farm = farm_of(config)
+    scenarios = "scenario seeds" if farm is None else "farms"
+    console.print(
+        f"evaluating on {scenarios} {first}..{first + config.evaluation.farms - 1}, which training never saw ..."
+    )
     results = evaluate_all(config, path / POLICY, farms)
     metrics = read_metrics(path / METRICS)
     levels = {result.policy: result.total.reward for result in results if result.policy != TRAINED}
-    curves(metrics, path / "curves.png", levels)
+    curves(metrics, path / "curves.png", levels, results[0].environment.episode_metrics)
     pictures = ["curves.png"]
-    if config.env.is_farm:
+    if farm is not None:
         policy = ActorPolicy(load_policy(path / POLICY)[0])
-        trajectories(record(config.farm, policy, first, 0), path / "trajectories.png")
+        trajectories(record(farm, policy, first, 0), path / "trajectories.png")
         pictures.append("trajectories.png")
     outcome = {
         "command": " ".join(command),
@@ -56,16 +57,10 @@ def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[s
 
 
 def evaluate_all(config: RunConfig, policy: Path, farms: Sequence[int]) -> list[Evaluation]:
-    """Return the evaluations of a policy file and of every other policy there is on the same farms and episodes.
-
-    The other policies are the heuristics; on environments other than the farm, random actions.
-    """
+    """Return the evaluations of a policy file and of the environment's reference policies on the same episodes."""
     trained, episodes = ActorPolicy(load_policy(policy)[0]), config.evaluation.episodes
-    results = [evaluate_run(config, trained, farms, episodes, name=TRAINED)]
-    if not config.env.is_farm:
-        return [*results, evaluate_run(config, RandomPolicy(), farms, episodes, name="random")]
-    others = ((name, policy_of(name, config.farm)) for name in SHOWN)
-    return results + [evaluate(config.farm, other, farms, episodes, name=name) for name, other in others]
+    policies = {TRAINED: trained} | {name: run_policy(name, config) for name in reference_policies(config)}
+    return [evaluate_run(config, flown, farms, episodes, name=name) for name, flown in policies.items()]
 
 
 def read_metrics(path: Path) -> list[dict[str, Any]]:

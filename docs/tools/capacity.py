@@ -19,9 +19,10 @@ from common.config import LearnerConfig, RolloutConfig, RunConfig
 from common.config.checks import positive, within
 from common.config.presets import PRESETS, preset
 from common.errors import ConfigError
+from common.farm import farm_team
 from common.protocol.chunk_messages import fitting
 from common.protocol.messages import ParametersMessage
-from common.team import TeamSpec, farm_team
+from common.team import TeamSpec
 from deploy.exit_codes import DONE, run_command
 from deploy.options import parse
 

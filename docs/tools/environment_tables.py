@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.config.presets import PRESETS, preset
-from common.team import farm_team
+from common.farm import farm_team
 from docs.tools.blocks import Block
 from rollout.envs.spaces import Part, observation_parts
 from rollout.policies import policy_of

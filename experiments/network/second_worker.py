@@ -24,9 +24,9 @@ from common.config import RunConfig
 from common.config.files import to_toml
 from common.config.presets import PRESETS
 from common.errors import EiaSecError, UsageError
+from common.farm import farm_team
 from common.protocol import keys
 from common.protocol.messages import CommandMessage
-from common.team import farm_team
 from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.exit_codes import run_command

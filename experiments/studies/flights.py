@@ -6,8 +6,8 @@ from typing import Any, Final
 import numpy as np
 
 from common.config import FarmConfig
+from common.farm import COLLECTION, MONITORING, farm_team
 from common.policy_file import load_policy
-from common.team import COLLECTION, MONITORING, farm_team
 from experiments.studies.analysis.statistics import Numbers
 from experiments.studies.analysis.summary import choice_summary, reference_summary
 from experiments.studies.bench import Bench

@@ -31,7 +31,7 @@ from experiments.studies.methods import MIXTURE
 from experiments.studies.record_checks import COUNTERS
 from experiments.studies.timing import time_decisions
 from learner.trainer import Trainer
-from rollout.envs.base import team_of
+from rollout.envs.base import environment_spec
 from rollout.evaluation import Evaluation, evaluate
 from rollout.policies import ActorPolicy, policy_of
 
@@ -161,7 +161,7 @@ def train(
     result = {
         "diverged": diverged,
         "compared_value": MIXTURE,
-        "curve": curve(team_of(config), log.episodes, int(options["points"])),
+        "curve": curve(environment_spec(config).team, log.episodes, int(options["points"])),
         "checks": log.checks,
         "evaluation": compact(final),
         **log.counts,
@@ -191,7 +191,9 @@ class _Log:
 
     def __post_init__(self) -> None:
         """Begin with fresh actors, so that a run that diverges at once has some."""
-        self.actors = TeamActors.initial(team_of(self.config), self.config.algorithm.hidden, self.config.seed)
+        self.actors = TeamActors.initial(
+            environment_spec(self.config).team, self.config.algorithm.hidden, self.config.seed
+        )
 
     def watch(self, trainer: Trainer, chunk: Chunk) -> None:
         """Note a chunk's episodes; evaluate when it is time; raise when the critics have left all bounds."""

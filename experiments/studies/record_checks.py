@@ -5,8 +5,7 @@ from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 from common.config import RunConfig
-from common.team import farm_team
-from common.transitions import FARM_METRICS
+from common.farm import METRIC_NAMES, farm_team
 
 COUNTERS: Final = ("episodes", "environment_steps", "evaluation_steps", "updates", "events")
 """Counts of a training."""
@@ -55,7 +54,7 @@ def _evaluation(evaluation: Mapping[str, Any], farms: Any, types: Collection[str
     first, count = farms
     if (evaluation["first_farm"], evaluation["farms"]) != (first, count):
         raise ValueError("it was flown on other farms")
-    sections = (("types", types), ("figures", FARM_METRICS))
+    sections = (("types", types), ("figures", METRIC_NAMES))
     lists = [evaluation[section][name] for section, names in sections for name in names]
     for values in (evaluation["reward"], *lists):
         _numbers(values, count)

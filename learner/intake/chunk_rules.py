@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import RunConfig
+from common.environment import EnvironmentSpec
 from common.errors import SchemaError
 from common.protocol.messages import Envelope
-from common.transitions import FARM_METRICS, TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary
+from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary
 
 MOST_TRACKED: Final = 4096
 """Workers whose running episodes are tracked; beyond them the one that was tracked first starts anew."""
@@ -32,7 +33,7 @@ class ChunkRules:
         spool_chunks: chunks that a worker holds at most.
         shortest: fewest steps of an episode.
         longest: most steps of an episode.
-        episode_metrics: names of the metrics of a finished episode.
+        episode_metrics: names of the environment's episode metrics.
     """
 
     environments: int
@@ -43,11 +44,10 @@ class ChunkRules:
     episode_metrics: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, config: RunConfig) -> "ChunkRules":
+    def of(cls, config: RunConfig, environment: EnvironmentSpec) -> "ChunkRules":
         """Return the rules of a run."""
-        rollout = config.rollout
-        metrics = FARM_METRICS if config.env.is_farm else ()
-        return cls(rollout.environments, rollout.chunk_steps, rollout.spool_chunks, *config.episode_steps, metrics)
+        rollout, names = config.rollout, environment.metric_names
+        return cls(rollout.environments, rollout.chunk_steps, rollout.spool_chunks, *environment.episode_steps, names)
 
     @property
     def steps(self) -> int:

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from common.environment import EnvironmentSpec
 from common.imitation import ImitationEvent
 from common.process import Presence
-from common.team import TeamSpec
 from common.transitions import EpisodeSummary
 from learner.reporting.curves import Curves
 from learner.reporting.metrics_log import MetricsLog, imitation_record
@@ -29,7 +29,7 @@ class Reporter:
 
     Args:
         directory: the run directory, or None.
-        team: the layout of the team.
+        environment: its team and its episode metrics.
         trainer: its counters and statistics are part of each report.
         presence: publishes metric messages.
         episodes: training episodes of the run.
@@ -39,15 +39,17 @@ class Reporter:
     def __init__(
         self,
         directory: Path | None,
-        team: TeamSpec,
+        environment: EnvironmentSpec,
         trainer: Trainer,
         presence: Presence,
         episodes: int,
         elapsed: float = 0.0,
     ) -> None:
-        self._team, self._trainer, self._presence, self._episodes = team, trainer, presence, episodes
-        self._log, self._tensorboard = MetricsLog(directory, elapsed), TensorBoardWriter(directory)
-        self._curves = Curves(team, trainer.recent)
+        self._team, self._trainer, self._presence, self._episodes = environment.team, trainer, presence, episodes
+        self._labels = environment.labels()
+        descriptions = {f"curves/{m.name}": f"{m.meaning}, {m.unit}" for m in environment.episode_metrics}
+        self._log, self._tensorboard = MetricsLog(directory, elapsed), TensorBoardWriter(directory, descriptions)
+        self._curves = Curves(environment.team, trainer.recent)
         self._imitations: deque[dict[str, Any]] = deque(maxlen=IMITATIONS)
         self._metrics: list[MetricSource] = []
         self._alarms: list[AlarmSource] = []
@@ -109,7 +111,8 @@ class Reporter:
         for source in self._metrics:
             metrics |= source()
         alarms = self._current_alarms(metrics["statistics"])
-        self._presence.report({**metrics, "imitations": list(self._imitations), "alarms": alarms}, t.version)
+        message = {**metrics, "imitations": list(self._imitations), "environment": self._labels, "alarms": alarms}
+        self._presence.report(message, t.version)
         agents = t.diagnostics.by_agent()
         scalars: dict[str, Any] = {name: metrics[name] for name in SCALARS if name in metrics}
         self._tensorboard.write(t.environment_steps, flattened(scalars | {"agents": agents}))

@@ -12,7 +12,7 @@ from typing import Any
 
 from tensorboardX.event_file_writer import EventsWriter
 from tensorboardX.proto.event_pb2 import Event, SessionLog
-from tensorboardX.proto.summary_pb2 import Summary
+from tensorboardX.proto.summary_pb2 import Summary, SummaryMetadata
 
 FOLDER = "tensorboard"
 RETRY_SECONDS = 60.0
@@ -24,17 +24,19 @@ class TensorBoardWriter:
 
     Args:
         directory: the run directory, or None.
+        descriptions: what a scalar is, by its name, where there is more to say than the name.
 
     Attributes:
         failure: why scalars could not be written, or empty.
     """
 
-    def __init__(self, directory: Path | None) -> None:
+    def __init__(self, directory: Path | None, descriptions: Mapping[str, str] | None = None) -> None:
         self.failure = ""
         self._folder = None if directory is None else directory / FOLDER
         self._writer: Any = None
         self._file: Path | None = None
         self._lost, self._removed, self._again = 0, 0, 0.0
+        self._descriptions = dict(descriptions or {})
 
     def write(self, step: int, scalars: Mapping[str, float]) -> None:
         """Append scalars by their names.
@@ -43,8 +45,14 @@ class TensorBoardWriter:
             step: environment steps of the run.
             scalars: values by name; slashes in a name separate groups.
         """
-        values = [Summary.Value(tag=name, simple_value=value) for name, value in scalars.items()]
+        values = [self._value(name, value) for name, value in scalars.items()]
         self._put(Event(wall_time=time.time(), step=step, summary=Summary(value=values)))
+
+    def _value(self, name: str, value: float) -> Any:
+        """Return a scalar, with its description when it is written for the first time."""
+        found = self._descriptions.pop(name, None)
+        metadata = None if found is None else SummaryMetadata(summary_description=found)
+        return Summary.Value(tag=name, simple_value=value, metadata=metadata)
 
     def resume(self, step: int) -> None:
         """Record that a run goes on from a step, so that TensorBoard leaves out what earlier files hold beyond it."""

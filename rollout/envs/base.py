@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import RunConfig
+from common.environment import EnvironmentSpec
+from common.farm import farm_of
 from common.protocol.message_sizes import require_frames
 from common.team import Float32, TeamSpec
 from common.transitions import EpisodeSummary
@@ -25,6 +27,10 @@ from rollout.sim.batch import FarmBatch
 
 class Environments(Protocol):
     """A batch of E environments that share a team and nothing else."""
+
+    @property
+    def spec(self) -> EnvironmentSpec:
+        """Team, episode metrics and what else generic code needs to know."""
 
     @property
     def team(self) -> TeamSpec:
@@ -73,19 +79,19 @@ def make_environments(config: RunConfig, count: int) -> Environments:
     Raises:
         ConfigError: the environment that the configuration names does not exist or cannot be trained.
     """
-    if config.env.is_farm:
-        return FarmBatch(config.farm, count, config.rollout.threads)
+    if (farm := farm_of(config)) is not None:
+        return FarmBatch(farm, count, config.rollout.threads)
     from rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for those who use it
 
     return PettingZooBatch(config.env, count)
 
 
-def team_of(config: RunConfig) -> TeamSpec:
-    """Return the team of a run's environment.
+def environment_spec(config: RunConfig) -> EnvironmentSpec:
+    """Return what generic code needs to know of a run's environment.
 
     Raises:
         ConfigError: as `make_environments`, or its chunks, its actors or its flights for the elite fit into no message.
     """
     with closing(make_environments(config, 1)) as environments:
-        require_frames(config, environments.team)
-        return environments.team
+        require_frames(config, environments.spec)
+        return environments.spec

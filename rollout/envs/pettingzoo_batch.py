@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from common.config import EnvConfig
 from common.config.environment import MOST_EPISODE_STEPS
+from common.environment import EnvironmentSpec
 from common.errors import SimulationError
 from common.seeds import derive
 from common.team import Float32
@@ -27,6 +28,7 @@ class PettingZooBatch:
 
     Attributes:
         team: layout of a row, type by type.
+        spec: the same for generic code; there are no episode metrics.
         names: the agents in row order.
         observation: [E, O] float32, flattened as `gymnasium.spaces.flatten` does.
         reward: [E, agents] float32 of the last step.
@@ -48,6 +50,7 @@ class PettingZooBatch:
         first = self._environments[0]
         agents = describe(first, config.prefixes())
         self.names, self.team = agents.names, agents.team
+        self.spec = EnvironmentSpec(agents.team, (1, config.steps or MOST_EPISODE_STEPS))
         self._low, self._high = agents.low, agents.high
         self._seen = [first.observation_space(name) for name in self.names]
         self._acted = [first.action_space(name) for name in self.names]

@@ -12,7 +12,8 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from common.config import FarmConfig, WorldConfig
-from common.team import COLLECTION, COMMUNICATION, MONITORING, Float32, farm_team
+from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
+from common.team import Float32
 from rollout.sim.kernel.observation import SENSOR_SCALE
 
 DIAGONAL: Final = math.sqrt(0.5)

@@ -16,7 +16,7 @@ from matplotlib.path import Path
 from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
-from common.team import COLLECTION, COMMUNICATION, MONITORING, farm_team
+from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
 from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, SENSOR_MARKERS, SOIL_STOPS, TYPES, shade
 from rollout.rendering.scene import TRAIL_STEPS, Scene, camera_radius, radio_radius
 

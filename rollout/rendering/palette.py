@@ -9,7 +9,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from common.team import COLLECTION, COMMUNICATION, MONITORING
+from common.farm import COLLECTION, COMMUNICATION, MONITORING
 
 LineStyle = Literal["-", "--", "-."]
 

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from numpy.typing import NDArray
 
-from common.team import COLLECTION, MONITORING
+from common.farm import COLLECTION, MONITORING
 from rollout.rendering.farm_map import INK, SMALL, FarmMap, make_legend, make_scales
 from rollout.rendering.palette import COLOURS, END_MARKERS, LABELS, TYPES
 from rollout.rendering.scene import Scene

@@ -10,7 +10,7 @@ from rich.style import Style
 from rich.text import Text
 
 from common.config import WorldConfig
-from common.team import LETTERS, farm_team
+from common.farm import LETTERS, farm_team
 from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, SOIL_STOPS, TYPES, rgb, shade
 from rollout.rendering.scene import Scene
 

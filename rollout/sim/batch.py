@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig, WorldConfig
+from common.environment import EnvironmentSpec
 from common.errors import SimulationError
+from common.farm import farm_environment
 from common.seeds import derive, stream
-from common.team import Float32, TeamSpec, farm_team
-from common.transitions import FARM_METRICS, EpisodeSummary
+from common.team import Float32, TeamSpec
+from common.transitions import EpisodeSummary
 from rollout.sim.kernel.arrays import REWARD_PARTS, make_scratch
 from rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_workspace
 from rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
@@ -70,7 +72,8 @@ class FarmBatch:
         if environments < 1 or threads < 1:
             raise SimulationError(f"{environments} environments on {threads} threads: both must be at least 1.")
         self.config = config
-        self.team: TeamSpec = farm_team(config)
+        self.spec: EnvironmentSpec = farm_environment(config)
+        self.team: TeamSpec = self.spec.team
         shared = make_workspace(config, environments)
         scratches = (shared.scratch, *(make_scratch(config) for _ in range(min(threads, environments) - 1)))
         self._arguments = [PackedArguments(shared._replace(scratch=scratch)) for scratch in scratches]
@@ -195,7 +198,7 @@ class FarmBatch:
             episode=episode,
             steps=steps,
             reward=tuple(self._state.returns[index].tolist()),
-            metrics=dict(zip(FARM_METRICS, metrics, strict=True)),
+            metrics=dict(zip(self.spec.metric_names, metrics, strict=True)),
         )
 
     def close(self) -> None:

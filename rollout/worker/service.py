@@ -245,7 +245,7 @@ def serve(options: WorkerOptions) -> None:
             config = read_saved(answer.toml)
         except UsageError as error:
             raise UsageError(f"the learner of run {options.run} sent a configuration that fails: {error}") from error
-        if not config.env.is_farm and config.env.name != options.env:
+        if config.env.is_third_party and config.env.name != options.env:
             raise UsageError(
                 f"run {options.run} is about {config.env.name}; a worker loads it when started with "
                 f"--env {config.env.name}."

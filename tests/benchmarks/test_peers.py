@@ -16,7 +16,7 @@ from benchmarks.peers.spread import EPISODE_STEPS, curve
 from benchmarks.peers.summary import merged, summarised
 from common.config.presets import preset
 from common.errors import EiaSecError
-from common.team import farm_team
+from common.farm import farm_team
 from deploy.reports.provenance import command
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_peers.json").read_text(encoding="utf-8"))

@@ -12,7 +12,8 @@ from common.action_adapters import GAIN, SIGNS, Lattice, MirroredAxes, fewest
 from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
 from common.config.presets import preset
 from common.errors import ConfigError, SchemaError
-from common.team import GroupSpec, TeamSpec, farm_team
+from common.farm import farm_team
+from common.team import GroupSpec, TeamSpec
 from rollout.sim.batch import FarmBatch
 
 FIELD = 400.0

@@ -3,10 +3,10 @@
 import threading
 
 from common.config import RunConfig
+from common.farm import farm_team
 from common.process import StopSignal
 from common.protocol import keys
 from common.protocol.messages import EvaluationOrder
-from common.team import farm_team
 from common.transport.bus import Bus
 from common.transport.endpoint import free_endpoint
 from elite.evaluation_plan import evaluation_plan

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from common.config.presets import PRESETS
-from common.team import COLLECTION, MONITORING
+from common.farm import COLLECTION, MONITORING
 from experiments.exchange import Exchange, fly, page
 from rollout.evaluation import evaluate
 from rollout.policies import policy_of

@@ -7,6 +7,7 @@ from pathlib import Path
 from common.actors import TeamActors
 from common.config import RunConfig
 from common.config.files import from_toml
+from common.farm import farm_team
 from common.protocol import keys
 from common.protocol.chunk_messages import from_request
 from common.protocol.messages import (
@@ -17,7 +18,6 @@ from common.protocol.messages import (
     ParametersMessage,
     ProgressMessage,
 )
-from common.team import farm_team
 from common.transport.bus import Bus
 from tests.system.fleet import RUN, TINY, Processes, until
 

@@ -7,7 +7,7 @@ import pytest
 from common.actors import TeamActors
 from common.config import FarmConfig, WorldConfig
 from common.errors import ConfigError, PolicyError
-from common.team import farm_team
+from common.farm import farm_team
 from rollout.evaluation import episode_seed, evaluate, record
 from rollout.policies import ActorPolicy, policy_of
 from rollout.sim.batch import FarmBatch

@@ -7,8 +7,8 @@ import pytest
 from common.actors import TeamActors
 from common.config import ControlConfig, FarmConfig, ObservationConfig
 from common.errors import PolicyError
+from common.farm import farm_team
 from common.policy_file import save_policy
-from common.team import farm_team
 from deploy.policies.evaluate import EvaluateArguments
 from docs.tools.configuration_tables import field_docs
 from rollout import policies

@@ -6,9 +6,9 @@ import numpy as np
 
 from common.actors import TeamActors
 from common.config import FarmConfig
+from common.farm import farm_team
 from common.protocol import keys
 from common.protocol.messages import Envelope, SetpointMessage
-from common.team import farm_team
 from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.flight.node import FlightNode, NodeOptions

@@ -15,7 +15,9 @@ from learner.intake.ledger import Intake
 from learner.intake.peer_penalties import CUT_SECONDS, LIMIT, MOST_PEERS, PeerPenalties
 from learner.intake.receiver import Receiver
 from learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Throttle
-from rollout.envs.base import team_of
+from rollout.envs.base import environment_spec
+
+ENVIRONMENT = environment_spec(RunConfig())
 
 RUN = "run"
 
@@ -98,8 +100,8 @@ def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
     with Bus.listen(endpoint, "bulk") as bus, Bus.connect(endpoint, "bulk", wait=5.0) as worker:
         receiver = Receiver(
             bus.serve(keys.TRANSITION.pattern(RUN), 16),
-            team_of(RunConfig()),
-            ChunkRules.of(RunConfig()),
+            ENVIRONMENT.team,
+            ChunkRules.of(RunConfig(), ENVIRONMENT),
             Intake(),
             ReplayConfig(),
             lockstep=False,

@@ -12,12 +12,12 @@ import pytest
 
 from common.action_adapters import SIGNS
 from common.actors import TeamActors
+from common.farm import farm_team
 from common.policy_file import save_policy
 from common.process import StopSignal
 from common.protocol import keys
 from common.protocol.messages import MetricMessage, SetpointMessage
 from common.protocol.metrics import METRICS, undeclared
-from common.team import farm_team
 from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.flight.simulator import SimulatedFleet

@@ -9,10 +9,10 @@ from common.config.checks import positive, within
 from common.config.files import from_toml
 from common.config.presets import PRESETS
 from common.errors import RunDirError, UsageError
+from common.farm import farm_team, require_farm
 from common.names import check_name
 from common.policy_file import load_policy
 from common.process import StopSignal, log
-from common.team import farm_team
 from common.transport.bus import Bus
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.flight.node import FlightNode, NodeOptions
@@ -116,9 +116,7 @@ def farm_of(run_dir: Path | None, config: Path | None) -> FarmConfig:
         found = RunDirectory(run_dir).configuration()
     if config is not None:
         found = from_toml(config, found)
-    if not found.env.is_farm:
-        raise UsageError(f"only the farm's actors fly, and this configuration is about {found.env.name}.")
-    return found.farm
+    return require_farm(found, "only the farm's actors fly, and this configuration is about {}.")
 
 
 def vehicles_of(pairs: Sequence[str]) -> dict[str, str]:

@@ -11,6 +11,7 @@ from rich.progress import Progress
 
 from common.config.checks import within
 from common.errors import UsageError
+from common.farm import require_farm
 from deploy.exit_codes import DONE
 from deploy.local.run_directory import own_folder
 from deploy.options import parse
@@ -90,11 +91,10 @@ def _contest(options: ReplayArguments) -> Contest:
         set=options.set,
     )
     config, name = configuration_of(wanted), policy_name(wanted)
-    if not config.env.is_farm:
-        raise UsageError(f"this run is about {config.env.name}; only the farm can be replayed.")
+    farm = require_farm(config, "this run is about {}; only the farm can be replayed.")
     shown = options.run_dir.resolve().name if options.run_dir is not None and options.policy is None else _called(name)
     names = _apart(shown, _called(options.against), name, options.against)
-    return Contest(config.farm, (name, options.against), names, options.farm, options.episode)
+    return Contest(farm, (name, options.against), names, options.farm, options.episode)
 
 
 def _apart(one: str, other: str, path: str, other_path: str) -> tuple[str, str]:

@@ -12,9 +12,9 @@ import numpy as np
 
 from common.config import FarmConfig
 from common.config.checks import positive, within
+from common.farm import farm_team
 from common.names import check_name
 from common.process import StopSignal
-from common.team import farm_team
 from common.transport.bus import Bus
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.commands.policies.fly import farm_of, vehicles_of

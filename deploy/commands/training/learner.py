@@ -15,7 +15,7 @@ from deploy.options import base_configuration, parse
 from learner.networks.device import usable_device
 from learner.options import LearnerOptions
 from learner.service import serve
-from rollout.envs.base import team_of
+from rollout.envs.base import environment_spec
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def command(arguments: Sequence[str]) -> int:
     if not options.connect:
         endpoint.require_private(options.insecure)
     usable_device(options.settings.learner.device)  # a mistake to tell before anything is made, as the next one
-    team = team_of(options.settings)
+    environment = environment_spec(options.settings)
     if options.run_dir is not None:
         directory = RunDirectory(options.run_dir)
         directory.prepare(options.settings, resume=resume)
@@ -94,6 +94,6 @@ def command(arguments: Sequence[str]) -> int:
             await_elite=options.await_elite,
         ),
         options.settings,
-        team,
+        environment,
     )
     return 0

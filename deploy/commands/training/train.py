@@ -28,7 +28,7 @@ from deploy.monitor.run_monitor import RunMonitor
 from deploy.options import base_configuration, parse
 from deploy.output import patient_output
 from deploy.reports.run_report import write_report
-from rollout.envs.base import team_of
+from rollout.envs.base import environment_spec
 
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
@@ -78,7 +78,7 @@ def command(arguments: Sequence[str]) -> int:
     within(1, 1024, workers=options.workers)
     if options.lockstep and options.workers != 1:
         raise ConfigError("--lockstep takes turns with exactly one worker; leave --workers at 1.")
-    team_of(options.settings)  # an environment that cannot be trained is a mistake to tell before anything is made
+    environment_spec(options.settings)  # refuses an environment that cannot be trained before anything is made
     _require_device(options.settings.learner.device)
     endpoint = _endpoint(options)
     endpoint.require_private(insecure=False)
@@ -97,7 +97,7 @@ def command(arguments: Sequence[str]) -> int:
         write_report(directory, options.settings, ["eia-sec", "train", *arguments], console)
     elif not finished:
         more = f" --workers {options.workers}" if options.workers != 1 else ""
-        more += "" if options.settings.env.is_farm else f" --env {options.settings.env.name}"
+        more += f" --env {options.settings.env.name}" if options.settings.env.is_third_party else ""
         console.print(f"stopped; go on with: eia-sec train --run-dir {directory.path} --resume{more}", highlight=False)
     return 0
 
@@ -168,7 +168,7 @@ class _Training:
         self._supervisor.start("learner", learner, options.settings.learner.threads, again)
         joining = ["--run", RUN, "--connect", where, "--patience", str(JOIN_SECONDS)]
         self._supervisor.start("elite", ["elite", *joining, *self._tls(COORDINATOR)])
-        allowed = [] if options.settings.env.is_farm else ["--env", options.settings.env.name]
+        allowed = ["--env", options.settings.env.name] if options.settings.env.is_third_party else []
         for index in range(options.workers):
             rollout = ["rollout", *joining, "--name", str(index), *allowed, *shared, *self._tls(f"rollout.{index}")]
             rollout += ["--history", str(self._directory.path / HISTORY / f"rollout-{index}.jsonl")]

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
+from common.farm import farm_team
 from common.protocol.messages import ViewMessage, WatchTerms
-from common.team import farm_team
 from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, PART_COLOURS, SENSOR_MARKERS, SOIL_STOPS, TYPES
 from rollout.rendering.scene import TRAIL_STEPS, camera_radius, radio_radius
 from rollout.sim.layout import Layout

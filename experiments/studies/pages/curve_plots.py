@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from common.team import COLLECTION, COMMUNICATION, MONITORING
+from common.farm import COLLECTION, COMMUNICATION, MONITORING
 from deploy.reports.plots import OTHER_COLOURS, SMOOTH_SHARE, TEXT, smooth
 from experiments.studies.analysis.statistics import Numbers
 from experiments.studies.scales import CHOICE_FARM, SCALES

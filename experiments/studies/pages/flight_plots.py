@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from common.config import FarmConfig
-from common.team import COLLECTION, COMMUNICATION, MONITORING
+from common.farm import COLLECTION, COMMUNICATION, MONITORING
 from deploy.reports.plots import DPI, TEXT, save_contest
 from experiments.studies.analysis.statistics import Numbers
 from experiments.studies.bench import Bench

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from common.team import COLLECTION, COMMUNICATION, MONITORING
+from common.farm import COLLECTION, COMMUNICATION, MONITORING
 from experiments.studies.analysis.evidence import early_farms, mean_unrest
 from experiments.studies.analysis.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
 from experiments.studies.analysis.statistics import BAND, LEVEL, TAIL

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
-from common.team import farm_team
+from common.farm import farm_team
 from rollout.sim.kernel.assignment.exchanges import Exchanges, make_exchanges
 from rollout.sim.kernel.constants import Array, Constants, Indices, Int32
 from rollout.sim.layout import cell_counts

@@ -9,12 +9,13 @@ import pytest
 from common.actors import TeamActors
 from common.config import AlgorithmConfig, EliteConfig, EnvConfig, ReplayConfig, RolloutConfig, RunConfig
 from common.errors import ConfigError
+from common.farm import METRIC_NAMES, farm_team
 from common.protocol.chunk_messages import to_message
 from common.protocol.message_sizes import actor_bytes, chunk_bytes, evaluation_bytes, require_frames
 from common.protocol.messages import EvaluationResult, ParametersMessage
-from common.team import GroupSpec, TeamSpec, farm_team
-from common.transitions import FARM_METRICS, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
-from rollout.envs.base import team_of
+from common.team import GroupSpec, TeamSpec
+from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
+from rollout.envs.base import environment_spec
 
 TEAM = farm_team(RunConfig().farm)
 DEEP = ReplayConfig(capacity=10_000_000)
@@ -31,7 +32,7 @@ def chunk_size(config, ends):
     shapes = (TEAM.observation_size, TEAM.action_size, TEAM.agents)
     rows = Rows(*(np.zeros((count * len(flag), size), np.float32) for size in shapes), np.array(flag * count, np.uint8))
     rows.check(TEAM)
-    ended = EpisodeSummary(0, 0, 1, (0.0,) * TEAM.agents, dict.fromkeys(FARM_METRICS, 0.0))
+    ended = EpisodeSummary(0, 0, 1, (0.0,) * TEAM.agents, dict.fromkeys(METRIC_NAMES, 0.0))
     return len(to_message(Chunk(rows, (ended,) * (count * ends)), TEAM, 1, count * steps).encode())
 
 
@@ -92,4 +93,4 @@ def test_what_no_frame_holds_is_refused():
 def test_a_run_is_refused_where_its_team_is_made():
     """Whoever starts a run asks for its team first."""
     with pytest.raises(ConfigError, match=r"lower algorithm\.hidden"):
-        team_of(RunConfig(algorithm=AlgorithmConfig(hidden=4096)))
+        environment_spec(RunConfig(algorithm=AlgorithmConfig(hidden=4096)))

@@ -10,10 +10,10 @@ from common.actors import TeamActors
 from common.config import FarmConfig, ObservationConfig
 from common.config.presets import preset
 from common.errors import ConfigError
+from common.farm import farm_team
 from common.protocol import frame
 from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
 from common.protocol.metrics import undeclared
-from common.team import farm_team
 from deploy.flight.pilot import LARGEST, ROWS, Limits, Pilot
 
 TEAM = farm_team(preset("study").farm)

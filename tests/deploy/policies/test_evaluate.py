@@ -6,8 +6,8 @@ from common.actors import TeamActors
 from common.config.files import from_toml, to_toml
 from common.config.presets import PRESETS, SAVED
 from common.errors import ConfigError, PolicyError, RunDirError, UsageError
+from common.farm import farm_team
 from common.policy_file import save_policy
-from common.team import farm_team
 from deploy.commands.policies.fly import farm_of
 from deploy.local.run_directory import RunDirectory
 from deploy.options import base_configuration

@@ -15,14 +15,14 @@ from common.action_adapters import ADAPTERS, SIGNS, MirroredAxes
 from common.actors import TeamActors
 from common.config import AlgorithmConfig, EnvConfig, FarmConfig, ObservationConfig, ReplayConfig, RunConfig
 from common.config.files import to_toml
+from common.farm import farm_team
 from common.policy_file import save_policy
-from common.team import GroupSpec, TeamSpec, farm_team
+from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
 from deploy.cli import dispatch
 from deploy.exit_codes import run_command
-from deploy.policies.export import agent_names
+from deploy.policies.export import agent_names, tensor_names
 from deploy.policies.onnx_actions import NODES
-from deploy.policies.tensor_names import action_names, observation_names
 from learner.trainer import Trainer
 from rollout.sim.batch import FarmBatch
 
@@ -193,9 +193,9 @@ def test_every_number_has_a_name_of_its_own(observation):
     """Names are as many as numbers, and no two are equal."""
     config = RunConfig(farm=FarmConfig(observation=observation))
     for group in farm_team(config.farm).groups:
-        names = observation_names(config, group)
+        names = tensor_names(config, group).observation
         assert len(names) == len(set(names)) == group.observation_size
-        assert len(action_names(config, group)) == group.action_size
+        assert len(tensor_names(config, group).action) == group.action_size
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -207,7 +207,7 @@ def test_names_stand_where_the_simulator_writes(mirrored):
     for _ in range(30):
         farms.step(np.random.default_rng(1).uniform(-1, 1, (1, farms.team.action_size)).astype(np.float32))
     for group, seen in zip(farms.team.groups, farms.team.split_observations(farms.observation), strict=True):
-        named = [dict(zip(observation_names(config, group), row, strict=True)) for row in seen[0]]
+        named = [dict(zip(tensor_names(config, group).observation, row, strict=True)) for row in seen[0]]
         for numbers in named:
             signs = [value for name, value in numbers.items() if name.startswith("sign_")]
             assert len(signs) == 2 * mirrored

@@ -6,7 +6,10 @@ import pytest
 from rich.console import Console
 
 from common.config import FarmConfig, WorldConfig
-from common.transitions import FARM_METRICS, EpisodeSummary
+from common.environment import EnvironmentSpec
+from common.farm import EPISODE_METRICS, METRIC_NAMES, farm_environment
+from common.team import GroupSpec, TeamSpec
+from common.transitions import EpisodeSummary
 from deploy.reports.comparison_tables import comparison_markdown, comparison_table
 from deploy.reports.plots import COLOURS, curves, curves_figure, smooth, trajectories, trajectories_figure
 from rollout.evaluation import Evaluation, Score, Trajectory
@@ -49,9 +52,9 @@ def evaluation(name, reward):
         reward,
         {"communication": -120.0, "monitoring": 1500.4, "collection": 1300.0},
         500.0,
-        dict(zip(FARM_METRICS, (1.234, 2.345, 0.25, 1.0, 12345.0), strict=True)),
+        dict(zip(METRIC_NAMES, (1.234, 2.345, 0.25, 1.0, 12345.0), strict=True)),
     )
-    return Evaluation(name, (1000, 1001), 1, score, (score, score))
+    return Evaluation(name, (1000, 1001), 1, score, (score, score), farm_environment(FarmConfig()))
 
 
 def texts(axes):
@@ -68,7 +71,7 @@ def width_of(path):
 
 def test_curves_show_every_type_levels_and_imitation():
     """The upper axes hold a raw and a smooth line per type and mean, the labelled levels and the imitation ticks."""
-    figure = curves_figure(metrics(), {"lawnmower": 95.0, "greedy": 94.0})
+    figure = curves_figure(metrics(), {"lawnmower": 95.0, "greedy": 94.0}, EPISODE_METRICS)
     upper, lower = figure.axes
     assert {"all agents", "communication", "monitoring", "data collection", "imitation"} == labels(upper)
     assert {"mean AoI", "mean VDF"} == labels(lower)
@@ -83,7 +86,7 @@ def test_curves_show_every_type_levels_and_imitation():
 
 def test_names_of_close_levels_do_not_overlap():
     """Levels of nearly equal height have their names moved apart, in the order of the levels."""
-    upper = curves_figure(metrics(), {"a": 100.0, "b": 100.5, "c": 101.0}).axes[0]
+    upper = curves_figure(metrics(), {"a": 100.0, "b": 100.5, "c": 101.0}, EPISODE_METRICS).axes[0]
     low, high = upper.get_ylim()
     heights = [text.get_position()[1] for text in upper.texts]
     assert texts(upper) == ["a 100", "b 100", "c 101"]
@@ -93,9 +96,11 @@ def test_names_of_close_levels_do_not_overlap():
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_curves_of_a_run_that_hardly_began(count, tmp_path):
     """No, one or two records still make a picture, and a single record is a visible dot."""
-    curves(metrics(count), tmp_path / "curves.png", {"lawnmower": 895.0})
+    curves(metrics(count), tmp_path / "curves.png", {"lawnmower": 895.0}, EPISODE_METRICS)
     assert width_of(tmp_path / "curves.png") >= 1000
-    dots = [line for line in curves_figure(metrics(count)).axes[1].lines if line.get_marker() == "o"]
+    dots = [
+        line for line in curves_figure(metrics(count), {}, EPISODE_METRICS).axes[1].lines if line.get_marker() == "o"
+    ]
     assert bool(dots) == (count == 1)
 
 
@@ -174,8 +179,11 @@ def test_markdown_table_has_one_line_a_policy():
 
 def test_other_environments_have_their_own_columns():
     """Types by their names, small rewards with decimals, and the length of episodes where there are no figures."""
+    runners = TeamSpec((GroupSpec("runner", 1, 2, 2), GroupSpec("chaser", 1, 2, 2)))
     score = Score(-1.234, {"runner": -1.0, "chaser": -2.5}, 25.0, {})
-    text = comparison_markdown([Evaluation("random", (1, 2), 1, score, (score, score))])
+    text = comparison_markdown(
+        [Evaluation("random", (1, 2), 1, score, (score, score), EnvironmentSpec(runners, (25, 25)))]
+    )
     assert text.splitlines()[0] == "| policy | reward | runner | chaser | steps |"
     assert text.splitlines()[2] == "| random | -1.23 | -1.00 | -2.50 | 25 |"
 

@@ -11,9 +11,9 @@ from common.actors import TeamActors
 from common.config import EliteConfig
 from common.config.presets import PRESETS
 from common.errors import UsageError
+from common.farm import farm_team
 from common.imitation import ImitationSchedule
 from common.policy_file import save_policy
-from common.team import farm_team
 from experiments.studies.analysis.summary import reference_summary
 from experiments.studies.bench import Bench
 from experiments.studies.catalogue import STUDIES

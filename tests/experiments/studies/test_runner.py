@@ -9,8 +9,8 @@ import pytest
 
 from common.actors import TeamActors
 from common.errors import RunDirError
+from common.farm import farm_team
 from common.process import StopSignal
-from common.team import farm_team
 from experiments.studies import perform
 from experiments.studies.bench import Bench
 from experiments.studies.jobs import Records

@@ -10,9 +10,9 @@ import pytest
 
 from common.actors import TeamActors
 from common.errors import SchemaError, SimulationError, UsageError
+from common.farm import farm_team
 from common.policy_file import load_policy
 from common.process import StopSignal
-from common.team import farm_team
 from deploy.local.in_process import train_inprocess
 from experiments.studies.analysis.claims import CLAIMS
 from experiments.studies.analysis.statistics import interquartile_mean

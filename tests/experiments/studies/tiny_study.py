@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from common.farm import METRIC_NAMES
 from common.process import StopSignal
-from common.transitions import FARM_METRICS
 from experiments.studies.jobs import Job
 from experiments.studies.perform import perform
 from experiments.studies.record_checks import COUNTERS
@@ -67,7 +67,7 @@ TIMES = {piece: {"q05": 1.0, "median": 2.0, "mean": 2.5, "q95": 4.0} for piece i
 
 def flown(first: int, rewards: Sequence[float]) -> dict[str, Any]:
     """Return the result of a flight with these rewards, and a hundredth of them as its figures."""
-    figures = {key: [reward / 100.0 for reward in rewards] for key in FARM_METRICS}
+    figures = {key: [reward / 100.0 for reward in rewards] for key in METRIC_NAMES}
     types = {key: list(rewards) for key in ("communication", "monitoring", "collection")}
     return {"first_farm": first, "farms": len(rewards), "reward": list(rewards), "types": types, "figures": figures}
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from common.actors import TeamActors
 from common.errors import ProtocolError
+from common.farm import METRIC_NAMES
 from common.policy_store import PolicyStore
 from common.protocol import codec, frame, messages
 from common.protocol.chunk_messages import from_message, from_request, to_message, to_request
 from common.protocol.view_checks import check_view
-from common.transitions import FARM_METRICS
 from tests.common.protocol.test_view_checks import CONFIG, a_view
 from tests.faults.tools.channel import TEAM, a_chunk
 
@@ -55,7 +55,7 @@ def _read(kind: type[codec.Message], data: frame.Data) -> None:
     """Decode a message and put it through the checks behind the decoder; raise ProtocolError when it is none."""
     message = kind.decode(data)
     if isinstance(message, messages.ChunkMessage):
-        from_message(message, TEAM, FARM_METRICS)
+        from_message(message, TEAM, METRIC_NAMES)
     elif isinstance(message, messages.ParametersMessage):
         PolicyStore(TEAM).offer_parameters(message)
     elif isinstance(message, messages.ImitationMessage):

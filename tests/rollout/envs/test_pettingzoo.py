@@ -10,7 +10,7 @@ from common.actors import TeamActors
 from common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
 from common.errors import ConfigError, SimulationError
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED
-from rollout.envs.base import make_environments, team_of
+from rollout.envs.base import environment_spec, make_environments
 from rollout.envs.pettingzoo_batch import PettingZooBatch
 from rollout.evaluation import evaluate_run
 from rollout.heuristics.random import RandomPolicy
@@ -148,7 +148,7 @@ def test_environments_of_an_evaluation_are_closed():
     import toy_env  # noqa: PLC0415  # only importable inside the fixture
 
     config = run_config(relay())
-    run_noise_free_episodes(config, TeamActors.initial(team_of(config), 4, 0), (0, 1), (5, 6))
+    run_noise_free_episodes(config, TeamActors.initial(environment_spec(config).team, 4, 0), (0, 1), (5, 6))
     evaluate_run(config, RandomPolicy(), (7,), 1, name="random")
     assert toy_env.Relay.opened == toy_env.Relay.closed > 0
 
@@ -234,7 +234,7 @@ def test_collecting_does_not_depend_on_where_chunks_are_cut():
 def test_noise_free_flights_may_differ_in_length():
     """Rewards behind an episode's end are zeros, and the steps of each are told."""
     config = run_config(EnvConfig("toy_env:Relay", steps=4))
-    actors = TeamActors.initial(team_of(config), 4, 0)
+    actors = TeamActors.initial(environment_spec(config).team, 4, 0)
     reward, steps = run_noise_free_episodes(config, actors, (0, 1), (5, 6))
     assert reward.shape == (2, 4, 3)
     np.testing.assert_array_equal(steps, 4)

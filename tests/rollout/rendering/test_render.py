@@ -15,7 +15,7 @@ from rich.text import Text
 
 from common.config import CameraConfig, FarmConfig, RadioConfig, WorldConfig
 from common.errors import SimulationError
-from common.team import LETTERS
+from common.farm import LETTERS
 from rollout.envs.parallel_env import env, parallel_env
 from rollout.rendering import render
 from rollout.rendering.palette import AGE_STOPS, COLOURS, SOIL_STOPS, TYPES, rgb, shade

@@ -8,7 +8,7 @@ import pytest
 from common.actors import TeamActors
 from common.config import AlgorithmConfig, EnvConfig, RewardConfig, RolloutConfig, RunConfig
 from common.errors import ConfigError
-from common.team import farm_team
+from common.farm import farm_team
 from common.transitions import TRANSITION
 from rollout.sim.batch import REWARD_PARTS
 from rollout.worker.collector import Collector, run_noise_free_episodes

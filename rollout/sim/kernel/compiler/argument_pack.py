@@ -15,7 +15,7 @@ from numba.extending import intrinsic
 
 from common.config import FarmConfig
 from common.errors import SimulationError
-from common.team import farm_team
+from common.farm import farm_team
 from rollout.sim.kernel.arrays import Workspace, make_scratch, make_state
 from rollout.sim.kernel.compiler.decorators import allocation_free_entry
 from rollout.sim.kernel.constants import constants

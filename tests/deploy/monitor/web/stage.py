@@ -12,8 +12,8 @@ from common.actors import TeamActors
 from common.config import FarmConfig, RunConfig, WorldConfig
 from common.config.files import to_toml
 from common.config.run import RolloutConfig
+from common.farm import farm_team
 from common.protocol.messages import Envelope, ViewMessage, WatchRequest
-from common.team import farm_team
 from common.transport.endpoint import Endpoint
 from experiments import pictures
 from rollout.worker.collector import Collector

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from common.action_adapters import SIGNS
 from common.config import FarmConfig
-from common.team import farm_team
+from common.farm import farm_team
 from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_levels
 from rollout.sim.layout import Layout
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, placed, renumbered, worlds

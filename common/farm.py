@@ -1,0 +1,118 @@
+"""The farm as an environment: its team, the sizes of its observations, and its episode metrics."""
+
+from typing import Final
+
+from common.action_adapters import ActionAdapter, Lattice, MirroredAxes
+from common.config import FarmConfig, RunConfig
+from common.config.control import Control
+from common.environment import EnvironmentSpec, EpisodeMetric, TensorNames
+from common.errors import ConfigError
+from common.team import GroupSpec, TeamSpec
+
+COMMUNICATION: Final = "communication"
+MONITORING: Final = "monitoring"
+COLLECTION: Final = "collection"
+LETTERS: Final = {COMMUNICATION: "c", MONITORING: "m", COLLECTION: "d"}
+"""The farm's types by the paper's letters."""
+
+COMMUNICATION_OBSERVATION: Final = 17
+"""Own (x, y); nearest relay, relay centroid, served centroid, farthest served, nearest UAV as (dx, dy, distance)."""
+TASK_OBSERVATION: Final = 7
+"""Besides plots and sensors: own (x, y); D_VDF or D_AoI (x, y); nearest UAV as (dx, dy, distance)."""
+
+EPISODE_METRICS: Final = (
+    EpisodeMetric("aoi", "units", "mean AoI over sensors and steps", "AoI", plotted=True, group=COLLECTION),
+    EpisodeMetric("vdf", "units", "mean VDF over plots and steps", "VDF", plotted=True, group=MONITORING),
+    EpisodeMetric(
+        "collisions",
+        "UAV steps",
+        "spent closer than the collision distance to a UAV at the same height",
+        "collisions",
+        digits=1,
+    ),
+    EpisodeMetric("boundary", "UAV steps", "that ran against the field's edge", "boundary", digits=1),
+    EpisodeMetric("energy_j", "J", "energy of all UAVs", "energy, kJ", digits=0, factor=1e-3),
+)
+
+METRIC_NAMES: Final = tuple(metric.name for metric in EPISODE_METRICS)
+
+
+def farm_environment(farm: FarmConfig) -> EnvironmentSpec:
+    """Return what generic code needs to know of a farm."""
+    team = farm_team(farm)
+    names = {group.name: _tensor_names(farm, group) for group in team.groups}
+    return EnvironmentSpec(team, (farm.world.steps, farm.world.steps), EPISODE_METRICS, LETTERS, names)
+
+
+def farm_of(config: RunConfig) -> FarmConfig | None:
+    """Return the farm of a run, or None where it is about another environment."""
+    return None if config.env.is_third_party else config.farm
+
+
+def require_farm(config: RunConfig, complaint: str) -> FarmConfig:
+    """Return the farm of a run that something needs which only the farm has.
+
+    Args:
+        config: the run.
+        complaint: the sentence of the error, with {} for the name of the other environment.
+
+    Raises:
+        ConfigError: the run is about another environment.
+    """
+    if (farm := farm_of(config)) is None:
+        raise ConfigError(complaint.format(config.env.name))
+    return farm
+
+
+def farm_team(farm: FarmConfig) -> TeamSpec:
+    """Return the team of a farm: communication, monitoring and data collection UAVs, in that order."""
+    per_sensor = 1 if farm.observation.form == "printed" else 3
+    seen = farm.observation
+    plots, sensors = seen.window**2 + 2 * seen.lattice, per_sensor * seen.sensors
+    sizes = (
+        (COMMUNICATION, farm.world.communication_uavs, COMMUNICATION_OBSERVATION, farm.control.communication),
+        (MONITORING, farm.world.monitoring_uavs, TASK_OBSERVATION + plots, farm.control.monitoring),
+        (COLLECTION, farm.world.collection_uavs, TASK_OBSERVATION + sensors, farm.control.collection),
+    )
+    return TeamSpec(
+        tuple(
+            GroupSpec(name, count, size + 2 * seen.mirrored + _self(farm, count), 2, _adapters(farm, control))
+            for name, count, size, control in sizes
+        )
+    )
+
+
+def _adapters(farm: FarmConfig, control: Control) -> tuple[ActionAdapter, ...]:
+    """Return the adapters of UAVs with that control; raise ConfigError for UAVs too slow for any lattice."""
+    lattice = (Lattice.spanning(*farm.world.reach),) if control == "lattice" else ()
+    return (*lattice, *((MirroredAxes(),) if farm.observation.mirrored else ()))
+
+
+def _self(farm: FarmConfig, count: int) -> int:
+    """Return how many numbers of an observation say which agent it is and what time it is."""
+    return count * farm.observation.identity + farm.observation.clock
+
+
+def _tensor_names(farm: FarmConfig, group: GroupSpec) -> TensorNames:
+    """Return the names of what a type observes and does (W24); docs/how-to/export.md has the scales."""
+    seen, uav = farm.observation, _offset("nearest_uav")
+    position = ["x", "y", *(["sign_x", "sign_y"] if seen.mirrored else [])]
+    if group.name == COMMUNICATION:
+        parts = ("nearest_relay", "relay_centroid", "served_centroid", "farthest_served")
+        own = [*(name for part in parts for name in _offset(part)), *uav]
+    elif group.name == MONITORING:
+        around = range(-(seen.window // 2), seen.window // 2 + 1)
+        vdf = [f"vdf_{column}_{row}" for column in around for row in around]
+        own = [*vdf, "d_vdf_x", "d_vdf_y", *uav, *(["plot_dx", "plot_dy"] if seen.lattice else [])]
+    else:
+        ends = ("aoi",) if seen.form == "printed" else ("aoi", "dx", "dy")
+        sensors = [f"sensor_{index}_{end}" for index in range(seen.sensors) for end in ends]
+        own = [*sensors, "d_aoi_x", "d_aoi_y", *uav]
+    rank = [f"rank_{index}" for index in range(group.count)] if seen.identity else []
+    names = (*position, *own, *rank, *(["clock"] if seen.clock else []))
+    scale = farm.world.speed_x_max, farm.world.speed_y_max
+    return TensorNames(names, ("velocity_x", "velocity_y"), scale)
+
+
+def _offset(name: str) -> list[str]:
+    return [f"{name}_{end}" for end in ("dx", "dy", "distance")]

@@ -1,0 +1,53 @@
+"""How a view labels types of agents and episode metrics: as the learner's environment says in its metric messages."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+NAME_LENGTH: Final = 14
+"""Most characters of a name."""
+MOST_DIGITS: Final = 6
+MOST_PLOTTED: Final = 2
+"""Most episode metrics that a view shows."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """An episode metric that a view shows.
+
+    Attributes:
+        name: its name in the learner's curves.
+        label: what the view calls it.
+        digits: decimals that are shown.
+    """
+
+    name: str
+    label: str
+    digits: int
+
+
+LENGTH: Final = Curve("steps", "episode steps", 0)
+"""What is shown where the environment wants nothing plotted."""
+
+
+def plotted(learner: Mapping[str, Any]) -> list[Curve]:
+    """Return the episode metrics that a view shows.
+
+    Args:
+        learner: the learner's metrics.
+
+    Raises:
+        TypeError, ValueError, LookupError or AttributeError: the environment's labels are malformed.
+    """
+    metrics = learner.get("environment", {}).get("episode_metrics", [])
+    curves = [
+        Curve(str(metric["name"]), str(metric["label"])[:NAME_LENGTH], max(0, min(int(metric["digits"]), MOST_DIGITS)))
+        for metric in metrics
+        if metric["plotted"]
+    ]
+    return curves[:MOST_PLOTTED] or [LENGTH]
+
+
+def type_label(learner: Mapping[str, Any], kind: Any) -> str:
+    """Return what a view calls a type of agent: its short name, else the beginning of its name."""
+    return str(learner.get("environment", {}).get("short_names", {}).get(kind, kind))[:NAME_LENGTH]
