@@ -151,7 +151,7 @@ def test_the_fewest_cells_within_reach(reach, cells):
 def test_a_lattice_follows_the_field_and_the_speed():
     """Half the speed along y: twice the rows."""
     world = WorldConfig(field_x=300.0, speed_y_max=5.0)
-    (lattice,) = farm_team(FarmConfig(world=world)).groups[1].adapters
+    lattice = farm_team(FarmConfig(world=world)).groups[1].adapters[0]
     assert (lattice.columns, lattice.rows) == (30, 80)
 
 

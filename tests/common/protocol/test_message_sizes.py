@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from common.actors import TeamActors
-from common.config import AlgorithmConfig, EliteConfig, EnvConfig, ReplayConfig, RolloutConfig, RunConfig
+from common.config import AlgorithmConfig, EliteConfig, ReplayConfig, RolloutConfig, RunConfig
+from common.environment import EnvironmentSpec
 from common.errors import ConfigError
-from common.farm import METRIC_NAMES, farm_team
+from common.farm import METRIC_NAMES, farm_environment
 from common.protocol.chunk_messages import to_message
 from common.protocol.message_sizes import actor_bytes, chunk_bytes, evaluation_bytes, require_frames
 from common.protocol.messages import EvaluationResult, ParametersMessage
@@ -17,7 +18,10 @@ from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from rollout.envs.base import environment_spec
 
-TEAM = farm_team(RunConfig().farm)
+FARM = farm_environment(RunConfig().farm)
+TEAM = FARM.team
+OTHER = EnvironmentSpec(TEAM, (1, 1000))
+"""The same team in episodes of no known length."""
 DEEP = ReplayConfig(capacity=10_000_000)
 
 
@@ -37,57 +41,56 @@ def chunk_size(config, ends):
 
 
 @pytest.mark.parametrize(("environments", "steps", "length"), [(8, 20, 500), (3, 1, 500), (4, 60, 20), (64, 5, 1)])
-@pytest.mark.parametrize("name", ["farm", "mpe2:simple_spread_v3"])
-def test_the_largest_chunk_is_as_large_as_told(name, environments, steps, length):
-    """A farm's episodes have a length, and chunks as many ends as fit; elsewhere every step may be the last."""
-    farm = replace(RunConfig().farm, world=replace(RunConfig().farm.world, steps=length))
-    rollout = RolloutConfig(environments=environments, chunk_steps=steps)
-    config = RunConfig(env=EnvConfig(name=name), farm=farm, rollout=rollout)
-    size = chunk_size(config, math.ceil(steps / length) if name == "farm" else steps)
-    assert 0.8 * size < chunk_bytes(config, TEAM) + 1000
-    assert size <= chunk_bytes(config, TEAM) + 1000 <= 1.3 * size
+@pytest.mark.parametrize("known", [True, False])
+def test_the_largest_chunk_has_the_computed_size(known, environments, steps, length):
+    """Where episodes have a known length, a chunk holds as many ends as fit; elsewhere every step may be the last."""
+    config = RunConfig(rollout=RolloutConfig(environments=environments, chunk_steps=steps))
+    environment = replace(FARM, episode_steps=(length, length)) if known else OTHER
+    size = chunk_size(config, math.ceil(steps / length) if known else steps)
+    assert 0.8 * size < chunk_bytes(config, environment) + 1000
+    assert size <= chunk_bytes(config, environment) + 1000 <= 1.3 * size
 
 
 @pytest.mark.parametrize("hidden", [16, 64])
 @pytest.mark.parametrize("head", ["deterministic", "gaussian"])
-def test_the_actors_are_as_large_as_told(hidden, head):
-    """All actors take the bytes that are told, but for the room beside them."""
+def test_the_actors_have_the_computed_size(hidden, head):
+    """All actors take the computed bytes, but for the room beside them."""
     actors = TeamActors.initial(TEAM, hidden, 0, head=head)
     size = len(ParametersMessage(1, 1, 0, 0, 0.0, TEAM.digest, actors.hidden, actors.head, actors.flat).encode())
     assert size <= actor_bytes(RunConfig(algorithm=AlgorithmConfig(hidden=hidden)), TEAM) + 1000 <= 1.2 * size
 
 
-def test_flights_for_the_elite_are_as_large_as_told():
+def test_evaluations_have_the_computed_size():
     """Of no more farms than are trained on; without imitation, and where episodes have no known length, none."""
     few = RunConfig(elite=EliteConfig(farms=50), rollout=RolloutConfig(train_farms=7))
     result = EvaluationResult(1, 1, np.zeros((7, 500, TEAM.agents), np.float32), np.full(7, 500))
-    assert 0 < len(result.encode()) - evaluation_bytes(few, TEAM) < 1000
-    assert evaluation_bytes(replace(few, elite=EliteConfig(enabled=False)), TEAM) == 0
-    assert evaluation_bytes(replace(few, env=EnvConfig(name="mpe2:simple_spread_v3")), TEAM) == 0
+    assert 0 < len(result.encode()) - evaluation_bytes(few, FARM) < 1000
+    assert evaluation_bytes(replace(few, elite=EliteConfig(enabled=False)), FARM) == 0
+    assert evaluation_bytes(few, OTHER) == 0
 
 
 def test_what_no_frame_holds_is_refused():
     """The sentence says what is too large and what to change; the defaults and a large fleet are taken."""
-    require_frames(RunConfig(), TEAM)
-    require_frames(RunConfig(), TeamSpec(tuple(replace(group, count=32) for group in TEAM.groups)))
+    require_frames(RunConfig(), FARM)
+    require_frames(RunConfig(), replace(FARM, team=TeamSpec(tuple(replace(group, count=32) for group in TEAM.groups))))
     wide = RolloutConfig(environments=512, chunk_steps=1000)
     with pytest.raises(ConfigError, match=r"512 environments times 1000 steps .* lower rollout\.chunk_steps"):
-        require_frames(RunConfig(rollout=wide, replay=DEEP), TEAM)
+        require_frames(RunConfig(rollout=wide, replay=DEEP), FARM)
     with pytest.raises(ConfigError, match=r"hidden 4096 take \d+ MiB, .* lower algorithm\.hidden"):
-        require_frames(RunConfig(algorithm=AlgorithmConfig(hidden=4096)), TEAM)
+        require_frames(RunConfig(algorithm=AlgorithmConfig(hidden=4096)), FARM)
     seen = TeamSpec((GroupSpec("agent", 64, 65_536, 2),))
     with pytest.raises(ConfigError, match="8 environments times 20 steps"):
-        require_frames(RunConfig(algorithm=AlgorithmConfig(hidden=1)), seen)
-    long = replace(RunConfig().farm, world=replace(RunConfig().farm.world, steps=100_000))
+        require_frames(RunConfig(algorithm=AlgorithmConfig(hidden=1)), replace(FARM, team=seen))
     fleet = TeamSpec(tuple(replace(group, count=12) for group in TEAM.groups))
+    long = replace(FARM, team=fleet, episode_steps=(100_000, 100_000))
     with pytest.raises(
         ConfigError, match=r"20 flights of 100000 steps with 36 agents take \d+ MiB, .* lower elite\.farms"
     ):
-        require_frames(RunConfig(farm=long, elite=EliteConfig(farms=20)), fleet)
+        require_frames(RunConfig(elite=EliteConfig(farms=20)), long)
     many = RunConfig(rollout=RolloutConfig(environments=4096, chunk_steps=20), replay=DEEP)
-    require_frames(many, TEAM)
+    require_frames(many, FARM)
     with pytest.raises(ConfigError, match="4096 environments times 20 steps"):
-        require_frames(replace(many, env=EnvConfig(name="mpe2:simple_spread_v3")), TEAM)
+        require_frames(many, OTHER)
 
 
 def test_a_run_is_refused_where_its_team_is_made():

@@ -74,7 +74,7 @@ def test_curves_show_every_type_levels_and_imitation():
     figure = curves_figure(metrics(), {"lawnmower": 95.0, "greedy": 94.0}, EPISODE_METRICS)
     upper, lower = figure.axes
     assert {"all agents", "communication", "monitoring", "data collection", "imitation"} == labels(upper)
-    assert {"mean AoI", "mean VDF"} == labels(lower)
+    assert {"AoI", "VDF"} == labels(lower)
     assert texts(upper) == ["greedy 94", "lawnmower 95"]
     raw = [line for line in upper.lines if line.get_color() == COLOURS["monitoring"] and line.get_alpha() == 0.2]
     np.testing.assert_array_equal(raw[0].get_xdata(), 8.0 * np.arange(40))

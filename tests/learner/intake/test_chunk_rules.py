@@ -161,7 +161,8 @@ def test_the_rows_of_a_collector_fit():
     world = replace(config.farm.world, steps=7)
     rollout = replace(config.rollout, environments=2, chunk_steps=10)
     config = replace(config, farm=replace(config.farm, world=world), rollout=rollout)
-    collector, tracker = Collector(config, "w", 0), EpisodeTracker(ChunkRules.of(config, collector.environments.spec))
+    collector = Collector(config, "w", 0)
+    tracker = EpisodeTracker(ChunkRules.of(config, collector.environments.spec))
     actors = TeamActors.initial(collector.team, 4, 0, per_type=False)
     for number in range(1, 6):
         chunk = collector.collect(actors, 0.1, uniform=False)
