@@ -133,14 +133,14 @@ def test_a_policy_steers_by_the_lattice_of_the_farm_that_it_flies_over():
     wide = FarmConfig(world=replace(FarmConfig().world, field_x=500.0, field_y=300.0))
     policy = ActorPolicy(TeamActors.initial(farm_team(FarmConfig()), 16, 3))
     farms = begin(wide, policy)
-    (lattice,) = farms.team.groups[1].adapters
+    lattice = farms.team.groups[1].adapters[0]
     assert (lattice.columns, lattice.rows) == (50, 30)
     action = np.concatenate(
         [TeamActors.initial(farms.team, 16, 3).environment_actions(row[None]) for row in farms.observation]
     )
     np.testing.assert_array_equal(policy.act(farms), action)
     printed = FarmConfig(control=ControlConfig(monitoring="velocity"))
-    with pytest.raises(PolicyError, match=r"\(lattice\)"):
+    with pytest.raises(PolicyError, match=r"\(lattice, mirrored axes\)"):
         begin(printed, policy)
 
 
