@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 
 from common.config import ReplayConfig
+from common.farm import METRIC_NAMES
 from common.history import History
 from common.protocol import keys
 from common.protocol.chunk_messages import from_request, to_message, to_request
 from common.protocol.messages import ChunkAck, Envelope
 from common.team import GroupSpec, TeamSpec
-from common.transitions import FARM_METRICS, TRANSITION, Chunk, Rows
+from common.transitions import TRANSITION, Chunk, Rows
 from learner.intake.chunk_rules import ChunkRules
 from learner.intake.ledger import Intake
 from learner.intake.receiver import Receiver
@@ -29,7 +30,7 @@ from tests.system.fleet import until
 TEAM = TeamSpec((GroupSpec("one", 2, 3, 2),))
 RUN = "road"
 RULES = ChunkRules(
-    environments=1, chunk_steps=1, spool_chunks=64, shortest=1, longest=100, episode_metrics=FARM_METRICS
+    environments=1, chunk_steps=1, spool_chunks=64, shortest=1, longest=100, episode_metrics=METRIC_NAMES
 )
 
 

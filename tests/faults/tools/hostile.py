@@ -28,7 +28,7 @@ from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Row
 from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint
 from learner.intake.chunk_rules import ChunkRules
-from rollout.envs.base import team_of
+from rollout.envs.base import environment_spec
 from tests.system.fleet import RUN, configured
 
 PER_NAME: Final = 15
@@ -162,7 +162,8 @@ def request(kind: Kind, team: TeamSpec, rules: ChunkRules, name: str, start: int
 def main() -> None:
     """Send all kinds, again and again, until the time is over; every kind is sent once at least."""
     config: RunConfig = configured(Path(sys.argv[2]).read_text(encoding="utf-8"))
-    team, rules, until = team_of(config), ChunkRules.of(config), time.monotonic() + float(sys.argv[3])
+    environment, until = environment_spec(config), time.monotonic() + float(sys.argv[3])
+    team, rules = environment.team, ChunkRules.of(config, environment)
     every, sent, answered = kinds(team, rules), 0, 0
     with Bus.connect(Endpoint.parse(sys.argv[1]), "bulk", wait=30.0) as bus:
         while sent < len(every) or time.monotonic() < until:
