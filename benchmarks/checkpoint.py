@@ -5,7 +5,7 @@
 With `--write docs/results/checkpoint.json`, `make docs` then brings the result into docs/how-to/debug_training.md.
 
 The default team and replay buffer, full; training takes one thread. While each checkpoint is being written, training
-goes on: one chunk of the default size comes in and one update round is done, again and again. Beside the pause itself
+goes on: one chunk of the default size comes in and one update is done, again and again. Beside the pause itself
 stand the longest of these turns during writing and the longest without, because the thread that writes also takes the
 processor's and the interpreter's time. `copy_ms` is what copying the whole replay buffer at once would take instead.
 """
@@ -55,7 +55,7 @@ def one_chunk(trainer: Trainer) -> Chunk:
 
 
 def turn(trainer: Trainer, chunk: Chunk) -> float:
-    """Take a chunk in and do one round; return the seconds."""
+    """Take a chunk in and do one update; return the seconds."""
     started = time.perf_counter()
     trainer.absorb(chunk)
     trainer.train(1)
@@ -118,8 +118,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory(dir=options.folder) as folder:
         result = measure(options.width, options.checkpoints, options.capacity, Path(folder))
     if options.write:
-        told = {**provenance("benchmarks.checkpoint"), "cores": os.cpu_count(), **result}
-        options.write.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+        record = {**provenance("benchmarks.checkpoint"), "cores": os.cpu_count(), **result}
+        options.write.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     if options.json:
         sys.stdout.write(json.dumps(result) + "\n")
         return 0

@@ -32,7 +32,7 @@ RUN: Final = "fly"
 LIMIT: Final = 600.0
 """Seconds after which a flight counts as failed."""
 REPORT_SECONDS: Final = 30.0
-"""Most time that the node's figures of the flight's end may take; they come once a second."""
+"""Longest wait for the node's metrics after a flight; they come once a second."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,10 @@ class Arguments:
 
 
 def fly(arguments: Arguments, rate: float) -> dict[str, Any]:
-    """Fly once; return the figures of both sides.
+    """Fly once; return the metrics of both sides.
 
     Raises:
-        EiaSecError: when either process fails, or the node tells nothing.
+        EiaSecError: when either process fails, or the node reports nothing.
     """
     endpoint = free_endpoint()
     where = ("--run", RUN)
@@ -65,7 +65,7 @@ def fly(arguments: Arguments, rate: float) -> dict[str, Any]:
         with Bus.connect(endpoint, "control", wait=60.0) as bus:
             reports = bus.subscribe(keys.METRIC.key(RUN, role="flight", name="main"), 64)
             flown = _simulate(arguments, rate, endpoint, where)
-            told = _last_report(reports)
+            reported = _last_report(reports)
     finally:
         node.terminate()
         try:
@@ -73,7 +73,7 @@ def fly(arguments: Arguments, rate: float) -> dict[str, Any]:
         except subprocess.TimeoutExpired:
             node.kill()
     names = ("periods", "overruns", "decisions", "hovers", "latency")
-    return {"rate": rate, "flight": flown, "node": {name: told[name] for name in names}}
+    return {"rate": rate, "flight": flown, "node": {name: reported[name] for name in names}}
 
 
 def _simulate(arguments: Arguments, rate: float, endpoint: Endpoint, where: tuple[str, ...]) -> dict[str, Any]:
@@ -89,7 +89,7 @@ def _simulate(arguments: Arguments, rate: float, endpoint: Endpoint, where: tupl
 
 
 def _last_report(reports: Subscription) -> dict[str, Any]:
-    """Return the figures as soon as two reports that come after the flight tell of equally many decisions."""
+    """Return the metrics once two reports after the flight count equally many decisions."""
     list(reports.drain())
     deadline, before = time.monotonic() + REPORT_SECONDS, -1
     while time.monotonic() < deadline:
@@ -99,7 +99,7 @@ def _last_report(reports: Subscription) -> dict[str, Any]:
                 return values
             before = values["decisions"]
         time.sleep(0.01)
-    raise EiaSecError("the flight node told no figures.")
+    raise EiaSecError("the flight node reported no metrics.")
 
 
 def measure() -> int:

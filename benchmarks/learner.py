@@ -1,15 +1,15 @@
-"""Milliseconds of one update round of all agents, beside the time that its arithmetic alone would take; and decisions.
+"""Milliseconds of one update of all agents, beside the time that its arithmetic alone would take; and decisions.
 
-    python -m benchmarks.learner [--json] [--widths 64 128 256] [--threads 1] [--rounds 300] [--device cuda]
+    python -m benchmarks.learner [--json] [--widths 64 128 256] [--threads 1] [--updates 300] [--device cuda]
     python -m benchmarks.learner --growth docs/results/learner [--redraw]
 
-A round includes drawing its batch from a full replay buffer. Rounds are timed in bursts of at least two, as those of
-other projects are in `benchmarks.peers`, and an algorithm whose rounds differ in whole cycles of them. The limit
-divides the multiplications and additions of the matrix products of a round by the speed of a large matrix product on
+An update includes drawing its batch from a full replay buffer. Updates are timed in bursts of at least two, as those of
+other projects are in `benchmarks.peers`, and an algorithm whose updates differ in whole cycles of them. The limit
+divides the multiplications and additions of the matrix products of an update by the speed of a large matrix product on
 as many threads, or on the same device, measured in the same run. A decision takes all UAVs of one time step from
 observations to actions, on one thread of the processor. Every time is the least of many.
 
-`--growth` measures how a round grows with agents, width and batch, and writes growth.json, growth.md and growth.png;
+`--growth` measures how an update grows with agents, width and batch, and writes growth.json, growth.md and growth.png;
 with `--redraw` it makes the latter two anew from growth.json.
 """
 
@@ -55,11 +55,11 @@ TIMED = ("eia-sec", "base", "maddpg", "matd3", "masac")
 UAVS = (6, 12, 16, 20, 24, 96)
 SEGMENT = 20
 GROWTH_BY = ("agents", "width", "batch")
-"""What a round's growth is measured with, one at a time."""
+"""What an update's growth is measured with, one at a time."""
 GROWTH_ROWS = 8192
 """Rows of the replay buffer there: of the presets' 65,536 those of 96 agents would take 1.6 GB."""
 DEVICES = {"cpu": (512, 400), "cuda": (8192, 50)}
-"""For each device the rows of the square matrices whose product tells its speed, and how often they are multiplied. A
+"""For each device the rows of the square matrices whose product gives its speed, and how often they are multiplied. A
 processor is fastest where they stay in its caches, an accelerator where they fill it."""
 Line = dict[str, Any]
 
@@ -90,16 +90,16 @@ def matrix_speed(device: str = "cpu") -> float:
 
 
 def operations(config: AlgorithmConfig, team: TeamSpec) -> float:
-    """Return the floating-point operations of a round's matrix products, the mean of all its kinds.
+    """Return the floating-point operations of an update's matrix products, the mean of all its kinds.
 
     A forward pass costs m multiplications a row, m being the weights; the gradient by the weights as many again, the
-    gradient through a layer its weights. Per round and agent: each critic and each member runs forward for the target
+    gradient through a layer its weights. Per update and agent: each critic and each member runs forward for the target
     and for its loss, backward by the weights, and for the actor's step forward and backward down to the action; the
-    actor runs forward twice and backward once. Only those critics count there that the actors climb, and only the
-    rounds in which they step.
+    actor runs forward twice and backward once. Only those critics count there that the actors maximise, and only the
+    updates in which they step.
     """
     h, total, algorithm = config.hidden, 0.0, ALGORITHMS[config.name]
-    twins, climbed, share = algorithm.critics_each, algorithm.objective_critics, 1 / algorithm.actor_period(config)
+    twins, maximised, share = algorithm.critics_each, algorithm.objective_critics, 1 / algorithm.actor_period(config)
     members = config.ensemble_members if config.uses_ensemble else 0
     heads = 2 if algorithm.head == "gaussian" else 1
     for kind, group in enumerate(team.groups):
@@ -107,8 +107,8 @@ def operations(config: AlgorithmConfig, team: TeamSpec) -> float:
         out = heads * h * group.action_size
         actor = group.observation_size * h + h * h + out
         learning = (twins + members) * (2 * critic + critic + h * h + h)
-        climbing = (climbed + members) * (critic + h * h + h + group.action_size * h) + 2 * actor + h * h + out
-        total += group.count * (learning + actor + share * climbing)
+        acting = (maximised + members) * (critic + h * h + h + group.action_size * h) + 2 * actor + h * h + out
+        total += group.count * (learning + actor + share * acting)
     return 2.0 * config.batch * total
 
 
@@ -144,14 +144,14 @@ def filled_trainer(
 
 
 def burst_of(config: AlgorithmConfig) -> int:
-    """Return how many rounds are timed together: whole cycles of an algorithm's kinds of round, at least `BURST`."""
+    """Return how many updates are timed together: whole cycles of an algorithm's kinds of update, at least `BURST`."""
     cycle = ALGORITHMS[config.name].actor_period(config)
     return cycle * -(-BURST // cycle)
 
 
 def measure(
     config: AlgorithmConfig,
-    rounds: int,
+    updates: int,
     farm: FarmConfig | None = None,
     capacity: int = 65_536,
     device: str = "cpu",
@@ -159,9 +159,9 @@ def measure(
     """Return one line of the result; on a CPU its threads are the cores that the engine computes on."""
     trainer = filled_trainer(config, farm, capacity, device)
     burst = burst_of(config)
-    # Every kind of round, with figures and without, so that nothing is compiled or captured while the clock runs.
+    # Every kind of update, with diagnostics and without, so that nothing is compiled or captured while the clock runs.
     trainer.train(DIAGNOSTIC_PERIOD * burst + 1)
-    seconds = fastest(lambda: trainer.train(burst), max(1, rounds // burst), device) / burst
+    seconds = fastest(lambda: trainer.train(burst), max(1, updates // burst), device) / burst
     speed = matrix_speed(device)
     return {
         "algorithm": config.name,
@@ -191,13 +191,13 @@ def decisions(uavs: Sequence[int], repeats: int) -> dict[str, float]:
     return found
 
 
-def growth(rounds: int, device: str) -> dict[str, list[Line]]:
+def growth(updates: int, device: str) -> dict[str, list[Line]]:
     """Return lines for more agents, wider networks and larger batches, one thing at a time."""
     base = AlgorithmConfig()
 
     def lines(variants: Sequence[AlgorithmConfig], farms: Sequence[FarmConfig | None] = (None,)) -> list[Line]:
         return [
-            measure(replace(variant, name=name), rounds, farm, GROWTH_ROWS, device)
+            measure(replace(variant, name=name), updates, farm, GROWTH_ROWS, device)
             for name in ("eia-sec", "maddpg")
             for variant in variants
             for farm in farms
@@ -275,25 +275,25 @@ def take_threads(threads: int) -> None:
 
 def options() -> argparse.Namespace:
     """Return the command line."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.learner", description="Time of one update round.")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.learner", description="Time of one update.")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--algorithms", nargs="+", default=list(TIMED), choices=list(ALGORITHMS))
     parser.add_argument("--widths", type=int, nargs="+", default=[64, 128, 256])
     parser.add_argument("--threads", type=int, nargs="+", default=[1])
-    parser.add_argument("--rounds", type=int, default=300)
-    parser.add_argument("--device", choices=list(DEVICES), default="cpu", help="where rounds are computed")
+    parser.add_argument("--updates", type=int, default=300)
+    parser.add_argument("--device", choices=list(DEVICES), default="cpu", help="where updates are computed")
     parser.add_argument("--growth", type=Path, metavar="FOLDER", help="measure growth instead and write it there")
     parser.add_argument("--redraw", action="store_true", help="with --growth: only table and picture, from growth.json")
     return parser.parse_args()
 
 
-def measure_rounds(asked: argparse.Namespace) -> list[Line]:
+def measure_updates(asked: argparse.Namespace) -> list[Line]:
     """Return a line for each number of threads, width and algorithm."""
     lines, base = [], AlgorithmConfig()
     for threads in asked.threads:
         take_threads(threads)
         lines += [
-            measure(replace(base, name=name, hidden=width), asked.rounds, device=asked.device)
+            measure(replace(base, name=name, hidden=width), asked.updates, device=asked.device)
             for width in asked.widths
             for name in asked.algorithms
         ]
@@ -304,7 +304,7 @@ def keep_growth(asked: argparse.Namespace) -> None:
     """Measure the growth unless only its table and picture are wanted, and write."""
     if not asked.redraw:
         take_threads(asked.threads[0])
-        found = growth(asked.rounds, asked.device)
+        found = growth(asked.updates, asked.device)
         asked.growth.mkdir(parents=True, exist_ok=True)
         result = {**provenance("benchmarks.learner"), "team": farm_team(preset("study").farm).digest, **found}
         (asked.growth / "growth.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
@@ -322,16 +322,16 @@ def main() -> int:
         raise UsageError("--redraw takes the folder from --growth.")
     if asked.device == "cuda" and not torch.cuda.is_available():
         raise UsageError("--device cuda needs a CUDA device, and torch finds none.")
-    for threads in asked.threads:  # whatever cannot be had is told before hours of measuring
+    for threads in asked.threads:  # whatever cannot be had is reported before hours of measuring
         take_threads(threads)
     if asked.growth:
         keep_growth(asked)
         return 0
-    lines = measure_rounds(asked)
+    lines = measure_updates(asked)
     torch.set_num_threads(1)
     decide = decisions(UAVS, 2000)
     if asked.json:
-        sys.stdout.write(json.dumps({"rounds": lines, "decide_us": decide}) + "\n")
+        sys.stdout.write(json.dumps({"updates": lines, "decide_us": decide}) + "\n")
         return 0
     sys.stdout.write(table(lines) + "\n")
     sys.stdout.write("".join(f"{count:>3} UAVs decide in {us:.1f} us\n" for count, us in decide.items()))

@@ -48,7 +48,7 @@ CONTROL: Final = -1
 class Arguments:
     """Measure what watching costs a worker."""
 
-    rounds: int = 4
+    repeats: int = 4
     """Rounds; in each of them every number of watchers has its stretch."""
     seconds: float = 20.0
     """Length of a stretch: in 20 s a worker shows one whole episode, and one more to somebody new."""
@@ -64,7 +64,7 @@ class Arguments:
 
 @dataclass
 class _Tally:
-    """What a stretch came to."""
+    """The totals of a stretch."""
 
     steps: int = 0
     processor: float = 0.0
@@ -116,16 +116,16 @@ def measure(arguments: Arguments) -> dict[str, Any]:
     other = subprocess.Popen(command, stdin=subprocess.PIPE, text=True)
     try:
         with Bus.connect(endpoint, "control", wait=60.0) as bus:
-            found = _rounds(arguments, bus, other)
+            found = _repeats(arguments, bus, other)
     finally:
         other.kill()
         other.wait()
     rows = [_row(number, found[number], found[arguments.watchers[0]]) for number in (*arguments.watchers, CONTROL)]
-    made = {"rounds": arguments.rounds, "seconds": arguments.seconds, "watchers": rows[:-1], "control": rows[-1]}
+    made = {"repeats": arguments.repeats, "seconds": arguments.seconds, "watchers": rows[:-1], "control": rows[-1]}
     return {**provenance("benchmarks.watch"), **made}
 
 
-def _rounds(arguments: Arguments, bus: Bus, other: "subprocess.Popen[str]") -> dict[int, list[_Tally]]:
+def _repeats(arguments: Arguments, bus: Bus, other: "subprocess.Popen[str]") -> dict[int, list[_Tally]]:
     config = preset("study")
     collector = Collector(config, "w", 1)
     view_service = ViewService(bus, RUN, "w", 1, collector, to_toml(config))
@@ -135,7 +135,7 @@ def _rounds(arguments: Arguments, bus: Bus, other: "subprocess.Popen[str]") -> d
     cases = (*arguments.watchers, CONTROL)
     found: dict[int, list[_Tally]] = {number: [] for number in cases}
     beside = psutil.Process(other.pid)
-    for turn in range(arguments.rounds):
+    for turn in range(arguments.repeats):
         for number in cases if turn % 2 == 0 else cases[::-1]:
             busy = found[max(cases)][-1].other if number == CONTROL else 0.0
             assert other.stdin is not None
@@ -174,7 +174,7 @@ def _fly(collector: Collector, view_service: ViewService, actors: TeamActors, se
 
 
 def _row(number: int, tallies: list[_Tally], base: list[_Tally]) -> dict[str, Any]:
-    """Return a number of watchers' figures; extra costs are those of each round against the same round's base."""
+    """Return a number of watchers' costs; extra costs are those of each repeat against the base of the same repeat."""
     extra = [
         100.0 * (own.processor / own.steps / (bare.processor / bare.steps) - 1.0)
         for own, bare in zip(tallies, base, strict=True)

@@ -180,14 +180,14 @@ def measure(
     for repeat in range(repeats):
         for name, run in chosen.items():
             for case in cases(name, workers):
-                told = f"{name}, {case[0]}, {case[1]} workers"
+                label = f"{name}, {case[0]}, {case[1]} workers"
                 try:
                     result = run(*case)
                 except EiaSecError as error:
-                    failures.append(f"{told}: {error}")
+                    failures.append(f"{label}: {error}")
                     sys.stderr.write(f"{failures[-1]}\n")
                     continue
-                sys.stderr.write(f"{repeat + 1}: {told}: {result['env_steps_per_second']:,.0f} steps/s\n")
+                sys.stderr.write(f"{repeat + 1}: {label}: {result['env_steps_per_second']:,.0f} steps/s\n")
                 before = found.setdefault(name, {}).get(case)
                 if before is None or result["env_steps_per_second"] > before["env_steps_per_second"]:
                     found[name][case] = {key: round(value, 1) for key, value in result.items()}

@@ -97,7 +97,7 @@ class Window:
         return {"env_steps_per_second": rows * share / elapsed, "mb_per_second": size / elapsed / 1e6}
 
 
-def tell(result: dict[str, float]) -> None:
+def write_result(result: dict[str, float]) -> None:
     """Print a result as the last line, which the driver reads."""
     sys.stdout.write("\n" + json.dumps(result) + "\n")
     sys.stdout.flush()

@@ -1,4 +1,4 @@
-"""The page of the intake benchmark, from its figures."""
+"""The page of the intake benchmark, from its results."""
 
 from typing import Any, Final
 
@@ -52,8 +52,8 @@ def _rows(found: Table, columns: dict[str, str]) -> list[str]:
     rows = []
     for name, results in found.items():
         cells = [results.get(key) for key in columns]
-        told = [f"{c['env_steps_per_second']:,.0f} ({c['mb_per_second']:,.0f})" if c else "-" for c in cells]
-        rows.append([name, *told])
+        texts = [f"{c['env_steps_per_second']:,.0f} ({c['mb_per_second']:,.0f})" if c else "-" for c in cells]
+        rows.append([name, *texts])
     return table(["transport", *columns.values()], rows, 1)
 
 
@@ -85,16 +85,18 @@ def _aims(found: Table) -> list[str]:
         *table(["transport", *sizes], rows, 1),
         "",
         f"Wanted are {TIMES_RAY:g} times at {SWEPT}",
-        f"({_told(near)})",
+        f"({_verdict(near)})",
         f"and {STEPS:,} steps a second, which we read as at some size of chunks",
-        f"({_told(fast)}).",
+        f"({_verdict(fast)}).",
     ]
 
 
-def _told(reached: dict[str, bool]) -> str:
+def _verdict(reached: dict[str, bool]) -> str:
     """Return who reaches something and who does not."""
     short: dict[bool, list[str]] = {True: [], False: []}
     for name, does in reached.items():
         short[does].append(name.removeprefix(f"{OURS}, "))
-    told = [f"{word}: {', '.join(names)}" for word, names in (("reached", short[True]), ("not", short[False])) if names]
-    return "; ".join(told)
+    parts = [
+        f"{word}: {', '.join(names)}" for word, names in (("reached", short[True]), ("not", short[False])) if names
+    ]
+    return "; ".join(parts)

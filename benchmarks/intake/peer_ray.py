@@ -9,7 +9,7 @@ from pathlib import Path
 
 import ray
 
-from benchmarks.intake.chunks import Arrays, Ring, Window, read, steps_in_rows, tell
+from benchmarks.intake.chunks import Arrays, Ring, Window, read, steps_in_rows, write_result
 
 
 @ray.remote(num_cpus=1)
@@ -57,7 +57,7 @@ def main() -> None:
     learner = Learner.remote(str(options.folder.resolve()), options.seconds)
     under_way = options.workers * options.chunks
     ray.get(Player.remote().play.remote(learner, str(options.folder.resolve()), under_way))
-    tell(ray.get(learner.report.remote()))
+    write_result(ray.get(learner.report.remote()))
     ray.shutdown()
 
 

@@ -17,7 +17,7 @@ from torchrl.collectors.distributed import DistributedCollector
 from torchrl.data import Bounded, Categorical, Composite, LazyTensorStorage, TensorDictReplayBuffer, Unbounded
 from torchrl.envs import EnvBase
 
-from benchmarks.intake.chunks import CAPACITY, Window, read, steps_in_rows, tell
+from benchmarks.intake.chunks import CAPACITY, Window, read, steps_in_rows, write_result
 
 
 class Recorded(EnvBase):
@@ -109,7 +109,7 @@ def main() -> None:
         taken[1] += size
         if window.over():
             break
-    tell(window.report(steps_in_rows(folder)))
+    write_result(window.report(steps_in_rows(folder)))
     collector.shutdown()
 
 

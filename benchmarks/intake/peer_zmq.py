@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import zmq
 
-from benchmarks.intake.chunks import NAMES, Ring, Window, read, steps_in_rows, tell
+from benchmarks.intake.chunks import NAMES, Ring, Window, read, steps_in_rows, write_result
 
 
 def sink(address: str, folder: Path, seconds: float) -> None:
@@ -33,7 +33,7 @@ def sink(address: str, folder: Path, seconds: float) -> None:
         }
         ring.add(parts)
         socket.send_multipart([sender.bytes, b"ok"])
-    tell(window.report(steps_in_rows(folder)))
+    write_result(window.report(steps_in_rows(folder)))
     context.destroy(linger=0)
 
 

@@ -7,7 +7,7 @@ deduplication, ledger, acknowledgement and the copy into replay.
 import argparse
 import sys
 
-from benchmarks.intake.chunks import CAPACITY, Window, tell
+from benchmarks.intake.chunks import CAPACITY, Window, write_result
 from benchmarks.intake.record import configuration
 from common.config import ReplayConfig
 from common.config.presets import preset
@@ -59,7 +59,7 @@ def main() -> None:
             replay.add(rows, sender.version, f"{sender.name}/{sender.incarnation}", sender.sequence)
             taken[0] += rows.steps
             taken[1] += rows.observation.nbytes + rows.action.nbytes + rows.reward.nbytes
-        tell(window.report())
+        write_result(window.report())
         receiver.close()
     receiver.join()
 

@@ -36,7 +36,7 @@ def options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--threads", type=int, nargs="+", default=sorted({1, os.cpu_count() or 1}))
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=4.0, help="measuring time of each case of a simulator")
-    parser.add_argument("--rounds", type=int, default=100, help="update rounds of each case of a learner")
+    parser.add_argument("--updates", type=int, default=100, help="updates of each case of a learner")
     parser.add_argument("--widths", type=int, nargs="+", default=[64, 128, 256])
     parser.add_argument("--batches", type=int, nargs="+", default=[1, 32, 1024])
     parser.add_argument("--only", nargs="+", metavar="NAME", help="only these programs, by name")
@@ -61,7 +61,7 @@ def chosen(subject: str, only: Sequence[str] | None) -> tuple[Program, ...]:
 
 
 def processor() -> str:
-    """Return the processor's name, as far as the system tells it."""
+    """Return the processor's name, as far as the system names it."""
     info = Path("/proc/cpuinfo")
     if info.is_file():
         for line in info.read_text().splitlines():
@@ -129,7 +129,7 @@ def main() -> None:
         threads=tuple(asked.threads),
         repeats=asked.repeats,
         seconds=asked.seconds,
-        rounds=asked.rounds,
+        updates=asked.updates,
         widths=tuple(asked.widths),
         batches=tuple(asked.batches),
     )

@@ -1,4 +1,4 @@
-"""What the scripts of all peers share: how time is taken and how figures are handed over. Standard library only."""
+"""What the scripts of all peers share: how time is taken and how results are handed over. Standard library only."""
 
 import argparse
 import json
@@ -13,7 +13,7 @@ from typing import Any
 BLOCKS = 8
 """Parts that a simulator's measuring time is cut into; the fastest is least disturbed by other processes."""
 BURST = 2
-"""Update rounds timed together; `benchmarks.learner` takes as many for ours, or a whole cycle where that is longer."""
+"""Updates timed together; `benchmarks.learner` takes as many for ours, or a whole cycle where that is longer."""
 
 
 def step_rate(step: Callable[[], None], seconds: float) -> float:
@@ -38,17 +38,17 @@ def step_rate(step: Callable[[], None], seconds: float) -> float:
     return calls / best
 
 
-def round_times(update: Callable[[], None], rounds: int) -> tuple[float, float]:
-    """Return the least and the median milliseconds of one update round, timed in bursts of `BURST`.
+def update_times(update: Callable[[], None], updates: int) -> tuple[float, float]:
+    """Return the least and the median milliseconds of one update, timed in bursts of `BURST`.
 
     Args:
-        update: one update round, replay sampling included; called ten times before the clock starts.
-        rounds: rounds to time.
+        update: one update, replay sampling included; called ten times before the clock starts.
+        updates: how many to time.
     """
     for _ in range(10):
         update()
     bursts = []
-    for _ in range(max(1, rounds // BURST)):
+    for _ in range(max(1, updates // BURST)):
         started = time.perf_counter()
         for _ in range(BURST):
             update()
@@ -57,7 +57,7 @@ def round_times(update: Callable[[], None], rounds: int) -> tuple[float, float]:
 
 
 def bursts_of(moments: Sequence[float]) -> list[float]:
-    """Return the milliseconds of one round in each whole burst between moments, s, at which rounds ended."""
+    """Return the milliseconds of one update in each whole burst between moments, s, at which updates ended."""
     ends = moments[::BURST]
     return [1e3 * (after - before) / BURST for before, after in pairwise(ends)]
 
@@ -75,9 +75,9 @@ def simulator_options(software: str) -> argparse.ArgumentParser:
 
 def learner_options(software: str) -> argparse.ArgumentParser:
     """Return the command line that all scripts of learners understand."""
-    parser = argparse.ArgumentParser(description=f"Milliseconds of an update round of {software}.")
+    parser = argparse.ArgumentParser(description=f"Milliseconds of an update of {software}.")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--rounds", type=int, default=100)
+    parser.add_argument("--updates", type=int, default=100)
     parser.add_argument("--widths", type=int, nargs="+", default=[64, 128, 256])
     parser.add_argument("--batch", type=int, default=128)
     parser.add_argument("--capacity", type=int, default=65_536)

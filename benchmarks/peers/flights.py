@@ -80,7 +80,7 @@ class Course:
     """The looks at a policy while it is trained; the clock stands while somebody looks.
 
     Attributes:
-        points: seconds of training, environment steps, update rounds and reward at each look.
+        points: seconds of training, environment steps, updates and reward at each look.
 
     Args:
         options: those of `farm_options`.

@@ -2,7 +2,7 @@
 
     python -m benchmarks.peers.learning [--write docs/results/spread] [--seeds 5] [--json]
 
-Every program gets the same environment (mpe2 simple_spread_v3, three agents), environment steps, update rounds, batch,
+Every program gets the same environment (mpe2 simple_spread_v3, three agents), environment steps, updates, batch,
 width, discount, target rate and exploration noise, and the same tuning: the learning rate of actors and critics is the
 best of RATES on a seed that is not used again; when it stands at an end of them, the next one there is tried too. What
 FOLDER/results.json already holds is not run again. Environments of the peers are those of `make bench-peers`.
@@ -46,8 +46,8 @@ PEERS: Final = (
     (Program("learner", "BenchMARL", "benchmarks.peers.scripts.learn_benchmarl", "benchmarl"), ("maddpg",)),
 )
 OURS: Final = {"EIA-SEC": (), "EIA-SEC, team": ("--algorithm.others", "team")}
-"""Options of our lines: as published, where each actor climbs its own critic and the others act as in the batch, and
-where all actors climb the sum of all critics, which is how BenchMARL has it."""
+"""Options of our lines: as published, where each actor maximises its own critic and the others act as in the batch, and
+where all actors maximise the sum of all critics, which is how BenchMARL has it."""
 Line = dict[str, Any]
 
 
@@ -57,7 +57,7 @@ class Budget:
 
     Attributes:
         steps: environment steps; of ours a multiple of a chunk's, which are 8 episodes.
-        every: environment steps for each update round.
+        every: environment steps for each update.
         warmup: environment steps of random actions at first.
     """
 
@@ -77,7 +77,7 @@ class Case:
 
 
 def scenarios() -> list[int]:
-    """Return the environment seeds of the evaluation: those that our evaluation of farms 1000.. comes to."""
+    """Return the environment seeds of the evaluation: those that our evaluation uses on farms 1000..."""
     return [derive(farm, 0, "reset") % 2**31 for farm in range(1000, 1000 + SCENARIOS)]
 
 
@@ -109,21 +109,21 @@ def run_ours(case: Case, budget: Budget) -> Line:
     if len(found["farms"]) != SCENARIOS:
         raise EiaSecError(f"our run was evaluated on {len(found['farms'])} scenarios, not {SCENARIOS}.")
     updates = [line["updates"] for line in metrics if line["kind"] == "status"][-1]
-    if updates != rounds(budget):
-        raise EiaSecError(f"our run did {updates} update rounds, not {rounds(budget)}.")
-    # What was under way at the end is taken in and counted, and no update round sees it.
+    if updates != updates_of(budget):
+        raise EiaSecError(f"our run did {updates} updates, not {updates_of(budget)}.")
+    # What was under way at the end is taken in and counted, and no update sees it.
     flown = each_episode([line for line in metrics if line["kind"] == "episodes"])[: budget.steps // EPISODE_STEPS]
-    told = {"reward": found["reward"]["mean"], "seconds": outcome["seconds"], "updates": updates}
-    return {**told, "curve": curve(flown)}
+    result = {"reward": found["reward"]["mean"], "seconds": outcome["seconds"], "updates": updates}
+    return {**result, "curve": curve(flown)}
 
 
-def rounds(budget: Budget) -> int:
-    """Return the update rounds of all agents that a budget gives."""
+def updates_of(budget: Budget) -> int:
+    """Return the updates of all agents that a budget gives."""
     return (budget.steps - budget.warmup) // budget.every
 
 
 def each_episode(records: Sequence[Line]) -> list[float]:
-    """Return a reward for every episode of a run of ours, whose records tell the mean of those that ended together."""
+    """Return a reward for every episode of a run of ours, whose records hold the mean of those that ended together."""
     counts = np.diff([0, *(record["episodes"] for record in records)])
     rewards: list[float] = np.repeat([record["reward"]["mean"] for record in records], counts).tolist()
     return rewards
@@ -241,19 +241,19 @@ def page(runs: Sequence[Line]) -> str:
     ]
     head = ["algorithm", "program", "rate", "seeds", "reward", "95 % interval", "minutes a seed"]
     budget, rates = Budget(**runs[0]["budget"]), ", ".join(f"{rate:g}" for rate in RATES)
-    told = (
-        f"{budget.steps:,} environment steps and {rounds(budget):,} update rounds of all agents, one for each\n"
+    setting = (
+        f"{budget.steps:,} environment steps and {updates_of(budget):,} updates of all agents, one for each\n"
         f"{budget.every} steps after {budget.warmup:,} steps of random actions. Reward of an episode without noise,\n"
         f"mean over agents and {SCENARIOS} unseen scenarios, then over seeds. The rate is the best of {rates}\n"
         "on another seed; when that was the smallest or largest, its half or double was tried too, "
         f"{FURTHER} times at most.\n"
-        "`EIA-SEC` has the published form, in which each actor climbs its own critic; `EIA-SEC, team` is\n"
-        "`--algorithm.others team`, in which all climb the sum of all critics, as in BenchMARL.\n"
-        "Episodes that ours has under way when its last round is done are trained on by none and left out.\n"
+        "`EIA-SEC` has the published form, in which each actor maximises its own critic; `EIA-SEC, team` is\n"
+        "`--algorithm.others team`, in which all maximise the sum of all critics, as in BenchMARL.\n"
+        "Episodes that ours has under way when its last update is done are trained on by none and left out.\n"
         "Minutes are of one seed on cores shared with other work; ours runs learner and worker side by side.\n"
     )
     return "\n".join(
-        ["# simple_spread beside other projects", "", told, *table(head, rows, 3), "", "![Curves](curves.png)", ""]
+        ["# simple_spread beside other projects", "", setting, *table(head, rows, 3), "", "![Curves](curves.png)", ""]
     )
 
 

@@ -3,11 +3,11 @@
     python -m benchmarks.peers.reach [--write docs/results/reach] [--seeds 3] [--json]
 
 Ours is `eia-sec train --preset study` as a user starts it, with learner, coordinator and worker as processes of their
-own: that preset sees and trains as the peers can be told to. The peers train on the same PettingZoo farm with as many
-farms side by side, the same widths, batch, rates, discount, reward scale, warm-up (BenchMARL's collector only), update
-rounds per environment step, and the noise that ours begins with; they may use all cores. The clock starts with the
-command and stands while somebody looks at a peer's policy; ours is looked at afterwards, from the parameters that it
-publishes. Everybody is ended after a while, a peer also when it earns what the lawnmower does.
+own: that preset sees and trains as the peers can be configured to. The peers train on the same PettingZoo farm with as
+many farms side by side, the same widths, batch, rates, discount, reward scale, warm-up (BenchMARL's collector only),
+update updates per environment step, and the noise that ours begins with; they may use all cores. The clock starts with
+the command and stands while somebody looks at a peer's policy; ours is looked at afterwards, from the parameters that
+it publishes. Everybody is ended after a while, a peer also when it earns what the lawnmower does.
 """
 
 import argparse
@@ -57,7 +57,7 @@ PEERS: Final = (
 LOOK_SECONDS: Final = 2.0
 """Time between two looks at ours; looking costs it nothing."""
 SHARES: Final = (0.5, 0.75, 1.0)
-"""Parts of the bar's reward for which times are told."""
+"""Parts of the bar's reward for which times are given."""
 JOIN_SECONDS: Final = 120.0
 Line = dict[str, Any]
 
@@ -133,7 +133,7 @@ def run_peer(program: Program, seed: int, bar: float, asked: argparse.Namespace)
 
 
 def settings(config: RunConfig) -> dict[str, Any]:
-    """Return what a peer is told to train with: that of a configuration of ours."""
+    """Return the settings that a peer trains with: that of a configuration of ours."""
     algorithm, replay = config.algorithm, config.replay
     return {
         "environments": config.rollout.environments,
@@ -181,10 +181,10 @@ def page(data: Line) -> str:
     rows = []
     for row in summary(data):
         more = "" if row["reached"] == row["seeds"] else "> "
-        told = f"{row['share']:.0%} ({row['share'] * data['bar']:.0f})"
+        part = f"{row['share']:.0%} ({row['share'] * data['bar']:.0f})"
         seconds = f"{more}{row['seconds']:.0f} ({row['least']:.0f} to {row['most']:.0f})"
         times = "-" if row["times"] is None else f"{more}{row['times']:.1f}"
-        rows.append([told, row["software"], f"{row['reached']} of {row['seeds']}", seconds, times])
+        rows.append([part, row["software"], f"{row['reached']} of {row['seeds']}", seconds, times])
     best = {
         software: max(point["reward"] for run in data["runs"] if run["software"] == software for point in run["points"])
         for software in dict.fromkeys(run["software"] for run in data["runs"])

@@ -18,7 +18,7 @@ MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], text_columns: int) -> list[str]:
-    """Return a Markdown table whose first columns are text and whose others are figures."""
+    """Return a Markdown table whose first columns are text and whose others are numbers."""
     rule = ["---" if column < text_columns else "---:" for column in range(len(head))]
     return [f"| {' | '.join(cells)} |" for cells in (head, rule, *rows)]
 
@@ -55,8 +55,8 @@ def simulator_tables(data: dict[str, Any]) -> list[str]:
         ]
         for line in data["simulator_ratios"]
     ]
-    told = ["cores", "against, each at its best batch", "ours is times as fast, best", "median"]
-    return ["### Simulator", "", *table(head, rows, 3), "", *table(told, ratios, 2), ""]
+    columns = ["cores", "against, each at its best batch", "ours is times as fast, best", "median"]
+    return ["### Simulator", "", *table(head, rows, 3), "", *table(columns, ratios, 2), ""]
 
 
 def counterpart(line: Line, lines: Sequence[Line]) -> Line | None:
@@ -95,7 +95,7 @@ def burst_note(lines: Sequence[Line]) -> list[str]:
     if all("burst" in line for line in lines if line["software"] == OURS):
         return []
     return [
-        f"Here EIA-SEC's values are of its fastest single round (MATD3's of {BURST}), the others' of their fastest",
+        f"Here EIA-SEC's values are of its fastest single update (MATD3's of {BURST}), the others' of their fastest",
         f"{BURST}, which favours EIA-SEC: this was measured before ours were timed in bursts of {BURST}, too.",
         "",
     ]
@@ -117,7 +117,7 @@ def aims_table(lines: list[Line]) -> list[str]:
     return [
         "### What we aimed for",
         "",
-        "A peer's round, in its fastest form, by ours of the same algorithm, and EIA-SEC's round by its limit, from",
+        "A peer's update, in its fastest form, by ours of the same algorithm, and EIA-SEC's update by its limit, from",
         "the best values above. With several algorithms an aim is met where each of them reaches it.",
         "",
         *table(head, rows, len(head)),
@@ -128,12 +128,12 @@ def aims_table(lines: list[Line]) -> list[str]:
 def _aimed(line: Line) -> str:
     """Return the verdict on one aim, with what was measured."""
     if line["against"] != "limit":
-        told = ", ".join(f"{value:.2f} ({name})" for name, value in line["ratios"].items())
+        ratio = ", ".join(f"{value:.2f} ({name})" for name, value in line["ratios"].items())
     elif line["aim"] is None:
         return f"{line['ratios']['eia-sec']:.2f}, no aim"
     else:
-        told = f"{line['ratios']['eia-sec']:.2f}, at most {line['aim']:g}"
-    return f"{'met' if line['met'] else 'not met'}: {told}"
+        ratio = f"{line['ratios']['eia-sec']:.2f}, at most {line['aim']:g}"
+    return f"{'met' if line['met'] else 'not met'}: {ratio}"
 
 
 def block(data: dict[str, Any]) -> str:
@@ -142,9 +142,9 @@ def block(data: dict[str, Any]) -> str:
     versions = ", ".join(f"{name} {number}" for name, number in sorted(data["versions"].items()))
     load = f"{machine['load_before']:.1f} before, {machine['load_after']:.1f} after"
     plan = data["plan"]
-    told = f"{plan['repeats']} repeats, {plan['seconds']:g} s for each case of a simulator, {plan['rounds']} rounds"
+    sizes = f"{plan['repeats']} repeats, {plan['seconds']:g} s for each case of a simulator, {plan['updates']} updates"
     lines = [
-        f"`{data['command']}`, commit {data['commit']}: {told} for each of a learner.",
+        f"`{data['command']}`, commit {data['commit']}: {sizes} for each of a learner.",
         f"{machine['processor']}, {machine['cores']} cores, load average {load}; Python {data['python']},",
         f"{versions}.",
         "",
@@ -203,7 +203,7 @@ def _panel(axis: Axes, lines: list[Line], subject: str) -> None:
     axis.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
     simulator = subject == "simulator"
     axis.set_xlabel("environments in the batch" if simulator else "width of both hidden layers")
-    axis.set_ylabel("environment steps / s (higher is better)" if simulator else "ms per round (lower is better)")
+    axis.set_ylabel("environment steps / s (higher is better)" if simulator else "ms per update (lower is better)")
     axis.set_title(
         "All agents of one environment = one step.\nThe worlds differ: see the page."
         if simulator

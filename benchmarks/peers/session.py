@@ -47,7 +47,7 @@ class Plan:
         threads: numbers of threads.
         repeats: how often the whole sequence is run.
         seconds: measuring time of each case of a simulator, s.
-        rounds: update rounds of each case of a learner.
+        updates: updates of each case of a learner.
         widths: widths of the networks.
         batches: numbers of environments.
     """
@@ -55,7 +55,7 @@ class Plan:
     threads: tuple[int, ...]
     repeats: int
     seconds: float
-    rounds: int
+    updates: int
     widths: tuple[int, ...]
     batches: tuple[int, ...]
 
@@ -78,7 +78,7 @@ def arguments(job: Job, plan: Plan) -> list[str]:
     if program.subject == "simulator":
         command += ["--seconds", str(plan.seconds), "--batches", *map(str, plan.batches)]
         return command if job.processes == 1 else [*command, "--processes", str(job.processes)]
-    command += ["--rounds", str(plan.rounds), "--widths", *map(str, plan.widths)]
+    command += ["--updates", str(plan.updates), "--widths", *map(str, plan.widths)]
     if program.environment == OURS:
         return [*command, "--json"]
     groups = [
@@ -98,8 +98,8 @@ def parse(job: Job, output: str) -> tuple[list[Line], dict[str, str]]:
         result = json.loads(last)
     except json.JSONDecodeError as error:
         raise ProgramError(f"{job.program.module} printed no result.") from error
-    if "rounds" in result:
-        return [{"software": "EIA-SEC", "form": "", **line} for line in result["rounds"]], {}
+    if "updates" in result:
+        return [{"software": "EIA-SEC", "form": "", **line} for line in result["updates"]], {}
     return result["lines"], result["versions"]
 
 

@@ -18,7 +18,7 @@ def spread_options(software: str, algorithms: Sequence[str]) -> argparse.Argumen
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--rate", type=float, required=True, help="learning rate of actors and critics")
     parser.add_argument("--steps", type=int, required=True, help="environment steps")
-    parser.add_argument("--every", type=int, required=True, help="environment steps for each update round")
+    parser.add_argument("--every", type=int, required=True, help="environment steps for each update")
     parser.add_argument("--warmup", type=int, required=True, help="environment steps of random actions at first")
     parser.add_argument("--width", type=int, default=64)
     parser.add_argument("--batch", type=int, default=128)

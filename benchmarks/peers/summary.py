@@ -7,13 +7,13 @@ from typing import Any
 Line = dict[str, Any]
 OURS = "EIA-SEC"
 PEER_AIMS = {"AgileRL": 12.0, "BenchMARL": 4.0}
-"""How many times as long as ours a peer's round was meant to take, at least, where the algorithm is the same."""
+"""How many times as long as ours a peer's update was meant to take, at least, where the algorithm is the same."""
 LIMIT_AIMS = {64: 2.0, 128: 1.6}
-"""How many times its arithmetic limit a round of EIA-SEC was meant to take, at most, by width."""
+"""How many times its arithmetic limit an update of EIA-SEC was meant to take, at most, by width."""
 REFERENCE = "NumPy reference"
 MEASURES = {"simulator": "env_steps_per_second", "learner": "ms"}
-"""The figure of a line of each subject: the first is better when large, the second when small."""
-FIGURES = ("env_steps_per_second", "ms", "median_ms", "limit_ms", "gflops")
+"""The result of a line of each subject: the first is better when large, the second when small."""
+RESULTS = ("env_steps_per_second", "ms", "median_ms", "limit_ms", "gflops")
 """What differs between repeats of one case."""
 
 
@@ -29,14 +29,14 @@ def merged(lines: Iterable[Line]) -> list[Line]:
     """
     cases: dict[tuple[Any, ...], list[Line]] = {}
     for line in lines:
-        case = tuple(sorted((name, str(value)) for name, value in line.items() if name not in FIGURES))
+        case = tuple(sorted((name, str(value)) for name, value in line.items() if name not in RESULTS))
         cases.setdefault(case, []).append(line)
     found = []
     for same in cases.values():
         measure = MEASURES[subject_of(same[0])]
         values = [float(line[measure]) for line in same]
         best = max(values) if measure == MEASURES["simulator"] else min(values)
-        kept = {name: value for name, value in same[0].items() if name not in FIGURES}
+        kept = {name: value for name, value in same[0].items() if name not in RESULTS}
         extra = {"limit_ms": min(line["limit_ms"] for line in same)} if "limit_ms" in same[0] else {}
         found.append({**kept, **extra, "best": best, "median": statistics.median(values), "repeats": values})
     return found

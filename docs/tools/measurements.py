@@ -201,7 +201,7 @@ def watch_block(data: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"`{data['command']}`{commit} ([results/watch.json](../results/watch.json)):",
-            f"{numbers} watchers take turns of {data['seconds']:.0f} s, {data['rounds']} rounds, with one worker that",
+            f"{numbers} watchers take turns of {data['seconds']:.0f} s, {data['repeats']} rounds, with one worker that",
             "flies as fast as it can.",
             "",
             *rows,

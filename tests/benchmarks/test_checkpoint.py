@@ -11,7 +11,7 @@ from docs.tools.measurements import NOT_MEASURED, PAUSE_AIM, checkpoint_block, m
 
 
 def test_a_result_names_its_origin_and_is_shown(tmp_path):
-    """With a small replay buffer: every figure is there, and the page's block is made of them."""
+    """With a small replay buffer: every result is there, and the page's block is made of them."""
     file = tmp_path / "docs" / "results" / "checkpoint.json"
     file.parent.mkdir(parents=True)
     small = ("--checkpoints", "2", "--width", "16", "--capacity", "4200", "--folder", str(tmp_path))

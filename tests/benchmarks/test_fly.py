@@ -1,4 +1,4 @@
-"""The benchmark of flying starts both commands and brings back what they tell."""
+"""The benchmark of flying starts both commands and brings back what they report."""
 
 import json
 import subprocess
@@ -7,8 +7,8 @@ import sys
 from benchmarks.peers.catalogue import ROOT
 
 
-def test_both_sides_are_told():
-    """Every decision that the vehicles waited for is in the node's figures."""
+def test_both_sides_are_reported():
+    """Every decision that the vehicles waited for is in the node's metrics."""
     command = [sys.executable, "-m", "benchmarks.fly", "--rates", "50", "--seconds", "0.4", "--json"]
     done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True, timeout=300)
     (flown,) = json.loads(done.stdout)["flights"]

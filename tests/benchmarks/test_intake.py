@@ -63,7 +63,7 @@ def test_a_window_that_nothing_comes_to_ends(monkeypatch):
 
 @pytest.mark.parametrize("routed", [False, True])
 def test_our_path_takes_chunks_in(routed, tmp_path, capsys):
-    """Player and sink as processes, with and without a router between them; what they tell becomes a page."""
+    """Player and sink as processes, with and without a router between them; what they report becomes a page."""
     bench = driver.Bench(0.3, tmp_path, tmp_path, spool=4)
     assert bench.under_way == {"16 KB": 4, "128 KB": 4, "1 MB": 2}
     result = bench.ours("128 KB", 2, routed=routed, shared=False)
@@ -157,7 +157,7 @@ def test_an_impossible_number_of_workers_is_refused(words, monkeypatch, capsys):
     assert "--workers" in capsys.readouterr().err
 
 
-def test_the_kept_page_is_made_of_the_kept_figures():
+def test_the_kept_page_is_made_of_the_kept_results():
     """The page is what the command writes beside its JSON."""
     folder = Path(__file__).resolve().parents[2] / "docs" / "results" / "intake"
     data = json.loads((folder / "intake.json").read_text(encoding="utf-8"))

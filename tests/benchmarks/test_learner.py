@@ -38,12 +38,12 @@ SMALL = AlgorithmConfig(hidden=5, batch=7)
 #           a  50 and 50 + 115 + 40 + 50 + 35 = 290   b  60 and 60 + 115 + 35 + 60 + 30 = 300   with joint ones
 MULTIPLICATIONS = {
     "base": 2 * (195 + 50 + 230) + (225 + 60 + 250),
-    # each of two members learns as a local critic does, and the actors climb it, forward and down
+    # each of two members learns as a local critic does, and the actors maximise it, forward and down
     "eia-sec": 2 * (3 * 195 + 50 + 230 + 2 * (55 + 40)) + (3 * 225 + 60 + 250 + 2 * (65 + 35)),
     "maddpg": 2 * (375 + 50 + 290) + (375 + 60 + 300),
-    # two critics learn, and in every second update the actors climb one of them
+    # two critics learn, and in every second update the actors maximise one of them
     "matd3": 2 * (2 * 375 + 50 + 290 / 2) + (2 * 375 + 60 + 300 / 2),
-    # two critics learn and both are climbed, by Gaussian actors
+    # two critics learn and both are maximised, by Gaussian actors
     "masac": 2 * (2 * 375 + 60 + 60 + 2 * (115 + 40) + 60 + 45) + (2 * 375 + 65 + 65 + 2 * (115 + 35) + 65 + 35),
 }
 
@@ -74,15 +74,15 @@ def run(*arguments, **environment):
 
 
 def test_json_is_as_promised():
-    """`rounds` and `decide_us` have the keys that others read, for each case that was asked for."""
-    done = run("--rounds", "2", "--widths", "16", "--algorithms", "eia-sec", "matd3", "--json")
+    """`updates` and `decide_us` have the keys that others read, for each case that was asked for."""
+    done = run("--updates", "2", "--widths", "16", "--algorithms", "eia-sec", "matd3", "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    assert [(line["algorithm"], line["width"], line["agents"], line["threads"]) for line in found["rounds"]] == [
+    assert [(line["algorithm"], line["width"], line["agents"], line["threads"]) for line in found["updates"]] == [
         ("eia-sec", 16, 12, 1),
         ("matd3", 16, 12, 1),
     ]
-    assert all(line["ms"] > 0 and line["limit_ms"] > 0 for line in found["rounds"])
+    assert all(line["ms"] > 0 and line["limit_ms"] > 0 for line in found["updates"])
     assert set(found["decide_us"]) == {"6", "12", "16", "20", "24", "96"}
     assert all(microseconds > 0 for microseconds in found["decide_us"].values())
 
@@ -120,7 +120,7 @@ def test_bursts_are_whole_cycles(name, delay, updates):
 
 
 class Clock:
-    """Seconds that pass only when they are told to, and work that is given to a device and not yet done."""
+    """Seconds that pass only when the test says so, and work that is given to a device and not yet done."""
 
     def __init__(self, monkeypatch):
         self.now = self.pending = 0.0

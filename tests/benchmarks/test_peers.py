@@ -21,7 +21,7 @@ from deploy.reports.provenance import command
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_peers.json").read_text(encoding="utf-8"))
 PAGE = ROOT / "docs" / "results" / "peers"
-PLAN = Plan(threads=(1, 2), repeats=2, seconds=0.5, rounds=6, widths=(64,), batches=(1, 32, 1024))
+PLAN = Plan(threads=(1, 2), repeats=2, seconds=0.5, updates=6, widths=(64,), batches=(1, 32, 1024))
 BY_NAME = {(program.subject, program.name): program for program in PROGRAMS}
 
 each_peer = pytest.mark.parametrize("program", [p for p in PROGRAMS if p.environment != OURS], ids=lambda p: p.name)
@@ -104,7 +104,7 @@ def test_peers_learn_teams_of_our_sizes():
     wanted = [(g.name, g.count, g.observation_size, g.action_size) for g in farm_team(preset("study").farm).groups]
     assert groups == wanted
     options = clock.learner_options("AgileRL").parse_args(command[2:])
-    assert (options.threads, options.rounds, options.widths, options.batch) == (2, 6, [64], 128)
+    assert (options.threads, options.updates, options.widths, options.batch) == (2, 6, [64], 128)
 
 
 @pytest.mark.parametrize("run", RECORDED["runs"], ids=lambda run: f"{run['subject']}-{run['name']}")
@@ -185,14 +185,14 @@ def test_a_peer_stands_against_the_same_work():
 
 
 def test_repeats_of_ours_are_one_case():
-    """The speed of a matrix product, which differs from repeat to repeat, does not tell two cases apart."""
+    """The speed of a matrix product, which differs from repeat to repeat, does not distinguish two cases."""
     lines = [{**learner_line("EIA-SEC", "maddpg", ms), "gflops": 100.0 + ms, "limit_ms": ms / 2} for ms in (6.0, 7.0)]
     (case,) = merged(lines)
     assert (case["best"], case["limit_ms"], case["repeats"]) == (6.0, 3.0, [6.0, 7.0])
 
 
 def test_tables_show_every_case():
-    """Each case has its row with its best value, each ratio its own, and failures are told."""
+    """Each case has its row with its best value, each ratio its own, and failures are named."""
     result = {**recorded_result(), "failures": ["x failed"]}
     text = report.block(result)
     rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -247,7 +247,7 @@ def test_an_environment_is_made_again_when_its_requirements_change(tmp_path, mon
 
 
 def test_an_installation_that_fails_leaves_no_mark(tmp_path, monkeypatch):
-    """A failed installation is told in one sentence and tried again next time."""
+    """A failed installation is reported in one sentence and tried again next time."""
     program = BY_NAME["simulator", "mpe2"]
     monkeypatch.setattr(venvs.venv, "create", lambda place, **_: place.mkdir(parents=True, exist_ok=True))
     monkeypatch.setattr(venvs.subprocess, "run", lambda *_, **__: type("Done", (), {"returncode": 1})())
@@ -274,7 +274,7 @@ def test_one_failing_program_does_not_end_the_session(tmp_path, monkeypatch):
     ]
 
 
-def test_a_program_that_fails_or_hangs_is_told(tmp_path, monkeypatch):
+def test_a_program_that_fails_or_hangs_is_reported(tmp_path, monkeypatch):
     """An exit code other than 0 brings the last line of what was said, and a hanging program is ended."""
     script = tmp_path / "mpe2" / "bin" / "python"
     script.parent.mkdir(parents=True)
@@ -298,7 +298,7 @@ def test_an_unknown_program_is_refused(monkeypatch, capsys):
     assert capsys.readouterr().err == "there is no program BenchMARL here; known are EIA-SEC, VMAS, mpe2.\n"
 
 
-def test_the_told_command_names_no_machine():
+def test_the_reported_command_names_no_machine():
     """Folders of environments and pip's options are left out, and every other option stays."""
     asked = [
         "both",
@@ -315,7 +315,7 @@ def test_the_told_command_names_no_machine():
 
 
 class Ticking:
-    """A clock that stands still until it is told to go on."""
+    """A clock that stands still until it may go on."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 0.0
@@ -335,8 +335,8 @@ def test_the_fastest_block_counts(monkeypatch):
     assert clock.step_rate(step, 0.8) == pytest.approx(100.0)
 
 
-def test_rounds_are_timed_in_bursts(monkeypatch):
-    """Every second round being dearer, a burst of two holds one of each; the first ten do not count."""
+def test_updates_are_timed_in_bursts(monkeypatch):
+    """Every second update being dearer, a burst of two holds one of each; the first ten do not count."""
     ticking, calls = Ticking(monkeypatch), iter(range(10**6))
 
     def update() -> None:
@@ -348,7 +348,7 @@ def test_rounds_are_timed_in_bursts(monkeypatch):
 
 
 def test_a_curve_of_ours_counts_every_episode():
-    """Records tell the mean of the episodes that ended together; the curve's last step is the run's."""
+    """Records hold the mean of the episodes that ended together; the curve's last step is the run's."""
     records = [{"episodes": 8, "reward": {"mean": -3.0}}, {"episodes": 10, "reward": {"mean": -1.0}}]
     assert each_episode(records) == [-3.0] * 8 + [-1.0] * 2
     assert curve(each_episode(records))["environment_steps"][-1] == 10 * EPISODE_STEPS

@@ -1,4 +1,4 @@
-"""What the page of the side-by-side benchmarks says of aims and of how rounds were timed, and how it is made anew."""
+"""What the page of the side-by-side benchmarks says of aims and of how updates were timed, and how it is made anew."""
 
 import json
 
@@ -11,7 +11,7 @@ from tests.benchmarks.test_peers import learner_line, recorded_result
 
 
 def aimed_lines(width: int, over: float, maddpg: float, masac: float) -> list[dict]:
-    """Return our rounds of 2 ms beside those of BenchMARL, merged, with a limit that EIA-SEC's is so many times of."""
+    """Return our updates of 2 ms beside those of BenchMARL, merged, with a limit that EIA-SEC's is so many times of."""
     ours = [{**learner_line("EIA-SEC", name, 2.0, width=width), "burst": 2} for name in ("eia-sec", "maddpg", "masac")]
     ours[0]["limit_ms"] = 2.0 / over
     forms = [("groups", 99.0), ("one group", maddpg)]
@@ -35,7 +35,7 @@ def test_an_aim_is_met_where_every_algorithm_reaches_it():
     assert found[3]["ratios"] == {"eia-sec": pytest.approx(1.7)}
 
 
-def test_the_page_tells_aims_with_their_verdicts():
+def test_the_page_shows_aims_with_their_verdicts():
     """A row for each width, a column for each peer that was measured; without EIA-SEC there is no table."""
     lines = [*aimed_lines(64, 1.9, 8.0, 9.0), *aimed_lines(256, 1.2, 1.0, 1.0)]
     rows = [row for row in report.aims_table(lines) if row.startswith("| ")]
@@ -48,14 +48,14 @@ def test_the_page_tells_aims_with_their_verdicts():
     assert report.aims_table([line for line in lines if line["software"] != "EIA-SEC"]) == []
 
 
-def test_results_of_single_rounds_are_told():
-    """As soon as every line of ours names its burst, nothing is said of single rounds."""
+def test_results_of_single_updates_are_reported():
+    """As soon as every line of ours names its burst, nothing is said of single updates."""
     lines = aimed_lines(64, 1.9, 8.0, 9.0)
     assert report.burst_note(lines) == []
     (old, *others) = lines
     without = [{name: value for name, value in old.items() if name != "burst"}, *others]
-    assert "fastest single round" in report.burst_note(without)[0]
-    assert "fastest single round" in report.block({**recorded_result(), "learner": without})
+    assert "fastest single update" in report.burst_note(without)[0]
+    assert "fastest single update" in report.block({**recorded_result(), "learner": without})
 
 
 def test_a_page_is_made_anew_without_measuring(tmp_path, monkeypatch, capsys):

@@ -133,10 +133,10 @@ def test_a_seed_that_fails_leaves_those_before_it(monkeypatch, tmp_path):
     assert "1 of 1" in (tmp_path / "README.md").read_text()
 
 
-def test_peers_are_told_our_settings():
+def test_peers_use_our_settings():
     """What a peer trains with is our preset's, under the names that the scripts understand."""
-    told = reach.settings(PRESETS[reach.PRESET])
-    words = [text for name, value in told.items() for text in (f"--{name.replace('_', '-')}", str(value))]
+    passed = reach.settings(PRESETS[reach.PRESET])
+    words = [text for name, value in passed.items() for text in (f"--{name.replace('_', '-')}", str(value))]
     asked = {"seed": 0, "began": 0, "limit": 1, "every": 1, "reward": 1, "farms": 1000, "threads": 2}
     others = [text for name, value in asked.items() for text in (f"--{name}", str(value))]
     parsed = flights.farm_options("a peer").parse_args([*others, *words])

@@ -1,6 +1,6 @@
 """AgileRL: what MADDPG and MATD3 reach on simple_spread. Runs in the environment of requirements/agilerl.txt.
 
-One environment, one update round every few steps, AgileRL's own replay and networks. Agents are
+One environment, one update every few steps, AgileRL's own replay and networks. Agents are
 renamed, because AgileRL treats those whose names differ in a number after "_" only as one group.
 """
 

@@ -23,7 +23,7 @@ from benchmarks.peers.scripts.wrapped_task import WrappedTask
 from benchmarks.peers.spread import EPISODE_STEPS, curve, spread_options
 
 COLLECTED = 100
-"""Environment steps between two bursts of update rounds."""
+"""Environment steps between two bursts of updates."""
 
 
 def wrapped(seed: int | None) -> EnvBase:

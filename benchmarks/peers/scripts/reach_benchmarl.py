@@ -2,7 +2,7 @@
 
 BenchMARL's own experiment with TorchRL's wrapper around the PettingZoo farm: a group for each type of UAV, actors and
 critics of their own. Gradient clipping and everything that is not named here are its defaults. Its warm-up is of the
-collector alone: update rounds begin with the first steps.
+collector alone: updates begin with the first steps.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from common.team import Float32
 from rollout.sim.batch import FarmBatch
 
 COLLECTED = 800
-"""Environment steps between two bursts of update rounds."""
+"""Environment steps between two bursts of updates."""
 
 
 class Farms:

@@ -1,9 +1,9 @@
-"""AgileRL: milliseconds of an update round of MADDPG and MATD3. Runs in the environment of requirements/agilerl.txt.
+"""AgileRL: milliseconds of an update of MADDPG and MATD3. Runs in the environment of requirements/agilerl.txt.
 
-A round is `sample` of its replay buffer and `learn` of the algorithm, as in its own training loop. No agent's name ends
-in "_" and a number, so that AgileRL gives each agent networks of its own. Its networks are an encoder, a latent layer
-and a head. With latent layer and head of the width its critics have exactly two hidden layers of that width, and its
-actors, whose encoder needs one of its own, three. Layer normalisation, which the others lack, is off.
+An update is `sample` of its replay buffer and `learn` of the algorithm, as in its own training loop. No agent's name
+ends in "_" and a number, so that AgileRL gives each agent networks of its own. Its networks are an encoder, a latent
+layer and a head. With latent layer and head of the width its critics have exactly two hidden layers of that width, and
+its actors, whose encoder needs one of its own, three. Layer normalisation, which the others lack, is off.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from agilerl.components.replay_buffer import ReplayBuffer
 from gymnasium import spaces
 from tensordict import TensorDict
 
-from benchmarks.peers.clock import hand_over, learner_options, parse_groups, round_times
+from benchmarks.peers.clock import hand_over, learner_options, parse_groups, update_times
 
 ALGORITHMS = {"MADDPG": MADDPG, "MATD3": MATD3}
 Sizes = dict[str, tuple[int, int]]
@@ -63,8 +63,8 @@ def parameters(agent: Any) -> int:
     return sum(p.numel() for networks in (agent.actors, *critics) for p in networks.parameters())
 
 
-def round_of(agent: Any, memory: ReplayBuffer, batch: int) -> Callable[[], None]:
-    """Return one update round."""
+def update_of(agent: Any, memory: ReplayBuffer, batch: int) -> Callable[[], None]:
+    """Return one update."""
 
     def update() -> None:
         agent.learn(memory.sample(batch))
@@ -78,7 +78,7 @@ def measure(name: str, sizes: Sizes, memory: ReplayBuffer, width: int, options: 
     agent.set_training_mode(True)
     if len(agent.actors) != len(sizes):
         raise RuntimeError(f"AgileRL made {len(agent.actors)} actors for {len(sizes)} agents.")
-    least, median = round_times(round_of(agent, memory, options.batch), options.rounds)
+    least, median = update_times(update_of(agent, memory, options.batch), options.updates)
     return {
         "software": "AgileRL",
         "algorithm": name,

@@ -1,8 +1,8 @@
-"""BenchMARL: milliseconds of an update round of MADDPG and MASAC. It runs with what requirements/benchmarl.txt says.
+"""BenchMARL: milliseconds of an update of MADDPG and MASAC. Runs in the environment of requirements/benchmarl.txt.
 
-An experiment collects a full replay buffer of noise and then trains; a callback, told after each training step, takes
+An experiment collects a full replay buffer of noise and then trains; a callback, called after each training step, takes
 the time between steps, each of which samples, updates critic and actor of all agents of a group, and moves the targets.
-A round is one training step of each group. Agents have actors and critics of their own, which BenchMARL updates
+An update is one training step of each group. Agents have actors and critics of their own, which BenchMARL updates
 together as one batched network. Two forms are measured:
 
 - `one group`: twelve agents of equal sizes, the largest of the groups' padded; critics see everything.
@@ -59,7 +59,7 @@ def configuration(options: argparse.Namespace, folder: str) -> ExperimentConfig:
     config.off_policy_collected_frames_per_batch = options.capacity
     config.off_policy_init_random_frames = options.capacity
     config.off_policy_n_envs_per_worker = ENVIRONMENTS
-    config.off_policy_n_optimizer_steps = WARM_UP + options.rounds + 1
+    config.off_policy_n_optimizer_steps = WARM_UP + options.updates + 1
     config.off_policy_train_batch_size = options.batch
     config.off_policy_memory_size = options.capacity
     config.evaluation, config.render, config.loggers, config.create_json = False, False, [], False
