@@ -71,6 +71,11 @@ class PolicyStore:
         self.stale += 1
         return False
 
+    def follow_lower_epoch(self, epoch: int) -> None:
+        """Take parameters from this epoch on, although it is lower; the actors stay until the first ones arrive."""
+        self.epoch, self.version, self.event = epoch, 0, 0
+        self._latest, self._latest_epoch = None, 0
+
     def _apply(self) -> bool:
         event = self._latest
         if event is None or self.actors is None or (self._latest_epoch, event.event) != (self.epoch, self.event + 1):

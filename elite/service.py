@@ -13,6 +13,7 @@ from common.errors import BusClosedError, BusError, ProtocolError
 from common.imitation import ImitationEvent, ImitationSchedule
 from common.process import Presence, StopSignal, connect, denial, fetch_configuration, incarnation, log
 from common.protocol import keys
+from common.protocol.epoch_fence import EpochFence
 from common.protocol.messages import (
     CommandMessage,
     Envelope,
@@ -77,6 +78,7 @@ class Coordinator:
         self._leads, self._claimed = False, 0.0
         self._workers: set[str] = set()
         self._now: ProgressMessage | None = None
+        self._fence = EpochFence()
         self._last: ImitationEvent | None = None
         self._failures = self._malformed = 0
         self._patience = ANSWER_SECONDS
@@ -135,7 +137,7 @@ class Coordinator:
                 self._malformed += 1
                 log(f"coordinator: dropped a message: {error}")
                 return
-            if self._now is None or message.epoch >= self._now.epoch:
+            if self._fence.admits(message.epoch, 0 if self._now is None else self._now.epoch):
                 self._now = message
 
     def _hold_event(self, now: ProgressMessage, stop: StopSignal) -> None:

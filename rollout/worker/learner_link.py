@@ -6,6 +6,7 @@ from common.errors import ProtocolError, UsageError
 from common.policy_store import PolicyStore
 from common.process import StopSignal, fetch_configuration, log
 from common.protocol import keys
+from common.protocol.epoch_fence import EpochFence
 from common.protocol.messages import ImitationMessage, ParametersMessage, ProgressMessage
 from common.team import TeamSpec
 from common.transport.bus import Bus
@@ -22,7 +23,7 @@ class LearnerLink:
     that contain it. `PolicyStore` does both.
 
     A higher epoch in the progress means that a new learner has taken over. The worker goes on with it, if its
-    configuration is the same.
+    configuration is the same. It follows a lower epoch only when nothing is heard of the higher one, see `EpochFence`.
 
     Args:
         control: the control lane.
@@ -49,6 +50,13 @@ class LearnerLink:
         self.state = "starting"
         self.epoch = self.newest_version = self.malformed = 0
         self._heard = time.monotonic()
+        self._fence = EpochFence()
+        self._ignored: ParametersMessage | None = None
+
+    @property
+    def alarm(self) -> str:
+        """Return that a learner with a lower epoch is being ignored, or an empty string."""
+        return self._fence.alarm
 
     @property
     def silence(self) -> float:
@@ -66,7 +74,7 @@ class LearnerLink:
             if (sample := self._progress.poll()) is not None:
                 self._follow(ProgressMessage.decode(sample.payload))
             if (sample := self._parameters.poll()) is not None:
-                self.store.offer_parameters(ParametersMessage.decode(sample.payload))
+                self._offer(ParametersMessage.decode(sample.payload))
             if (sample := self._events.poll()) is not None:
                 announced = ImitationMessage.decode(sample.payload)
                 self.store.offer_imitation(announced.to_event(), announced.epoch)
@@ -74,12 +82,21 @@ class LearnerLink:
             self.malformed += 1
             log(f"worker {self._worker}: dropped a message: {error}")
 
+    def _offer(self, message: ParametersMessage) -> None:
+        self._ignored = message if message.epoch < self.store.epoch else None
+        self.store.offer_parameters(message)
+
     def _follow(self, message: ProgressMessage) -> None:
-        if message.epoch < self.epoch:
+        before = self.epoch
+        if not self._fence.admits(message.epoch, before):
             return
-        if 0 < self.epoch < message.epoch:
+        if 0 < before != message.epoch:
             answer = fetch_configuration(self._control, self._run, self._worker, lambda: not self._stop, 5.0)
             if answer is not None and answer.toml != self._toml:
                 raise UsageError(f"run {self._run} has a new learner with another configuration.")
         self.epoch, self.state, self.newest_version = message.epoch, message.state, message.version
         self._heard = time.monotonic()
+        if message.epoch < before:
+            self.store.follow_lower_epoch(message.epoch)
+            if self._ignored is not None:
+                self._offer(self._ignored)

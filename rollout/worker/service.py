@@ -207,8 +207,12 @@ class Worker:
             "skipped": self._view_service.skipped,
             "paused": self._gate.stale,
             "paused_seconds": times.stale,
-            "alarms": [text for text in (self._history.failure, self._gate.stale, self._clock_alarm) if text],
+            "alarms": self._alarms(),
         }
+
+    def _alarms(self) -> list[str]:
+        found = (self._history.failure, self._gate.stale, self._clock_alarm, self._learner.alarm)
+        return [text for text in found if text]
 
     def _log_denial(self) -> None:
         """Log why nobody takes the worker's requests, when its certificate is not let in."""

@@ -1,12 +1,17 @@
 """A worker follows its learner, and may always be ended while it waits for one."""
 
 import threading
+from types import SimpleNamespace
 
+from common.actors import TeamActors
 from common.process import StopSignal
-from common.protocol.messages import ProgressMessage
+from common.protocol import keys
+from common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
+from common.protocol.messages import ParametersMessage, ProgressMessage
 from common.team import GroupSpec, TeamSpec
 from common.transport.bus import Bus
 from common.transport.endpoint import free_endpoint
+from rollout.worker import learner_link
 from rollout.worker.learner_link import LearnerLink
 
 
@@ -24,3 +29,44 @@ def test_a_worker_stops_that_waits_for_a_new_learners_configuration():
         thread.join(60.0)
         assert not thread.is_alive()
         assert (learner.epoch, learner.state) == (2, "training")
+
+
+class States:
+    """Stands in for a bus: what is put into a subscription's list is polled from it once."""
+
+    def __init__(self):
+        self.waiting = {}
+
+    def subscribe_state(self, key):
+        queue = self.waiting.setdefault(key, [])
+        return SimpleNamespace(poll=lambda: SimpleNamespace(payload=queue.pop(0)) if queue else None, missed=0)
+
+
+def test_a_learner_whose_clock_was_set_back_is_followed_after_a_while(monkeypatch):
+    """Its parameters are dropped with an alarm at first; then the worker takes the ones that it published last."""
+    team = TeamSpec((GroupSpec("one", 2, 3, 2),))
+    bus, clock = States(), SimpleNamespace(now=0.0)
+    monkeypatch.setattr(learner_link, "fetch_configuration", lambda *arguments: None)
+    learner = LearnerLink(bus, "r", "0", "", team, StopSignal())
+    learner._fence = EpochFence(lambda: clock.now)
+
+    def hear(epoch, version, seed):
+        actors = TeamActors.initial(team, 4, seed, per_type=False)
+        parameters = ParametersMessage(epoch, version, 0, 1, 0.0, team.digest, 4, "deterministic", actors.flat)
+        bus.waiting[keys.PARAMETERS.key("r")].append(parameters.encode())
+        bus.waiting[keys.PROGRESS.key("r")].append(ProgressMessage(epoch, version, 0, 0, 0, 0, "training").encode())
+        learner.poll()
+        return actors.digest()
+
+    first = hear(9, 50, 0)
+    assert (learner.epoch, learner.store.actors.digest(), learner.alarm) == (9, first, "")
+    second = hear(7, 3, 1)
+    assert (learner.epoch, learner.store.actors.digest()) == (9, first)
+    assert "lower epoch" in learner.alarm
+    clock.now = PATIENCE_SECONDS + 1.0
+    bus.waiting[keys.PROGRESS.key("r")].append(ProgressMessage(7, 3, 0, 0, 0, 0, "draining").encode())
+    learner.poll()
+    assert (learner.epoch, learner.state, learner.store.version, learner.alarm) == (7, "draining", 3, "")
+    assert learner.store.actors.digest() == second != first
+    third = hear(9, 51, 2)
+    assert (learner.epoch, learner.store.actors.digest()) == (9, third)
