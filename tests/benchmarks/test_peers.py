@@ -343,7 +343,7 @@ def test_updates_are_timed_in_bursts(monkeypatch):
         number = next(calls)
         ticking.go(9.0 if number < 10 else 0.003 if number % 2 else 0.001)
 
-    assert clock.round_times(update, 8) == (pytest.approx(2.0), pytest.approx(2.0))
+    assert clock.update_times(update, 8) == (pytest.approx(2.0), pytest.approx(2.0))
     assert clock.bursts_of([0.0, 1.0, 3.0, 6.0, 10.0, 11.0]) == [1500.0, 3500.0]
 
 
