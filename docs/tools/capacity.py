@@ -49,9 +49,9 @@ class Plan:
     worker_rate: float | None = None
     """Environment steps a second that one worker flies. Default: as measured."""
     round_ms: float | None = None
-    """Milliseconds of one update round of all agents. Default: as measured on one core."""
+    """Milliseconds of one update of all agents. Default: as measured on one core."""
     updates_per_step: float = PRESETS["default"].replay.updates_per_step
-    """Update rounds per environment step, `replay.updates_per_step`."""
+    """Updates per environment step, `replay.updates_per_step`."""
     environments: int = RolloutConfig().environments
     """Environments of a worker, `rollout.environments`."""
     chunk_steps: int = RolloutConfig().chunk_steps
@@ -92,7 +92,7 @@ class Measured:
 
     Attributes:
         worker_rate: environment steps a second of one worker, the learner beside it on the same two cores.
-        round_ms: one update round of twelve agents on one core, ms.
+        round_ms: one update of twelve agents on one core, ms.
         intake: for each transport, environment steps and bytes a second at each chunk size.
         origins: command and commit of each source.
     """
@@ -104,7 +104,7 @@ class Measured:
 
     @classmethod
     def of(cls, intake: dict[str, Any], growth: dict[str, Any], workers: dict[str, Any]) -> "Measured":
-        """Take the figures out of the results in SOURCES; raise ConfigError when they are of another team's rows."""
+        """Read the results in SOURCES; raise ConfigError when they were measured with another team."""
         present = farm_team(preset("study").farm).digest
         for source in (intake, growth, workers):
             if source.get("team") != present:
@@ -170,10 +170,10 @@ def worker_rate(plan: Plan, measured: Measured) -> float:
 def table(plan: Plan, measured: Measured) -> list[str]:
     """Return the model's answer for a plan as Markdown: each part, the least first."""
     flown = plan.worker_rate or measured.worker_rate
-    rows = ["| part | busy all the time at | that is workers |", "|---|---:|---:|"]
+    rows = ["| part | saturates at | as workers |", "|---|---:|---:|"]
     for name, rate in sorted(saturation(plan, measured).items(), key=lambda item: item[1]):
-        told = f"workers ({plan.workers})" if name == "workers" else name
-        rows.append(f"| {told} | {rate:,.0f} | {rate / flown:,.2f} |")
+        label = f"workers ({plan.workers})" if name == "workers" else name
+        rows.append(f"| {label} | {rate:,.0f} | {rate / flown:,.2f} |")
     return rows
 
 
@@ -192,22 +192,21 @@ def block(*data: dict[str, Any]) -> str:
     far = [f"{worker_rate(Plan(round_trip_ms=ms), measured):,.0f}" for ms in ROUND_TRIPS]
     return "\n".join(
         [
-            "Environment steps a second, and the same in workers, for the default preset with one worker and a link",
-            "of 1 Gbit/s:",
+            "For the default preset with one worker and a link of 1 Gbit/s, in environment steps a second and as a",
+            "number of workers:",
             "",
             *table(plan, measured),
             "",
-            "Rates of workers, rounds and intake were measured with the preset `study`; the default preset's",
-            f"observations hold {_wider():.0%} more numbers, so that its rates are a little lower.",
+            "Rates of workers, updates and intake were measured with the preset `study`. The default preset's",
+            f"observations have {_wider():.0%} more numbers, so its rates are slightly lower.",
             "",
-            f"A step's rows are {measured.step_bytes():,.0f} bytes there,",
-            f"a chunk of {plan.steps} steps {size / 1000:,.0f} KB;",
-            f"one publication of all actors is {sent / 1000:,.0f} KB, to each worker at most every",
+            f"There, a step is {measured.step_bytes():,.0f} bytes and a chunk of {plan.steps} steps",
+            f"{size / 1000:,.0f} KB. One publication of all actors is {sent / 1000:,.0f} KB, sent to each worker at most every",
             f"{plan.publish_seconds} s.",
             "",
             "| round trip, ms | " + " | ".join(f"{ms:,.0f}" for ms in ROUND_TRIPS) + " |",
             "|---|" + "---:|" * len(ROUND_TRIPS),
-            "| most that one worker delivers, environment steps a second | " + " | ".join(far) + " |",
+            "| limit of one worker, environment steps a second | " + " | ".join(far) + " |",
             "",
             "Made from:",
             "",

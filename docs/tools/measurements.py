@@ -22,11 +22,11 @@ TAIL_EPISODES: Final = 40
 
 def paper_block(run: dict[str, Any]) -> str:
     """Return the block on the run of the paper preset."""
-    rounds, minutes = run["updates"], run["seconds"] / 60
+    minutes = run["seconds"] / 60
     return "\n".join(
         [
             f"`{run['command']}`, commit {run['commit']}, seed {run['seed']}: {run['episodes']} episodes,",
-            f"{run['environment_steps']:,} environment steps, {rounds:,} update rounds, {minutes:.0f} minutes.",
+            f"{run['environment_steps']:,} environment steps, {run['updates']:,} updates, {minutes:.0f} minutes.",
             "",
             *policies_table(run, "EIA-SEC, paper preset"),
             "",
@@ -44,11 +44,11 @@ def second_worker_block(data: dict[str, Any]) -> str:
     produced, accepted, lost, in_flight, unexplained = (f"{ledger[name]:,}" for name in names)
     return "\n".join(
         [
-            f"`{data['command']}` (commit {data['commit']}): the learner stores what it",
-            f"gets and does not train. One worker delivers {one} environment steps a second into replay, two",
-            f"{two} ({data['gain']:.2f} times as many, on {cores} cores that the learner shares), and after kill -9",
-            f"of the second one goes on with {after}. Of {produced} steps {accepted} were accepted, {lost} lost,",
-            f"{in_flight} in flight at the end, {unexplained} unexplained.",
+            f"`{data['command']}` (commit {data['commit']}), where the learner stores",
+            f"transitions and does not train. One worker delivers {one} environment steps a second into replay, two",
+            f"deliver {two} ({data['gain']:.2f} times as many, on {cores} cores shared with the learner).",
+            f"After kill -9 of the second, the first continues with {after}. Of {produced} steps",
+            f"{accepted} were accepted, {lost} lost, {in_flight} in flight at the end, {unexplained} unexplained.",
             "",
             *_sweep_rows(data.get("sweep", [])),
         ]
@@ -60,7 +60,7 @@ def _sweep_rows(sweep: list[dict[str, Any]]) -> list[str]:
     if not sweep:
         return []
     rows = [
-        "| workers | environment steps a second | update rounds a second | learner, MiB | all workers, MiB |",
+        "| workers | environment steps a second | updates a second | learner, MiB | all workers, MiB |",
         "|---:|---:|---:|---:|---:|",
     ]
     for line in sweep:
@@ -70,7 +70,7 @@ def _sweep_rows(sweep: list[dict[str, Any]]) -> list[str]:
         ]
         pace = (f"{line['environment_steps_per_second']:,.0f}", f"{line['updates_per_second']:,.0f}")
         rows.append("| " + " | ".join((f"{line['workers']}", *pace, *used)) + " |")
-    return [*rows, "", "Memory is PSS, pages that processes share divided among them, and in brackets RSS.", ""]
+    return [*rows, "", "Memory is PSS (shared pages divided among the processes), with RSS in brackets.", ""]
 
 
 def forms_block(data: dict[str, Any]) -> str:
@@ -143,7 +143,7 @@ def hosts_block(data: dict[str, Any]) -> str:
     ledger, reward = data["ledger"], data["reward_per_agent"]
     workers = ", ".join(f"{name} {steps:,}" for name, steps in data["accepted_by_worker"].items())
     rows = [
-        ("`eia-sec up` on five hosts, until every keeper has its plan", f"{data['seconds_to_start']} s"),
+        ("`eia-sec up` on five hosts, until every host runs its processes", f"{data['seconds_to_start']} s"),
         (
             "until the learner has the first chunk; with an empty cache the simulator is compiled first",
             f"{data['seconds_to_first_chunk']} s",
@@ -154,18 +154,18 @@ def hosts_block(data: dict[str, Any]) -> str:
             f"{data['seconds_to_recover']} s",
         ),
         ("chunks of that host while it was cut off", f"{data['chunks_while_cut_off']}"),
-        ("environment steps made", f"{ledger['produced']:,}"),
+        ("environment steps produced", f"{ledger['produced']:,}"),
         ("accepted, by worker", workers),
-        ("lost with workers that held them at the end", f"{ledger['lost']:,}"),
+        ("lost in workers' spools at the end", f"{ledger['lost']:,}"),
         ("unexplained, counted twice", f"{ledger['unexplained']}, {ledger['counted_twice']}"),
         ("reward per agent, trained", f"{reward['trained']}"),
-        ("reward per agent, not moving, random", f"{reward['static']}, {reward['random']}"),
+        ("reward per agent, static and random policies", f"{reward['static']}, {reward['random']}"),
     ]
     return "\n".join(
         [
             f"`{data['command']}`, commit {data['commit']}, seed {data['seed']}: the {data['preset']} preset with",
-            f"{data['episodes']} episodes ({data['environment_steps']:,} environment steps, {data['updates']:,} update",
-            f"rounds, {data['minutes']} minutes), evaluated without noise on farms {data['farms']}, which training",
+            f"{data['episodes']} episodes ({data['environment_steps']:,} environment steps, {data['updates']:,}",
+            f"updates, {data['minutes']} minutes), evaluated without noise on farms {data['farms']}, which training",
             f"never saw. {data['hosts']} hosts are network namespaces of one machine with two cores, shared with other",
             f"work; links are mutual TLS through a router, {1000 * data['delay_seconds']:.0f} ms from each host",
             "to the router, each way.",
@@ -182,7 +182,7 @@ def watch_block(data: dict[str, Any]) -> str:
     """Return the block on what watching costs a worker."""
     bare, *others = data["watchers"]
     rows = [
-        "| watchers | watching, of its processor time | frames a second | a whole step, more than without | it had |",
+        "| watchers | processor time for watching | frames a second | extra time of a step | processor it had |",
         "|---:|---:|---:|---:|---:|",
         f"| {bare['watchers']} | {bare['watching_percent']:.2f} % | - | - | {bare['processor_share']:.2f} cores |",
     ]
@@ -192,7 +192,7 @@ def watch_block(data: dict[str, Any]) -> str:
             f"{line['extra_percent']:+.1f} % ({line['extra_percent_least']:+.1f} to {line['extra_percent_most']:+.1f})"
         )
         share, frames = f"{line['watching_percent']:.2f} %", f"{line['frames_per_second']:.0f}"
-        busy = f"0, and the other process busy with nothing for {100 * line.get('other_share', 0.0):.0f} % of its time"
+        busy = f"0, control: the other process loops idly for {100 * line.get('other_share', 0.0):.0f} % of its time"
         who = busy if line in control else str(line["watchers"])
         rows.append(f"| {who} | {share} | {frames} | {extra} | {line['processor_share']:.2f} cores |")
     # The kept file may be older than the note of its commit.
@@ -201,8 +201,8 @@ def watch_block(data: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"`{data['command']}`{commit} ([results/watch.json](../results/watch.json)):",
-            f"{numbers} watchers take turns of {data['seconds']:.0f} s, {data['repeats']} rounds, with one worker that",
-            "flies as fast as it can.",
+            f"{numbers} watchers take turns of {data['seconds']:.0f} s, {data['repeats']} times each, with one worker",
+            "that simulates as fast as it can.",
             "",
             *rows,
             "",
@@ -249,15 +249,15 @@ def checkpoint_block(data: dict[str, Any]) -> str:
         [
             f"`{data['command']}`, commit {data['commit']} ([results/checkpoint.json](../results/checkpoint.json)):",
             f"{data['checkpoints']} checkpoints of {size:.0f} MiB, {data['agents']} agents of width {data['width']}",
-            f"and {data['rows']:,} rows of replay; one thread trains, on a machine with {data['cores']} cores.",
-            f"Another writes, for {data['write_seconds_median']:.1f} s (median). A turn takes one chunk in and does",
-            f"one round. To copy the rows at once would take {data['copy_ms']:.0f} ms.",
+            f"and {data['rows']:,} rows of replay; one thread trains on a machine with {data['cores']} cores.",
+            f"Another writes, {data['write_seconds_median']:.1f} s (median). A turn takes in one chunk and does",
+            f"one update. To copy all rows at once would take {data['copy_ms']:.0f} ms.",
             "",
             "| milliseconds | median | most |",
             "|---|---:|---:|",
             *(f"| {' | '.join(row)} |" for row in rows),
             "",
-            f"Aim: at the default sizes training stops for {PAUSE_AIM:.0f} ms at most; {verdict}: {longest:.1f} ms.",
+            f"Target: at the default sizes training stops for {PAUSE_AIM:.0f} ms at most; {verdict}: {longest:.1f} ms.",
             "",
         ]
     )

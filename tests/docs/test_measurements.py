@@ -46,7 +46,7 @@ def test_watching_costs_the_worker_less_than_two_percent() -> None:
     assert all(line["watching_percent"] < 2.0 for line in watched)
     control = {**data["watchers"][0], "other_share": 0.25, "extra_percent": 7.5}
     block = watch_block({**data, "control": control})
-    assert "busy with nothing for 25 % of its time |" in block
+    assert "loops idly for 25 % of its time |" in block
     assert "+7.5 %" in block
 
 
