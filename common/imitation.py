@@ -1,7 +1,7 @@
-"""Elite imitation, as far as all processes agree on it: when events fall due, and what one event says.
+"""Elite imitation, as all processes know it: when events are due, and what an event contains.
 
-Everything about event number e follows from e and the configuration, so a coordinator that starts anew continues
-where the learner's count of applied events stands.
+Everything about event number e follows from e and the configuration, so a restarted coordinator continues from the
+learner's count of applied events.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class ImitationSchedule:
 
     @classmethod
     def of(cls, config: RunConfig) -> "ImitationSchedule":
-        """Return a run's schedule; nothing ever falls due in an algorithm without imitation."""
+        """Return a run's schedule; in an algorithm without imitation no event is ever due."""
         return cls(config.elite, config.algorithm.has_imitation)
 
     def rate(self, event: int) -> float:

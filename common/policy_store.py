@@ -1,4 +1,4 @@
-"""A process's own copy of the actors: which parameters it takes, and when it applies an imitation event to them."""
+"""A process's copy of the actors: it takes newer parameters and applies imitation events to them."""
 
 from common.actors import TeamActors, checked_head, imitate
 from common.errors import VersionError
@@ -8,11 +8,10 @@ from common.team import TeamSpec
 
 
 class PolicyStore:
-    """The newest actors, never older ones, with every known imitation event in them exactly once.
+    """The newest actors, with every known imitation event applied to them exactly once.
 
-    Parameters carry the number of events that are already in them. When an event arrives that the copy lacks, it is
-    applied at once; when parameters arrive that were sent before the event was known to the learner, it is applied to
-    them again.
+    Parameters carry the number of events that they contain. An event that the copy lacks is applied as soon as it
+    arrives. If parameters arrive that the learner sent before it knew the event, the event is applied to them as well.
 
     Attributes:
         team: the layout that all parameters must have.

@@ -1,4 +1,4 @@
-"""What every process of a run does alike: find the learner, say that it lives, report, and stop when told."""
+"""What every process of a run shares: finding the learner, presence, metric messages, the log, and stopping."""
 
 import atexit
 import os
@@ -19,16 +19,16 @@ from common.transport.bus import Bus, Publisher
 from common.transport.endpoint import Endpoint
 
 LARGEST: Final = 2**63 - 1
-"""Largest whole number that a report tells; a sum that is larger is told as this."""
+"""Largest whole number that a metric message holds; larger sums are clamped to it."""
 SUPERVISOR: Final = "EIA_SEC_SUPERVISOR"
-"""Environment variable with the process number of the supervisor, whose death is a reason to stop."""
+"""Environment variable with the process number of the supervisor; a process stops when its supervisor dies."""
 ORPHAN_SECONDS: Final = 0.5
 QUICK_SECONDS: Final = 1.0
-"""A request that is empty sooner than this was taken by nobody."""
+"""A request without an answer that ends sooner than this reached nobody."""
 
 
 class StopSignal:
-    """SIGINT and SIGTERM, and the death of the supervisor, as an event; loops end at a place of their choosing."""
+    """SIGINT, SIGTERM and the death of the supervisor as a flag that loops check where they can end cleanly."""
 
     def __init__(self) -> None:
         self.event = threading.Event()
@@ -49,7 +49,7 @@ class StopSignal:
         self.event.set()
 
     def uninstall(self) -> None:
-        """Give SIGINT and SIGTERM back to Python's own handlers."""
+        """Restore Python's own handlers of SIGINT and SIGTERM."""
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
@@ -61,16 +61,16 @@ class StopSignal:
 
 
 SEPARATOR: Final = "\n  | "
-"""What divides the lines of one entry in a log."""
+"""Between the lines of one log entry."""
 _unwritten: Final = [0]
-"""How many lines could not be written since the last one that could."""
+"""Lines that could not be written since the last one that could."""
 
 
 def log(text: str) -> None:
     """Write one line with the time of day to standard error.
 
-    A disk that takes no more is no reason to stop: lines that cannot be written are counted, and the next one that can,
-    at the latest one at the process's end, says how many. What others may have written into it is made printable.
+    A full disk does not stop the process. Lines that cannot be written are counted, and the next one that can be
+    written, at the latest when the process ends, says how many are missing. Control characters are made printable.
     """
     before = f"({_unwritten[0]} lines before this one could not be written) " if _unwritten[0] else ""
     try:
@@ -109,20 +109,20 @@ class Presence:
         self._started = time.monotonic()
 
     def report(self, values: dict[str, Any], version: int = 0) -> None:
-        """Publish one metric message; whole numbers beyond LARGEST are told as that."""
+        """Publish one metric message; whole numbers beyond LARGEST are clamped to it."""
         self._counter += 1
         uptime = time.monotonic() - self._started
-        message = MetricMessage(self._counter, socket.gethostname(), os.getpid(), uptime, _told(values))
+        message = MetricMessage(self._counter, socket.gethostname(), os.getpid(), uptime, _clamped(values))
         envelope = Envelope(*self._sender, sequence=self._counter, version=version)
         self._publisher.put(message.encode(), envelope.encode())
 
 
-def _told(value: Any) -> Any:
-    """Return a figure, or a list or map of them, without whole numbers that no frame holds."""
+def _clamped(value: Any) -> Any:
+    """Return a metric, or a list or map of them, with whole numbers clamped to what a frame holds."""
     if isinstance(value, dict):
-        return {name: _told(part) for name, part in value.items()}
+        return {name: _clamped(part) for name, part in value.items()}
     if isinstance(value, list | tuple):
-        return [_told(part) for part in value]
+        return [_clamped(part) for part in value]
     return max(-LARGEST, min(LARGEST, value)) if type(value) is int else value
 
 
@@ -140,14 +140,14 @@ def fetch_configuration(
         bus: the control lane.
         run: the run's name.
         sender: who asks, for the learner's log.
-        keep_waiting: asked between two tries; False gives up.
-        patience: seconds after which to say that we are waiting, and again every so often.
+        keep_waiting: called between two tries; the function gives up when it returns False.
+        patience: seconds between log lines that say that we are waiting.
 
     Returns:
-        The answer, or None when `keep_waiting` said no.
+        The answer, or None when `keep_waiting` returned False.
     """
     key = keys.COMMAND.key(run, verb="configuration")
-    told = time.monotonic()
+    logged = time.monotonic()
     while keep_waiting():
         asked = time.monotonic()
         try:
@@ -157,20 +157,20 @@ def fetch_configuration(
             answer = None
         if answer is not None:
             return ConfigurationMessage.decode(answer)
-        if time.monotonic() - told > patience:
-            # A learner that is busy lets the time run out; one that we may not reach looks like none at once.
+        if time.monotonic() - logged > patience:
+            # A busy learner lets the request time out; where there is none, or none that we may reach, it ends at once.
             quick = time.monotonic() - asked < QUICK_SECONDS
             log((denial(bus, run, key) if quick else None) or f"waiting for a learner of run {run}.")
-            told = time.monotonic()
+            logged = time.monotonic()
         time.sleep(0.2)
     return None
 
 
 def denial(bus: Bus, run: str, key: str) -> str | None:
-    """Return a sentence on a key that nobody serves for this process although a learner of the run lives, or None.
+    """Return a sentence that says that the access list denies a key to this process, or None where it does not.
 
-    That a learner lives is seen by everybody who has a certificate; a request that the access list denies looks as if
-    nobody took it.
+    Every process with a certificate sees that a learner is alive. A request that the access list denies looks as if
+    nobody served the key, so a living learner and no answer mean a denial.
     """
     if bus.credentials is None or not bus.living(keys.LIVE.pattern(run, role="learner")):
         return None

@@ -75,7 +75,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class EpisodeSummary:
-    """What one finished episode came to.
+    """One finished episode.
 
     Attributes:
         farm: seed of the farm, or of another environment's scenario.

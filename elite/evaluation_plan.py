@@ -1,4 +1,4 @@
-"""Which farms an imitation event is decided on."""
+"""The episodes on which an imitation event evaluates the actors."""
 
 from common.config import RunConfig
 from common.seeds import derive, stream

@@ -1,4 +1,4 @@
-"""omega: how well and how steadily each agent does, and who is its type's elite."""
+"""omega, the score of each agent from the mean and the variance of its rewards, and the elite of each type."""
 
 from collections.abc import Sequence
 
@@ -14,8 +14,8 @@ from common.team import Float32, TeamSpec
 def scores(reward: Float32, config: EliteConfig) -> NDArray[np.float64]:
     """Return omega of each agent of one type, eq. (er).
 
-    mu is the mean of the agent's step rewards R_v-i. The variance is that of the step rewards after dividing them by
-    the type's mean absolute step reward, so that its weight means the same for every type and at every stage.
+    mu is the mean of the agent's step rewards R_v-i. Before the variance is taken, step rewards are divided by the
+    type's mean absolute step reward, so that its weight means the same for every type and throughout the training.
 
     Args:
         reward: [..., n_v] step rewards of noise-free episodes.

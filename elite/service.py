@@ -1,4 +1,4 @@
-"""The elite coordinator: sees when an imitation event falls due, has the agents evaluated, and announces the elites."""
+"""The elite coordinator: when an imitation event is due, it has the actors evaluated and announces the elites."""
 
 import threading
 import time
@@ -30,11 +30,11 @@ from elite.evaluation_plan import evaluation_plan
 from elite.scoring import decide
 
 ANSWER_SECONDS = 30.0
-"""Longest first wait for a worker's evaluation before its farms go to another worker."""
+"""First time limit for a worker's evaluation; after it, the worker's farms go to another worker."""
 LONGEST_SECONDS = 3600.0
-"""Longest wait of all; each round of an event in which nobody answers doubles the wait."""
+"""Largest time limit; each attempt in which nobody answers doubles the limit."""
 RETRY_SECONDS = 0.5
-"""Pause when workers cannot be asked at all, which have just died perhaps."""
+"""Pause after an attempt in which no worker could be reached; they may have just died."""
 CLAIM_SECONDS = 1.0
 """Time between two claims to lead."""
 REPORT_SECONDS = 1.0
@@ -61,9 +61,9 @@ class CoordinatorOptions:
 class Coordinator:
     """The coordinator's loop.
 
-    It keeps no state of its own: which event is next follows from the learner's count of applied events, so a
-    coordinator that starts anew goes on where the last one was. Of several coordinators the one that the learner has
-    granted the lead holds the events; the others stand by.
+    It keeps no state of its own: the learner's count of applied events says which event is next, so a restarted
+    coordinator continues where the last one stopped. If there are several, the one that holds the learner's lease
+    leads, and the others stand by.
     """
 
     def __init__(self, options: CoordinatorOptions, config: RunConfig, team: TeamSpec, control: Bus) -> None:
@@ -85,7 +85,7 @@ class Coordinator:
         self._reported = 0.0
 
     def run(self, stop: StopSignal) -> None:
-        """Coordinate until told to stop or the run is finished."""
+        """Coordinate until a stop signal comes or the run is finished."""
         while not stop:
             self._listen()
             now = self._now
@@ -155,10 +155,10 @@ class Coordinator:
         self._await_applied(number, stop)
 
     def _deliver(self, message: ImitationMessage) -> bool:
-        """Have the learner apply the event; return whether it applied this very one.
+        """Ask the learner to apply the event; return whether it applied exactly this one.
 
-        Only then it is announced to the workers. One that the learner had applied before may have been another: its
-        answer to the first delivery may have been lost, and the elites be others now.
+        Only then may the event be announced. If the learner had already applied an event of this number, that may have
+        been a different one: its answer to an earlier delivery was lost, and a new evaluation chose other elites.
         """
         try:
             answer = self._bus.ask(keys.IMITATION.key(self._options.run), message.encode(), 10.0, self._envelope)
@@ -213,7 +213,7 @@ class Coordinator:
         return [found[index] for index in range(len(farms))], min(versions)
 
     def _note_late(self, event: int, late: Sequence[str], silent: set[str], asked: int, waited: float) -> None:
-        """Leave those who did not answer out of the next rounds; wait longer from now on when nobody did in time."""
+        """Leave workers that did not answer out of the next attempts; wait longer from now on if nobody did."""
         self._failures += len(late)
         log(f"coordinator: event {event}: no evaluation after {waited:.1f} s by {', '.join(late)}; asking on.")
         silent.update(late)
@@ -229,7 +229,7 @@ class Coordinator:
         self, orders: Sequence[tuple[str, list[int], EvaluationOrder]], versions: list[int], stop: StopSignal
     ) -> dict[int, Float32]:
         answers: dict[int, Float32] = {}
-        # No daemons: a stop leaves them asking until the bus is closed, and the process must not end under them.
+        # Not daemon threads: after a stop they go on until the bus closes, and the process must not end before them.
         threads = [
             threading.Thread(target=self._ask_one, args=(worker, share, order, answers, versions))
             for worker, share, order in orders

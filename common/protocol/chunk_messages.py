@@ -1,4 +1,4 @@
-"""Between chunks of experience and a request on the wire."""
+"""Chunks of experience as messages, and several of them as one request."""
 
 from collections.abc import Collection, Sequence
 
@@ -11,7 +11,7 @@ from common.team import TeamSpec
 from common.transitions import LARGEST, TERMINATED, TRUNCATED, Chunk, EpisodeSummary, Rows
 
 MOST_COUNT = 2**48
-"""Largest count of steps or chunks that is believed; a million steps a second make it in nine years."""
+"""Largest count of steps or chunks that is accepted; a million steps per second take nine years to reach it."""
 
 
 def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> ChunkMessage:
@@ -95,7 +95,7 @@ def fitting(sizes: Sequence[int]) -> int:
 
 
 def to_request(sealed: Sequence[bytes], oldest: int, flown: int) -> bytes:
-    """Return a request's payload: the frames of chunks behind a `DeliveryMessage`, which tells of the rest."""
+    """Return a request's payload: a `DeliveryMessage` and, behind it, the frames of the chunks that it announces."""
     return b"".join([DeliveryMessage(oldest, flown, tuple(map(len, sealed))).encode(), *sealed])
 
 

@@ -99,7 +99,7 @@ def decode(data: Data, kind: int, most_header: int = MAX_HEADER) -> tuple[dict[s
     """
     if not _PREFIX.size <= len(data) <= MAX_FRAME:
         raise FrameError(f"{len(data)} bytes are no frame.")
-    magic, protocol, found, reserved, header_size, body_size, told = _PREFIX.unpack_from(data)
+    magic, protocol, found, reserved, header_size, body_size, stated = _PREFIX.unpack_from(data)
     if magic != _MAGIC:
         raise FrameError("the bytes do not begin like a frame.")
     if protocol != PROTOCOL:
@@ -109,7 +109,7 @@ def decode(data: Data, kind: int, most_header: int = MAX_HEADER) -> tuple[dict[s
     if header_size > most_header or _PREFIX.size + header_size + body_size != len(data):
         raise FrameError("the frame's length is not what its prefix says.")
     view = memoryview(data)
-    if checksum(view[_PREFIX.size :]) != told:
+    if checksum(view[_PREFIX.size :]) != stated:
         raise FrameError("the frame's checksum does not fit its content.")
     fields, listing = _header(data[_PREFIX.size : _PREFIX.size + header_size])
     return fields, _arrays(data, listing, _PREFIX.size + header_size, body_size)

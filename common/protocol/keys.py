@@ -1,56 +1,62 @@
-"""Every key expression of the protocol: the whole table, one formatter, one parser.
+"""Every key of the protocol: who sends what to whom, how it is delivered and how often.
 
-    eia-sec/v3/{run}/transition/{worker}        request   worker -> learner        DeliveryMessage, ChunkMessages, ack
-    eia-sec/v3/{run}/params/actors              state     learner -> everybody     ParametersMessage
-    eia-sec/v3/{run}/ctl/progress               state     learner -> everybody     ProgressMessage
-    eia-sec/v3/{run}/ctl/learner/{verb}         request   anybody -> learner       CommandMessage, an answer back
-    eia-sec/v3/{run}/eval/{worker}              request   coordinator -> worker    EvaluationOrder, result back
-    eia-sec/v3/{run}/imitation/learner          request   coordinator -> learner   ImitationMessage, receipt
-    eia-sec/v3/{run}/imitation/event            state     coordinator -> everybody ImitationMessage
-    eia-sec/v3/{run}/watch/{worker}             request   watcher -> worker        WatchRequest, WatchTerms back
-    eia-sec/v3/{run}/view/{worker}              lossy     worker -> watchers       ViewMessage, while it is watched
-    eia-sec/v3/{run}/metric/{role}/{name}       lossy     every process            MetricMessage
-    eia-sec/v3/{run}/live/{role}/{name}         token     every process            presence
-    eia-sec/v3/{run}/flight/{vehicle}/observation  lossy  vehicle -> flight node   ObservationMessage
-    eia-sec/v3/{run}/flight/{vehicle}/setpoint     lossy  flight node -> vehicle   SetpointMessage
+This table repeats the declarations below, and a test compares the two. ROOT and the run's name stand before every key.
 
-*request*: acknowledged, resent until answered. *state*: latest wins, late joiners get it. *lossy*: may be dropped, a
-running counter shows the gaps. *token*: Zenoh liveliness.
+    transition/{worker}           request  worker -> learner        DeliveryMessage, ChunkMessage, ChunkAck
+    params/actors                 state    learner -> everybody     ParametersMessage
+    ctl/progress                  state    learner -> everybody     ProgressMessage
+    ctl/learner/{verb}            request  anybody -> learner       CommandMessage, ConfigurationMessage, ReceiptMessage
+    eval/{worker}                 request  coordinator -> worker    EvaluationOrder, EvaluationResult
+    imitation/learner             request  coordinator -> learner   ImitationMessage, ReceiptMessage
+    imitation/event               state    coordinator -> everybody ImitationMessage
+    watch/{worker}                request  watcher -> worker        WatchRequest, WatchTerms
+    view/{worker}                 lossy    worker -> watchers       ViewMessage
+    metric/{role}/{name}          lossy    everyone -> everybody    MetricMessage
+    live/{role}/{name}            token    everyone -> everybody
+    flight/{vehicle}/observation  lossy    vehicle -> flight node   ObservationMessage
+    flight/{vehicle}/setpoint     lossy    flight node -> vehicle   SetpointMessage
+
+- request: sent again until it is answered; the table names the request's message first, the answers last.
+- state: the latest value wins; late joiners get it.
+- lossy: may be dropped; a running counter shows the gaps.
+- token: Zenoh liveliness; it says that a process is there.
 """
 
 import re
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 from common.errors import KeyExpressionError
 from common.names import check_name, is_name
 from common.protocol.frame import PROTOCOL
 
 ROOT: Final = f"eia-sec/v{PROTOCOL}"
+"""Every key begins with this and the run's name."""
+VERBS: Final = ("configuration", "lead", "drain")
+"""Commands that the learner knows, the last segment of their key."""
+
+Delivery = Literal["request", "state", "lossy", "token"]
 
 
 @dataclass(frozen=True)
 class KeyFamily:
-    """One shape of key.
+    """All keys of one shape.
 
     Attributes:
-        plane: first segment after the run: transition, params, ctl, eval, imitation, watch, view, metric, live or
-            flight.
         template: the segments after the run, variables in braces.
-        delivery: request, state, lossy or token.
-        sender: who puts or asks.
+        delivery: see the module's text.
+        sender: who publishes or asks.
         receiver: who reads or answers.
         messages: names of the types in `common.protocol.messages` that travel on it, an answer last.
         pace: how often.
     """
 
-    plane: str
     template: str
-    delivery: str
-    sender: str = ""
-    receiver: str = ""
-    messages: tuple[str, ...] = ()
-    pace: str = ""
+    delivery: Delivery
+    sender: str
+    receiver: str
+    messages: tuple[str, ...]
+    pace: str
 
     def key(self, run: str, **variables: str) -> str:
         """Return the key for a run; raise ConfigError when a name cannot be a key segment."""
@@ -60,116 +66,117 @@ class KeyFamily:
 
     def pattern(self, run: str, **variables: str) -> str:
         """Return the key expression that covers the family in one run, or the part of it that the variables name."""
-        wanted = {name: "*" for name in re.findall(r"{([a-z]+)}", self.template)}
         for name, value in {"run": run, **variables}.items():
             check_name(value, name)
-        return f"{ROOT}/{run}/{self.template.format(**{**wanted, **variables})}"
+        wildcards = dict.fromkeys(re.findall(r"{([a-z]+)}", self.template), "*")
+        return f"{ROOT}/{run}/{self.template.format(**{**wildcards, **variables})}"
 
+
+EVERY_PROCESS: Final = "learner, coordinator, workers, flight nodes"
 
 TRANSITION: Final = KeyFamily(
-    "transition",
-    "transition/{worker}",
-    "request",
-    "worker",
-    "learner",
-    ("DeliveryMessage", "ChunkMessage", "ChunkAck"),
-    "one at a time, with all chunks that wait and fit, as fast as the learner answers",
+    template="transition/{worker}",
+    delivery="request",
+    sender="worker",
+    receiver="learner",
+    messages=("DeliveryMessage", "ChunkMessage", "ChunkAck"),
+    pace="one at a time, with all chunks that wait and fit, as fast as the learner answers",
 )
 PARAMETERS: Final = KeyFamily(
-    "params",
-    "params/actors",
-    "state",
-    "learner",
-    "everybody",
-    ("ParametersMessage",),
-    "at most every `learner.publish_seconds`, and after each imitation event",
+    template="params/actors",
+    delivery="state",
+    sender="learner",
+    receiver="everybody",
+    messages=("ParametersMessage",),
+    pace="at most every `learner.publish_seconds`, and after each imitation event",
 )
 PROGRESS: Final = KeyFamily(
-    "ctl", "ctl/progress", "state", "learner", "everybody", ("ProgressMessage",), "10 per second"
+    template="ctl/progress",
+    delivery="state",
+    sender="learner",
+    receiver="everybody",
+    messages=("ProgressMessage",),
+    pace="10 per second",
 )
 COMMAND: Final = KeyFamily(
-    "ctl",
-    "ctl/learner/{verb}",
-    "request",
-    "anybody",
-    "learner",
-    ("CommandMessage", "ConfigurationMessage", "ReceiptMessage"),
-    "when needed; the verbs are configuration, lead and drain",
+    template="ctl/learner/{verb}",
+    delivery="request",
+    sender="anybody",
+    receiver="learner",
+    messages=("CommandMessage", "ConfigurationMessage", "ReceiptMessage"),
+    pace=f"when needed; the verbs are {', '.join(VERBS)}",
 )
 EVALUATION: Final = KeyFamily(
-    "eval",
-    "eval/{worker}",
-    "request",
-    "coordinator",
-    "worker",
-    ("EvaluationOrder", "EvaluationResult"),
-    "for each imitation event",
+    template="eval/{worker}",
+    delivery="request",
+    sender="coordinator",
+    receiver="worker",
+    messages=("EvaluationOrder", "EvaluationResult"),
+    pace="for each imitation event",
 )
 IMITATION: Final = KeyFamily(
-    "imitation",
-    "imitation/learner",
-    "request",
-    "coordinator",
-    "learner",
-    ("ImitationMessage", "ReceiptMessage"),
-    "for each imitation event",
+    template="imitation/learner",
+    delivery="request",
+    sender="coordinator",
+    receiver="learner",
+    messages=("ImitationMessage", "ReceiptMessage"),
+    pace="for each imitation event",
 )
 IMITATION_EVENT: Final = KeyFamily(
-    "imitation", "imitation/event", "state", "coordinator", "everybody", ("ImitationMessage",), "for each one applied"
+    template="imitation/event",
+    delivery="state",
+    sender="coordinator",
+    receiver="everybody",
+    messages=("ImitationMessage",),
+    pace="for each one applied",
 )
 WATCH: Final = KeyFamily(
-    "watch",
-    "watch/{worker}",
-    "request",
-    "watcher",
-    "worker",
-    ("WatchRequest", "WatchTerms"),
-    "1 per second of each watcher, while a browser looks",
+    template="watch/{worker}",
+    delivery="request",
+    sender="watcher",
+    receiver="worker",
+    messages=("WatchRequest", "WatchTerms"),
+    pace="1 per second of each watcher, while a browser looks",
 )
 VIEW: Final = KeyFamily(
-    "view",
-    "view/{worker}",
-    "lossy",
-    "worker",
-    "watchers",
-    ("ViewMessage",),
-    "while somebody watches; 25 steps per second on average",
+    template="view/{worker}",
+    delivery="lossy",
+    sender="worker",
+    receiver="watchers",
+    messages=("ViewMessage",),
+    pace="while somebody watches; 25 steps per second on average",
 )
 METRIC: Final = KeyFamily(
-    "metric",
-    "metric/{role}/{name}",
-    "lossy",
-    "learner, coordinator, workers, flight nodes",
-    "everybody",
-    ("MetricMessage",),
-    "1 per second",
+    template="metric/{role}/{name}",
+    delivery="lossy",
+    sender=EVERY_PROCESS,
+    receiver="everybody",
+    messages=("MetricMessage",),
+    pace="1 per second",
 )
 LIVE: Final = KeyFamily(
-    "live",
-    "live/{role}/{name}",
-    "token",
-    "learner, coordinator, workers, flight nodes",
-    "everybody",
-    (),
-    "while it lives",
+    template="live/{role}/{name}",
+    delivery="token",
+    sender=EVERY_PROCESS,
+    receiver="everybody",
+    messages=(),
+    pace="while it lives",
 )
 OBSERVATION: Final = KeyFamily(
-    "flight",
-    "flight/{vehicle}/observation",
-    "lossy",
-    "vehicle",
-    "flight node",
-    ("ObservationMessage",),
-    "as often as the vehicle likes; the newest in each period counts",
+    template="flight/{vehicle}/observation",
+    delivery="lossy",
+    sender="vehicle",
+    receiver="flight node",
+    messages=("ObservationMessage",),
+    pace="as often as the vehicle likes; the newest in each period counts",
 )
 SETPOINT: Final = KeyFamily(
-    "flight",
-    "flight/{vehicle}/setpoint",
-    "lossy",
-    "flight node",
-    "vehicle",
-    ("SetpointMessage",),
-    "every period of the flight node, 10 per second by default",
+    template="flight/{vehicle}/setpoint",
+    delivery="lossy",
+    sender="flight node",
+    receiver="vehicle",
+    messages=("SetpointMessage",),
+    pace="every period of the flight node, 10 per second by default",
 )
 
 FAMILIES: Final = (

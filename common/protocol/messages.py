@@ -127,7 +127,7 @@ class ProgressMessage(Message):
         events: imitation events applied.
         episodes: training episodes finished.
         environment_steps: environment steps accepted.
-        updates: update rounds done.
+        updates: updates done.
         state: starting, training, draining or finished.
     """
 
@@ -143,7 +143,7 @@ class ProgressMessage(Message):
 
 @dataclass(frozen=True)
 class CommandMessage(Message):
-    """A request to the learner; the verb stands in the key: configuration or drain."""
+    """A command for the learner; its key ends in one of `common.protocol.keys.VERBS`."""
 
     KIND = 6
     sender: str
@@ -260,7 +260,7 @@ class MetricMessage(Message):
         host: the machine's name.
         pid: the process's number.
         uptime: seconds since start.
-        values: figures by name; numbers, strings, lists and maps of them.
+        values: metrics by name, see `common.protocol.metrics`; numbers, strings, lists and maps of them.
     """
 
     KIND, MOST_HEADER = 12, 256 * 1024
@@ -318,7 +318,7 @@ class WatchRequest(Message):
     """A watcher's wish to see what a worker flies; it holds for `WatchTerms.lease_seconds` and is then made again.
 
     Attributes:
-        watcher: a name that tells one watcher from another.
+        watcher: a name of its own.
         stay: False ends the watching at once.
     """
 

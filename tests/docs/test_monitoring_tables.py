@@ -2,9 +2,7 @@
 
 import dataclasses
 
-import pytest
-
-from common.protocol import codec, keys, messages, metrics
+from common.protocol import keys, messages, metrics
 from common.protocol.metrics import Metric, undeclared
 from deploy.monitor import snapshot
 from docs.tools.monitoring_tables import attribute_docs, messages_tables
@@ -13,18 +11,6 @@ from learner import schedule
 from learner.intake import ledger
 from learner.reporting import curves, reporter
 from rollout.worker import service as rollout
-
-
-@pytest.mark.parametrize("family", keys.FAMILIES, ids=lambda family: family.template)
-def test_every_family_says_who_sends_what_to_whom(family):
-    """Each family names sender, receiver, pace and message types, which exist, as the table in the docstring does."""
-    assert family.sender
-    assert family.receiver
-    assert family.pace
-    assert all(issubclass(getattr(messages, name), codec.Message) for name in family.messages)
-    (row,) = (line for line in (keys.__doc__ or "").splitlines() if f"/{{run}}/{family.template} " in line)
-    assert family.delivery in row
-    assert all(name in row for name in family.messages[:1])
 
 
 def test_what_the_page_says_of_paces_is_so():

@@ -1,11 +1,16 @@
 """Keys are formatted and parsed by one table, and nothing else is a key."""
 
 import re
+from typing import cast
 
 import pytest
 
 from common.errors import ConfigError, KeyExpressionError
-from common.protocol import keys
+from common.protocol import codec, keys, messages
+from common.protocol.codec import Message
+from common.protocol.messages import ConfigurationMessage
+from common.transport.bus import Server
+from learner.control.command_server import CommandServer
 
 VARIABLES = {"worker": "w-1", "role": "rollout", "name": "n.2", "verb": "drain", "vehicle": "uav-7"}
 
@@ -49,3 +54,30 @@ def test_pattern_covers_the_family_or_the_named_part() -> None:
     """Variables that are not given become a one-segment wildcard."""
     assert keys.LIVE.pattern("r") == "eia-sec/v3/r/live/*/*"
     assert keys.LIVE.pattern("r", role="rollout") == "eia-sec/v3/r/live/rollout/*"
+
+
+def test_the_docstrings_table_is_that_of_the_declarations() -> None:
+    """Whoever reads the table at the top of the module reads what the families say."""
+    rows = []
+    for family in keys.FAMILIES:
+        who = f"{'everyone' if ',' in family.sender else family.sender} -> {family.receiver}"
+        rows.append(f"    {family.template:<30}{family.delivery:<9}{who:<25}{', '.join(family.messages)}".rstrip())
+    lines = (keys.__doc__ or "").splitlines()
+    assert [line for line in lines if line.startswith("    ")] == rows
+
+
+def test_every_family_is_listed_and_named_types_exist() -> None:
+    """A declaration that is not in FAMILIES would never be parsed; a type that does not exist never decoded."""
+    declared = [value for value in vars(keys).values() if isinstance(value, keys.KeyFamily)]
+    assert sorted(map(repr, declared)) == sorted(map(repr, keys.FAMILIES))
+    named = {name for family in keys.FAMILIES for name in family.messages}
+    assert all(issubclass(getattr(messages, name), codec.Message) for name in named)
+    kinds = {kind.__name__ for kind in vars(messages).values() if isinstance(kind, type) and issubclass(kind, Message)}
+    assert kinds - named == {"Message", "Envelope"}
+
+
+def test_the_learner_answers_the_declared_commands() -> None:
+    """The verbs of the command key are those that the command server knows."""
+    configuration = ConfigurationMessage(1, "", {}, lockstep=False)
+    server = CommandServer(cast(Server, None), configuration, lambda worker: 0)
+    assert set(server._verbs) == set(keys.VERBS)
