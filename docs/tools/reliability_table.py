@@ -150,7 +150,8 @@ def hostile_chunks(f: Figures) -> str:
     """Describe requests with one invalid field each."""
     return (
         f"{f['kinds']:,} kinds in {f['requests']:,} requests, {f['answered']:,} of them answered; the honest worker "
-        f"keeps {f['share_kept']:.0%} of its rate; the learner {f['learner_grew_mib']:+.1f} MiB; {explained(f)}"
+        f"keeps {f['share_kept']:.0%} of its rate; the learner {f['first_round_mib']:+.1f} MiB while each kind comes "
+        f"once, {f['learner_grew_mib']:+.1f} MiB from then on; {explained(f)}"
     )
 
 

@@ -7,7 +7,7 @@ from common.history import History
 from common.history_summary import Marks, summarised
 from learner.intake.ledger import LedgerSnapshot
 
-MOST_RECORDS: Final = 50_000
+MOST_RECORDS: Final = 20_000
 """Records from which on those before all checkpoints become totals: some megabytes."""
 
 

@@ -319,6 +319,7 @@ class Receiver:
         """Write the verdict on a whole chunk into the history, after the steps before it that are lost."""
         if lost:
             self._record("missing", sender, lost)
+            self._log(f"worker {sender.name} can no longer deliver {lost} steps from before chunk {sender.sequence}.")
         self._record(verdict, sender, *counts)
 
     def _queue(self, sender: Envelope, chunk: Chunk, counts: Counts, owed: OwedAnswer | None) -> Verdict:

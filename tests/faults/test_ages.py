@@ -5,9 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from common.actors import TeamActors
-from common.config import RunConfig
-from common.config.files import from_toml
-from common.farm import farm_team
+from common.config.files import to_toml
 from common.protocol import keys
 from common.protocol.chunk_messages import from_request
 from common.protocol.messages import (
@@ -19,7 +17,8 @@ from common.protocol.messages import (
     ProgressMessage,
 )
 from common.transport.bus import Bus
-from tests.system.fleet import RUN, TINY, Processes, until
+from rollout.envs.base import environment_spec
+from tests.system.fleet import RUN, TINY, Processes, configured, until
 
 LAG, SILENCE = 5, 1.5
 REPORTS = 3
@@ -27,11 +26,11 @@ REPORTS = 3
 
 
 class Learner:
-    """Answers and tells what a test wants: a worker cannot tell it from a real one."""
+    """Answers and publishes what a test wants; a worker cannot distinguish it from a real learner."""
 
     def __init__(self, toml: str, control: Bus, bulk: Bus) -> None:
-        self._toml = toml
-        self._team = farm_team(from_toml(toml, RunConfig()).farm)
+        config = configured(toml)
+        self._toml, self._team = to_toml(config), environment_spec(config).team
         self._actors = TeamActors.initial(self._team, 16, 0)
         self._commands = control.serve(keys.COMMAND.pattern(RUN), 16)
         self._chunks = bulk.serve(keys.TRANSITION.pattern(RUN), 16)
@@ -48,7 +47,7 @@ class Learner:
         self._parameters.put(message.encode())
 
     def pump(self) -> None:
-        """Answer what has come, tell the progress, and take in reports."""
+        """Answer what has come, publish the progress, and take in reports."""
         while (incoming := self._commands.poll()) is not None:
             incoming.reply(ConfigurationMessage(1, self._toml, self._team.to_dict(), False).encode())
         while (incoming := self._chunks.poll()) is not None:

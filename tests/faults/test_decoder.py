@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.faults.tools.harness import tell
+from tests.faults.tools.harness import record_result
 from tests.faults.tools.mutants import READERS, feed, mutant, pass_through, samples, sealed
 
 CORPUS = Path(__file__).parent / "corpus"
@@ -53,5 +53,7 @@ def test_a_million_mutants():
     taken = pass_through(1_000_000, seed=2)
     grown = (own.memory_info().rss - before) / 2**20
     seconds = round(time.process_time() - started, 1)
-    tell("mutated_frames", frames=1_000_000, messages=taken, grown_mib=round(grown, 2), processor_seconds=seconds)
+    record_result(
+        "mutated_frames", frames=1_000_000, messages=taken, grown_mib=round(grown, 2), processor_seconds=seconds
+    )
     assert grown <= 32

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from learner.checkpoint import files
-from tests.faults.tools.harness import FaultRun, tell
+from tests.faults.tools.harness import FaultRun, record_result
 from tests.system.fleet import until
 
 MOUNT = Path("/bin/mount")
@@ -70,11 +70,11 @@ def test_a_full_disk(tmp_path, small_disk):
         until(fleet.taken, "chunks", 120.0)
         with fleet.metrics("learner", "learner") as heard:
             size = fill(small_disk / "ballast") + fill(log, 1)
-            told = lambda: {text for report in heard() for text in report["alarms"]}  # noqa: E731  # asked twice
-            until(lambda: [text for text in told() if "no checkpoint could be written" in text], "an alarm", 60.0)
+            alarms = lambda: {text for report in heard() for text in report["alarms"]}  # noqa: E731  # asked twice
+            until(lambda: [text for text in alarms() if "no checkpoint could be written" in text], "an alarm", 60.0)
             trained = lambda: [report["updates"] for report in heard()]  # noqa: E731  # asked twice
             until(lambda: trained() and trained()[-1] > trained()[0], "training on a full disk", 60.0)
-            complaints = len(told())
+            complaints = len(alarms())
         found = files.load_latest(folder)
         assert found is not None
         steps = found.manifest["trainer"]["environment_steps"]
@@ -86,7 +86,7 @@ def test_a_full_disk(tmp_path, small_disk):
         fleet.end()
         assert fleet.audit().clean
         assert "could not be written) " in fleet.log("learner")
-        tell("full_disk", ballast_bytes=size, alarms=complaints, seconds_to_recover=recovery)
+        record_result("full_disk", ballast_bytes=size, alarms=complaints, seconds_to_recover=recovery)
     finally:
         fleet.close()
 

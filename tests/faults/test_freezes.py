@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from deploy.monitor.audit import audit
-from tests.faults.tools.harness import BEHIND, LONG, Routed, memory, run, tell
+from tests.faults.tools.harness import BEHIND, LONG, Routed, memory, record_result, run
 from tests.system.fleet import until
 
 EVENTS = LONG.replace("cycle = 2", "cycle = 4\ncycle_growth = 1.0\nrate_decay = 0.9")
@@ -51,7 +51,7 @@ def test_a_frozen_learner(tmp_path):
 def test_a_frozen_learner_at_full_dose(tmp_path):
     """Frozen for 3, 9 and 60 seconds: memory bounded, recovery within 10 seconds."""
     figures = freeze_learner(tmp_path, [3.0, 9.0, 60.0])
-    tell("frozen_learner", **figures)
+    record_result("frozen_learner", **figures)
     check_freezes(figures)
     assert all(row["seconds_to_recover"] <= 10 for row in figures["freezes"])
 
@@ -83,8 +83,8 @@ def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:
             until(heard, "a report of the worker")
             old.send_signal(signal.SIGCONT)
             code = fleet.wait("learner-run", 90.0)
-            told = len(heard())
-            until(lambda: len(heard()) > told + 1, "reports after the thaw")
+            reports = len(heard())
+            until(lambda: len(heard()) > reports + 1, "reports after the thaw")
             time.sleep(seconds)
             epochs = [report["epoch"] for report in heard()]
         fleet.running.pop("learner-run")
@@ -111,7 +111,7 @@ def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:
 def test_a_learner_that_was_frozen_and_replaced(tmp_path):
     """A thawed learner whose place is taken ends by itself, also with a full queue; all chunks are accounted for."""
     figures = replace_a_frozen_learner(tmp_path, 0.5)
-    tell("replaced_learner", **figures)
+    record_result("replaced_learner", **figures)
     assert figures["old_learner_exit_code"] == 2
     assert "newer learner" in figures["old_learner_said"]
     assert figures["falls_of_the_epoch"] == 0

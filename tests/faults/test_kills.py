@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.faults.tools.harness import BEHIND, LONG, FaultRun, Routed, memory, run, spread, tell
+from tests.faults.tools.harness import BEHIND, LONG, FaultRun, Routed, memory, record_result, run, spread
 from tests.system.fleet import until
 
 
@@ -62,7 +62,7 @@ def test_killed_workers(tmp_path):
 def test_killed_workers_at_full_dose(tmp_path):
     """Fifty kills among eight workers lose at most one chunk each, and nothing is counted twice."""
     figures = kill_workers(tmp_path, kills=50, workers=8)
-    tell("killed_workers", **figures)
+    record_result("killed_workers", **figures)
     check_workers(figures)
 
 
@@ -115,7 +115,7 @@ def check_learner(figures: dict[str, Any]) -> None:
 
 
 def test_killed_learner(tmp_path):
-    """A killed learner resumes, its workers go on, and the ledger tells exactly what was lost with it."""
+    """A killed learner resumes, its workers go on, and the ledger holds exactly what was lost with it."""
     check_learner(kill_learner(tmp_path, kills=1, inside=1))
 
 
@@ -124,7 +124,7 @@ def test_killed_learner(tmp_path):
 def test_killed_learner_at_full_dose(tmp_path):
     """Twenty kills of the learner, five of them inside a checkpoint's write, and the ledger is exact."""
     figures = kill_learner(tmp_path, kills=20, inside=8)
-    tell("killed_learner", **figures)
+    record_result("killed_learner", **figures)
     check_learner(figures)
     assert figures["inside_a_checkpoint_write"] >= 5
 
@@ -142,9 +142,9 @@ def kill_coordinator(directory: Path, kills: int) -> dict[str, Any]:
             fleet.kill("elite")
             started = time.monotonic()
             fleet.until_more()
-            told = fleet.log("elite")
+            logged = fleet.log("elite")
             fleet.coordinator()
-            fleet.until_led(told)
+            fleet.until_led(logged)
             # What the one that was killed had delivered is in here, so the next event is of its successor.
             before = fleet.status()["event"]
             until(lambda before=before: fleet.status()["event"] > before, "an imitation event")
@@ -173,7 +173,7 @@ def test_killed_coordinator(tmp_path):
 def test_killed_coordinator_at_full_dose(tmp_path):
     """Twenty kills of the coordinator: every event comes once, in order."""
     figures = kill_coordinator(tmp_path, kills=20)
-    tell("killed_coordinator", **figures)
+    record_result("killed_coordinator", **figures)
     assert figures["in_order"]
     assert figures["unexplained"] == 0
 
@@ -224,5 +224,5 @@ def test_killed_router(tmp_path):
 def test_killed_router_at_full_dose(tmp_path):
     """Twenty kills of the router with outages of five seconds lose nothing."""
     figures = kill_router(tmp_path, kills=20, outage=5.0)
-    tell("killed_router", **figures)
+    record_result("killed_router", **figures)
     check_router(figures)

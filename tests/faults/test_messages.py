@@ -7,7 +7,7 @@ import pytest
 
 from common.history import History
 from tests.faults.tools.channel import Road, front_door, shut, travel
-from tests.faults.tools.harness import tell
+from tests.faults.tools.harness import record_result
 
 
 def bad_road(workers: int, chunks: int, path: Any = None) -> dict[str, Any]:
@@ -24,7 +24,7 @@ def bad_road(workers: int, chunks: int, path: Any = None) -> dict[str, Any]:
     assert (totals["lost"], totals["rejected"], totals["refused"], totals["in_flight"]) == (0, 0, 0, 0)
     assert totals["damaged"] == road.done["cut"] + road.done["flipped"] - road.done["unseen"]
     assert totals["duplicates"] >= road.done["duplicated"] // 2
-    # What came damaged and had been taken before is told to be a duplicate, and counted as damaged alone.
+    # What came damaged and had been taken before is answered as a duplicate, and counted as damaged alone.
     assert totals["duplicates"] + totals["damaged"] == answers["duplicate"] + answers["damaged"]
     figures = {kind: road.done[kind] for kind in ("several", "duplicated", "reordered", "cut", "flipped", "unseen")}
     figures |= {"counted_damaged": totals["damaged"], "counted_duplicates": totals["duplicates"]}
@@ -49,7 +49,7 @@ def test_a_bad_road(tmp_path):
 def test_a_bad_road_at_full_dose():
     """A hundred thousand chunks, a tenth doubled, a tenth overtaken, a hundredth cut and flipped: the set is exact."""
     figures = bad_road(8, 12_500)
-    tell("bad_road", **figures)
+    record_result("bad_road", **figures)
     assert figures["accepted"] == 100_000
     assert min(figures["duplicated"], figures["reordered"]) >= 10_000
     assert min(figures["cut"], figures["flipped"]) >= 1_000

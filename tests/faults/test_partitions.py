@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from common.transport.endpoint import Endpoint, free_endpoint
-from tests.faults.tools.harness import FaultRun, memory, run, tell
+from tests.faults.tools.harness import FaultRun, memory, record_result, run
 from tests.faults.tools.network import LEARNER, Pair, Relay, namespaces
 from tests.system.fleet import until
 
@@ -90,7 +90,7 @@ def test_partitions_at_full_dose(tmp_path):
     doses = [(way, seconds) for seconds in (1.0, 6.0, 15.0) for way in WAYS] + [("link", 120.0), ("to_worker", 120.0)]
     figures = partitions(tmp_path, doses)
     if figures is not None:
-        tell("partitions", **figures)
+        record_result("partitions", **figures)
     check_partitions(figures, 15.0)
 
 
@@ -165,5 +165,5 @@ def test_bad_links(tmp_path):
 def test_bad_links_at_full_dose(tmp_path):
     """The same with a stall of 30 seconds, longer than a lease."""
     figures = bad_links(tmp_path, stall=30.0)
-    tell("bad_links", **figures)
+    record_result("bad_links", **figures)
     check_links(figures)

@@ -6,7 +6,7 @@ import pytest
 
 from common.transport.endpoint import free_endpoint
 from tests.faults.tools.channel import Road
-from tests.faults.tools.harness import run, tell
+from tests.faults.tools.harness import record_result, run
 from tests.faults.tools.proxy import Proxy
 from tests.system.fleet import until
 
@@ -34,7 +34,7 @@ def through_a_proxy(directory, road: Road, least: int) -> dict[str, Any]:
         found = fleet.audit()
         return {
             **{kind: road.done[kind] for kind in (*KINDS, "unseen")},
-            "told": dict(proxy.told),
+            "answers": dict(proxy.verdicts),
             **{f"counted_{name}": ledger[name] for name in ("damaged", "duplicates", "accepted", "unexplained")},
             "lost_chunks": found.chunks["lost"],
             "accepted_chunks": found.chunks["accepted"],
@@ -45,10 +45,10 @@ def through_a_proxy(directory, road: Road, least: int) -> dict[str, Any]:
 
 def check(figures: dict[str, Any]) -> None:
     assert figures["unexplained"] == figures["doubled"] == figures["counted_unexplained"] == 0
-    assert figures["accepted_chunks"] == figures["told"]["accepted"]
+    assert figures["accepted_chunks"] == figures["answers"]["accepted"]
     assert figures["counted_damaged"] == figures["cut"] + figures["flipped"] - figures["unseen"]
-    told = figures["told"]
-    assert figures["counted_duplicates"] + figures["counted_damaged"] == told["duplicate"] + told["damaged"]
+    answers = figures["answers"]
+    assert figures["counted_duplicates"] + figures["counted_damaged"] == answers["duplicate"] + answers["damaged"]
     assert figures["counted_duplicates"] > 0
 
 
@@ -62,5 +62,5 @@ def test_through_a_bad_proxy(tmp_path):
 def test_through_a_bad_proxy_at_full_dose(tmp_path):
     """The same with a tenth doubled and late and a hundredth damaged, until each damage was done fifty times."""
     figures = through_a_proxy(tmp_path, Road(), least=50)
-    tell("bad_proxy", **figures)
+    record_result("bad_proxy", **figures)
     check(figures)

@@ -18,7 +18,7 @@ from common.protocol.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, Deli
 from common.transitions import Chunk, Rows
 from learner.intake.peer_penalties import LIMIT
 from tests.faults.tools.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut
-from tests.faults.tools.harness import LONG, FaultRun, run, tell
+from tests.faults.tools.harness import LONG, FaultRun, record_result, run
 from tests.system.fleet import RUN as RUN_NAME
 from tests.system.fleet import until
 
@@ -74,7 +74,7 @@ WRONG = {
 
 @pytest.mark.parametrize("what", WRONG)
 def test_what_does_not_fit_is_refused_and_the_next_chunk_taken(what):
-    """The number is spent, the reason told, and the worker's next whole chunk is accepted."""
+    """The number is spent, the reason given, and the worker's next whole chunk is accepted."""
     receiver, door = front_door()
     try:
         answer = door.pass_on(parcel(WRONG[what])).answer
@@ -156,16 +156,16 @@ def test_old_chunks_are_refused_beside_new_ones():
 
 
 def test_a_learner_that_ends_takes_the_beginning_of_a_request():
-    """What found room is accepted, the next is told that the door is closed, and the worker keeps it and the rest."""
+    """What found room is accepted, the next is answered with "closed", and the worker keeps it and the rest."""
     receiver, door = front_door(intake_chunks=2)
-    told: list[Parcel] = []
+    delivered: list[Parcel] = []
     waiting = parcel(*(of(a_chunk(number), number) for number in (1, 2, 3, 4)))
-    sending = threading.Thread(target=lambda: told.append(door.pass_on(waiting)))
+    sending = threading.Thread(target=lambda: delivered.append(door.pass_on(waiting)))
     sending.start()
     until(receiver.arrivals.full, "a full queue")
     receiver.close()
     sending.join(10.0)
-    assert told[0].answer.verdicts == ("accepted", "accepted", "closed")
+    assert delivered[0].answer.verdicts == ("accepted", "accepted", "closed")
     shut(receiver, door)
 
 
@@ -237,8 +237,8 @@ def test_whoever_keeps_sending_what_brings_nothing_is_cut_off(sent, answer):
     """Unreadable, the same again or out of turn: after LIMIT in a row the answers are held back; others go on."""
     receiver, door = front_door()
     assert door.pass_on(parcel(of(a_chunk(1)))).verdict == "accepted"
-    told = [door.pass_on(Parcel(sent.key, sent.payload, sent.attachment)).verdict for _ in range(LIMIT)]
-    assert told == [answer] * LIMIT
+    answers = [door.pass_on(Parcel(sent.key, sent.payload, sent.attachment)).verdict for _ in range(LIMIT)]
+    assert answers == [answer] * LIMIT
     late = Parcel(sent.key, sent.payload, sent.attachment)
     door.push(late)
     assert door.pass_on(parcel(of(a_chunk(1)), name="other")).verdict == "accepted"
@@ -316,6 +316,6 @@ def test_a_flood_of_junk_by_one_worker(tmp_path):
 def test_a_flood_at_full_dose(tmp_path):
     """The others keep four fifths of their rate."""
     figures = flood(tmp_path, 20.0)
-    tell("flood", **figures)
+    record_result("flood", **figures)
     assert figures["unexplained"] == 0
     assert figures["share_kept"] >= 0.8

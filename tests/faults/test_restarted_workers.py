@@ -78,7 +78,7 @@ def test_a_worker_that_was_frozen_and_replaced_ends(tmp_path):
         assert newest, "the second start wrote nothing"
 
 
-def test_a_frozen_worker_with_a_history_of_its_own_is_told_by_the_learner(tmp_path):
+def test_a_frozen_worker_with_a_history_of_its_own_is_ended_by_the_learner(tmp_path):
     """Two starts on two hosts share no file: the learner's verdict ends the older one, and is counted."""
     with run(tmp_path) as fleet:
         fleet.learner()

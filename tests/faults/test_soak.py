@@ -7,7 +7,7 @@ import numpy as np
 import psutil
 import pytest
 
-from tests.faults.tools.harness import run, tell
+from tests.faults.tools.harness import record_result, run
 from tests.system.fleet import until
 
 MINUTES = float(os.environ.get("EIA_SEC_SOAK_MINUTES", "6"))
@@ -44,11 +44,11 @@ def test_soak(tmp_path):
                 "descriptors": [int(late[:, 3].min()), int(late[:, 3].max())],
                 "grown": (np.median(late[half:, 2:], axis=0) - np.median(late[:half, 2:], axis=0)).tolist(),
             }
-        tell("soak", minutes=MINUTES, settled_after=round(SETTLE, 1), processes=figures)
+        record_result("soak", minutes=MINUTES, settled_after=round(SETTLE, 1), processes=figures)
         fleet.end()
         assert fleet.audit().steps["accepted"] > 0
         for name, row in figures.items():
             # Zenoh's runtime starts threads for a few seconds when it is held up; only lasting ones are a leak.
             assert max(row["grown"]) <= 2, name
-            # Over minutes a straight line tells more of single pages than of a leak.
+            # Over minutes a straight line shows single pages rather than a leak.
             assert row["mib_per_hour"] < 1 or MINUTES < HOUR, name

@@ -13,7 +13,7 @@ import pytest
 
 from deploy.monitor.audit import audit
 from learner.checkpoint import files
-from tests.faults.tools.harness import LONG, spread, tell
+from tests.faults.tools.harness import LONG, record_result, spread
 from tests.system.fleet import until
 
 
@@ -69,5 +69,5 @@ def test_fifty_stops(tmp_path):
         number = (signal.SIGINT, signal.SIGTERM)[index % 2]
         seconds.append(stop_training(folder, number, running=index % 5 != 0))
     figures: dict[str, Any] = {"stops": len(seconds), "seconds_to_end": spread(seconds)}
-    tell("stops", **figures)
+    record_result("stops", **figures)
     assert max(seconds) <= 10

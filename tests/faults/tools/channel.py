@@ -41,7 +41,7 @@ class Parcel:
         self.key, self.payload, self.attachment = key, payload, attachment
         self.answer: ChunkAck | None = None
         self.refused = ""
-        self.told = threading.Event()
+        self.answered = threading.Event()
 
     @property
     def verdict(self) -> str:
@@ -52,11 +52,11 @@ class Parcel:
 
     def reply(self, payload: bytes) -> None:
         self.answer = ChunkAck.decode(payload)
-        self.told.set()
+        self.answered.set()
 
     def refuse(self, reason: str) -> None:
         self.refused = reason
-        self.told.set()
+        self.answered.set()
 
 
 class Door:
@@ -77,7 +77,7 @@ class Door:
     def pass_on(self, parcel: Parcel) -> Parcel:
         """Deliver a parcel and wait until it is answered."""
         self._waiting.put(parcel)
-        if not parcel.told.wait(60.0):
+        if not parcel.answered.wait(60.0):
             raise AssertionError("a request was never answered")
         return parcel
 

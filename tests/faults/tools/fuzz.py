@@ -26,7 +26,7 @@ def one_input(data: bytes) -> None:
 
 
 def main() -> None:
-    """Fuzz until told to stop."""
+    """Fuzz until asked to stop."""
     atheris.Setup(sys.argv, one_input)
     atheris.Fuzz()
 

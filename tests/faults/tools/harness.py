@@ -24,13 +24,13 @@ FIGURES = "EIA_SEC_FIGURES"
 SETTINGS = ("EIA_SEC_SOAK_MINUTES",)
 """Environment variables that choose a dose."""
 LONG = TINY.replace("episodes = 8", "episodes = 1000000").replace("capacity = 4096", "capacity = 8192")
-"""A run that ends only when it is told to."""
+"""A run that ends only when it is asked to."""
 BEHIND = LONG.replace("updates_per_step = 0.5", "updates_per_step = 4.0\nintake_chunks = 1")
 BEHIND = BEHIND.replace("slack_steps = 400", "slack_steps = 40")
 """The same with a learner that is the bottleneck: its queue and the workers' spools stand full."""
 
 
-def tell(name: str, **values: Any) -> None:
+def record_result(name: str, **values: Any) -> None:
     """Print a dose's figures as JSON, and keep them where the environment says so."""
     values = {"name": name, **values}
     sys.stdout.write(json.dumps(values) + "\n")

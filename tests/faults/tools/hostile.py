@@ -32,7 +32,9 @@ from rollout.envs.base import environment_spec
 from tests.system.fleet import RUN, configured
 
 PER_NAME: Final = 15
-"""Kinds that one name sends; the receiver would cut it off after a few more."""
+"""Requests that one name sends in a row; the receiver would cut it off after a few more."""
+NAMES: Final = 8
+"""Names of the attacker, each with a certificate of its own where there are any."""
 NUMBERS: Final = (0, 2, 2**31, 2**32, 2**48, 2**48 + 1, 2**53, 2**62, 2**63 - 1, 2**63, 2**64 - 1, -1, -(2**63))
 OTHERS: Final[tuple[Any, ...]] = (
     None, True, 0, 1.5, float("nan"), float("inf"), -0.0, "", "x", "\0", "../../x", "*", "\x1b[2J", "é" * 300, b"",
@@ -142,21 +144,40 @@ def _with(whole: Parts, name: str, value: Any, *, drop: bool = False) -> Parts:
     return scalars, arrays
 
 
-def request(kind: Kind, team: TeamSpec, rules: ChunkRules, name: str, start: int) -> tuple[bytes, bytes]:
-    """Return a request's payload and attachment: honest, but for what the kind spoils."""
+def request(kind: Kind | None, team: TeamSpec, rules: ChunkRules, name: str, start: int) -> tuple[bytes, bytes]:
+    """Return a request's payload and attachment: honest, but for what the kind spoils if there is one."""
     chunk = to_message(an_honest_chunk(team, rules, ended=False), team, 0, rules.steps).encode()
     envelope = Envelope("rollout", name, start, 1).encode()
-    if kind.spoilt is ChunkMessage:
+    if kind is not None and kind.spoilt is ChunkMessage:
         chunk = frame.encode(ChunkMessage.KIND, *kind.parts)
     delivery = DeliveryMessage(1, rules.steps, (len(chunk),)).encode()
-    if kind.spoilt is DeliveryMessage:
+    if kind is not None and kind.spoilt is DeliveryMessage:
         scalars = kind.parts[0] | ({"sizes": (len(chunk),)} if kind.parts[0].get("sizes") == (1,) else {})
         delivery = frame.encode(DeliveryMessage.KIND, scalars, kind.parts[1])
-    if kind.spoilt is Envelope:
+    if kind is not None and kind.spoilt is Envelope:
         scalars = {"name": name, "incarnation": start}
         honest = {key: scalars.get(key, value) for key, value in kind.parts[0].items() if value in ("w", 1)}
         envelope = frame.encode(Envelope.KIND, kind.parts[0] | honest, kind.parts[1])
     return delivery + chunk, envelope
+
+
+class Attacker:
+    """A worker of a few names that clears itself with an honest chunk before it would be cut off."""
+
+    def __init__(self, bus: Bus, team: TeamSpec, rules: ChunkRules) -> None:
+        self._bus, self._team, self._rules = bus, team, rules
+        self.sent = self.answered = 0
+
+    def send(self, kind: Kind | None) -> None:
+        """Send a hostile request, or an honest one, each as a new start of its name."""
+        name, start = f"h{self.sent // PER_NAME % NAMES}", 1 + self.sent
+        payload, attachment = request(kind, self._team, self._rules, name, start)
+        self.sent += 1
+        try:
+            answer = self._bus.ask(keys.TRANSITION.key(RUN, worker=name), payload, 30.0, attachment)
+            self.answered += answer is not None
+        except BusError:
+            self.answered += 1
 
 
 def main() -> None:
@@ -164,18 +185,20 @@ def main() -> None:
     config: RunConfig = configured(Path(sys.argv[2]).read_text(encoding="utf-8"))
     environment, until = environment_spec(config), time.monotonic() + float(sys.argv[3])
     team, rules = environment.team, ChunkRules.of(config, environment)
-    every, sent, answered = kinds(team, rules), 0, 0
+    every, rounds = kinds(team, rules), 0
     with Bus.connect(Endpoint.parse(sys.argv[1]), "bulk", wait=30.0) as bus:
-        while sent < len(every) or time.monotonic() < until:
-            name = f"h{sent // PER_NAME}"
-            payload, attachment = request(every[sent % len(every)], team, rules, name, 1 + sent)
-            sent += 1
-            try:
-                answer = bus.ask(keys.TRANSITION.key(RUN, worker=name), payload, 30.0, attachment)
-                answered += answer is not None
-            except BusError:
-                answered += 1
-    sys.stdout.write(json.dumps({"kinds": len(every), "requests": sent, "answered": answered}) + "\n")
+        attacker = Attacker(bus, team, rules)
+        while rounds == 0 or time.monotonic() < until:
+            for kind in every:
+                if attacker.sent % PER_NAME == 0:
+                    attacker.send(None)
+                attacker.send(kind)
+            rounds += 1
+            if rounds == 1:
+                sys.stdout.write("every kind has been sent\n")
+                sys.stdout.flush()
+    counts = {"kinds": len(every), "requests": attacker.sent, "answered": attacker.answered}
+    sys.stdout.write(json.dumps(counts) + "\n")
 
 
 if __name__ == "__main__":

@@ -25,11 +25,11 @@ class Proxy:
     Attributes:
         here: where workers connect.
         road: what is done to requests, and how often it was done.
-        told: the verdicts that the learner answered with, those of copies included.
+        verdicts: the verdicts that the learner answered with, those of copies included.
     """
 
     def __init__(self, here: Endpoint, there: Endpoint, road: Road, seed: int = 0) -> None:
-        self.here, self.road, self.told = here, road, Counter[str]()
+        self.here, self.road, self.verdicts = here, road, Counter[str]()
         self._draw = random.Random(seed)
         self._older: dict[str, Parcel] = {}
         self._relay = Relay(here, there, lanes=(0,))
@@ -80,5 +80,5 @@ class Proxy:
     def _ask(self, parcel: Parcel) -> bytes | None:
         answer = self._back.ask(parcel.key, parcel.payload, 30.0, parcel.attachment)
         if answer is not None:
-            self.told.update(ChunkAck.decode(answer).verdicts)
+            self.verdicts.update(ChunkAck.decode(answer).verdicts)
         return answer

@@ -149,7 +149,7 @@ def test_random_flights_are_taken_as_they_were_flown():
     [a_chunk({}, 2, 9), a_chunk({}, 1, 20), a_chunk({}, 4, 5), a_chunk({}, 2, 11), a_chunk({(0, 9): 30}, 1, 10)],
 )
 def test_chunks_of_another_shape_are_refused(chunk):
-    """Each chunk holds so many steps of so many environments, so histories stay short and ends can be told."""
+    """Each chunk holds so many steps of so many environments, so histories stay short."""
     receiver, door = front_door(replace(FARM, shortest=1))
     assert door.pass_on(parcel(chunk)).verdict == "refused"
     shut(receiver, door)

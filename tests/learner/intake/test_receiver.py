@@ -31,11 +31,11 @@ def test_a_chunk_brings_the_accounts_of_its_moment():
     """
     receiver, door = front_door()
     try:
-        told = [
+        answers = [
             door.pass_on(parcel(*request, lawful=lawful)).verdict
             for *request, lawful in [("a", 1, 1, True), ("b", 1, 1, True), ("a", 2, 1, False), ("b", 1, 2, True)]
         ]
-        assert told == ["accepted", "accepted", "refused", "accepted"]
+        assert answers == ["accepted", "accepted", "refused", "accepted"]
         accepted = []
         for _ in range(3):
             arrival = until(lambda: receiver.next_arrival(0.05), "a chunk")
@@ -122,10 +122,10 @@ def test_in_lockstep_a_second_copy_waits_for_the_training_too():
         door.push(second)
         # The third is of another worker, and its refusal says that the second has been looked at.
         assert "exactly one worker" in door.pass_on(Sending("1", 1).parcel([1])).refused
-        assert not first.told.is_set()
-        assert not second.told.is_set()
+        assert not first.answered.is_set()
+        assert not second.answered.is_set()
         arrival.owed.answer(ChunkAck(("accepted",), ("",), 2, 7).encode())
-        assert second.told.is_set()
+        assert second.answered.is_set()
         assert (second.answer.verdicts, second.answer.required_version) == (("accepted",), 7)
         assert door.pass_on(sending.parcel([1])).verdict == "duplicate"
         assert receiver.intake.totals()["accepted"] == 1
