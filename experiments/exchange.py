@@ -21,7 +21,7 @@ from common.config.presets import PRESETS
 from common.farm import COLLECTION, MONITORING, farm_team
 from common.team import Float32
 from deploy.reports.provenance import provenance
-from experiments.reporting import farm_range, tell
+from experiments.reporting import farm_range, write_results
 from rollout.evaluation import episode_seed
 from rollout.heuristics import lawnmower
 from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy, FarmState
@@ -36,11 +36,11 @@ KINDS: Final = {MONITORING: MONITORS, COLLECTION: COLLECTORS}
 
 
 class PartialGroupPolicy(HorizonGroupPolicy):
-    """A crew of which the first few search, one after the other; the rest have no plans and stay where they are.
+    """A group of which the first few search, one after the other; the rest have no plans and stay where they are.
 
     Args:
         state: the start.
-        kind: the crew's type.
+        kind: the searchers's type.
         searching: how many search.
     """
 
@@ -69,9 +69,9 @@ class Exchange:
     """
 
     def __init__(self, config: FarmConfig, kind: str, searching: int) -> None:
-        crew = partial(PartialGroupPolicy, kind=KINDS[kind], searching=searching)
-        monitors = crew if kind == MONITORING else lawnmower.monitors
-        collectors = crew if kind == COLLECTION else lawnmower.collectors
+        searchers = partial(PartialGroupPolicy, kind=KINDS[kind], searching=searching)
+        monitors = searchers if kind == MONITORING else lawnmower.monitors
+        collectors = searchers if kind == COLLECTION else lawnmower.collectors
         self._learned = policy_of("trained", config)
         self._search = CompositePolicy(config, CentroidRelays, monitors, collectors)
         first = farm_team(config).agent_slices()[KINDS[kind]].start
@@ -142,7 +142,7 @@ def main() -> None:
     config = PRESETS["default"].farm
     results = [fly(config, kind, searching, farms) for kind in KINDS for searching in (0, 1, 2, 3, 4)]
     data = {**provenance("experiments.exchange"), "farms": list(farms), "results": results}
-    tell(data, page, arguments.write)
+    write_results(data, page, arguments.write)
 
 
 if __name__ == "__main__":

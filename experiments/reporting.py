@@ -1,4 +1,4 @@
-"""What experiments have in common: which farms they fly, and how they tell what came out."""
+"""What experiments have in common: which farms they fly, and how they report their results."""
 
 import argparse
 import json
@@ -16,7 +16,7 @@ def farm_range(text: str) -> range:
     return range(int(first), int(last))
 
 
-def tell(data: dict[str, Any], page: Callable[[dict[str, Any]], str], folder: Path | None) -> None:
+def write_results(data: dict[str, Any], page: Callable[[dict[str, Any]], str], folder: Path | None) -> None:
     """Print data, and write results.json and README.md into a folder, which is made, unless it is None."""
     if folder:
         folder.mkdir(parents=True, exist_ok=True)

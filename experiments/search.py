@@ -14,7 +14,7 @@ from typing import Any, Final
 from common.config import FarmConfig
 from common.config.presets import preset
 from deploy.reports.provenance import provenance
-from experiments.reporting import farm_range, tell
+from experiments.reporting import farm_range, write_results
 from rollout.evaluation import evaluate
 from rollout.heuristics import horizon
 from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
@@ -34,17 +34,17 @@ FORMS: Final = {
 
 
 def fly(config: FarmConfig, form: str, farms: range) -> dict[str, Any]:
-    """Fly a form on farms; return its rewards and figures."""
+    """Fly a form on farms; return its rewards and metrics."""
     efforts, policy = FORMS[form], policy_of("horizon", config)
     if efforts:
-        crew = partial(HorizonGroupPolicy, kind=COLLECTORS, effort=efforts["collectors"])
+        collectors = partial(HorizonGroupPolicy, kind=COLLECTORS, effort=efforts["collectors"])
         sweep = (
             partial(HorizonGroupPolicy, kind=MONITORS, effort=efforts["monitors"]) if "monitors" in efforts else None
         )
-        policy = CompositePolicy(config, SearchRelays, sweep or horizon.monitors, crew)
+        policy = CompositePolicy(config, SearchRelays, sweep or horizon.monitors, collectors)
     total = evaluate(config, policy, farms, 1, name=form).total
-    told = {"reward": total.reward, **total.types, **total.metrics}
-    return {"form": form, **{name: round(value, 4) for name, value in told.items()}}
+    means = {"reward": total.reward, **total.types, **total.metrics}
+    return {"form": form, **{name: round(value, 4) for name, value in means.items()}}
 
 
 def page(data: dict[str, Any]) -> str:
@@ -82,7 +82,7 @@ def main() -> None:
     farms = arguments.farms
     origin = provenance("experiments.search")
     data = {**origin, "farms": list(farms), "results": [fly(preset("study").farm, form, farms) for form in FORMS]}
-    tell(data, page, arguments.write)
+    write_results(data, page, arguments.write)
 
 
 if __name__ == "__main__":

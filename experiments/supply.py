@@ -18,7 +18,7 @@ from common.config import FarmConfig
 from common.config.presets import PRESETS
 from common.errors import ConfigError
 from deploy.reports.provenance import provenance
-from experiments.reporting import farm_range, tell
+from experiments.reporting import farm_range, write_results
 from rollout.evaluation import episode_seed
 from rollout.policies import Policy, policy_of
 from rollout.sim.batch import FarmBatch
@@ -55,7 +55,7 @@ class Ledger:
         self._lost_at_border += float((lost & self._border).sum())
         self._before = level.copy()
 
-    def told(self) -> dict[str, float]:
+    def totals(self) -> dict[str, float]:
         """Return the units by the names of COLUMNS; `border` is the part of `cap` that was lost there."""
         left = float(self._before.sum())
         service = self._supply - self._paid - self._cap - left
@@ -85,7 +85,7 @@ def follow(config: FarmConfig, policy: Policy, farm: int) -> dict[str, dict[str,
         paid = batch.utility[0]
         plots.note(step, batch.vdf[0], float(paid[first:last].sum()))
         sensors.note(step, batch.aoi[0], float(paid[last:].sum()))
-    return dict(zip(KINDS, (plots.told(), sensors.told()), strict=True))
+    return dict(zip(KINDS, (plots.totals(), sensors.totals()), strict=True))
 
 
 def mean(config: FarmConfig, name: str, farms: range) -> dict[str, Any]:
@@ -93,7 +93,7 @@ def mean(config: FarmConfig, name: str, farms: range) -> dict[str, Any]:
     policy = policy_of(name, config)
     flown = [follow(config, policy, farm) for farm in farms]
     return {"policy": name} | {
-        kind: {column: round(float(np.mean([told[kind][column] for told in flown])), 1) for column in COLUMNS}
+        kind: {column: round(float(np.mean([totals[kind][column] for totals in flown])), 1) for column in COLUMNS}
         for kind in KINDS
     }
 
@@ -136,7 +136,7 @@ def main() -> None:
     config = PRESETS["default"].farm
     results = [mean(config, name, farms) for name in arguments.policy]
     data = {**provenance("experiments.supply"), "farms": list(farms), "results": results}
-    tell(data, page, arguments.write)
+    write_results(data, page, arguments.write)
 
 
 if __name__ == "__main__":

@@ -97,10 +97,10 @@ class Hosts:
         command = [sys.executable, "-m", "deploy.cli", *words]
         done = subprocess.run(command, capture_output=True, text=True, env=self.lab.environment(), check=False)
         if done.returncode:
-            raise RuntimeError(f"{' '.join(words)}: {done.stdout}{done.stderr}{self.told()}")
+            raise RuntimeError(f"{' '.join(words)}: {done.stdout}{done.stderr}{self.last_lines()}")
         return done.stdout
 
-    def told(self) -> str:
+    def last_lines(self) -> str:
         """Return the ends of all logs."""
         paths = sorted(self.lab.folder.glob("home/*/run/logs/*.log"))
         return "".join(f"\n== {path.name}\n{path.read_text(errors='replace')[-400:]}" for path in paths)
@@ -115,12 +115,12 @@ class Hosts:
         started = time.monotonic()
         while not condition():
             if time.monotonic() - started > seconds:
-                raise RuntimeError(f"{what} did not come within {seconds} s{self.told()}")
+                raise RuntimeError(f"{what} did not come within {seconds} s{self.last_lines()}")
             time.sleep(0.05)
         return time.monotonic() - started
 
     def state(self, process: str) -> str:
-        """Return the state of a process as `eia-sec status` tells it."""
+        """Return the state of a process as `eia-sec status` shows it."""
         command = [sys.executable, "-m", "deploy.cli", "status", str(self.file), "--json"]
         done = subprocess.run(command, capture_output=True, text=True, env=self.lab.environment(), check=False)
         found = [host["processes"].get(process, {}) for host in json.loads(done.stdout)["hosts"].values()]
@@ -194,14 +194,14 @@ def main() -> None:
         fleet = Hosts(lab, arguments.preset, arguments.set)
         seed = read(fleet.file).config.seed
         started = time.monotonic()
-        figures = happen(fleet, arguments.cut)
+        measured = happen(fleet, arguments.cut)
         fleet.until(lambda: time.sleep(2.0) or fleet.state("learner.learner") == "finished", "the end", 7200.0)
-        figures["minutes"] = round((time.monotonic() - started) / 60, 1)
-        figures |= finish(fleet)
+        measured["minutes"] = round((time.monotonic() - started) / 60, 1)
+        measured |= finish(fleet)
         records = [json.loads(line) for line in (Path(folder) / "collected" / "metrics.jsonl").open(encoding="utf-8")]
         last = [record for record in records if record["kind"] == "status"][-1]
-        figures |= {name: last[name] for name in ("episodes", "environment_steps", "updates")}
-        figures["reward_per_agent"] = evaluated(fleet, arguments.farms)
+        measured |= {name: last[name] for name in ("episodes", "environment_steps", "updates")}
+        measured["reward_per_agent"] = evaluated(fleet, arguments.farms)
     result = {
         **provenance("experiments.network.hosts"),
         "preset": arguments.preset,
@@ -209,7 +209,7 @@ def main() -> None:
         "hosts": len(ROLES),
         "delay_seconds": arguments.delay,
         "farms": arguments.farms,
-        **figures,
+        **measured,
     }
     text = json.dumps(result, indent=1)
     arguments.output.parent.mkdir(parents=True, exist_ok=True)

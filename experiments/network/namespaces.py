@@ -118,7 +118,7 @@ def _remove(lab: Laboratory) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Relay both lanes to the first host until told to stop."""
+    """Relay both lanes to the first host until it is stopped."""
     from common.transport.endpoint import Endpoint  # noqa: PLC0415  # only the relay's process needs them
     from tests.faults.tools.network import Relay  # noqa: PLC0415  # only the relay's process needs them
 

@@ -51,14 +51,14 @@ class Arguments:
     settle: float = 15.0
     """Time for which workers fly before they are measured, s."""
     updates_per_step: float = 0.0
-    """Update rounds per environment step; 0 measures the workers, more the whole run."""
+    """Updates per environment step; 0 measures the workers, more the whole run."""
     output: Path = OUTPUT
     """The result."""
 
     def check(self) -> None:
         """Raise UsageError when these cannot be measured together."""
         if self.workers[:2] != (1, 2) or any(a >= b for a, b in zip(self.workers, self.workers[1:], strict=False)):
-            raise UsageError("--workers must begin with 1 2 and rise: the page tells what the second one adds.")
+            raise UsageError("--workers must begin with 1 2 and rise: the page shows what the second one adds.")
         if self.updates_per_step and self.output == OUTPUT:
             raise UsageError(f"{OUTPUT} is of a learner that does not train; name another --output.")
 
@@ -70,7 +70,7 @@ class Arguments:
         return replace(base, episodes=10_000_000, replay=stored)
 
 
-class Crew:
+class WorkerPool:
     """The workers of the run.
 
     Args:
@@ -120,7 +120,7 @@ def memory(children: Sequence[Child]) -> dict[str, float]:
 
 
 def rates(monitor: RunMonitor, seconds: float) -> dict[str, float]:
-    """Return the environment steps and the update rounds per second of the learner over some seconds."""
+    """Return the environment steps and the updates per second of the learner over some seconds."""
     points = []
     for pause in (0.0, seconds):
         time.sleep(pause)
@@ -137,28 +137,28 @@ def delivering(monitor: RunMonitor) -> set[str]:
     return {row.name for row in rows if row.role == "rollout" and row.ledger is not None and row.ledger.accepted}
 
 
-def wait_for(monitor: RunMonitor, crew: Crew, patience: float = PATIENCE) -> None:
+def wait_for(monitor: RunMonitor, pool: WorkerPool, patience: float = PATIENCE) -> None:
     """Return when each worker has delivered something; raise EiaSecError when one does not."""
     deadline = time.monotonic() + patience
-    while missing := set(crew.alive) - delivering(monitor):
+    while missing := set(pool.alive) - delivering(monitor):
         if time.monotonic() > deadline:
             raise EiaSecError(f"nothing came from the workers {', '.join(sorted(missing))} in {patience:.0f} s.")
         time.sleep(0.2)
         monitor.update()
 
 
-def measure(arguments: Arguments, bus: Bus, monitor: RunMonitor, crew: Crew, learner: Child) -> dict[str, Any]:
+def measure(arguments: Arguments, bus: Bus, monitor: RunMonitor, pool: WorkerPool, learner: Child) -> dict[str, Any]:
     """Return rates and memory by number of workers, the rate after one was killed, and the ledger at the end."""
     sweep: dict[int, dict[str, Any]] = {}
     after = 0.0
     for number in arguments.workers:
-        crew.grow(number)
-        wait_for(monitor, crew)
+        pool.grow(number)
+        wait_for(monitor, pool)
         time.sleep(arguments.settle)
         sweep[number] = {"workers": number, **rates(monitor, arguments.seconds)}
-        sweep[number] |= {"learner": memory([learner]), "all_workers": memory(list(crew.alive.values()))}
+        sweep[number] |= {"learner": memory([learner]), "all_workers": memory(list(pool.alive.values()))}
         if number == 2:
-            crew.kill_last()
+            pool.kill_last()
             time.sleep(5.0)
             after = rates(monitor, arguments.seconds)["environment_steps_per_second"]
     bus.ask(keys.COMMAND.key(RUN, verb="drain"), CommandMessage(RUN).encode(), timeout=5.0)
@@ -188,7 +188,7 @@ def main() -> None:
         try:
             learner = supervisor.start("learner", words)
             with Bus.connect(endpoint, "control", wait=60.0) as bus:
-                result = measure(arguments, bus, RunMonitor(bus, RUN), Crew(supervisor, endpoint), learner)
+                result = measure(arguments, bus, RunMonitor(bus, RUN), WorkerPool(supervisor, endpoint), learner)
         finally:
             supervisor.stop()
     origin = {**provenance("experiments.network.second_worker"), "team": farm_team(arguments.config().farm).digest}

@@ -1,7 +1,7 @@
-"""How long jobs will take, told before any of them begins.
+"""How long jobs will take, reported before any of them begins.
 
 A kind of run of which a record is there takes as long again for each episode. Of any other a first piece is done here:
-two chunks are flown, some update rounds trained and an evaluation begun; the rest is arithmetic.
+two chunks are flown, some update updates trained and an evaluation begun; the rest is arithmetic.
 """
 
 import statistics
@@ -22,7 +22,7 @@ STARTUP_SECONDS: Final = 6.0
 """What a process needs before its work begins."""
 PIECE_STEPS: Final = 60
 """Steps of the episodes of a first piece."""
-PIECE_ROUNDS: Final = 12
+PIECE_UPDATES: Final = 12
 REPEATS: Final = 5
 """Times that a piece is done; the median counts, since other work on the machine disturbs some of them."""
 DECISION_MILLISECONDS: Final = 1.0
@@ -86,13 +86,13 @@ def _measure_training(job: Job) -> float:
     trainer.train(2)
     flying = _seconds(lambda: trainer.absorb(collector.collect(actors, 0.1, False)))
     flying /= short.rollout.environments * short.rollout.chunk_steps
-    training = _seconds(lambda: trainer.train(PIECE_ROUNDS)) / PIECE_ROUNDS
+    training = _seconds(lambda: trainer.train(PIECE_UPDATES)) / PIECE_UPDATES
     evaluating = _flown(config, ActorPolicy(actors.noise_free()))
     steps = config.episodes * world.steps
-    rounds = config.replay.updates_per_step * max(0, steps - config.replay.warmup_steps)
+    updates = config.replay.updates_per_step * max(0, steps - config.replay.warmup_steps)
     checks = int(job.options["evaluations"]) * len(farms_of(job.options["choice_farms"]))
     flown = checks + len(farms_of(job.options["farms"]))
-    return steps * flying + rounds * training + flown * world.steps * evaluating
+    return steps * flying + updates * training + flown * world.steps * evaluating
 
 
 def _measure_flight(job: Job) -> float:

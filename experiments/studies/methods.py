@@ -51,7 +51,7 @@ ABLATIONS: Final = (
 )
 
 DEFAULT_PRESET: Final = "default preset"
-"""What `eia-sec train` does when it is told nothing; it is tuned further than any method is here."""
+"""What `eia-sec train` does without options; it is tuned further than any method is here."""
 MIXTURE: Final = "mixture"
 """Whose value new records compare with realised returns; older ones do not say, and compared the local critic's Q_i."""
 CANDIDATES: Final[dict[str, dict[str, float]]] = {

@@ -42,30 +42,30 @@ ROOM_SECONDS: Final = 1.0
 DIVERGED: Final = 1e6
 """A critic loss beyond this, in units of scaled reward squared, counts as diverged; such a run is cut short."""
 PROGRESS: Final = "progress"
-"""First word of the lines that tell how far a run is."""
+"""First word of the lines that report how far a run is."""
 DIGITS: Final = 4
 """Decimals that records keep."""
 
 
 class StoppedError(EiaSecError):
-    """The run was told to stop; it leaves no record."""
+    """The run was stopped; it leaves no record."""
 
 
 class _DivergedError(Exception):
     """Ends a run whose critics have left all bounds."""
 
 
-def perform(job: Job, records: Records, command: str, told: Callable[[float], None] = lambda share: None) -> None:
+def perform(job: Job, records: Records, command: str, report: Callable[[float], None] = lambda share: None) -> None:
     """Do a job and write its record.
 
     Args:
         job: what to do.
         records: where the record goes.
         command: the command line, for the record.
-        told: called with the share that is done; what it raises ends the job.
+        report: called with the share that is done; what it raises ends the job.
 
     Raises:
-        StoppedError: `told` raised it.
+        StoppedError: `report` raised it.
         EiaSecError: the job cannot be done.
     """
     torch.set_num_threads(job.config.learner.threads)
@@ -73,7 +73,7 @@ def perform(job: Job, records: Records, command: str, told: Callable[[float], No
     actors: TeamActors | None = None
     start = time.monotonic()
     if job.kind == "train":
-        result, actors = train(job.config, job.options, told)
+        result, actors = train(job.config, job.options, report)
     elif job.kind == "fly":
         result = fly(job.config, job.options)
     else:
@@ -81,12 +81,12 @@ def perform(job: Job, records: Records, command: str, told: Callable[[float], No
     seconds = time.monotonic() - start
     if actors is not None:
         metadata = {**made, "seed": str(job.config.seed), "job": job.digest}
-        kept(partial(save_policy, records.path(job, POLICY_SUFFIX), actors, metadata), told)
-    kept(lambda: records.put(job, made, seconds, result), told)
+        kept(partial(save_policy, records.path(job, POLICY_SUFFIX), actors, metadata), report)
+    kept(lambda: records.put(job, made, seconds, result), report)
 
 
-def kept(write: Callable[[], object], told: Callable[[float], None]) -> None:
-    """Write what may not be lost; on a full disk wait until there is room, or until `told` raises."""
+def kept(write: Callable[[], object], report: Callable[[float], None]) -> None:
+    """Write what may not be lost; on a full disk wait until there is room, or until `report` raises."""
     waiting = False
     while True:
         try:
@@ -97,14 +97,14 @@ def kept(write: Callable[[], object], told: Callable[[float], None]) -> None:
             if not waiting:
                 log(f"{error} It waits for room.")
             waiting = True
-            told(1.0)
+            report(1.0)
             time.sleep(ROOM_SECONDS)
         else:
             return
 
 
 def perform_all(jobs: Sequence[Job], records: Records, command: str) -> None:
-    """Do jobs one after another in a process of their own, telling on standard output how far they are.
+    """Do jobs one after another in a process of their own, reporting progress on standard output.
 
     Jobs that have a record are left out, so that a process that is started again goes on.
 
@@ -116,16 +116,16 @@ def perform_all(jobs: Sequence[Job], records: Records, command: str) -> None:
     try:
         for number, job in enumerate(jobs):
 
-            def told(share: float, number: int = number) -> None:
+            def report(share: float, number: int = number) -> None:
                 if stop:
                     raise StoppedError("stopped before it was done.")
                 with suppress(OSError):  # a full disk costs the line, and not the training
                     sys.stdout.write(f"{PROGRESS} {(number + share) / len(jobs):.4f}\n")
                     sys.stdout.flush()
 
-            told(0.0)
+            report(0.0)
             if records.get(job) is None:
-                perform(job, records, command, told)
+                perform(job, records, command, report)
     finally:
         stop.uninstall()
 
@@ -137,16 +137,16 @@ def fly(config: RunConfig, options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def train(
-    config: RunConfig, options: Mapping[str, Any], told: Callable[[float], None]
+    config: RunConfig, options: Mapping[str, Any], report: Callable[[float], None]
 ) -> tuple[dict[str, Any], TeamActors]:
     """Train a run; return its result and its actors without noise.
 
     Args:
         config: the run.
         options: `farms` and `choice_farms` as first and number, `points` of the curve, `evaluations` on the way.
-        told: called after each chunk with the share that is done.
+        report: called after each chunk with the share that is done.
     """
-    log = _Log(config, farms_of(options["choice_farms"]), int(options["evaluations"]), told)
+    log = _Log(config, farms_of(options["choice_farms"]), int(options["evaluations"]), report)
     diverged = False
     try:
         trainer = train_inprocess(config, log.watch)
@@ -177,14 +177,14 @@ class _Log:
         config: the run.
         farms: farms of the noise-free evaluations on the way.
         wanted: how many of them.
-        told: called with the share that is done.
+        report: called with the share that is done.
         actors: the newest noise-free actors whose numbers were finite; at first those that nothing has trained.
     """
 
     config: RunConfig
     farms: range
     wanted: int
-    told: Callable[[float], None]
+    report: Callable[[float], None]
     episodes: list[EpisodeSummary] = field(default_factory=list)
     checks: list[dict[str, float]] = field(default_factory=list)
     counts: dict[str, Any] = field(default_factory=lambda: dict.fromkeys(COUNTERS, 0))
@@ -197,7 +197,7 @@ class _Log:
 
     def watch(self, trainer: Trainer, chunk: Chunk) -> None:
         """Note a chunk's episodes; evaluate when it is time; raise when the critics have left all bounds."""
-        self.told(min(1.0, trainer.environment_steps / (self.config.episodes * self.config.farm.world.steps)))
+        self.report(min(1.0, trainer.environment_steps / (self.config.episodes * self.config.farm.world.steps)))
         self.counts |= {name: getattr(trainer, name) for name in COUNTERS}
         self.actors = trainer.actors().noise_free()
         if not chunk.episodes:
@@ -221,9 +221,9 @@ class _Log:
 
 def compared(trainer: Trainer) -> dict[str, dict[str, float]]:
     """Return for each type the realised returns and how far the critics stand above them, units of the targets."""
-    told = {key: value for key, value in trainer.statistics().items() if math.isfinite(value)}
+    statistics = {key: value for key, value in trainer.statistics().items() if math.isfinite(value)}
     return {
-        name: {key.partition("/")[2]: round(value, DIGITS) for key, value in told.items() if key.startswith(name)}
+        name: {key.partition("/")[2]: round(value, DIGITS) for key, value in statistics.items() if key.startswith(name)}
         for name in ("overestimation", "realised_return")
     }
 
@@ -240,7 +240,7 @@ def curve(team: TeamSpec, episodes: Sequence[EpisodeSummary], points: int) -> di
         group.name: reward[:, agents].mean(axis=1)
         for group, agents in zip(team.groups, team.agent_slices(), strict=True)
     }
-    figures = {name: np.array([episode.metrics[name] for episode in episodes]) for name in ("aoi", "vdf")}
+    levels = {name: np.array([episode.metrics[name] for episode in episodes]) for name in ("aoi", "vdf")}
 
     def binned(values: Any) -> list[float]:
         return [round(float(values[share].mean()), DIGITS) for share in shares if share.size]
@@ -248,7 +248,7 @@ def curve(team: TeamSpec, episodes: Sequence[EpisodeSummary], points: int) -> di
     return {
         "episodes": [int(share[-1]) + 1 for share in shares if share.size],
         "reward": {name: binned(values) for name, values in columns.items()},
-        **{name: binned(values) for name, values in figures.items()},
+        **{name: binned(values) for name, values in levels.items()},
     }
 
 

@@ -1,4 +1,4 @@
-"""Whether a record's result is what such a job leaves behind, told before anything is counted from it."""
+"""Whether a record's result is what such a job leaves behind, checked before anything is counted from it."""
 
 import math
 from collections.abc import Collection, Mapping
@@ -12,9 +12,9 @@ COUNTERS: Final = ("episodes", "environment_steps", "evaluation_steps", "updates
 PIECES: Final = ("decide", "separate", "simulate")
 """What is timed."""
 QUANTILES: Final = ("q05", "median", "mean", "q95")
-"""What is told of each time, ms."""
+"""The statistics of each time, ms."""
 CURVES: Final = ("aoi", "vdf")
-"""Figures of the training curve, besides the rewards."""
+"""Numbers of the training curve, besides the rewards."""
 
 
 def check_result(kind: str, config: RunConfig, options: Mapping[str, Any], result: Mapping[str, Any]) -> None:

@@ -32,7 +32,7 @@ class Plan:
         write: folder for the folders of all studies.
         at_once: processes at a time.
         arguments: the command line behind `eia-sec`, for the record.
-        tell: takes each line for the user.
+        report: takes each line for the user.
     """
 
     study: str
@@ -40,7 +40,7 @@ class Plan:
     write: Path
     at_once: int
     arguments: Sequence[str]
-    tell: Callable[[str], None]
+    report: Callable[[str], None]
 
     @property
     def folder(self) -> Path:
@@ -49,7 +49,7 @@ class Plan:
         return self.write / self.study if scale == FULL.name else self.write / scale / self.study
 
     def jobs(self) -> list[Job]:
-        """Return every job of the study, as far as what is there tells which they are."""
+        """Return every job of the study, as far as finished runs determine them."""
         return [job for stage in STUDIES[self.study].stages(self.bench) for job in stage]
 
     def missing(self) -> list[Job]:
@@ -65,8 +65,8 @@ def announce_all(plans: Sequence[Plan]) -> None:
     if len(plans) > 1:
         missing = list({job.digest: job for plan in plans for job in plan.missing()}.values())
         seconds, work = _length(missing, estimator, plans[0].at_once)
-        told = f"{len(missing)} runs, those that studies share counted once: about {duration(seconds)}"
-        plans[0].tell(f"all: {told}, {duration(work)} of one core." if missing else "all: everything is there.")
+        work_left = f"{len(missing)} runs, those that studies share counted once: about {duration(seconds)}"
+        plans[0].report(f"all: {work_left}, {duration(work)} of one core." if missing else "all: everything is there.")
 
 
 def announce(plan: Plan, estimator: Estimator | None = None) -> float:
@@ -80,16 +80,16 @@ def announce(plan: Plan, estimator: Estimator | None = None) -> float:
     missing = plan.missing()
     there = len({job.digest for job in jobs}) - len(missing)
     if missing:
-        plan.tell(
+        plan.report(
             f"{plan.study}: measuring first pieces of {len(missing)} runs that are missing ({there} are there) ..."
         )
     else:
-        plan.tell(f"{plan.study}: all {there} runs are there.")
+        plan.report(f"{plan.study}: all {there} runs are there.")
     estimator = estimator or Estimator(plan.bench.records)
     estimator.learn(jobs)
     seconds, work = _length(missing, estimator, plan.at_once)
     if missing:
-        plan.tell(f"{plan.study}: about {duration(seconds)}, {plan.at_once} at a time, {duration(work)} of one core.")
+        plan.report(f"{plan.study}: about {duration(seconds)}, {plan.at_once} at a time, {duration(work)} of one core.")
     return seconds
 
 
@@ -108,7 +108,7 @@ def carry_out(plan: Plan, stop: StopSignal) -> bool:
     """
     study, bench = STUDIES[plan.study], plan.bench
     estimator = Estimator(bench.records)
-    runner = Runner(bench.records, plan.at_once, command("eia-sec", plan.arguments), plan.tell)
+    runner = Runner(bench.records, plan.at_once, command("eia-sec", plan.arguments), plan.report)
     for number in range(len(study.stages(bench))):
         # What a later stage consists of follows from the earlier ones' results, so it is asked for only now.
         stage = study.stages(bench)[number]
@@ -141,7 +141,7 @@ def save(plan: Plan, data: dict[str, Any], pictures_of: Callable[[], list[str]])
         (folder / PAGE).write_text(page(STUDIES[plan.study].title, data, pictures), encoding="utf-8")
     except OSError as error:
         raise RunDirError(f"cannot write into {folder}: {error.strerror}.") from error
-    plan.tell(f"\n{SECTIONS[plan.study](data)}\nwritten to {folder}: {RESULTS}, {PAGE}, {', '.join(pictures)}")
+    plan.report(f"\n{SECTIONS[plan.study](data)}\nwritten to {folder}: {RESULTS}, {PAGE}, {', '.join(pictures)}")
 
 
 def draw(study: str, data: dict[str, Any], bench: Bench, folder: Path) -> list[str]:

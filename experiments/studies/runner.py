@@ -17,7 +17,7 @@ from experiments.studies.perform import PROGRESS, StoppedError, kept
 LOOK_SECONDS: Final = 0.2
 LOAD_SECONDS: Final = 60.0
 """Short jobs share a process, whose start takes longer than they do, until they take about so long."""
-TELL_SECONDS: Final = 30.0
+REPORT_SECONDS: Final = 30.0
 """Pause between two lines on how far everything is."""
 
 
@@ -28,11 +28,11 @@ class Runner:
         records: where records go; logs of running jobs go beside them.
         at_once: processes at a time.
         command: the study's command line, for the records.
-        tell: takes each line for the user.
+        report: takes each line for the user.
     """
 
-    def __init__(self, records: Records, at_once: int, command: str, tell: Callable[[str], None]) -> None:
-        self._records, self._at_once, self._command, self._tell = records, at_once, command, tell
+    def __init__(self, records: Records, at_once: int, command: str, report: Callable[[str], None]) -> None:
+        self._records, self._at_once, self._command, self._report = records, at_once, command, report
         self._logs = records.folder / "logs"
 
     def run(self, jobs: Sequence[Job], seconds: Mapping[str, float], stop: StopSignal) -> bool:
@@ -62,7 +62,7 @@ class Runner:
 
     def _work(self, supervisor: Supervisor, loads: Sequence["Load"], stop: StopSignal) -> list["Load"]:
         waiting, running, clock = list(loads), list["Load"](), _Clock(self._at_once)
-        total, done, failed, told = len(loads), 0, list["Load"](), time.monotonic()
+        total, done, failed, reported = len(loads), 0, list["Load"](), time.monotonic()
         while (waiting or running) and not stop:
             with suppress(StoppedError):
                 while waiting and len(running) < self._at_once:
@@ -79,23 +79,23 @@ class Runner:
                 took = time.monotonic() - supervisor.children[load.name].started
                 clock.finished(load, took)
                 self._clean(load)
-                self._tell(f"{done}/{total} {load}: {duration(took)}")
-            if time.monotonic() - told > TELL_SECONDS and running:
-                told = time.monotonic()
+                self._report(f"{done}/{total} {load}: {duration(took)}")
+            if time.monotonic() - reported > REPORT_SECONDS and running:
+                reported = time.monotonic()
                 shares = {load: progress(supervisor.tail(load.name)) for load in running}
                 parts = ", ".join(f"{load} {share:.0%}" for load, share in shares.items())
-                self._tell(f"{done}/{total} done; {parts}; {duration(clock.left(waiting, shares))} to go")
+                self._report(f"{done}/{total} done; {parts}; {duration(clock.left(waiting, shares))} to go")
         return failed
 
     def _start(self, supervisor: Supervisor, load: "Load", stop: StopSignal) -> None:
-        def told(share: float) -> None:
+        def ignore(share: float) -> None:
             if stop:
                 raise StoppedError("stopped before it was begun.")
 
         for job in load.jobs:
-            kept(partial(self._records.hand_over, job), told)
+            kept(partial(self._records.hand_over, job), ignore)
         paths = [self._records.path(job, JOB_SUFFIX) for job in load.jobs]
-        (self._logs / f"{load.name}.log").unlink(missing_ok=True)  # what a stopped run told is not this one's
+        (self._logs / f"{load.name}.log").unlink(missing_ok=True)  # what a stopped run printed is not this one's
         supervisor.start(load.name, ["reproduce", "run", self._command, *map(str, paths)])
 
     def _clean(self, load: "Load") -> None:
@@ -172,7 +172,7 @@ def duration(seconds: float) -> str:
 
 
 def progress(lines: str) -> float:
-    """Return the share that the last line of a job's output tells, 0 when it tells none."""
+    """Return the share that the last line of a job's output reports, 0 when it reports none."""
     for line in reversed(lines.splitlines()):
         word, _, number = line.partition(" ")
         if word == PROGRESS:

@@ -6,7 +6,7 @@ from tests.rollout.heuristics.small_farm import SMALL
 
 
 def test_a_harder_search_flies_otherwise(monkeypatch):
-    """With the heuristic's own effort it earns the same, with another it does not, and monitors search where told."""
+    """With the heuristic's own effort it earns the same, with another it does not, and monitors search where asked."""
     flown = {form: fly(SMALL, form, range(2)) for form in list(FORMS)[:2]}
     monkeypatch.setitem(FORMS, "equal", {"collectors": EFFORT})
     monkeypatch.setitem(FORMS, "all", {"collectors": EFFORT, "monitors": EFFORT})

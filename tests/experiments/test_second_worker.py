@@ -15,7 +15,7 @@ from deploy.local.supervisor import Child
 from deploy.monitor.snapshot import Ledger, ProcessRow
 from docs.tools.measurements import second_worker_block
 from experiments.network import second_worker
-from experiments.network.second_worker import Arguments, Crew, measure, memory, wait_for
+from experiments.network.second_worker import Arguments, WorkerPool, measure, memory, wait_for
 
 SLOW = Arguments(workers=(1, 2, 4), seconds=10.0, settle=1.0)
 
@@ -52,17 +52,17 @@ def supervisor():
 class AFleet:
     """A learner whose counters grow with the seconds that the test's clock has slept, faster with more workers."""
 
-    def __init__(self, crew: Crew) -> None:
-        self.crew, self.values = crew, {"elapsed": 0.0, "environment_steps": 0, "updates": 0}
+    def __init__(self, pool: WorkerPool) -> None:
+        self.pool, self.values = pool, {"elapsed": 0.0, "environment_steps": 0, "updates": 0}
         self.accepted: dict[str, int] = {}
 
     def sleep(self, seconds: float) -> None:
         """Let time pass."""
-        flown = seconds * 100.0 * len(self.crew.alive)
+        flown = seconds * 100.0 * len(self.pool.alive)
         self.values["elapsed"] += seconds
         self.values["environment_steps"] += flown
         self.values["updates"] += flown / 10.0
-        for name in self.crew.alive:
+        for name in self.pool.alive:
             self.accepted[name] = self.accepted.get(name, -1) + 1
         self.values["ledger"] = dict.fromkeys(("produced", "accepted", "lost", "in_flight", "unexplained"), 7)
 
@@ -75,7 +75,7 @@ class AFleet:
         return SimpleNamespace(processes=(ProcessRow("learner", "learner", "h", 1, 1.0), *rows))
 
     def learner_values(self):
-        """Return the learner's figures."""
+        """Return the learner's metrics."""
         return dict(self.values)
 
 
@@ -92,17 +92,17 @@ class ABus:
 
 def test_each_number_of_workers_is_measured(supervisor, monkeypatch):
     """Rates and memory of 1, 2 and 4; the second is killed after its measurement, and nobody gets its name."""
-    crew, bus = Crew(supervisor, free_endpoint()), ABus()
-    fleet, learner = AFleet(crew), supervisor.start("learner", [])
+    pool, bus = WorkerPool(supervisor, free_endpoint()), ABus()
+    fleet, learner = AFleet(pool), supervisor.start("learner", [])
     monkeypatch.setattr(second_worker.time, "sleep", fleet.sleep)
-    found = measure(SLOW, bus, fleet, crew, learner)
+    found = measure(SLOW, bus, fleet, pool, learner)
     assert [line["workers"] for line in found["sweep"]] == [1, 2, 4]
     assert [line["environment_steps_per_second"] for line in found["sweep"]] == pytest.approx([100.0, 200.0, 400.0])
     assert [line["updates_per_second"] for line in found["sweep"]] == pytest.approx([10.0, 20.0, 40.0])
     rates = {"one_worker": 100.0, "two_workers": 200.0, "after_kill": 100.0}
     assert found["environment_steps_per_second"] == pytest.approx(rates)
     assert found["gain"] == pytest.approx(2.0)
-    assert list(crew.alive) == ["0", "2", "3", "4"]
+    assert list(pool.alive) == ["0", "2", "3", "4"]
     assert supervisor.started["rollout-1"].process.wait() == -signal.SIGKILL
     (key,) = bus.asked
     assert key.endswith("drain")
@@ -126,11 +126,11 @@ def test_memory_adds_up_over_processes(supervisor):
 
 def test_a_worker_that_delivers_nothing_ends_it(supervisor, monkeypatch):
     """It is named, and nothing is measured."""
-    crew = Crew(supervisor, free_endpoint())
-    crew.grow(1)
+    pool = WorkerPool(supervisor, free_endpoint())
+    pool.grow(1)
     monkeypatch.setattr(second_worker.time, "sleep", lambda _: None)
     with pytest.raises(EiaSecError, match="workers 0 in 0 s"):
-        wait_for(AFleet(crew), crew, patience=0.0)
+        wait_for(AFleet(pool), pool, patience=0.0)
 
 
 @pytest.mark.parametrize("wrong", [(1,), (2, 4), (1, 2, 2), (1, 2, 8, 4), (1, 4)])

@@ -25,7 +25,7 @@ def test_every_unit_is_booked_once():
     courses = [[0, 1, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1], [0, 1, 1, 1, 1, 1], [0, 1, 1, 0, 0, 1]]
     for step, level in enumerate(np.array(courses, float).T, 1):
         ledger.note(step, level, 1.0 if step in (3, 4) else 0.0)
-    assert ledger.told() == {"supply": 12.0, "paid": 2.0, "left": 4.0, "service": 1.0, "cap": 5.0, "border": 2.0}
+    assert ledger.totals() == {"supply": 12.0, "paid": 2.0, "left": 4.0, "service": 1.0, "cap": 5.0, "border": 2.0}
 
 
 def courses_of(name):
@@ -41,9 +41,9 @@ def courses_of(name):
 
 
 @pytest.mark.parametrize("name", ["lawnmower", "greedy", "static"])
-def test_what_is_told_is_what_a_recorded_episode_shows(name):
+def test_totals_are_what_a_recorded_episode_shows(name):
     """Counted from the course of the same episode: what was paid and left, rises at the cap, and rises while served."""
-    told, flown = follow(FARM, policy_of(name, FARM), 3), record(FARM, policy_of(name, FARM), 3, 0)
+    totals, flown = follow(FARM, policy_of(name, FARM), 3), record(FARM, policy_of(name, FARM), 3, 0)
     world, collected = FARM.world, flown.collected[-1]
     steps = np.arange(1, world.steps + 1)[:, None]
     cycles = np.full(world.plots_x * world.plots_y, round(world.vdf_cycle)), make_layout(FARM, 3).sensor_cycle_steps
@@ -57,7 +57,7 @@ def test_what_is_told_is_what_a_recorded_episode_shows(name):
         KINDS, courses_of(name), cycles, paid, border, most, strict=True
     ):
         due, full = steps % cycle == 0, course[:-1] >= largest
-        assert told[kind] == {
+        assert totals[kind] == {
             "supply": due.sum(),
             "paid": earned,
             "left": course[-1].sum(),
@@ -68,7 +68,7 @@ def test_what_is_told_is_what_a_recorded_episode_shows(name):
 
 
 @pytest.mark.parametrize("name", HEURISTICS)
-def test_nothing_is_lost_that_is_not_told(name):
+def test_nothing_is_lost_that_is_not_counted(name):
     """Of whoever flies nothing is negative, and who stands still loses most of it at the cap or leaves it."""
     found = mean(FARM, name, range(2))
     for kind in KINDS:
@@ -91,11 +91,11 @@ def test_the_command_prints_and_writes_the_same(tmp_path, monkeypatch, capsys):
     folder = tmp_path / "new" / "supply"
     monkeypatch.setattr(sys, "argv", ["supply", "static", "--farms", "3:4", "--write", str(folder)])
     main()
-    told = json.loads(capsys.readouterr().out)
-    assert (told["farms"], [found["policy"] for found in told["results"]]) == ([3], ["static"])
-    assert "commit" in told
-    assert json.loads((folder / "results.json").read_text()) == told
-    assert (folder / "README.md").read_text() == page(told)
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["farms"], [found["policy"] for found in printed["results"]]) == ([3], ["static"])
+    assert "commit" in printed
+    assert json.loads((folder / "results.json").read_text()) == printed
+    assert (folder / "README.md").read_text() == page(printed)
 
 
 @pytest.mark.parametrize("farms", ["3", "3:3", "4:3", "a:b", "-1:3", ""])

@@ -66,13 +66,13 @@ def training(data: Results | None, control: Results | None = None) -> list[Row]:
         _figure(claims[3], "vdf", data, control),
         *_convergence(methods, claims[4], claims[5]),
         _steadiness(claims[6], methods),
-        Row(claims[7], shown(methods[FIRST]["reward"]), "cannot be told", farm),
+        Row(claims[7], shown(methods[FIRST]["reward"]), "undecided", farm),
     ]
 
 
 def _rewards(data: Results, far_above: str, same: str, control: str) -> list[Row]:
     """Return the rows of reward: EIA-SEC against each peer, and the peers among themselves."""
-    told = listed({name: shown(method["reward"]) for name, method in data["methods"].items()})
+    text = listed({name: shown(method["reward"]) for name, method in data["methods"].items()})
     chances = [better(data, FIRST, name)[0] for name in PEERS]
     leads = [lead(data, FIRST, name) for name in PEERS]
     pairs = [(one, other) for place, one in enumerate(PEERS) for other in PEERS[place + 1 :]]
@@ -83,12 +83,12 @@ def _rewards(data: Results, far_above: str, same: str, control: str) -> list[Row
     return [
         Row(
             far_above,
-            told,
+            text,
             judged([above(chance) for chance in chances] + [far(found) for found in leads]),
             f"two claims: above, {_chances(PEERS, chances)}; and far above, normalised lead over {ahead}, of which "
             f"more than {FAR} counts as far{control}",
         ),
-        Row(same, told, judged(answers), f"normalised, {apart}; alike when the interval is within {SIMILAR}"),
+        Row(same, text, judged(answers), f"normalised, {apart}; alike when the interval is within {SIMILAR}"),
     ]
 
 
@@ -99,16 +99,16 @@ def _share_without(data: Results, control: Results | None) -> str:
     means = {name: float(np.mean(rewards(data["methods"][name]))) for name in (FIRST, *PEERS)}
     best = max(PEERS, key=lambda name: means[name])
     alone, whole = rewards(control["methods"][CONTROL]), means[FIRST] - means[best]
-    told = (
+    text = (
         f". Control: `{CONTROL}` of the ablation (no EIA, no SEC, but critics of the own observation, where the peers' "
         f"are joint) earns {shown(control['methods'][CONTROL]['reward'])}"
     )
     most = max(reward for name in PEERS for reward in rewards(data["methods"][name]))
-    told += ", each of its runs more than every run of the peers" if min(alone) > most else ""
+    text += ", each of its runs more than every run of the peers" if min(alone) > most else ""
     if whole <= 0.0:
-        return told
+        return text
     share = (float(np.mean(alone)) - means[best]) / whole
-    found = f"{told}; so {share:.0%} of the lead over {best} is there without EIA and SEC"
+    found = f"{text}; so {share:.0%} of the lead over {best} is there without EIA and SEC"
     found += ": most of it comes with the scope of the critics" if share > 0.5 else ""
     unlike = [name for name, of in UNLIKE.items() if of(data["sizes"]) != of(control["sizes"])]
     return found + (f" (the two studies differ in {' and '.join(unlike)})" if unlike else "")
@@ -133,7 +133,7 @@ def _steadiness(claim: str, methods: Results) -> Row:
     """Return the row of stability: spread over the last episodes, and over unseen farms."""
     restless = {name: unrest(method) for name, method in methods.items()}
     chances = [over_seeds(restless[name], restless[FIRST]) for name in PEERS]
-    told = listed({name: f"{mean_unrest(method):.0f}" for name, method in methods.items()})
+    text = listed({name: f"{mean_unrest(method):.0f}" for name, method in methods.items()})
     farms = listed({name: f"{method['farm_spread']:.0f}" for name, method in methods.items()})
     over_farms = {name: farm_spread(method) for name, method in methods.items()}
     why, answers = _chances(PEERS, chances, "steadier"), [above(chance) for chance in chances]
@@ -144,7 +144,7 @@ def _steadiness(claim: str, methods: Results) -> Row:
         more = [over_seeds(over_farms[name] or [], over_farms[FIRST] or []) for name in PEERS]
         answers += [above(chance) for chance in more]
         why += f"; over farms {_chances(PEERS, more, 'steadier')}"
-    return Row(claim, f"over the last episodes: {told}; over unseen farms: {farms}", judged(answers), why)
+    return Row(claim, f"over the last episodes: {text}; over unseen farms: {farms}", judged(answers), why)
 
 
 def heuristics(data: Results | None, flown: Results | None) -> list[Row]:
@@ -168,7 +168,7 @@ def heuristics(data: Results | None, flown: Results | None) -> list[Row]:
     else:
         return [Row(claim)]
     if learnt[1] <= best <= learnt[2]:
-        return [Row(claim, f"{name} {best:.0f}, {what}", "cannot be told", "means, within the interval")]
+        return [Row(claim, f"{name} {best:.0f}, {what}", "undecided", "means, within the interval")]
     beaten = learnt[1] > best
     why = (
         "means; learning beats them, but they do not fail" if beaten else "means; no learned policy beats the best one"
@@ -186,15 +186,15 @@ def ablation(data: Results | None) -> list[Row]:
     )
     if data is None:
         return [Row(claim) for claim in claims]
-    told = listed({name: shown(data["methods"][name]["reward"]) for name in (FIRST, *PARTS)})
+    text = listed({name: shown(data["methods"][name]["reward"]) for name in (FIRST, *PARTS)})
     best = [better(data, FIRST, name) for name in PARTS]
     others = [name for name in (FIRST, *PARTS) if name != CONTROL]
     worst = [better(data, name, CONTROL) for name in others]
     episodes = {name: converged(data["methods"][name]) for name in (FIRST, *PARTS)}
     faster = [over_seeds(episodes[CONTROL], episodes[name]) for name in others]
     return [
-        Row(claims[0], told, judged([above(found[0]) for found in best]), _counted(PARTS, best)),
-        Row(claims[1], told, judged([above(found[0]) for found in worst]), _counted(others, worst, f"above {CONTROL}")),
+        Row(claims[0], text, judged([above(found[0]) for found in best]), _counted(PARTS, best)),
+        Row(claims[1], text, judged([above(found[0]) for found in worst]), _counted(others, worst, f"above {CONTROL}")),
         Row(claims[2], _medians(episodes), judged([above(p) for p in faster]), _chances(others, faster, "first")),
         _overestimated(claims[3], data),
     ]
@@ -206,14 +206,14 @@ def _overestimated(claim: str, data: Results) -> Row:
     over = {name: overestimation(data, name) for name in names}
     own, without = (over[name] for name in names)
     if own is None or without is None:
-        return Row(claim, "not measured", "cannot be told", "no run told it")
-    told = listed({name: shown(mean_over_seeds(values or []), 1) for name, values in over.items()})
+        return Row(claim, "not measured", "undecided", "no run text it")
+    text = listed({name: shown(mean_over_seeds(values or []), 1) for name, values in over.items()})
     chance = over_seeds(without, own)
     why = (
         "Q less realised return at the end of training, in units of reward, that is divided by each method's own "
         f"reward scale; Q is {overestimation_of(data, names)}; {_chances(('SEC only',), [chance], 'lower')}"
     )
-    return Row(claim, told, judged([above(chance)]), why)
+    return Row(claim, text, judged([above(chance)]), why)
 
 
 def members(data: Results | None) -> list[Row]:
@@ -222,11 +222,11 @@ def members(data: Results | None) -> list[Row]:
     claim = "k_s = 2 is the best"
     rows = [Row(claim)]
     if data is not None:
-        told = listed({f"k_s = {k}": shown(reward) for k, reward in found.items()})
+        text = listed({f"k_s = {k}": shown(reward) for k, reward in found.items()})
         over = {k: better(data, "k_s = 2", f"k_s = {k}") for k in found if k != "2"}
         verdict = best_of(found, "2", {k: chance for k, (chance, _) in over.items()})
         rows = [
-            Row(claim, told, verdict, _counted([f"k_s = {k}" for k in over], list(over.values()), "k_s = 2 better"))
+            Row(claim, text, verdict, _counted([f"k_s = {k}" for k in over], list(over.values()), "k_s = 2 better"))
         ]
     for k, paper in REWARD_BY_MEMBERS.items():
         ours = found.get(str(k))
@@ -262,8 +262,8 @@ def _counted(names: Sequence[str], found: Sequence[tuple[Sequence[float], str]],
 
 
 def _chances(names: Sequence[str], chances: Sequence[Sequence[float]], what: str = "better") -> str:
-    told = {name: shown(chance, 2) for name, chance in zip(names, chances, strict=True)}
-    return f"P({what}): {listed(told)}"
+    text = {name: shown(chance, 2) for name, chance in zip(names, chances, strict=True)}
+    return f"P({what}): {listed(text)}"
 
 
 def _medians(episodes: Mapping[str, Sequence[float]]) -> str:

@@ -31,7 +31,7 @@ REST: Final = 1.0
 
 
 def coverage(seeds: int, experiments: int, draw: np.random.Generator) -> dict[str, float]:
-    """Return how often an interval holds the truth, and how often equal methods are told apart.
+    """Return how often an interval holds the truth, and how often equal methods are distinguished.
 
     Args:
         seeds: seeds of each method.
@@ -71,7 +71,7 @@ def block(data: dict[str, Any] | None) -> str:
     """Return what docs/explanation/reproduce.md says of it."""
     if data is None:
         return "How often they are right has not been counted.\n"
-    lines = ["| seeds of each | interval holds the truth | equal methods told apart | by one number a seed |"]
+    lines = ["| seeds of each | interval holds the truth | equal methods distinguished | by one number a seed |"]
     lines += ["|---:|---:|---:|---:|"]
     for seeds, found in data["seeds"].items():
         shares = (found["interval"], found["told_apart"], found["told_apart_by_one"])
@@ -91,14 +91,14 @@ def measure() -> int:
     asked = parser.parse_args()
     draw = np.random.default_rng(0)
     found = {str(seeds): coverage(seeds, asked.experiments, draw) for seeds in SEEDS}
-    told = json.dumps(
+    record = json.dumps(
         {**provenance("experiments.studies.analysis.coverage"), "experiments": asked.experiments, "seeds": found}
     )
     if asked.write is None:
-        sys.stdout.write(told + "\n")
+        sys.stdout.write(record + "\n")
         return 0
     try:
-        asked.write.write_text(told + "\n", encoding="utf-8")
+        asked.write.write_text(record + "\n", encoding="utf-8")
     except OSError as error:
         raise RunDirError(f"cannot write {asked.write}: {error.strerror}.") from error
     return 0

@@ -18,13 +18,13 @@ Results = Mapping[str, Any]
 Triple = Sequence[float]
 """A number and the ends of its interval."""
 
-FIGURES: Final = {"reward": 1.0, "aoi": -1.0, "vdf": -1.0}
+SIGNS: Final = {"reward": 1.0, "aoi": -1.0, "vdf": -1.0}
 """What methods are compared by, and the sign with which more of it is better."""
 MIXED: Final = "Q_P, the mixture (Q_i without SEC)"
 OWN_CRITIC: Final = "Q_i, the agent's own critic"
 """Of which critic the overestimation is in records that name none."""
 SCALE_BEFORE: Final = 0.1
-"""`algorithm.reward_scale` of the preset (commits 86b8371 to 5d12012) for results whose runs do not tell their own."""
+"""`algorithm.reward_scale` of the preset (commits 86b8371 to 5d12012), for results without their own."""
 ON_FARMS: Final = "farm by farm"
 BY_MEANS: Final = "by the runs' means over the farms, as these results hold no farm's values"
 BY_CHECKS: Final = (
@@ -40,7 +40,7 @@ def better(data: Results, one: str, other: str, figure: str = "reward") -> tuple
         data: the results of a study with methods.
         one: the first method.
         other: the second method.
-        figure: one of FIGURES; less AoI and less VDF are better.
+        figure: one of SIGNS; less AoI and less VDF are better.
     """
     known = dict(data.get("pairs", {}).get(figure, {}))
     if figure == "reward" and "improvement" in data:
@@ -50,8 +50,8 @@ def better(data: Results, one: str, other: str, figure: str = "reward") -> tuple
     if one in known.get(other, {}):
         value, low, high = known[other][one]
         return (1.0 - value, 1.0 - high, 1.0 - low), ON_FARMS
-    (own, source), (theirs, _) = (_figures(data["methods"][name], figure) for name in (one, other))
-    return over_seeds([FIGURES[figure] * v for v in own], [FIGURES[figure] * v for v in theirs]), source
+    (own, source), (theirs, _) = (_values(data["methods"][name], figure) for name in (one, other))
+    return over_seeds([SIGNS[figure] * v for v in own], [SIGNS[figure] * v for v in theirs]), source
 
 
 def over_seeds(values: Sequence[float], other: Sequence[float]) -> Triple:
@@ -114,8 +114,8 @@ def overestimation(data: Results, name: str) -> list[float] | None:
 
 def overestimation_of(data: Results, names: Sequence[str]) -> str:
     """Return of which critics' values the methods' overestimation is."""
-    told = {run.get("compared_value") for name in names for run in data["methods"][name]["runs"]}
-    return " and ".join(sorted(MIXED if value == MIXTURE else OWN_CRITIC for value in told))
+    kinds = {run.get("compared_value") for name in names for run in data["methods"][name]["runs"]}
+    return " and ".join(sorted(MIXED if value == MIXTURE else OWN_CRITIC for value in kinds))
 
 
 def early_farms(data: Results) -> bool:
@@ -127,8 +127,8 @@ def early_farms(data: Results) -> bool:
     return data.get("scale") == FULL.name and about_farms and first < FIRST_REPORTED
 
 
-def _figures(method: Results, figure: str) -> tuple[list[float], str]:
-    """Return one of FIGURES for each run, and where it is from."""
+def _values(method: Results, figure: str) -> tuple[list[float], str]:
+    """Return one of SIGNS for each run, and where it is from."""
     runs = method["runs"]
     if figure == "reward":
         return rewards(method), BY_MEANS

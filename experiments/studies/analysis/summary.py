@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from experiments.studies.analysis.evidence import FIGURES
+from experiments.studies.analysis.evidence import SIGNS
 from experiments.studies.analysis.statistics import (
     Interval,
     Numbers,
@@ -36,11 +36,11 @@ def method_summary(bench: Bench, runs: Sequence[Job], uavs: int = TWELVE) -> dic
     reward = bench.scores(runs)
     types, figures = evaluations[0]["types"], evaluations[0]["figures"]
     return {
-        "normalised": told(interval(normalised(reward, random, best))),
-        "reward": told(interval(reward)),
-        "mean_reward": told(interval(reward, mean)),
-        "types": {name: told(interval(_stacked(evaluations, "types", name))) for name in types},
-        "figures": {name: told(interval(_stacked(evaluations, "figures", name))) for name in figures},
+        "normalised": bounds(interval(normalised(reward, random, best))),
+        "reward": bounds(interval(reward)),
+        "mean_reward": bounds(interval(reward, mean)),
+        "types": {name: bounds(interval(_stacked(evaluations, "types", name))) for name in types},
+        "figures": {name: bounds(interval(_stacked(evaluations, "figures", name))) for name in figures},
         "farm_spread": round(spread(reward), DIGITS),
         "runs": [
             _run(run, record, evaluation)
@@ -94,16 +94,16 @@ def comparisons(bench: Bench, runs: Mapping[str, Sequence[Job]]) -> dict[str, An
         runs: the runs of each method, by its name.
 
     Returns:
-        `improvement`: of the first method over each other, by reward. `pairs`: by each of FIGURES, of each method over
+        `improvement`: of the first method over each other, by reward. `pairs`: by each of SIGNS, of each method over
         every one that comes after it; less AoI and less VDF are better.
     """
     evaluations = {name: bench.evaluations(own) for name, own in runs.items()}
     pairs: dict[str, dict[str, dict[str, list[float]]]] = {}
-    for figure, sign in FIGURES.items():
+    for figure, sign in SIGNS.items():
         scores = {name: sign * _figure(own, figure) for name, own in evaluations.items()}
         found: dict[str, dict[str, list[float]]] = {}
         for one, other in itertools.combinations(scores, 2):
-            found.setdefault(one, {})[other] = told(improvement_interval(scores[one], scores[other]))
+            found.setdefault(one, {})[other] = bounds(improvement_interval(scores[one], scores[other]))
         pairs[figure] = found
     first = next(iter(runs))
     return {"improvement": pairs["reward"].get(first, {}), "pairs": pairs}
@@ -129,7 +129,7 @@ def times_summary(seeds: Sequence[Mapping[str, Any]], commits: Sequence[str]) ->
     }
 
 
-def told(found: Interval) -> list[float]:
+def bounds(found: Interval) -> list[float]:
     """Return an interval as JSON keeps it."""
     return [round(number, DIGITS) for number in found]
 
@@ -139,7 +139,7 @@ def _stacked(evaluations: Sequence[Mapping[str, Any]], section: str, name: str) 
 
 
 def _figure(evaluations: Sequence[Mapping[str, Any]], name: str) -> Numbers:
-    """Return [runs, farms] of one of FIGURES."""
+    """Return [runs, farms] of one of SIGNS."""
     if name == "reward":
         return np.array([evaluation["reward"] for evaluation in evaluations], np.float64)
     return _stacked(evaluations, "figures", name)

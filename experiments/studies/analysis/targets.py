@@ -40,7 +40,7 @@ def block(flown: Results | None, seeds: Results | None, reach: Results | None) -
         seeds: the results of the study `default` at full scale.
         reach: docs/results/reach/results.json: seconds until parts of the lawnmower's reward.
     """
-    rows = [*_rewards(flown, seeds), *_figures(flown, seeds), *_sooner(reach)]
+    rows = [*_rewards(flown, seeds), *_counters(flown, seeds), *_sooner(reach)]
     met = sum(row[-1] == "met" for row in rows)
     lines = ["| " + " | ".join([*row[:-1], f"**{row[-1]}**"]) + " |" for row in rows]
     return "\n".join([f"{met} of {len(rows)} met.", "", *HEAD, *lines, ""])
@@ -56,19 +56,19 @@ def _rewards(flown: Results | None, seeds: Results | None) -> list[list[str]]:
     factor = f"at least {FACTOR:.2f} times the best heuristic's mean reward per agent, farms {FIRST_FARM}..1099"
     supply = f"at least {SHARE} of the supply bound, {SUPPLY:.0f} (a sharper one: method.md)"
     found: dict[str, tuple[str, float, Triple] | None] = {SHIPPED: None, SEEDS: None}
-    told: dict[str, str] = {}
+    notes: dict[str, str] = {}
     if flown is not None:
         rewards = {result["policy"]: result for result in flown["results"]}
         own = rewards.pop("trained")
         best = max(rewards, key=lambda name: rewards[name]["reward"][0])
         found[SHIPPED] = (best, rewards[best]["reward"][0], own["reward"])
-        told[SHIPPED] = f"; {_late(own):.0f} on {FIRST_REPORTED}..{flown['last_farm']}"
+        notes[SHIPPED] = f"; {_late(own):.0f} on {FIRST_REPORTED}..{flown['last_farm']}"
     if seeds is not None:
         policies, name = seeds["references"]["policies"], seeds["references"]["best"]
         level = policies[name].get("mean_reward", policies[name]["reward"])
         found[SEEDS] = (name, level, seeds["methods"][DEFAULT_PRESET]["mean_reward"])
         farms = "" if early_farms(seeds) else f"; on farms from {seeds['sizes']['first_farm']} on"
-        told[SEEDS] = f", {len(seeds['methods'][DEFAULT_PRESET]['runs'])} seeds{farms}"
+        notes[SEEDS] = f", {len(seeds['methods'][DEFAULT_PRESET]['runs'])} seeds{farms}"
     rows = []
     for target in (factor, supply):
         for who, known in found.items():
@@ -78,7 +78,7 @@ def _rewards(flown: Results | None, seeds: Results | None) -> list[list[str]]:
             name, level, reward = known
             needed = FACTOR * level if target == factor else SHARE * SUPPLY
             asked = f"{needed:.0f}" + (f" ({name} {level:.0f})" if target == factor else "")
-            rows.append([target, who, asked, shown(reward) + told[who], judged(reward, needed)])
+            rows.append([target, who, asked, shown(reward) + notes[who], judged(reward, needed)])
     return rows
 
 
@@ -87,7 +87,7 @@ def _late(result: Results) -> float:
     return float(np.mean(result["per_farm"][FIRST_REPORTED - FIRST_FARM :]))
 
 
-def _figures(flown: Results | None, seeds: Results | None) -> list[list[str]]:
+def _counters(flown: Results | None, seeds: Results | None) -> list[list[str]]:
     """Return the rows of AoI and VDF, which should be below every heuristic's."""
     rows = []
     for figure, name in (("aoi", "AoI"), ("vdf", "VDF")):
@@ -141,7 +141,7 @@ def _times(reach: Results, software: str, part: float) -> list[tuple[float, bool
 def _compared(own: Sequence[tuple[float, bool]], theirs: Sequence[tuple[float, bool]]) -> list[str]:
     """Return what was reached, and whether that is enough; a peer that was ended too early is later than that.
 
-    The medians are told, and the range over all pairs of seeds; that whole range decides.
+    The medians are times, and the range over all pairs of seeds; that whole range decides.
     """
     seeds = f"{len(own)} seed{'s' if len(own) > 1 else ''}"
     mine, late = ([seconds for seconds, _ in times] for times in (own, theirs))
@@ -151,5 +151,5 @@ def _compared(own: Sequence[tuple[float, bool]], theirs: Sequence[tuple[float, b
     least, most = min(late) / max(mine), math.inf if in_vain else max(late) / min(mine)
     between = f" ({least:.1f}..{'' if in_vain else f'{most:.1f}'})" if max(len(own), len(theirs)) > 1 else ""
     more = "more than " if in_vain and min(in_vain) <= middle else ""
-    told = f"{more}{middle / median(mine):.1f} times{between}, ours in {median(mine):.0f} s"
-    return [f"{told}; {seeds}", "met" if least >= SOONER else "not met" if most < SOONER else "cannot be told"]
+    times = f"{more}{middle / median(mine):.1f} times{between}, ours in {median(mine):.0f} s"
+    return [f"{times}; {seeds}", "met" if least >= SOONER else "not met" if most < SOONER else "undecided"]

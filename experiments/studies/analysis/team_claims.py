@@ -46,9 +46,9 @@ def scalability(data: Results | None) -> list[Row]:
     claim, rows = "M4: the reward hardly depends on the number of UAVs, 6 to 24", []
     if all(str(uavs) in teams for uavs in REWARD_BY_UAVS):
         apart = _range([teams[str(uavs)] for uavs in REWARD_BY_UAVS])
-        told = listed({uavs: shown(reward) for uavs, reward in teams.items()})
+        text = listed({uavs: shown(reward) for uavs, reward in teams.items()})
         answer = True if apart[2] <= STABLE else False if apart[1] > STABLE else None
-        rows = [Row(claim, told, judged([answer]), f"range {apart[0]:.0%} of the mean; {SHARED}")]
+        rows = [Row(claim, text, judged([answer]), f"range {apart[0]:.0%} of the mean; {SHARED}")]
     else:
         rows = [Row(claim)]
     for uavs, paper in REWARD_BY_UAVS.items():
@@ -90,12 +90,12 @@ def _growth(teams: Results) -> list[Row]:
         f"{more} over {less}": over_seeds(_medians(teams[more]), _medians(teams[less]))
         for less, more in itertools.pairwise(sizes)
     }
-    told = listed({uavs: shown(_spread(teams[uavs], "decide"), 2) for uavs in sizes}) + " ms"
+    text = listed({uavs: shown(_spread(teams[uavs], "decide"), 2) for uavs in sizes}) + " ms"
     chances = listed({pair: shown(chance, 2) for pair, chance in longer.items()})
     late = sorted(seed["separate"]["q95"] for seed in teams[sizes[-1]]["seeds"])
     where = f"95 % quantiles of the seeds, the largest counts; {sizes[-1]} UAVs, one network after another"
     return [
-        Row(grows, told, judged([above(chance) for chance in longer.values()]), f"P(longer): {chances}; {_SEEDS}"),
+        Row(grows, text, judged([above(chance) for chance in longer.values()]), f"P(longer): {chances}; {_SEEDS}"),
         Row(
             enough,
             f"{shown((float(np.median(late)), late[0], late[-1]), 1)} ms",
@@ -112,7 +112,7 @@ def _methods(methods: Results) -> list[Row]:
     if not methods:
         return [Row(order), Row(fastest), Row(little)]
     each = {name: _spread(times, "decide") for name, times in methods.items()}
-    told = listed({name: shown(numbers, 2) for name, numbers in each.items()}) + " ms"
+    text = listed({name: shown(numbers, 2) for name, numbers in each.items()}) + " ms"
     least, most = min(numbers[1] for numbers in each.values()), max(numbers[2] for numbers in each.values())
     base = _medians(methods["MADDPG"])
     slower = {name: over_seeds(_medians(times), base) for name, times in methods.items() if name != "MADDPG"}
@@ -123,11 +123,11 @@ def _methods(methods: Results) -> list[Row]:
     return [
         Row(
             order,
-            told,
+            text,
             judged([most < SAME_ORDER * least]),
             f"the slowest seed of any within {SAME_ORDER:g} times the fastest",
         ),
-        Row(fastest, told, judged([above(p) for p in slower.values()]), f"P(slower): {chances}; {ALIKE_ACTORS}"),
+        Row(fastest, text, judged([above(p) for p in slower.values()]), f"P(slower): {chances}; {ALIKE_ACTORS}"),
         Row(little, f"{shown(gap, 2)} times MADDPG", judged([short]), f"{paper:.2f} times in the paper; {_SEEDS}"),
     ]
 
@@ -184,9 +184,9 @@ def relative(claim: str, paper: float, ours: Triple | None, base: Triple | None,
     if ours is None or base is None:
         return Row(claim)
     if ours is base:
-        return Row(claim, shown(ours), "cannot be told", "the other numbers stand beside it; their farm is not known")
+        return Row(claim, shown(ours), "undecided", "the other numbers stand beside it; their farm is not known")
     if min(ours) <= 0.0 or min(base) <= 0.0:
-        return Row(claim, shown(ours), "cannot be told", f"there is no ratio of {ours[0]:.0f} to {base[0]:.0f}")
+        return Row(claim, shown(ours), "undecided", f"there is no ratio of {ours[0]:.0f} to {base[0]:.0f}")
     found = ratio(ours, base)
     why = f"{shown(found, 2)} of that of {what}, the paper's {paper:.2f}"
     return Row(claim, shown(ours), alike_throughout(paper, found), why)
@@ -210,15 +210,15 @@ def _time(claim: str, paper: float, times: Results, name: str, base: str) -> Row
     if name not in times:
         return Row(claim)
     own, apart = (_spread(times[name], piece) for piece in ("decide", "separate"))
-    told = f"{shown(own, 2)} ms; {shown(apart, 2)} ms one network after another"
+    text = f"{shown(own, 2)} ms; {shown(apart, 2)} ms one network after another"
     if name == base:
-        return Row(claim, told, "cannot be told", "the other numbers stand beside it; their machine is not known")
+        return Row(claim, text, "undecided", "the other numbers stand beside it; their machine is not known")
     stacked, separate = (
         ratio(_spread(times[name], piece), _spread(times[base], piece)) for piece in ("decide", "separate")
     )
     return Row(
         claim,
-        told,
+        text,
         alike_throughout(paper, stacked, NEAR_TIME),
         f"{shown(stacked, 2)} and {shown(separate, 2)} of that of {base}, the paper's {paper:.2f}",
     )

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
-Verdict = Literal["holds", "holds in part", "does not hold", "cannot be told"]
+Verdict = Literal["holds", "holds in part", "does not hold", "undecided"]
 Answer = bool | None
 """Yes, no, or open."""
 Triple = Sequence[float]
@@ -34,19 +34,19 @@ class Row:
 
     paper: str
     ours: str = NOT_RUN
-    verdict: Verdict = "cannot be told"
+    verdict: Verdict = "undecided"
     why: str = ""
 
 
 def judged(answers: Sequence[Answer]) -> Verdict:
     """Return the verdict on a claim that consists of several: yes to all, to some, to none, or open throughout."""
     if not answers:
-        return "cannot be told"
+        return "undecided"
     if all(answer is True for answer in answers):
         return "holds"
     if any(answer is True for answer in answers):
         return "holds in part"
-    return "cannot be told" if all(answer is None for answer in answers) else "does not hold"
+    return "undecided" if all(answer is None for answer in answers) else "does not hold"
 
 
 def above(probability: Triple) -> Answer:
@@ -93,7 +93,7 @@ def alike_throughout(paper: float, ours: Triple, near: float = NEAR) -> Verdict:
     if all(inside):
         return "holds"
     if any(inside) or low <= paper <= high:
-        return "cannot be told"
+        return "undecided"
     same = {alike(paper, number, near) for number in ours}
     return "holds in part" if same == {"holds in part"} else "does not hold"
 
@@ -109,7 +109,7 @@ def best_of(numbers: Mapping[str, Triple], wanted: str, better: Mapping[str, Tri
     answers = [above(probability) for probability in better.values()]
     if max(numbers, key=lambda name: numbers[name][0]) == wanted:
         return "holds" if all(answers) else "holds in part"
-    return "does not hold" if False in answers else "cannot be told"
+    return "does not hold" if False in answers else "undecided"
 
 
 def ratio(one: Triple, other: Triple) -> Triple:

@@ -1,7 +1,7 @@
 """Curves of a study's methods: of training, and of the noise-free evaluations on the way.
 
 Each quantity stands twice: whole, and enlarged to what the second half of the runs needs, where methods lie so close
-that the first episodes would hide what tells them apart. The axes are those of the methods that live. One whose runs
+that the first episodes would hide what shows them apart. The axes are those of the methods that live. One whose runs
 have all diverged goes out of bounds and is marked where it leaves.
 """
 

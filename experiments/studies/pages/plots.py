@@ -76,13 +76,13 @@ def save_pictures(data: Results, folder: Path) -> list[str]:
 
 def save_comparison(data: Results, folder: Path) -> list[str]:
     """Draw evaluations on the way, training curves, those of each type, and final scores of methods side by side."""
-    figures = {
+    plots = {
         "checks.png": checks_figure(data),
         "curves.png": training_figure(data),
         "types.png": training_figure(data, TYPE_PANELS),
         "scores.png": scores_figure(data),
     }
-    return _saved(figures, folder)
+    return _saved(plots, folder)
 
 
 def save_ensemble(data: Results, folder: Path) -> list[str]:
@@ -113,8 +113,8 @@ def members_figure(data: Results) -> Figure:
     _beside(alone, reward, {})
     for number, method in found.items():
         rewards = [run["reward"] for run in method["runs"]]
-        told = "ours, each seed (mean over the farms)" if number == MEMBERS else None
-        alone.plot([number] * len(rewards), rewards, "_", color=OTHER_COLOURS[1], markersize=9, label=told)
+        label = "ours, each seed (mean over the farms)" if number == MEMBERS else None
+        alone.plot([number] * len(rewards), rewards, "_", color=OTHER_COLOURS[1], markersize=9, label=label)
     labels = ("reward per agent", f"reward / reward of k_s = {MEMBERS}", "reward per agent")
     titles = ("beside the paper's", "as ratios", "ours enlarged")
     for axes, label, title in zip((beside, ratio, alone), labels, titles, strict=True):
@@ -207,10 +207,10 @@ _PIECES: Final = {
 _TIMES_NOTE: Final = "Times: all UAVs together, one thread; the median of the seeds' medians."
 
 
-def _saved(figures: Mapping[str, Figure], folder: Path) -> list[str]:
-    for name, figure in figures.items():
+def _saved(plots: Mapping[str, Figure], folder: Path) -> list[str]:
+    for name, figure in plots.items():
         figure.savefig(folder / name, dpi=DPI)
-    return list(figures)
+    return list(plots)
 
 
 def _interval_note(data: Results) -> str:

@@ -37,7 +37,7 @@ def redraw(plan: Plan) -> None:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise RunDirError(f"{path} cannot be read: {error}.") from None
-    plan.tell(f"{plan.study}: {len(missing)} runs are missing; written again from {path} alone.")
+    plan.report(f"{plan.study}: {len(missing)} runs are missing; written again from {path} alone.")
     summed_anew(data, plan.bench)
     drawn = plan.study != "trajectories"
     save(plan, data, lambda: draw(plan.study, data, plan.bench, plan.folder) if drawn else _kept(plan.folder))

@@ -52,8 +52,8 @@ def headline(data: Results) -> str:
         rows.append((method["reward"][0], [f"**{name}**", *_method_cells(method), *_more(method, better)]))
     for name, policy in references.items():
         types = [f"{policy['types'][kind]:.0f}" for kind in KINDS]
-        figures = [f"{policy['figures'][kind]:.2f}" for kind in ("aoi", "vdf")]
-        numbers = [f"{policy['normalised']:.2f}", f"{policy['reward']:.0f}", *types, *figures]
+        counters = [f"{policy['figures'][kind]:.2f}" for kind in ("aoi", "vdf")]
+        numbers = [f"{policy['normalised']:.2f}", f"{policy['reward']:.0f}", *types, *counters]
         rows.append((policy["reward"], [name, *numbers, *[""] * len(more)]))
     rows.sort(key=lambda row: -row[0])
     return table([*head, *more], [cells for _, cells in rows]) + "\n" + _legend(data)
@@ -84,8 +84,8 @@ def teams(data: Results) -> str:
         known = f"{team['references']['best']} {best['reward']:.0f}"
         rows.append([name, paper[0], *ours, known, paper[1], *_time_cells(team["time"]), str(len(team["runs"]))])
     head = ("UAVs", "paper: reward", "reward", "normalised", "best heuristic", "paper: ms")
-    told = table([*head, "decide, ms", "separate, ms", "simulate, ms", "seeds"], rows)
-    return "\n".join([told, _legend(data), _TIMES])
+    text = table([*head, "decide, ms", "separate, ms", "simulate, ms", "seeds"], rows)
+    return "\n".join([text, _legend(data), _TIMES])
 
 
 def inference(data: Results) -> str:
@@ -143,17 +143,17 @@ def choices(data: Results) -> str:
         [method, *(_chosen(found["trials"][name], name == found["chosen"]) for name in names)]
         for method, found in data["choice"].items()
     ]
-    # Results that were made before trials told where they come from are shown without.
+    # Results that were made before trials recorded their origin are shown without.
     commits = sorted({commit for found in data["choice"].values() for commit in found.get("commits", [])})
     seeds = sorted({found["seed"] for found in data["choice"].values() if "seed" in found})
     made = f"Trials: seed {', '.join(map(str, seeds))}, commit {', '.join(commits)}.\n" if commits else ""
-    told = (
+    text = (
         "Reward per agent of one trial each, on farms that are neither trained on nor reported; the settings of the "
         "bold one are in force. Every method has the same candidates and the same seed, and trials of "
         f"{_lengths(data)}."
     )
-    told += _BEYOND if data["study"] == "default" else ""
-    return f"{table(['method', *names], rows)}\n{textwrap.fill(told, WIDTH)}\n{made}"
+    text += _BEYOND if data["study"] == "default" else ""
+    return f"{table(['method', *names], rows)}\n{textwrap.fill(text, WIDTH)}\n{made}"
 
 
 def _lengths(data: Results) -> str:
@@ -194,9 +194,9 @@ def versions(data: Results) -> str:
     groups["policies that learn nothing"] = {policy["commit"] for policy in policies if "commit" in policy}
     if len(set().union(*groups.values())) < 2:
         return ""
-    told = "; ".join(f"{name}: {', '.join(sorted(commits))}" for name, commits in groups.items() if commits)
+    text = "; ".join(f"{name}: {', '.join(sorted(commits))}" for name, commits in groups.items() if commits)
     note = "The records are of several commits, and what differs between them may have its share in the numbers."
-    return "\n" + _filled(f"{note} {told[0].upper()}{told[1:]}.")
+    return "\n" + _filled(f"{note} {text[0].upper()}{text[1:]}.")
 
 
 def _groups(data: Results) -> dict[str, Results]:
@@ -230,7 +230,7 @@ _TIMES: Final = (
 )
 _BEYOND: Final = " The default preset stands outside of this: docs/explanation/method.md says how it was found."
 _UNEQUAL: Final = (
-    "The two are not equally tuned, and their budgets differ: fewer episodes and more update rounds for each step in\n"
+    "The two are not equally tuned, and their budgets differ: fewer episodes and more updates for each step in\n"
     "the default preset; times and steps stand below. Its seed 0 has the configuration of the policy that ships.\n"
 )
 _UNTRAINED: Final = (

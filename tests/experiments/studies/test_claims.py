@@ -11,23 +11,23 @@ from experiments.studies.analysis.verdicts import NOT_RUN
 
 @pytest.mark.parametrize("study", CLAIMS)
 def test_without_results_nothing_is_claimed(study):
-    """A study that was not run at full scale says so in every row, and nothing can be told."""
+    """A study that was not run at full scale says so in every row, and nothing is decided."""
     rows = CLAIMS[study](None)
     assert rows
     assert {row.ours for row in rows} == {NOT_RUN}
-    assert {row.verdict for row in rows} == {"cannot be told"}
+    assert {row.verdict for row in rows} == {"undecided"}
 
 
 def test_every_number_of_the_paper_has_its_row():
     """Times and rewards by number of UAVs, times by method, and rewards by k_s."""
-    told = " ".join(row.paper for name in CLAIMS for row in CLAIMS[name](None))
+    text = " ".join(row.paper for name in CLAIMS for row in CLAIMS[name](None))
     numbers = [
         *INFERENCE_BY_UAVS.values(),
         *REWARD_BY_UAVS.values(),
         *INFERENCE_BY_METHOD.values(),
         *REWARD_BY_MEMBERS.values(),
     ]
-    assert [number for number in numbers if f"{number}" not in told] == []
+    assert [number for number in numbers if f"{number}" not in text] == []
 
 
 def method(level, aoi=1.0, converged=500.0, unrest=10.0, farms=20.0, over=1.0):
@@ -73,15 +73,15 @@ def study(**first):
 def test_verdicts_on_training_turn_with_the_numbers():
     """What the paper found holds when we find it, and does not when we find the opposite."""
     same = [row.verdict for row in training(study())]
-    assert same == ["holds"] * 7 + ["cannot be told"]
+    assert same == ["holds"] * 7 + ["undecided"]
     opposite = training(study(level=100.0, aoi=2.0, converged=900.0, unrest=50.0, farms=90.0))
     refuted = "does not hold"
-    wanted = [refuted, "holds", refuted, refuted, "holds in part", refuted, refuted, "cannot be told"]
+    wanted = [refuted, "holds", refuted, refuted, "holds in part", refuted, refuted, "undecided"]
     assert [row.verdict for row in opposite] == wanted
 
 
 def test_a_clear_but_small_lead_holds_in_part():
-    """Above every peer by less than what counts as alike is above, and not far above; the same gap is told once."""
+    """Above every peer by less than what counts as alike is above, and not far above; the same gap is named once."""
     far_above, alike_peers, *_ = training(study(level=665.0))
     assert far_above.verdict == "holds in part"
     assert "MADDPG 0.06 (0.06..0.07)" in far_above.why
@@ -100,7 +100,7 @@ def test_one_seed_that_is_worse_leaves_it_open():
     for name in ("MATD3", "MASAC"):
         data["methods"][name] = copy.deepcopy(data["methods"]["MADDPG"])
     rows = {row.paper: row for row in training(data)}
-    assert rows["M2: EIA-SEC converges first"].verdict == "cannot be told"
+    assert rows["M2: EIA-SEC converges first"].verdict == "undecided"
     assert "MADDPG 0.88 (0.50..1.00)" in rows["M2: EIA-SEC converges first"].why
     assert rows["M3: EIA-SEC is the steadiest"].verdict == "holds in part"  # over farms it is, for every seed
 
@@ -116,7 +116,7 @@ def test_counted_farm_by_farm_where_the_results_hold_it():
     assert "hold no farm's values" in aoi.why
 
 
-def test_the_control_is_told_beside_the_lead():
+def test_the_control_stands_beside_the_lead():
     """How much of the lead over the best peer is there without either part, and only when the ablation is there."""
     control = {"methods": {"neither": method(840.0)}, "sizes": SIZES}
     row = training(study(), control)[0]
@@ -173,11 +173,11 @@ def test_verdicts_on_the_ablation_turn_with_the_numbers():
 def test_seeds_that_overlap_leave_the_ablation_open():
     """Equal methods are neither best nor worst, nor faster, nor less wrong."""
     equal = {name: {"level": 800.0, "converged": 400.0, "over": 1.0} for name in parts()["methods"]}
-    assert [row.verdict for row in ablation(parts(**equal))] == ["cannot be told"] * 4
+    assert [row.verdict for row in ablation(parts(**equal))] == ["undecided"] * 4
 
 
 def test_overestimation_is_compared_in_units_of_reward():
-    """A method with three times the reward scale is divided by it, by what was chosen or by what its runs tell."""
+    """A method with three times the reward scale is divided by it, by what was chosen or by what its runs record."""
     data = parts(neither={"over": 1.2}, **{"SEC only": {"over": 0.6}})
     assert ablation(data)[3].verdict == "holds"
     data["choice"] = {"neither": {"chosen": "reward scale x 3"}, "SEC only": {"chosen": "actor rate x 3"}}
@@ -193,7 +193,7 @@ def test_overestimation_is_compared_in_units_of_reward():
     assert row.ours == "SEC only 1.0, neither 12.0"
     assert "Q is Q_P, the mixture" in row.why
     data["methods"]["neither"]["runs"][0]["overestimation"] = {}
-    assert ablation(data)[3].verdict == "cannot be told"
+    assert ablation(data)[3].verdict == "undecided"
 
 
 def test_heuristics_fail_only_when_they_do():
@@ -208,5 +208,5 @@ def test_heuristics_fail_only_when_they_do():
     assert row.verdict == "does not hold"
     assert "1419" in row.ours
     assert heuristics(study(level=1500.0), flown)[0].verdict == "holds in part"
-    assert heuristics(study(level=1400.5), flown)[0].verdict == "cannot be told"
+    assert heuristics(study(level=1400.5), flown)[0].verdict == "undecided"
     assert heuristics(None, None)[0].ours == NOT_RUN

@@ -150,7 +150,7 @@ def changed(part, value):
     ],
 )
 def test_a_record_whose_result_is_not_whole_counts_as_missing(change, bench, capfd):
-    """Each part of a training's result is looked at, and what is told says which file it is."""
+    """Each part of a training's result is looked at, and the message says which file it is."""
     job = bench.runs(EIA_SEC, 1)[0]
     result = trained(FIRST_FARM, [1.0, 2.0, 3.0])
     bench.records.put(job, MADE, 1.0, result)

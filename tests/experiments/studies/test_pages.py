@@ -23,7 +23,7 @@ def test_a_studys_page_is_written_from_its_results(name):
     assert written(folder) == text, "run `make docs`"
 
 
-def test_commits_are_told_by_group_where_there_are_several():
+def test_commits_are_listed_by_group_where_there_are_several():
     """Records of one commit need no words; of two, every group has its own."""
     runs = {"A": {"runs": [{"commit": "aaa"}, {"commit": "bbb"}]}, "B": {"runs": [{"commit": "aaa"}]}}
     data = {"methods": runs, "choice": {"A": {"commits": ["ccc"]}}}
@@ -99,13 +99,13 @@ def test_sooner_means_ten_times():
     assert verdicts(text, "than BenchMARL") == ["not met", "met", "not met"]
     assert "ours not within 20 s" in text
     short = ("BenchMARL", [(60.0, 400.0)])
-    assert verdicts(targets_block(None, None, reach(ours, short)), "than BenchMARL")[0] == "cannot be told"
+    assert verdicts(targets_block(None, None, reach(ours, short)), "than BenchMARL")[0] == "undecided"
 
 
 def test_the_slowest_of_ours_and_the_fastest_of_theirs_decide():
     """Medians that are ten times apart are not enough when some pair of seeds is nearer, or may be."""
 
-    def told(*theirs):
+    def judged_times(*theirs):
         runs = [("BenchMARL", course) for course in theirs]
         text = targets_block(None, None, reach(*(("EIA-SEC", [(at, 700.0)]) for at in (10.0, 12.0, 17.0)), *runs))
         (line,) = (line for line in text.splitlines() if line.startswith("| 50%"))
@@ -114,16 +114,16 @@ def test_the_slowest_of_ours_and_the_fastest_of_theirs_decide():
     def reached(*times):
         return [[(at, 700.0)] for at in times]
 
-    line, verdict = told(*reached(170.0, 180.0, 300.0))
+    line, verdict = judged_times(*reached(170.0, 180.0, 300.0))
     assert ("15.0 times (10.0..30.0), ours in 12 s; 3 seeds" in line, verdict) == (True, "met")
-    line, verdict = told(*reached(150.0, 180.0, 300.0))
-    assert ("15.0 times (8.8..30.0)" in line, verdict) == (True, "cannot be told")
-    assert told(*reached(50.0, 60.0, 90.0))[1] == "not met"
-    line, verdict = told([(480.0, 0.0)], *reached(160.0, 180.0))
-    assert ("| 15.0 times (9.4..)" in line, verdict) == (True, "cannot be told")
-    line, verdict = told(*[[(480.0, 0.0)]] * 2, *reached(160.0))
-    assert ("| more than 40.0 times (9.4..)" in line, verdict) == (True, "cannot be told")
-    assert told([(480.0, 0.0)], [(300.0, 700.0)], [(200.0, 0.0)])[1] == "met"
+    line, verdict = judged_times(*reached(150.0, 180.0, 300.0))
+    assert ("15.0 times (8.8..30.0)" in line, verdict) == (True, "undecided")
+    assert judged_times(*reached(50.0, 60.0, 90.0))[1] == "not met"
+    line, verdict = judged_times([(480.0, 0.0)], *reached(160.0, 180.0))
+    assert ("| 15.0 times (9.4..)" in line, verdict) == (True, "undecided")
+    line, verdict = judged_times(*[[(480.0, 0.0)]] * 2, *reached(160.0))
+    assert ("| more than 40.0 times (9.4..)" in line, verdict) == (True, "undecided")
+    assert judged_times([(480.0, 0.0)], [(300.0, 700.0)], [(200.0, 0.0)])[1] == "met"
 
 
 def test_early_farms_are_said_beside_the_verdicts():

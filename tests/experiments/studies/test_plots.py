@@ -189,7 +189,7 @@ def test_seeds_in_words():
     assert seeds(study(one=runs[:4], two=runs, three=runs[:3])) == "3 to 5 seeds"
 
 
-def test_teams_of_all_sizes_are_told_apart():
+def test_teams_of_all_sizes_are_distinguished():
     """Seven sizes differ in colour, line or mark, and stand in one row, since no half of theirs lies close."""
     runs = [run(seed, 768, 1000.0) for seed in range(3)]
     data = {**study(), "teams": {str(uavs): {"runs": runs} for uavs in (6, 12, 16, 20, 24, 48, 96)}}
@@ -318,7 +318,7 @@ def test_a_study_is_redrawn_from_its_results_alone(study, tmp_path, monkeypatch)
 
 
 def test_captions_go_by_the_end_of_the_name():
-    """A map, its view in space and what was collected there have the farm's number before the end that tells them."""
+    """A map, its view in space and what was collected there have the farm's number before the end that names them."""
     maps, space, collected = (caption(f"farm-1000{end}.png") for end in ("", "-3d", "-collected"))
     assert "faint at the beginning" in maps
     assert "taller" in space

@@ -49,7 +49,7 @@ def test_short_jobs_share_a_process(bench):
         ("progress 0.1\nwarning", 0.1),
     ],
 )
-def test_progress_is_the_last_line_that_tells_it(lines, share):
+def test_progress_is_the_last_line_that_reports_it(lines, share):
     """Whatever else a process writes is passed over."""
     assert progress(lines) == share
 
@@ -79,7 +79,7 @@ def test_a_full_disk_costs_no_training(bench, monkeypatch, capfd):
     full_disk(monkeypatch, {".safetensors": 2, ".json": 1, ".job.json": 1})
     job, shares = bench.runs(EIA_SEC, 1)[0], []
     result, actors = trained(FIRST_FARM, [1.0, 2.0, 3.0]), TeamActors.initial(farm_team(job.config.farm), 16, 0)
-    monkeypatch.setattr(perform, "train", lambda config, options, told: (result, actors))
+    monkeypatch.setattr(perform, "train", lambda config, options, report: (result, actors))
     kept(lambda: bench.records.hand_over(job), shares.append)
     perform.perform(job, bench.records, "eia-sec reproduce training", shares.append)
     assert shares == [1.0] * 4
@@ -91,7 +91,7 @@ def test_a_full_disk_costs_no_training(bench, monkeypatch, capfd):
 
 
 def test_who_waits_for_room_can_be_stopped(bench, monkeypatch):
-    """A study that cannot even write its jobs ends when it is told to, as one that was stopped."""
+    """A study that cannot even write its jobs ends when asked to, as one that was stopped."""
     full_disk(monkeypatch, {".job.json": 10**9})
     stop = StopSignal()
     threading.Timer(0.2, stop.event.set).start()
@@ -100,7 +100,7 @@ def test_who_waits_for_room_can_be_stopped(bench, monkeypatch):
     assert [path.name for path in bench.records.folder.iterdir()] == ["logs"]
 
 
-def test_what_is_not_for_want_of_room_is_told_at_once(bench):
+def test_what_is_not_for_want_of_room_is_reported_at_once(bench):
     """A folder that has gone does not come back by waiting."""
     bench.records.folder.rmdir()
     with pytest.raises(RunDirError, match=r"cannot write .*No such file"):

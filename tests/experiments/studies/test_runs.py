@@ -47,8 +47,8 @@ def trained(bench):
     return job
 
 
-def plan(bench, study, write, told):
-    return Plan(study, bench, write, 1, ["reproduce", study, "--scale", "smoke"], told.append)
+def plan(bench, study, write, reports):
+    return Plan(study, bench, write, 1, ["reproduce", study, "--scale", "smoke"], reports.append)
 
 
 def test_a_run_is_that_of_one_process(bench, trained):
@@ -204,12 +204,12 @@ def test_timed_networks_decide_what_the_actors_decide(method, bench):
 @pytest.mark.parametrize("study", STUDIES)
 def test_a_study_from_start_to_end_and_once_more(study, bench, tmp_path, monkeypatch):
     """It says how long it takes, writes data, pictures and a page, and a second start does nothing again."""
-    told = []
+    reports = []
     monkeypatch.setattr(Runner, "run", run_here)
-    first = plan(bench, study, tmp_path, told)
+    first = plan(bench, study, tmp_path, reports)
     assert announce(first) >= 0.0
     assert carry_out(first, StopSignal())
-    assert re.search(r"about \d+ (s|min)", "\n".join(told)) or "are there" in told[0]
+    assert re.search(r"about \d+ (s|min)", "\n".join(reports)) or "are there" in reports[0]
     folder = tmp_path / "smoke" / study
     data = json.loads((folder / RESULTS).read_text())
     assert data["study"] == study
@@ -223,10 +223,10 @@ def test_a_study_from_start_to_end_and_once_more(study, bench, tmp_path, monkeyp
     runs = [run for method in data.get("methods", {}).values() for run in method.get("runs", ())]
     assert {run["compared_value"] for run in runs} == ({"mixture"} if runs else set())
     before = {path: path.stat().st_mtime_ns for path in bench.records.folder.iterdir()}
-    told.clear()
-    again = plan(bench, study, tmp_path, told)
+    reports.clear()
+    again = plan(bench, study, tmp_path, reports)
     assert announce(again) == 0.0
-    assert "runs are there" in told[0]
+    assert "runs are there" in reports[0]
     assert carry_out(again, StopSignal())
     assert {path: path.stat().st_mtime_ns for path in bench.records.folder.iterdir()} == before
     assert json.loads((folder / RESULTS).read_text()) == data
@@ -247,12 +247,12 @@ def test_a_study_is_drawn_again_from_its_records(study, bench, tmp_path, monkeyp
         path.unlink()
     redraw(done)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == files
-    told = []
-    alone = plan(Bench(TINY, Records(tmp_path / "empty")), study, tmp_path, told)
+    reports = []
+    alone = plan(Bench(TINY, Records(tmp_path / "empty")), study, tmp_path, reports)
     (folder / PAGE).write_bytes(b"an older page\n" + files[PAGE])
     redraw(alone)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == files
-    assert "runs are missing; written again from" in told[0]
+    assert "runs are missing; written again from" in reports[0]
     (folder / RESULTS).unlink()
     with pytest.raises(UsageError, match=r"runs are missing, and there is no .*results.json"):
         redraw(alone)
@@ -302,18 +302,18 @@ def test_policies_that_learn_nothing_are_summed_up_anew_from_their_records(bench
 
 
 def test_what_studies_share_is_counted_once(tmp_path):
-    """Of two studies with the same runs, all take as long as one of them, and each alone is told too."""
-    told = []
+    """Of two studies with the same runs, all take as long as one of them, and each alone is reported too."""
+    reports = []
     fresh = Bench(TINY, Records(tmp_path / "records"))
-    one = plan(fresh, "trajectories", tmp_path, told)
+    one = plan(fresh, "trajectories", tmp_path, reports)
     announce_all([one, replace(one, study="trajectories")])
-    seconds = [line.partition("about ")[2].partition(",")[0] for line in told if "about" in line]
+    seconds = [line.partition("about ")[2].partition(",")[0] for line in reports if "about" in line]
     assert len(seconds) == 3
     assert len(set(seconds)) == 1
-    assert told[-1].startswith(f"all: {len(one.jobs())} runs, those that studies share counted once")
-    told.clear()
+    assert reports[-1].startswith(f"all: {len(one.jobs())} runs, those that studies share counted once")
+    reports.clear()
     announce_all([one])
-    assert "all:" not in "".join(told)
+    assert "all:" not in "".join(reports)
 
 
 def test_only_what_another_configuration_made_is_done_again(bench, tmp_path, monkeypatch):
@@ -336,7 +336,7 @@ def test_only_what_another_configuration_made_is_done_again(bench, tmp_path, mon
 
 
 def test_estimates_follow_from_what_was_measured(bench, trained):
-    """A run that is there tells how long another of the same kind takes; twice the episodes take twice as long."""
+    """A run that is there determines how long another of the same kind takes; twice the episodes take twice as long."""
     estimator = Estimator(bench.records)
     estimator.learn([trained])
     took = bench.records.get(trained)["seconds"]
@@ -346,7 +346,7 @@ def test_estimates_follow_from_what_was_measured(bench, trained):
 
 
 def test_a_busy_machine_does_not_count(bench, trained, tmp_path):
-    """Of several runs alike the one that took least tells how long the next takes, in whatever order they come."""
+    """Of several runs alike the one that took least determines how long the next takes, in whatever order they come."""
     records, result = Records(tmp_path / "records"), bench.records.result(trained)
     runs = [replace(trained, config=replace(trained.config, seed=seed)) for seed in range(4)]
     for run, seconds in zip(runs, (90.0, 30.0, 60.0), strict=False):

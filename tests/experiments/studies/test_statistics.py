@@ -190,4 +190,4 @@ def test_one_seed_decides_nothing():
         assert above(improvement_interval(*pair)) is None
         assert difference_interval(pair[0][:, 0], pair[1][:, 0])[1:] == (-np.inf, np.inf)
         assert far(difference_interval(pair[0][:, 0], pair[1][:, 0])) is None
-    assert judged([]) == "cannot be told"
+    assert judged([]) == "undecided"

@@ -11,7 +11,7 @@ def base_among(count, base, claims):
     """Return that all rows hold but that of the number which the others are divided by; that one would always hold."""
     rows = claims(None)
     assert len(rows) == count
-    return ["cannot be told" if row.paper.startswith(base) else "holds" for row in rows]
+    return ["undecided" if row.paper.startswith(base) else "holds" for row in rows]
 
 
 def narrow(value):
@@ -23,12 +23,12 @@ def test_rewards_are_compared_as_ratios():
     teams = {str(n): {"reward": narrow(2 * r)} for n, r in REWARD_BY_UAVS.items()}
     assert [row.verdict for row in scalability({"teams": teams})] == base_among(6, "Reward with 12", scalability)
     wide = {n: {"reward": (t["reward"][0], 0.5 * t["reward"][0], 1.5 * t["reward"][0])} for n, t in teams.items()}
-    assert {row.verdict for row in scalability({"teams": wide})} == {"cannot be told"}
+    assert {row.verdict for row in scalability({"teams": wide})} == {"undecided"}
     falling = {str(n): {"reward": narrow(1000.0 / n)} for n in REWARD_BY_UAVS}
-    assert {row.verdict for row in scalability({"teams": falling})} == {"does not hold", "cannot be told"}
+    assert {row.verdict for row in scalability({"teams": falling})} == {"does not hold", "undecided"}
     del teams["24"]
     some = {row.paper: row.verdict for row in scalability({"teams": teams})}
-    assert [paper for paper, verdict in some.items() if verdict == "cannot be told"] == [
+    assert [paper for paper, verdict in some.items() if verdict == "undecided"] == [
         "M4: the reward hardly depends on the number of UAVs, 6 to 24",
         "Reward with 12 UAVs: 895.04",
         "Reward with 24 UAVs: 881.34",
@@ -48,9 +48,9 @@ def test_members_are_compared_as_ratios():
     assert verdicts["k_s = 2 is the best"] == "does not hold"
     assert verdicts["k_s = 10: 734.32"] == "does not hold"
     turned["k_s = 10"]["runs"] = [{"reward": 1000.0}, {"reward": 3000.0}]
-    assert members({"methods": turned})[0].verdict == "cannot be told"
+    assert members({"methods": turned})[0].verdict == "undecided"
     turned["k_s = 10"]["reward"] = (-5, -6, -4)
-    assert members({"methods": turned})[-1].verdict == "cannot be told"
+    assert members({"methods": turned})[-1].verdict == "undecided"
 
 
 def seeds(stacked, separate=None, late=1.5):
@@ -78,14 +78,14 @@ def test_times_are_compared_as_ratios():
     assert {row.paper for row in rows if row.verdict != "holds"} == {"12 UAVs: 34.38 ms", "EIA-SEC: 34.38 ms"}
     equal = dict.fromkeys(INFERENCE_BY_METHOD, near(0.1))
     verdicts = {row.paper: row.verdict for row in inference({"teams": teams, "methods": equal})}
-    assert verdicts["M5: MADDPG is the fastest"] == "cannot be told"
+    assert verdicts["M5: MADDPG is the fastest"] == "undecided"
     assert verdicts["M5: EIA-SEC takes not much longer"] == "holds"
     turned = {**equal, "MADDPG": near(0.2)}
     verdicts = {row.paper: row.verdict for row in inference({"teams": teams, "methods": turned})}
     assert verdicts["M5: MADDPG is the fastest"] == "does not hold"
     noisy = {**equal, "EIA-SEC": seeds([0.1, 0.1, 0.2])}
     verdicts = {row.paper: row.verdict for row in inference({"teams": teams, "methods": noisy})}
-    assert verdicts["M5: EIA-SEC takes not much longer"] == "cannot be told"
+    assert verdicts["M5: EIA-SEC takes not much longer"] == "undecided"
 
 
 def test_times_grow_only_where_the_seeds_agree():
@@ -93,7 +93,7 @@ def test_times_grow_only_where_the_seeds_agree():
     methods = {name: near(0.1) for name in INFERENCE_BY_METHOD}
     noisy = {"6": seeds([0.1, 0.3, 0.2]), "12": seeds([0.15, 0.29, 0.22]), "24": seeds([0.16, 0.31, 0.2])}
     grows, stays, *_ = inference({"teams": noisy, "methods": methods})
-    assert grows.verdict == "cannot be told"
+    assert grows.verdict == "undecided"
     assert stays.verdict == "holds"
     noisy["24"]["seeds"][1]["separate"]["q95"] = 121.0
     _, stays, *_ = inference({"teams": noisy, "methods": methods})

@@ -25,7 +25,7 @@ from experiments.studies.analysis.verdicts import (
         ([True, False], "holds in part"),
         ([False, None], "does not hold"),
         ([False], "does not hold"),
-        ([None, None], "cannot be told"),
+        ([None, None], "undecided"),
     ],
 )
 def test_verdicts_on_several_answers(answers, verdict):
@@ -74,15 +74,15 @@ def test_a_ratio_near_one_has_no_side(ours, verdict):
     ("ours", "verdict"),
     [
         ((0.80, 0.78, 0.83), "holds"),
-        ((0.83, 0.80, 0.90), "cannot be told"),
-        ((0.90, 0.60, 0.95), "cannot be told"),
+        ((0.83, 0.80, 0.90), "undecided"),
+        ((0.90, 0.60, 0.95), "undecided"),
         ((0.95, 0.90, 0.99), "holds in part"),
         ((1.00, 0.99, 1.01), "does not hold"),
         ((1.10, 1.05, 1.15), "does not hold"),
     ],
 )
 def test_a_ratio_agrees_with_its_whole_interval(ours, verdict):
-    """Beside the paper's 0.81; an interval on both sides of the tolerance's edge tells nothing."""
+    """Beside the paper's 0.81; an interval on both sides of the tolerance's edge decides nothing."""
     assert alike_throughout(0.81, ours) == verdict
 
 
@@ -97,7 +97,7 @@ def test_the_best_of_several():
     assert best_of(numbers, "2", {"1": (1.0, 0.9, 1.0)}) == "holds"
     assert best_of(numbers, "2", {"1": (0.7, 0.4, 1.0)}) == "holds in part"
     assert best_of(numbers, "1", {"2": (0.0, 0.0, 0.1)}) == "does not hold"
-    assert best_of(numbers, "1", {"2": (0.3, 0.1, 0.6)}) == "cannot be told"
+    assert best_of(numbers, "1", {"2": (0.3, 0.1, 0.6)}) == "undecided"
 
 
 def test_smoke_results_are_no_results():

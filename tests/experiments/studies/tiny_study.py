@@ -66,10 +66,10 @@ TIMES = {piece: {"q05": 1.0, "median": 2.0, "mean": 2.5, "q95": 4.0} for piece i
 
 
 def flown(first: int, rewards: Sequence[float]) -> dict[str, Any]:
-    """Return the result of a flight with these rewards, and a hundredth of them as its figures."""
-    figures = {key: [reward / 100.0 for reward in rewards] for key in METRIC_NAMES}
+    """Return the result of a flight with these rewards, and a hundredth of them as its metrics."""
+    metrics = {key: [reward / 100.0 for reward in rewards] for key in METRIC_NAMES}
     types = {key: list(rewards) for key in ("communication", "monitoring", "collection")}
-    return {"first_farm": first, "farms": len(rewards), "reward": list(rewards), "types": types, "figures": figures}
+    return {"first_farm": first, "farms": len(rewards), "reward": list(rewards), "types": types, "figures": metrics}
 
 
 def trained(first: int, rewards: Sequence[float]) -> dict[str, Any]:
