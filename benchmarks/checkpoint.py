@@ -26,7 +26,7 @@ import numpy as np  # noqa: E402  (the variables above count only before numpy i
 import torch  # noqa: E402  (as above)
 
 from benchmarks.learner import filled_trainer  # noqa: E402  (as above)
-from common.config import AlgorithmConfig, ReplayConfig, RunConfig  # noqa: E402  (as above)
+from common.config import EiaSecConfig, ReplayConfig, RunConfig  # noqa: E402  (as above)
 from common.errors import EiaSecError  # noqa: E402  (as above)
 from common.transitions import TRANSITION, Chunk, Rows  # noqa: E402  (as above)
 from deploy.exit_codes import run_command  # noqa: E402  (as above)
@@ -68,7 +68,7 @@ def measure(width: int, checkpoints: int, capacity: int, folder: Path) -> dict[s
     Raises:
         EiaSecError: a checkpoint could not be written.
     """
-    trainer = filled_trainer(AlgorithmConfig(hidden=width), capacity=capacity)
+    trainer = filled_trainer(EiaSecConfig(hidden=width), capacity=capacity)
     chunk = one_chunk(trainer)
     storage = RunStorage(folder, replace(RunConfig(), algorithm=trainer.config.algorithm))
     quiet = [turn(trainer, chunk) for _ in range(3 * SETTLE_TURNS)][SETTLE_TURNS:]

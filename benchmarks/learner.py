@@ -33,12 +33,14 @@ from matplotlib.figure import Figure  # noqa: E402  (as above)
 from benchmarks.peers.clock import BURST  # noqa: E402  (as above)
 from common.actors import TeamActors  # noqa: E402  (as above)
 from common.config import (  # noqa: E402  (as above)
-    AlgorithmConfig,
+    EiaSecConfig,
     FarmConfig,
     LearnerConfig,
+    OffPolicyConfig,
     ReplayConfig,
     RunConfig,
 )
+from common.config.algorithms import switched  # noqa: E402  (as above)
 from common.config.presets import preset  # noqa: E402  (as above)
 from common.errors import UsageError  # noqa: E402  (as above)
 from common.farm import farm_team  # noqa: E402  (as above)
@@ -51,7 +53,9 @@ from learner.networks.compiled_pass import usable_cores  # noqa: E402  (as above
 from learner.networks.inputs import critic_width  # noqa: E402  (as above)
 from learner.trainer import DIAGNOSTIC_PERIOD, Trainer  # noqa: E402  (as above)
 
-TIMED = ("eia-sec", "base", "maddpg", "matd3", "masac")
+ABLATION = "base"
+"""EIA-SEC without its ensemble."""
+TIMED = ("eia-sec", ABLATION, "maddpg", "matd3", "masac")
 UAVS = (6, 12, 16, 20, 24, 96)
 SEGMENT = 20
 GROWTH_BY = ("agents", "width", "batch")
@@ -89,7 +93,7 @@ def matrix_speed(device: str = "cpu") -> float:
     return 2 * size**3 / fastest(lambda: torch.mm(a, b, out=out), repeats, device)
 
 
-def operations(config: AlgorithmConfig, team: TeamSpec) -> float:
+def operations(config: OffPolicyConfig, team: TeamSpec) -> float:
     """Return the floating-point operations of an update's matrix products, the mean of all its kinds.
 
     A forward pass costs m multiplications a row, m being the weights; the gradient by the weights as many again, the
@@ -100,7 +104,7 @@ def operations(config: AlgorithmConfig, team: TeamSpec) -> float:
     """
     h, total, algorithm = config.hidden, 0.0, ALGORITHMS[config.name]
     twins, maximised, share = algorithm.critics_each, algorithm.objective_critics, 1 / algorithm.actor_period(config)
-    members = config.ensemble_members if config.uses_ensemble else 0
+    members = config.ensemble_members if isinstance(config, EiaSecConfig) and config.ensemble else 0
     heads = 2 if algorithm.head == "gaussian" else 1
     for kind, group in enumerate(team.groups):
         critic = critic_width(team, kind, config.joint_critics) * h + h * h + h
@@ -112,6 +116,15 @@ def operations(config: AlgorithmConfig, team: TeamSpec) -> float:
     return 2.0 * config.batch * total
 
 
+def configured(name: str, base: OffPolicyConfig | None = None) -> OffPolicyConfig:
+    """Return the configuration of an algorithm of TIMED with the shared values of another one."""
+    if name == ABLATION:
+        return replace(configured("eia-sec", base), ensemble=False)
+    config = switched(base or EiaSecConfig(), name)
+    assert isinstance(config, OffPolicyConfig)
+    return config
+
+
 def team_of(uavs: int) -> FarmConfig:
     """Return the plain farm with so many UAVs, as even as possible, communication UAVs first."""
     counts = [uavs // 3 + (uavs % 3 > kind) for kind in range(3)]
@@ -121,7 +134,7 @@ def team_of(uavs: int) -> FarmConfig:
 
 
 def filled_trainer(
-    algorithm: AlgorithmConfig, farm: FarmConfig | None = None, capacity: int = 65_536, device: str = "cpu"
+    algorithm: OffPolicyConfig, farm: FarmConfig | None = None, capacity: int = 65_536, device: str = "cpu"
 ) -> Trainer:
     """Return a trainer on a device whose replay buffer of so many rows is full of noise."""
     replay = ReplayConfig(capacity=capacity, warmup_steps=0)
@@ -143,14 +156,14 @@ def filled_trainer(
     return trainer
 
 
-def burst_of(config: AlgorithmConfig) -> int:
+def burst_of(config: OffPolicyConfig) -> int:
     """Return how many updates are timed together: whole cycles of an algorithm's kinds of update, at least `BURST`."""
     cycle = ALGORITHMS[config.name].actor_period(config)
     return cycle * -(-BURST // cycle)
 
 
 def measure(
-    config: AlgorithmConfig,
+    config: OffPolicyConfig,
     updates: int,
     farm: FarmConfig | None = None,
     capacity: int = 65_536,
@@ -164,7 +177,7 @@ def measure(
     seconds = fastest(lambda: trainer.train(burst), max(1, updates // burst), device) / burst
     speed = matrix_speed(device)
     return {
-        "algorithm": config.name,
+        "algorithm": ABLATION if isinstance(config, EiaSecConfig) and not config.ensemble else config.name,
         "width": config.hidden,
         "batch": config.batch,
         "agents": trainer.team.agents,
@@ -182,7 +195,7 @@ def decisions(uavs: Sequence[int], repeats: int) -> dict[str, float]:
     found = {}
     for count in uavs:
         team = farm_team(team_of(count))
-        actors = TeamActors.initial(team, AlgorithmConfig().hidden, 0)
+        actors = TeamActors.initial(team, EiaSecConfig().hidden, 0)
         rows = np.random.default_rng(0).normal(size=(1, team.observation_size)).astype(np.float32)
         actors.environment_actions(rows)
         found[str(count)] = round(
@@ -193,11 +206,11 @@ def decisions(uavs: Sequence[int], repeats: int) -> dict[str, float]:
 
 def growth(updates: int, device: str) -> dict[str, list[Line]]:
     """Return lines for more agents, wider networks and larger batches, one thing at a time."""
-    base = AlgorithmConfig()
+    base = EiaSecConfig()
 
-    def lines(variants: Sequence[AlgorithmConfig], farms: Sequence[FarmConfig | None] = (None,)) -> list[Line]:
+    def lines(variants: Sequence[OffPolicyConfig], farms: Sequence[FarmConfig | None] = (None,)) -> list[Line]:
         return [
-            measure(replace(variant, name=name), updates, farm, GROWTH_ROWS, device)
+            measure(configured(name, variant), updates, farm, GROWTH_ROWS, device)
             for name in ("eia-sec", "maddpg")
             for variant in variants
             for farm in farms
@@ -277,7 +290,7 @@ def options() -> argparse.Namespace:
     """Return the command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.learner", description="Time of one update.")
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--algorithms", nargs="+", default=list(TIMED), choices=list(ALGORITHMS))
+    parser.add_argument("--algorithms", nargs="+", default=list(TIMED), choices=list(TIMED))
     parser.add_argument("--widths", type=int, nargs="+", default=[64, 128, 256])
     parser.add_argument("--threads", type=int, nargs="+", default=[1])
     parser.add_argument("--updates", type=int, default=300)
@@ -289,11 +302,11 @@ def options() -> argparse.Namespace:
 
 def measure_updates(asked: argparse.Namespace) -> list[Line]:
     """Return a line for each number of threads, width and algorithm."""
-    lines, base = [], AlgorithmConfig()
+    lines, base = [], EiaSecConfig()
     for threads in asked.threads:
         take_threads(threads)
         lines += [
-            measure(replace(base, name=name, hidden=width), asked.updates, device=asked.device)
+            measure(configured(name, replace(base, hidden=width)), asked.updates, device=asked.device)
             for width in asked.widths
             for name in asked.algorithms
         ]

@@ -17,7 +17,7 @@ class ImitationSchedule:
 
     Attributes:
         config: the settings.
-        enabled: whether the algorithm has imitation.
+        enabled: whether agents imitate elites at all.
     """
 
     config: EliteConfig
@@ -26,7 +26,7 @@ class ImitationSchedule:
     @classmethod
     def of(cls, config: RunConfig) -> "ImitationSchedule":
         """Return a run's schedule; in an algorithm without imitation no event is ever due."""
-        return cls(config.elite, config.algorithm.has_imitation)
+        return cls(config.elite, config.imitates)
 
     def rate(self, event: int) -> float:
         """Return vartheta of event number `event` (1 is the first)."""

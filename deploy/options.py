@@ -12,7 +12,10 @@ import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructTypeInfo
 
 from common.config import RunConfig
+from common.config.algorithms import switched
+from common.config.effect import switched_off, without_effect
 from common.config.files import from_toml
+from common.config.former import refuse_ablation
 from common.config.presets import PRESETS
 from common.config.sites import Sites
 from common.errors import ConfigError, UsageError
@@ -38,15 +41,18 @@ def _hide_sites(info: StructTypeInfo) -> StructConstructorSpec | None:
 
 
 def base_configuration(arguments: Sequence[str], default: str = "default") -> RunConfig:
-    """Return the configuration that `--preset`, `--config` and `--farm-file` name; the options then act on it.
+    """Return the configuration of `--preset`, `--config`, `--algorithm` and `--farm-file`; other options act on it.
 
     With `--resume` and neither of the first two it is that of the run directory.
 
     Raises:
-        ConfigError: for a preset that does not exist, or a file with a mistake.
+        ConfigError: for a preset or an algorithm that does not exist, or a file with a mistake.
     """
     farm_file = _value_of(arguments, "--farm-file")
     config = _named_configuration(arguments, default)
+    if name := _value_of(arguments, "--algorithm") or _value_of(arguments, "--algorithm.name"):
+        refuse_ablation(name)
+        config = replace(config, algorithm=switched(config.algorithm, name))
     return with_farm_file(config, Path(farm_file)) if farm_file else config
 
 
@@ -101,8 +107,13 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
     try:
         with contextlib.redirect_stderr(complaint):
             spelt = _spelt_out(kind, arguments)
+            given = getattr(default, "settings", None)
+            if isinstance(given, RunConfig):
+                _refuse_without_effect(given, spelt)
             parsed = tyro.cli(kind, args=spelt, prog=f"eia-sec {name}", default=default, registry=_REGISTRY)
         settings = getattr(parsed, "settings", None)
+        if isinstance(settings, RunConfig):
+            _refuse_switched_off(settings, spelt)
         if isinstance(settings, RunConfig) and _value_of(arguments, "--farm-file"):
             require_farm(settings, NO_FARM)
         return cast(T, parsed)
@@ -110,6 +121,26 @@ def parse(kind: type[T], arguments: Sequence[str], name: str, default: T | None 
         if stop.code in (0, None):
             raise
         raise UsageError(f"{_sentence(complaint.getvalue())} (eia-sec {name} --help lists the options)") from None
+
+
+def _keys(arguments: Sequence[str]) -> list[str]:
+    """Return the configuration keys that a command line names."""
+    words = [word[2:].partition("=")[0].replace("-", "_") for word in arguments if word.startswith("--")]
+    return [word.replace(".no_", ".") for word in words if "." in word]
+
+
+def _refuse_without_effect(config: RunConfig, arguments: Sequence[str]) -> None:
+    """Raise ConfigError for an option that has no effect with the algorithm."""
+    for key in _keys(arguments):
+        if reason := without_effect(config, key):
+            raise ConfigError(reason)
+
+
+def _refuse_switched_off(config: RunConfig, arguments: Sequence[str]) -> None:
+    """Raise ConfigError for an option of a part that is switched off."""
+    for key in _keys(arguments):
+        if reason := switched_off(config, key):
+            raise ConfigError(reason)
 
 
 def _spelt_out(kind: type[Any], arguments: Sequence[str]) -> list[str]:

@@ -75,7 +75,8 @@ def train_form(name: str, seed: int, episodes: int) -> dict[str, Any]:
     """Train one form and return its curves."""
     torch.set_num_threads(1)
     base = PRESETS["study"]
-    config: RunConfig = replace(base, seed=seed, episodes=episodes, algorithm=replace(base.algorithm, **FORMS[name]))
+    algorithm = replace(base.algorithm, **FORMS[name])
+    config: RunConfig = replace(base, seed=seed, episodes=episodes, algorithm=algorithm)
     curve: list[dict[str, float]] = []
 
     def watch(trainer: Trainer, chunk: Chunk) -> None:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from common.actors import TeamActors
-from common.config import AlgorithmConfig
+from common.config import OffPolicyConfig
 from common.seeds import stream
 from common.team import Float32, TeamSpec
 from learner.algorithms import ALGORITHMS
@@ -48,7 +48,7 @@ class Engine:
 
     def __init__(
         self,
-        config: AlgorithmConfig,
+        config: OffPolicyConfig,
         team: TeamSpec,
         seed: int,
         device: str = "cpu",

@@ -73,8 +73,8 @@ class Trainer:
     def __init__(self, config: RunConfig, team: TeamSpec) -> None:
         self.config, self.team = config, team
         usable_device(config.learner.device)
-        self.engine = Engine(config.algorithm, team, config.seed, config.learner.device)
-        algorithm, device = config.algorithm, config.learner.device
+        self.engine = Engine(config.off_policy, team, config.seed, config.learner.device)
+        algorithm, device = config.off_policy, config.learner.device
         self.replay = Replay(team, config.replay.capacity, device, steps=algorithm.n_step, discount=algorithm.discount)
         self.random = stream(config.seed, "replay")
         self.environment_steps = self.updates = self.episodes = self.version = self.events = 0

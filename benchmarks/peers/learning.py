@@ -89,7 +89,7 @@ def options_of_ours(case: Case, budget: Budget) -> list[str]:
         *("--replay.updates-per-step", str(1.0 / budget.every), "--replay.warmup-steps", str(budget.warmup)),
         *("--algorithm.actor-rate", str(case.rate), "--algorithm.critic-rate", str(case.rate)),
         *("--algorithm.discount", "0.95", "--algorithm.target-rate", "0.005", "--algorithm.reward-scale", "1.0"),
-        *("--exploration.start", str(NOISE), "--exploration.end", str(NOISE)),
+        *("--exploration.noise-std-start", str(NOISE), "--exploration.noise-std-end", str(NOISE)),
         *("--rollout.chunk-steps", str(EPISODE_STEPS), "--evaluation.farms", str(SCENARIOS)),
         *OURS[case.software],
     ]

@@ -147,7 +147,7 @@ def settings(config: RunConfig) -> dict[str, Any]:
         "discount": algorithm.discount,
         "target_rate": algorithm.target_rate,
         "reward_scale": algorithm.reward_scale,
-        "noise": config.exploration.start,
+        "noise": config.exploration.noise_std_start,
     }
 
 

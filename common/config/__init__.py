@@ -1,5 +1,15 @@
 """Frozen configuration dataclasses; every field has a docstring with unit and symbol."""
 
+from common.config.algorithms import (
+    ALGORITHM_CONFIGS,
+    AlgorithmConfig,
+    BaselineConfig,
+    EiaSecConfig,
+    MaddpgConfig,
+    MasacConfig,
+    Matd3Config,
+    OffPolicyConfig,
+)
 from common.config.control import ControlConfig
 from common.config.environment import EnvConfig
 from common.config.farm import (
@@ -12,13 +22,16 @@ from common.config.farm import (
     RewardConfig,
     WorldConfig,
 )
-from common.config.learning import AlgorithmConfig, EliteConfig, ExplorationConfig, ReplayConfig
+from common.config.learning import EliteConfig, ExplorationConfig, ReplayConfig
 from common.config.run import EvaluationConfig, LearnerConfig, RolloutConfig, RunConfig
 
 __all__ = [
+    "ALGORITHM_CONFIGS",
     "AlgorithmConfig",
+    "BaselineConfig",
     "CameraConfig",
     "ControlConfig",
+    "EiaSecConfig",
     "EliteConfig",
     "EnergyConfig",
     "EnvConfig",
@@ -26,7 +39,11 @@ __all__ = [
     "ExplorationConfig",
     "FarmConfig",
     "LearnerConfig",
+    "MaddpgConfig",
+    "MasacConfig",
+    "Matd3Config",
     "ObservationConfig",
+    "OffPolicyConfig",
     "RadioConfig",
     "RelayConfig",
     "ReplayConfig",

@@ -11,9 +11,13 @@ import json
 import re
 import sys
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
+from common.config.algorithms import ALGORITHM_CONFIGS, switched
+from common.config.effect import without_effect
+from common.config.former import refuse_ablation, upgraded
 from common.config.run import EvaluationConfig, LearnerConfig, RunConfig
 from common.config.sites import MAX_SENSORS, Sites
 from common.errors import ConfigError
@@ -32,9 +36,15 @@ _LONG: Final = 8
 
 
 def flatten(config: Any) -> dict[str, Value]:
-    """Return every field of a nested configuration dataclass by its dotted key, in the order of declaration."""
+    """Return every field of a nested configuration by its dotted key, in the order of declaration.
+
+    Sections that the algorithm does not read are left out.
+    """
     flat: dict[str, Value] = {}
+    unused = config.unused_sections if isinstance(config, RunConfig) else ()
     for field in dataclasses.fields(config):
+        if field.name in unused:
+            continue
         value = getattr(config, field.name)
         if dataclasses.is_dataclass(value):
             flat.update({f"{field.name}.{key}": inner for key, inner in flatten(value).items()})
@@ -61,8 +71,8 @@ def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
         base: what the source leaves out.
 
     Raises:
-        ConfigError: the file cannot be read, is not TOML, names an unknown key, or gives a key a value of the
-            wrong type or out of range.
+        ConfigError: the file cannot be read, is not TOML, names a key that is unknown or has no effect with the
+            algorithm, or gives a key a value of the wrong type or out of range.
     """
     text = _read(source) if isinstance(source, Path) else source
     try:
@@ -70,8 +80,7 @@ def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
     except (ValueError, RecursionError) as error:
         where = f"{source} is" if isinstance(source, Path) else "this is"
         raise ConfigError(f"{where} not valid TOML: {str(error).lower().rstrip('.')}.") from error
-    merged: RunConfig = _merge(base, table, "")
-    return merged
+    return _merged(base, upgraded(table))
 
 
 def with_setting(config: RunConfig, setting: str) -> RunConfig:
@@ -87,14 +96,23 @@ def with_setting(config: RunConfig, setting: str) -> RunConfig:
         raise ConfigError(f"a setting is KEY=VALUE, farm.world.density=clustered for instance, not {setting!r}.")
     if _WORD.fullmatch(value) and not _is_toml(value):
         value = format_value(value)
+    if key == "algorithm.name":
+        refuse_ablation(value.strip("\"'"))
     return from_toml(f"{key} = {value}", config)
+
+
+def with_values(config: RunConfig, values: Mapping[str, Value]) -> RunConfig:
+    """Return the configuration with new values by their dotted keys; raise ConfigError like `from_toml`."""
+    return from_toml("\n".join(f"{key} = {format_value(value)}" for key, value in values.items()), config)
 
 
 def differences(a: RunConfig, b: RunConfig) -> list[str]:
     """Return one line `dotted.key: a -> b` for each field in which two configurations differ."""
-    other = flatten(b)
+    before, after = flatten(a), flatten(b)
     return [
-        f"{key}: {_brief(value)} -> {_brief(other[key])}" for key, value in flatten(a).items() if value != other[key]
+        f"{key}: {_brief(before[key]) if key in before else 'none'} -> {_brief(after[key]) if key in after else 'none'}"
+        for key in {**before, **after}
+        if key not in before or key not in after or before[key] != after[key]
     ]
 
 
@@ -140,6 +158,19 @@ def _is_toml(value: str) -> bool:
     return True
 
 
+def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
+    """Return the base with a file's values, whose algorithm decides which options there are."""
+    algorithm = table.get("algorithm")
+    if isinstance(algorithm, dict) and isinstance(name := algorithm.get("name"), str):
+        base = dataclasses.replace(base, algorithm=switched(base.algorithm, name))
+    for section, values in table.items():
+        keys = [f"{section}.{key}" for key in values] if isinstance(values, dict) else []
+        if found := next(filter(None, (without_effect(base, key) for key in (*keys, section))), None):
+            raise ConfigError(found)
+    merged: RunConfig = _merge(base, table, "")
+    return merged
+
+
 def _merge(base: Any, table: dict[str, Any], prefix: str) -> Any:
     """Return a copy of a dataclass with the table's values, checked field by field."""
     hints = get_type_hints(type(base))
@@ -167,13 +198,20 @@ def _merge(base: Any, table: dict[str, Any], prefix: str) -> Any:
 
 def _unknown(key: str, prefix: str) -> str:
     """Return the sentence for a key that does not exist, with the closest one that does."""
-    keys = flatten(RunConfig())
+    keys = _all_keys()
     sections = {whole.rpartition(".")[0] for whole in keys} | {whole.split(".")[0] for whole in keys} - {""}
     name = key.removeprefix(prefix)
     ending = {whole.rpartition(".")[2]: whole for whole in keys}
     exact = ending.get(name)
     close = [exact] if exact else difflib.get_close_matches(key, [*keys, *sections], n=1, cutoff=0.0)
     return f"unknown configuration key {key}; the closest known one is {close[0]}."
+
+
+def _all_keys() -> dict[str, Value]:
+    """Return the keys of all algorithms."""
+    base = RunConfig()
+    configs = [dataclasses.replace(base, algorithm=switched(base.algorithm, name)) for name in ALGORITHM_CONFIGS]
+    return {key: value for config in configs for key, value in flatten(config).items()}
 
 
 def _convert(key: str, value: Any, wanted: Any) -> Value:

@@ -89,8 +89,8 @@ farms = 1
 capacity = 65536
 updates_per_step = 1.0
 [exploration]
-start = 0.2
-end = 0.05
+noise_std_start = 0.2
+noise_std_end = 0.05
 decay_share = 0.6
 """
 """The paper's Table 2 with the printed forms of W5, W24, A7, A8, A9 and A10.

@@ -4,10 +4,11 @@ import re
 from dataclasses import dataclass, field
 from typing import Final
 
+from common.config.algorithms import OPTIONAL_SECTIONS, AlgorithmConfig, EiaSecConfig, OffPolicyConfig
 from common.config.checks import not_negative, positive, within
 from common.config.environment import EnvConfig
 from common.config.farm import FarmConfig
-from common.config.learning import AlgorithmConfig, EliteConfig, ExplorationConfig, ReplayConfig
+from common.config.learning import EliteConfig, ExplorationConfig, ReplayConfig
 from common.errors import ConfigError
 
 _DEVICE: Final = re.compile(r"cpu|cuda(:(0|[1-9]\d{0,2}))?")
@@ -101,7 +102,7 @@ class RunConfig:
     """Training episodes lambda_max, counted over all environments of all workers."""
     env: EnvConfig = field(default_factory=EnvConfig)
     farm: FarmConfig = field(default_factory=FarmConfig)
-    algorithm: AlgorithmConfig = field(default_factory=AlgorithmConfig)
+    algorithm: AlgorithmConfig = field(default_factory=EiaSecConfig)
     elite: EliteConfig = field(default_factory=EliteConfig)
     replay: ReplayConfig = field(default_factory=ReplayConfig)
     exploration: ExplorationConfig = field(default_factory=ExplorationConfig)
@@ -115,8 +116,37 @@ class RunConfig:
         within(1, 100_000_000, episodes=self.episodes)
         if self.evaluation.first_farm < self.rollout.train_farms:
             raise ConfigError("evaluation.first_farm must lie beyond the training farms, so that they stay unseen.")
-        if self.replay.capacity < max(2 * self.algorithm.batch, self.rollout.chunk_rows(self.rollout.chunk_steps)):
+        for section in self.unused_sections:  # alike in all runs, so that equal runs are equal
+            kind = type(getattr(self, section))
+            object.__setattr__(self, section, kind())
+        if "replay" in self.algorithm.sections:
+            self._check_replay()
+
+    def _check_replay(self) -> None:
+        rows = max(2 * self.algorithm.batch, self.rollout.chunk_rows(self.rollout.chunk_steps))
+        if self.replay.capacity < rows:
             raise ConfigError(
                 f"replay.capacity {self.replay.capacity} holds no batch of {self.algorithm.batch} or no chunk of "
                 f"{self.rollout.environments} times {self.rollout.chunk_steps} steps; it takes up to two rows for each."
             )
+
+    @property
+    def unused_sections(self) -> tuple[str, ...]:
+        """Sections that the algorithm does not read; they hold their defaults."""
+        return tuple(section for section in OPTIONAL_SECTIONS if section not in self.algorithm.sections)
+
+    @property
+    def imitates(self) -> bool:
+        """Whether agents imitate elites."""
+        return "elite" in self.algorithm.sections and self.elite.enabled
+
+    @property
+    def off_policy(self) -> OffPolicyConfig:
+        """The algorithm's configuration, where it learns from a replay buffer.
+
+        Raises:
+            ConfigError: it does not.
+        """
+        if not isinstance(self.algorithm, OffPolicyConfig):
+            raise ConfigError(f"{self.algorithm.name} does not learn from a replay buffer.")
+        return self.algorithm

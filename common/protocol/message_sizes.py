@@ -29,7 +29,7 @@ def evaluation_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
     """Return the bytes of the rewards of an imitation event's flights; 0 where an episode's length is not known."""
     flights = min(config.elite.farms, config.rollout.train_farms)
     fewest, most = environment.episode_steps
-    return 4 * flights * most * environment.team.agents if config.elite.enabled and fewest == most else 0
+    return 4 * flights * most * environment.team.agents if config.imitates and fewest == most else 0
 
 
 def actor_bytes(config: RunConfig, team: TeamSpec) -> int:

@@ -37,7 +37,7 @@ def train_inprocess(
     actors, seen_steps, progress, chunks = trainer.actors(), trainer.environment_steps, 0.0, 0
     while trainer.episodes < config.episodes:
         uniform = seen_steps < config.replay.warmup_steps
-        chunk = collector.collect(actors, config.exploration.deviation(progress), uniform)
+        chunk = collector.collect(actors, config.exploration.noise_std(progress), uniform)
         chunks += 1
         trainer.absorb(chunk, version, WORKER, chunks)
         trainer.train(max(0, trainer.updates_due()))

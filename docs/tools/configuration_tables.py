@@ -4,17 +4,31 @@ import ast
 import dataclasses
 import inspect
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from common.config import RunConfig
+from common.config import ALGORITHM_CONFIGS, AlgorithmConfig, RunConfig
+from common.config.algorithms import OPTIONAL_SECTIONS
 from common.config.files import flatten, format_value
 from common.config.presets import PRESETS
 from common.config.sites import Sites
 
+_ALGORITHM = """`name` selects the algorithm, and with it the options of this section; an option of another algorithm is
+refused. The ablations of EIA-SEC are `ensemble = false` (imitation only), `elite.enabled = false` (ensemble only),
+and both.
+"""
+
 
 def field_docs(section: type[Any]) -> dict[str, str]:
     """Return the docstring that stands under each field of a dataclass, by field name, on one line."""
+    docs: dict[str, str] = {}
+    for base in reversed(section.__mro__):
+        if vars(base).get("__annotations__"):
+            docs |= _own_field_docs(base)
+    return docs
+
+
+def _own_field_docs(section: type[Any]) -> dict[str, str]:
     definition = ast.parse(textwrap.dedent(inspect.getsource(section))).body[0]
     assert isinstance(definition, ast.ClassDef)
     docs = {}
@@ -41,18 +55,64 @@ def configuration_tables() -> str:
     """Return one table for each section of the configuration, with one row for each key."""
     parts = []
     for name, section in sections(RunConfig()):
+        if name == "algorithm":
+            parts += _algorithm_tables()
+            continue
         rows = [_row(name, section, field.name) for field in dataclasses.fields(section)]
         rows = [row for row in rows if row]
         if rows:
             title = f"`[{name}]`" if name else "Top of the file"
-            parts.append(
-                f"## {title}\n\n{inspect.getdoc(type(section))}\n\n" + "\n".join([*_table_head(), *rows]) + "\n"
-            )
+            about = _about(type(section)) + _readers(name)
+            parts.append(f"## {title}\n\n{about}\n\n" + "\n".join([*_table_head(PRESETS), *rows]) + "\n")
     return "\n".join(parts)
 
 
-def _table_head() -> list[str]:
-    names = ["key", "type", *PRESETS, "meaning"]
+def _about(section: type[Any]) -> str:
+    """Return the first paragraph of a class's docstring on one line."""
+    return " ".join((inspect.getdoc(section) or "").partition("\n\n")[0].split())
+
+
+def _readers(name: str) -> str:
+    """Return which algorithms read a section, where not all of them do."""
+    if name not in OPTIONAL_SECTIONS:
+        return ""
+    return f" For {_listed([key for key, kind in ALGORITHM_CONFIGS.items() if name in kind.sections])}."
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
+def _algorithm_tables() -> Iterator[str]:
+    """Yield a table of the options that all algorithms share, and one for each class that adds some."""
+    shown = type(RunConfig().algorithm)
+    yield f"## `[algorithm]`\n\n{_ALGORITHM}"
+    for owner in _declaring_classes():
+        users = [name for name, kind in ALGORITHM_CONFIGS.items() if issubclass(kind, owner)]
+        fields = [field for field in vars(owner)["__annotations__"] if field != "sections"]
+        if owner is not AlgorithmConfig:
+            fields = [field for field in fields if field != "name"]
+        in_presets = issubclass(shown, owner)
+        rows = [_row("algorithm", shown(), field) if in_presets else _plain_row(owner, field) for field in fields]
+        if rows:
+            head = _table_head(PRESETS if in_presets else ["default"])
+            yield f"### {_listed(users)}\n\n{_about(owner)}\n\n" + "\n".join([*head, *rows]) + "\n"
+
+
+def _declaring_classes() -> list[type[Any]]:
+    """Return every class that declares options of an algorithm, those that more algorithms share first."""
+    lines = [reversed(kind.__mro__) for kind in ALGORITHM_CONFIGS.values()]
+    return list(dict.fromkeys(owner for line in lines for owner in line if dataclasses.is_dataclass(owner)))
+
+
+def _plain_row(owner: type[Any], field: str) -> str:
+    """Return the row of an option that no preset's algorithm has."""
+    default = next(entry.default for entry in dataclasses.fields(owner) if entry.name == field)
+    return _cells([f"`{field}`", _type(get_type_hints(owner)[field]), _value(default), field_docs(owner)[field]])
+
+
+def _table_head(columns: Iterable[str]) -> list[str]:
+    names = ["key", "type", *columns, "meaning"]
     return [_cells(names), _cells(["---"] * len(names))]
 
 
@@ -65,6 +125,8 @@ def _row(section_name: str, section: Any, field: str) -> str:
     values = [flatten(config)[key] for config in PRESETS.values()]
     shown = [_value(value) if value == default else f"**{_value(value)}**" for value in values]
     kind = _type(get_type_hints(type(section))[field])
+    if key == "algorithm.name":
+        kind = " or ".join(f"`{name}`" for name in ALGORITHM_CONFIGS)
     return _cells([f"`{field}`", kind, *shown, field_docs(type(section))[field]])
 
 

@@ -60,7 +60,7 @@ def _compared_runs(bench: Bench, tuned: tuple[Method, ...], runs: Mapping[str, l
 
 
 def _member_methods(bench: Bench) -> dict[int, Method]:
-    return {k: Method(f"k_s = {k}", {**EIA_SEC.changes, "ensemble_members": k}) for k in bench.scale.members}
+    return {k: Method(f"k_s = {k}", {**EIA_SEC.changes, "algorithm.ensemble_members": k}) for k in bench.scale.members}
 
 
 def _ensemble_stages(bench: Bench) -> Stages:

@@ -7,16 +7,18 @@ candidate leads, so that of a method which converges late is longer; the reporte
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 from common.config import RunConfig
+from common.config.files import Value, with_values
+from common.config.former import ABLATIONS as FORMER_ABLATIONS
 from common.imitation import ImitationSchedule
 
-PRINTED_TARGET: Final[dict[str, Any]] = {
-    "ensemble_loss": "mixture",
-    "bootstrap": "local",
-    "actor_objective": "local",
-    "ensemble_copy_rate": 0.1,
+PRINTED_TARGET: Final[dict[str, Value]] = {
+    "algorithm.ensemble_loss": "mixture",
+    "algorithm.bootstrap": "local",
+    "algorithm.actor_objective": "local",
+    "algorithm.ensemble_copy_rate": 0.1,
 }
 """The printed shared ensemble critic, readings A7, A8 and A9."""
 
@@ -27,27 +29,27 @@ class Method:
 
     Attributes:
         name: as tables and pictures call it.
-        changes: fields of the algorithm that make it.
+        changes: options that make it, by their keys.
         late: whether it is still learning where EIA-SEC has converged, so that its trials are longer.
     """
 
     name: str
-    changes: Mapping[str, Any] = field(default_factory=dict)
+    changes: Mapping[str, Value] = field(default_factory=dict)
     late: bool = False
 
 
-EIA_SEC: Final = Method("EIA-SEC", {"name": "eia-sec"})
+EIA_SEC: Final = Method("EIA-SEC", {"algorithm.name": "eia-sec"})
 PEERS: Final = (
-    Method("MADDPG", {"name": "maddpg"}, late=True),
-    Method("MATD3", {"name": "matd3"}, late=True),
-    Method("MASAC", {"name": "masac"}, late=True),
+    Method("MADDPG", {"algorithm.name": "maddpg"}, late=True),
+    Method("MATD3", {"algorithm.name": "matd3"}, late=True),
+    Method("MASAC", {"algorithm.name": "masac"}, late=True),
 )
 ABLATIONS: Final = (
     EIA_SEC,
-    Method("EIA only", {"name": "eia"}, late=True),
-    Method("SEC only", {"name": "sec"}),
-    Method("neither", {"name": "base"}, late=True),
-    Method("EIA-SEC, printed target", {"name": "eia-sec", **PRINTED_TARGET}),
+    Method("EIA only", FORMER_ABLATIONS["eia"], late=True),
+    Method("SEC only", FORMER_ABLATIONS["sec"]),
+    Method("neither", FORMER_ABLATIONS["base"], late=True),
+    Method("EIA-SEC, printed target", PRINTED_TARGET),
 )
 
 DEFAULT_PRESET: Final = "default preset"
@@ -74,9 +76,10 @@ def configuration(base: RunConfig, method: Method, candidate: str, seed: int, ep
         seed: seed of the run.
         episodes: the budget; see `training_episodes`.
     """
-    algorithm = replace(base.algorithm, **method.changes)
+    config = with_values(replace(base, seed=seed), method.changes)
+    algorithm = config.algorithm
     factors = {name: getattr(algorithm, name) * factor for name, factor in CANDIDATES[candidate].items()}
-    config = replace(base, seed=seed, algorithm=replace(algorithm, **factors))
+    config = replace(config, algorithm=replace(algorithm, **factors))
     return replace(config, episodes=training_episodes(config, episodes))
 
 

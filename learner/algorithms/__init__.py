@@ -1,21 +1,17 @@
-"""Every algorithm by its name. To add one, write its file and add its line here and in `common.config.learning`."""
+"""Every algorithm by its name. To add one, write its file and add a line here and in `common.config.algorithms`."""
 
-from typing import Final
+from typing import Any, Final
 
-from common.config.learning import AlgorithmName
 from learner.algorithms.base import Algorithm
 from learner.algorithms.eia_sec import EiaSec
 from learner.algorithms.maddpg import Maddpg
 from learner.algorithms.masac import Masac
 from learner.algorithms.matd3 import Matd3
 
-ALGORITHMS: Final[dict[AlgorithmName, type[Algorithm]]] = {
+ALGORITHMS: Final[dict[str, type[Algorithm[Any]]]] = {
     "eia-sec": EiaSec,
-    "eia": EiaSec,
-    "sec": EiaSec,
-    "base": EiaSec,
     "maddpg": Maddpg,
     "matd3": Matd3,
     "masac": Masac,
 }
-"""The classes by `algorithm.name`; the ablations of EIA-SEC are its own class with parts left out."""
+"""The learners by `algorithm.name`; `common.config.ALGORITHM_CONFIGS` has their options."""

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from common.actors import Head, TeamActors
-from common.config import AlgorithmConfig
+from common.config import OffPolicyConfig
 from common.team import Float32, TeamSpec
 from learner.networks.compiled_pass import make_pass
 from learner.networks.inputs import Inputs
@@ -49,7 +49,7 @@ class Actors:
     """
 
     def __init__(
-        self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, head: Head, target: bool, cores: int
+        self, config: OffPolicyConfig, team: TeamSpec, like: Tensor, *, head: Head, target: bool, cores: int
     ) -> None:
         self._config, self._team, self.head = config, team, head
         outputs = 2 if head == "gaussian" else 1

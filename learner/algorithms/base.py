@@ -13,18 +13,20 @@ together with what its gradients take; the gradient of a forward pass that anoth
 """
 
 from abc import ABC, abstractmethod
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Generic, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
 from common.actors import Head
-from common.config import AlgorithmConfig
+from common.config import OffPolicyConfig
 from common.team import TeamSpec
 from learner.algorithms.actors import Actors
 from learner.algorithms.critics import Critics, QValues
 from learner.networks.inputs import Inputs, action_views, by_agent
 from learner.networks.optimiser import Adam
+
+C = TypeVar("C", bound=OffPolicyConfig)
 
 
 class Batch(NamedTuple):
@@ -79,7 +81,7 @@ class Diagnostics(NamedTuple):
     entropy_regularised: bool = False
 
 
-class Algorithm(ABC):
+class Algorithm(ABC, Generic[C]):
     """The networks of one off-policy algorithm, and its update from a batch of replay.
 
     Args:
@@ -104,7 +106,7 @@ class Algorithm(ABC):
     objective_critics: ClassVar[int] = 1
     noise_blocks: ClassVar[int] = 0
 
-    def __init__(self, config: AlgorithmConfig, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
+    def __init__(self, config: C, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
         self.config, self.team, self.like, self.cores = config, team, like, cores
         self._inputs, self._next_inputs = (
             Inputs(team, config.batch, config.joint_critics, like, pooled=config.uses_ensemble) for _ in range(2)
@@ -147,7 +149,7 @@ class Algorithm(ABC):
         return False
 
     @classmethod
-    def actor_period(cls, config: AlgorithmConfig) -> int:
+    def actor_period(cls, config: C) -> int:
         """Return after how many updates the actors step."""
         return 1
 
@@ -199,7 +201,7 @@ class Algorithm(ABC):
 
         In the joint scope the other agents act as `others` says: as in the batch, or by their policies as well.
         """
-        if self.config.others != "batch" and self.config.joint_critics:
+        if self.config.follows_policies:
             return self.critics.objective_q_values(self._objective_parameters, inputs.with_actions(actions))
         return self.critics.objective_q_values(self._objective_parameters, inputs, inputs.action_change(actions))
 
@@ -210,7 +212,7 @@ class Algorithm(ABC):
         (`others = "team"`), all critics' gradients by an action add up.
         """
         gradient = self._action_gradient.zero_()
-        if not self.config.climbs_together:
+        if not self.config.team_objective:
             self.critics.action_gradient(q, upstream, self._action_gradient_views)
             return gradient
         rows = self._team_action_gradient.zero_()

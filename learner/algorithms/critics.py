@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from common.actors import initial_parameters
-from common.config import AlgorithmConfig
+from common.config import OffPolicyConfig
 from common.seeds import stream
 from common.team import TeamSpec
 from learner.networks.compiled_pass import make_pass
@@ -49,7 +49,7 @@ class Critics:
     """
 
     def __init__(
-        self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, each: int, objective: int, cores: int
+        self, config: OffPolicyConfig, team: TeamSpec, like: Tensor, *, each: int, objective: int, cores: int
     ) -> None:
         self._config, self._team, self.each = config, team, each
         self._objective = objective
@@ -69,7 +69,7 @@ class Critics:
     def _stack(self, kind: int) -> Stack:
         group, width = self._team.groups[kind], critic_width(self._team, kind, self._joint)
         own, step = 1 + group.observation_size, 0
-        if self._config.climbs_together:
+        if self._config.team_objective:
             own = 1 + self._team.observation_size
             return Stack(group.count, width, 1, self._config.batch, own, 0, self._team.action_size)
         if self._joint:

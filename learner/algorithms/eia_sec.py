@@ -30,13 +30,14 @@ Elite imitation, the other half of the method, acts on the actors between update
 import torch
 from torch import Tensor
 
+from common.config import EiaSecConfig
 from learner.algorithms.base import Algorithm, Batch, Diagnostics
 from learner.algorithms.critics import QValues
 from learner.algorithms.ensemble import Ensemble
 from learner.networks.inputs import Inputs
 
 
-class EiaSec(Algorithm):
+class EiaSec(Algorithm[EiaSecConfig]):
     """EIA-SEC, or without its ensemble; the module gives its equations."""
 
     def has_target_actors(self) -> bool:

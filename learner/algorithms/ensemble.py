@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from common.actors import initial_parameters
-from common.config import AlgorithmConfig
+from common.config import EiaSecConfig
 from common.seeds import stream
 from common.team import TeamSpec
 from learner.algorithms.critics import QValues
@@ -26,7 +26,7 @@ class Ensemble:
         networks: layout of all members.
     """
 
-    def __init__(self, config: AlgorithmConfig, team: TeamSpec, like: Tensor, *, cores: int) -> None:
+    def __init__(self, config: EiaSecConfig, team: TeamSpec, like: Tensor, *, cores: int) -> None:
         self._config, self._team = config, team
         k_s, batch = config.ensemble_members, config.batch
         self._widths = [critic_width(team, kind, config.joint_critics) for kind in range(len(team.groups))]

@@ -14,10 +14,11 @@ One update, for every agent i at once, with x all observations and a all actions
 import torch
 from torch import Tensor
 
+from common.config import MaddpgConfig
 from learner.algorithms.base import Algorithm, Batch, Diagnostics
 
 
-class Maddpg(Algorithm):
+class Maddpg(Algorithm[MaddpgConfig]):
     """MADDPG; the module gives its equations."""
 
     def has_target_actors(self) -> bool:

@@ -26,7 +26,7 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from common.actors import LOG_STD_RANGE
-from common.config import AlgorithmConfig
+from common.config import MasacConfig
 from common.team import TeamSpec
 from learner.algorithms.base import Algorithm, Batch, Diagnostics
 from learner.networks.inputs import Inputs
@@ -52,7 +52,7 @@ class Sample(NamedTuple):
     forward: Forward
 
 
-class Masac(Algorithm):
+class Masac(Algorithm[MasacConfig]):
     """MASAC; the module gives its equations."""
 
     head = "gaussian"
@@ -60,7 +60,7 @@ class Masac(Algorithm):
     objective_critics = 2
     noise_blocks = 2
 
-    def __init__(self, config: AlgorithmConfig, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
+    def __init__(self, config: MasacConfig, team: TeamSpec, seed: int, like: Tensor, *, cores: int) -> None:
         super().__init__(config, team, seed, like, cores=cores)
         self.log_alpha = like.new_full((team.agents,), math.log(config.temperature))
         self._alpha_adam = Adam(self.log_alpha, config.temperature_rate, cores=cores)

@@ -14,11 +14,11 @@ MADDPG with the three changes of TD3. One update, for every agent i at once:
 import torch
 from torch import Tensor
 
-from common.config import AlgorithmConfig
+from common.config import Matd3Config
 from learner.algorithms.base import Algorithm, Batch, Diagnostics
 
 
-class Matd3(Algorithm):
+class Matd3(Algorithm[Matd3Config]):
     """MATD3; the module gives its equations."""
 
     critics_each = 2
@@ -29,7 +29,7 @@ class Matd3(Algorithm):
         return True
 
     @classmethod
-    def actor_period(cls, config: AlgorithmConfig) -> int:
+    def actor_period(cls, config: Matd3Config) -> int:
         """See `Algorithm`."""
         return config.actor_delay
 

@@ -93,7 +93,7 @@ class RunStorage:
         started = time.perf_counter()
         tensors, state = trainer.snapshot()
         manifest: dict[str, Any] = {
-            "configuration": self._method,
+            "method": self._method,
             "trainer": state,
             "intake": ledger.state(),
             "elapsed": elapsed,
@@ -139,8 +139,8 @@ class RunStorage:
             return 0.0, 0
         self._set_aside(found)
         manifest = found.manifest
-        # Checkpoints of earlier versions name the whole configuration.
-        if manifest.get("configuration") not in (self._method, self._digest):
+        # Earlier versions name a digest that today's options do not give; the folder's config.toml has been compared.
+        if manifest.get("method", self._method) != self._method:
             raise RunDirError(f"the checkpoint in {self._directory} belongs to another configuration.")
         elapsed, epoch = finite(manifest, "elapsed"), counter(manifest, "epoch")
         intake.restore(mapping(manifest, "intake"))

@@ -1,5 +1,7 @@
 """Updates as CUDA graphs: each kind of update is captured once and then replayed with one call."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -16,7 +18,7 @@ class Graphs:
         algorithm: the algorithm, on a CUDA device.
     """
 
-    def __init__(self, algorithm: Algorithm) -> None:
+    def __init__(self, algorithm: Algorithm[Any]) -> None:
         self._algorithm = algorithm
         self._batch: Batch | None = None
         self._noise: Tensor | None = None

@@ -7,14 +7,14 @@ import sys
 import torch
 
 from benchmarks.autograd import AutogradEiaSec, random_batch
-from common.config import AlgorithmConfig
+from common.config import EiaSecConfig
 from learner.engine import Engine
 from tests.learner.algorithms.test_engine import TEAM
 
 
 def test_autograd_does_the_engines_update():
     """Five updates by autograd end at the engine's actors, in float64."""
-    config = AlgorithmConfig(hidden=11, batch=16, ensemble_members=3)
+    config = EiaSecConfig(hidden=11, batch=16, ensemble_members=3)
     engine = Engine(config, TEAM, 3, dtype=torch.float64)
     autograd, batch = AutogradEiaSec(engine), random_batch(config, TEAM, torch.float64)
     for _ in range(5):

@@ -13,16 +13,17 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks import learner
 from benchmarks.peers.catalogue import ROOT
-from common.config import AlgorithmConfig
+from common.config import EiaSecConfig
 from common.errors import UsageError
 from common.team import GroupSpec, TeamSpec
 from deploy.exit_codes import USAGE, run_command
 from learner.engine import Engine
 from tests.learner.algorithms.test_engine import batches
+from tests.learner.algorithms.variants import variant
 
 GROWTH = ROOT / "docs" / "results" / "learner"
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 2), GroupSpec("b", 1, 6, 1)))
-SMALL = AlgorithmConfig(hidden=5, batch=7)
+SMALL = EiaSecConfig(hidden=5, batch=7)
 
 # Multiplications of one row in TEAM's networks with layers of 5, by pencil. A local critic of a sees 3 + 2 numbers, one
 # of b 6 + 1, a joint one 2 * (3 + 2) + 7 = 17. So a critic goes forward with
@@ -51,13 +52,14 @@ MULTIPLICATIONS = {
 @pytest.mark.parametrize("name", learner.TIMED)
 def test_operations_are_those_of_a_count_by_hand(name):
     """Each multiplication comes with an addition, in each of the batch's rows."""
-    assert learner.operations(replace(SMALL, name=name), TEAM) == 2 * 7 * MULTIPLICATIONS[name]
+    assert learner.operations(learner.configured(name, SMALL), TEAM) == 2 * 7 * MULTIPLICATIONS[name]
 
 
 @pytest.mark.parametrize("name", learner.TIMED)
 def test_operations_are_those_that_torch_counts(name):
     """The engine's products by torch have the one that carries the bias in each layer besides, and nothing else."""
-    config = replace(SMALL, name=name, hidden=64, actor_delay=3)
+    config = learner.configured(name, replace(SMALL, hidden=64))
+    config = variant(config, config.name, actor_delay=3)
     engine, updates = Engine(config, TEAM, 0, cores=0), 6
     with FlopCounterMode(display=False) as counter:
         for batch in batches(TEAM, config, updates, torch.float32):
@@ -116,7 +118,8 @@ def test_what_cannot_be_is_refused(arguments, sentence, monkeypatch, capsys):
 )
 def test_bursts_are_whole_cycles(name, delay, updates):
     """A burst has two updates, or more where the kinds of update take longer to repeat."""
-    assert learner.burst_of(AlgorithmConfig(name=name, actor_delay=delay)) == updates
+    config = learner.configured(name)
+    assert learner.burst_of(variant(config, config.name, actor_delay=delay)) == updates
 
 
 class Clock:
@@ -149,7 +152,7 @@ def test_an_update_is_timed_in_bursts_until_the_device_is_done(device, monkeypat
     engine = SimpleNamespace(cores=3 if device == "cpu" else 0)
     monkeypatch.setattr(learner, "filled_trainer", lambda *_: SimpleNamespace(train=train, team=TEAM, engine=engine))
     monkeypatch.setattr(learner, "matrix_speed", lambda where: {"cpu": 1e9, "cuda": 1e12}[where])
-    line = learner.measure(replace(SMALL, name="base"), 8, device=device)
+    line = learner.measure(replace(SMALL, ensemble=False), 8, device=device)
     assert line["ms"] == 2.0
     assert (line["burst"], line["device"]) == (2, device)
     assert line["threads"] == (3 if device == "cpu" else torch.get_num_threads())
@@ -160,7 +163,7 @@ def test_an_update_is_timed_in_bursts_until_the_device_is_done(device, monkeypat
 @pytest.mark.parametrize("name", ["eia-sec", "matd3"])
 def test_updates_are_timed_on_cuda(name):
     """The engine's captured updates and the limit are those of the device."""
-    line = learner.measure(AlgorithmConfig(name=name), 4, capacity=8192, device="cuda")
+    line = learner.measure(learner.configured(name), 4, capacity=8192, device="cuda")
     assert line["device"] == "cuda"
     assert line["ms"] > line["limit_ms"] > 0
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from common.config import RunConfig
+from common.config import ALGORITHM_CONFIGS, RunConfig
 from common.config.files import flatten, format_value
 from common.config.presets import PRESETS
 from docs.tools.blocks import marks, names, replaced, wrapped
@@ -120,13 +120,18 @@ def test_configuration_page_has_every_key_with_its_presets():
             section = line[4:-1].strip("[]") + "." if "`[" in line else ""
         elif line.startswith("| `"):
             cells = [cell.strip() for cell in line.strip("|").split(" | ")]
-            rows[section + cells[0].strip("`")] = cells
-    assert set(rows) == set(flatten(RunConfig()))
-    for key, cells in rows.items():
+            rows.setdefault(section + cells[0].strip("`"), cells)
+    others = [flatten(RunConfig(algorithm=kind())) for kind in ALGORITHM_CONFIGS.values()]
+    assert set(rows) == {key for config in others for key in config}
+    for key in flatten(RunConfig()):
+        cells = rows[key]
         shown = [cell.strip("*") for cell in cells[2 : 2 + len(PRESETS)]]
         values = [flatten(config)[key] for config in PRESETS.values()]
         assert shown == [value if isinstance(value, str) else format_value(value) for value in values]
         assert cells[2 + len(PRESETS)].endswith((".", ")"))
+    for key in rows.keys() - flatten(RunConfig()).keys():
+        assert rows[key][2] == next(str(config[key]) for config in others if key in config)
+        assert rows[key][3].endswith((".", ")"))
 
 
 def test_field_docs_joins_lines_and_skips_methods():

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from common.actors import TeamActors, parameter_views
-from common.config import AlgorithmConfig, ReplayConfig, RunConfig
+from common.config import EiaSecConfig, ReplayConfig, RunConfig
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Rows
 from learner.data.replay import Replay
@@ -44,7 +44,7 @@ def critic(flat, x, hidden):
 
 def test_spread_is_the_members_standard_deviation():
     """It equals the deviation of three members' values at the actors' own actions, computed one by one."""
-    config = AlgorithmConfig(hidden=8, batch=16, ensemble_members=3, critic_rate=1e-30, actor_rate=1e-30)
+    config = EiaSecConfig(hidden=8, batch=16, ensemble_members=3, critic_rate=1e-30, actor_rate=1e-30)
     engine, rows = Engine(config, TEAM, 5), batch(16)
     diagnostics = engine.update(rows, diagnostics=True)
     action = np.split(engine_actions(engine, rows), np.cumsum([1, 1, 2, 2]), axis=1)
@@ -65,7 +65,7 @@ def engine_actions(engine, rows):
 
 def test_gradient_norms_are_of_each_agents_own_networks():
     """Norms of critic and actor gradients by agent are those of the networks' slices, and all agents differ."""
-    config = AlgorithmConfig(hidden=8, batch=16, initialisation="independent")
+    config = EiaSecConfig(hidden=8, batch=16, initialisation="independent")
     engine = Engine(config, TEAM, 5)
     diagnostics = engine.update(batch(16), diagnostics=True)
     wanted = []
@@ -149,7 +149,7 @@ def test_realised_returns_are_in_the_units_of_the_targets(normalised):
     """With reward normalisation ten times the rewards give the same diagnostics; without it ten times as large ones."""
     reported = []
     for factor in (1.0, 10.0):
-        algorithm = AlgorithmConfig(hidden=8, batch=64, reward_normalisation=normalised, reward_scale=0.5)
+        algorithm = EiaSecConfig(hidden=8, batch=64, reward_normalisation=normalised, reward_scale=0.5)
         config = RunConfig(algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0))
         trainer, random = Trainer(config, TEAM), np.random.default_rng(3)
         shapes = ((256, TEAM.observation_size), (256, TEAM.action_size), (256, TEAM.agents))

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from common.actors import TeamActors, imitate
-from common.config import AlgorithmConfig, ReplayConfig, RunConfig
+from common.config import EiaSecConfig, ReplayConfig, RunConfig
 from common.errors import CheckpointError, SchemaError
 from common.imitation import ImitationEvent
 from common.team import GroupSpec, TeamSpec
@@ -19,7 +19,7 @@ from learner.trainer import DIAGNOSTIC_PERIOD, Trainer
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 CONFIG = RunConfig(
     seed=11,
-    algorithm=AlgorithmConfig(hidden=12, batch=16, reward_scale=1.0),
+    algorithm=EiaSecConfig(hidden=12, batch=16, reward_scale=1.0),
     replay=ReplayConfig(capacity=512, warmup_steps=40, updates_per_step=0.5, slack_steps=30),
 )
 
@@ -258,7 +258,7 @@ def test_learns_to_match_a_given_action():
         parts = np.split(square, [1, 2, 4, 6], axis=1)
         return -np.stack([part.sum(axis=1) for part in parts], axis=1).astype(np.float32)
 
-    algorithm = AlgorithmConfig(hidden=32, batch=64, reward_scale=1.0, discount=0.0, actor_rate=2e-3, critic_rate=3e-3)
+    algorithm = EiaSecConfig(hidden=32, batch=64, reward_scale=1.0, discount=0.0, actor_rate=2e-3, critic_rate=3e-3)
     settings = ReplayConfig(capacity=4096, warmup_steps=0, updates_per_step=1.0)
     trainer = Trainer(RunConfig(seed=3, algorithm=algorithm, replay=settings), TEAM)
     trainer.absorb(chunk(3000, reward=reward))

@@ -15,6 +15,7 @@ import json, sys
 from dataclasses import replace
 from numba.core.dispatcher import Dispatcher
 from common.config import RunConfig
+from common.config.algorithms import switched
 from learner.warm_up import warm_up
 from learner.trainer import Trainer
 from rollout.worker.collector import Collector
@@ -28,7 +29,7 @@ def compiled():
 
 base = RunConfig()
 config = replace(
-    base, algorithm=replace(base.algorithm, name=sys.argv[1]), replay=replace(base.replay, warmup_steps=0)
+    base, algorithm=switched(base.algorithm, sys.argv[1]), replay=replace(base.replay, warmup_steps=0)
 )
 collector = Collector(config, "0", 0)
 before = compiled()

@@ -6,8 +6,9 @@ import math
 import pytest
 
 from common.config import (
-    AlgorithmConfig,
+    ALGORITHM_CONFIGS,
     CameraConfig,
+    EiaSecConfig,
     EliteConfig,
     EnergyConfig,
     EvaluationConfig,
@@ -25,10 +26,12 @@ from common.config import (
 from common.errors import ConfigError
 from docs.tools.configuration_tables import field_docs, sections
 
-SECTIONS = [type(section) for _, section in sections(RunConfig())]
+OTHERS = [kind() for kind in ALGORITHM_CONFIGS.values() if kind is not EiaSecConfig]
+FOUND = [*(section for _, section in sections(RunConfig())), *OTHERS]
+SECTIONS = [type(section) for section in FOUND]
 NUMBERS = [
     (type(section), field.name, getattr(section, field.name))
-    for _, section in sections(RunConfig())
+    for section in FOUND
     for field in dataclasses.fields(section)
     if type(getattr(section, field.name)) in (int, float)
 ]
@@ -100,17 +103,17 @@ IMPOSSIBLE = [
     (ObservationConfig, {"sensors": 0}, "sensors"),
     (FarmConfig, {"relay": RelayConfig(capacity=1)}, "cannot serve 8 UAVs"),
     (FarmConfig, {"world": WorldConfig(sensors=5)}, "observation.sensors"),
-    (AlgorithmConfig, {"batch": 0}, "batch"),
-    (AlgorithmConfig, {"discount": 1.01}, "discount"),
-    (AlgorithmConfig, {"critic_rate": 0.0}, "critic_rate"),
-    (AlgorithmConfig, {"ensemble_members": 0}, "ensemble_members"),
+    (EiaSecConfig, {"batch": 0}, "batch"),
+    (EiaSecConfig, {"discount": 1.01}, "discount"),
+    (EiaSecConfig, {"critic_rate": 0.0}, "critic_rate"),
+    (EiaSecConfig, {"ensemble_members": 0}, "ensemble_members"),
     (EliteConfig, {"rate": 2.0}, "rate"),
     (EliteConfig, {"cycle": 0}, "cycle"),
     (EliteConfig, {"cycle_growth": 0.5}, "cycle_growth"),
     (ReplayConfig, {"capacity": 10}, "capacity"),
     (ReplayConfig, {"updates_per_step": -1.0}, "updates_per_step"),
     (ReplayConfig, {"capacity": 256, "warmup_steps": 1_000_000}, "warmup_steps"),
-    (ExplorationConfig, {"start": -0.1}, "start"),
+    (ExplorationConfig, {"noise_std_start": -0.1}, "noise_std_start"),
     (ExplorationConfig, {"decay_share": 0.0}, "decay_share"),
     (RolloutConfig, {"environments": 0}, "environments"),
     (EvaluationConfig, {"farms": 0}, "farms"),
@@ -141,7 +144,7 @@ def test_safety_distance_is_two_diagonal_steps():
 
 def test_exploration_falls_linearly_and_stays():
     """The exploration noise falls linearly from start to end over its share of the run and stays there."""
-    noise = ExplorationConfig(start=0.3, end=0.1, decay_share=0.5)
-    assert [noise.deviation(progress) for progress in (-1.0, 0.0, 0.25, 0.5, 1.0)] == pytest.approx(
+    noise = ExplorationConfig(noise_std_start=0.3, noise_std_end=0.1, decay_share=0.5)
+    assert [noise.noise_std(progress) for progress in (-1.0, 0.0, 0.25, 0.5, 1.0)] == pytest.approx(
         [0.3, 0.3, 0.2, 0.1, 0.1]
     )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from common.actors import TeamActors
-from common.config import AlgorithmConfig, EliteConfig, ReplayConfig, RolloutConfig, RunConfig
+from common.config import EiaSecConfig, EliteConfig, ReplayConfig, RolloutConfig, RunConfig
 from common.environment import EnvironmentSpec
 from common.errors import ConfigError
 from common.farm import METRIC_NAMES, farm_environment
@@ -57,7 +57,7 @@ def test_the_actors_have_the_computed_size(hidden, head):
     """All actors take the computed bytes, but for the room beside them."""
     actors = TeamActors.initial(TEAM, hidden, 0, head=head)
     size = len(ParametersMessage(1, 1, 0, 0, 0.0, TEAM.digest, actors.hidden, actors.head, actors.flat).encode())
-    assert size <= actor_bytes(RunConfig(algorithm=AlgorithmConfig(hidden=hidden)), TEAM) + 1000 <= 1.2 * size
+    assert size <= actor_bytes(RunConfig(algorithm=EiaSecConfig(hidden=hidden)), TEAM) + 1000 <= 1.2 * size
 
 
 def test_evaluations_have_the_computed_size():
@@ -77,10 +77,10 @@ def test_what_no_frame_holds_is_refused():
     with pytest.raises(ConfigError, match=r"512 environments times 1000 steps .* lower rollout\.chunk_steps"):
         require_frames(RunConfig(rollout=wide, replay=DEEP), FARM)
     with pytest.raises(ConfigError, match=r"hidden 4096 take \d+ MiB, .* lower algorithm\.hidden"):
-        require_frames(RunConfig(algorithm=AlgorithmConfig(hidden=4096)), FARM)
+        require_frames(RunConfig(algorithm=EiaSecConfig(hidden=4096)), FARM)
     seen = TeamSpec((GroupSpec("agent", 64, 65_536, 2),))
     with pytest.raises(ConfigError, match="8 environments times 20 steps"):
-        require_frames(RunConfig(algorithm=AlgorithmConfig(hidden=1)), replace(FARM, team=seen))
+        require_frames(RunConfig(algorithm=EiaSecConfig(hidden=1)), replace(FARM, team=seen))
     fleet = TeamSpec(tuple(replace(group, count=12) for group in TEAM.groups))
     long = replace(FARM, team=fleet, episode_steps=(100_000, 100_000))
     with pytest.raises(
@@ -96,4 +96,4 @@ def test_what_no_frame_holds_is_refused():
 def test_a_run_is_refused_where_its_team_is_made():
     """Whoever starts a run asks for its team first."""
     with pytest.raises(ConfigError, match=r"lower algorithm\.hidden"):
-        environment_spec(RunConfig(algorithm=AlgorithmConfig(hidden=4096)))
+        environment_spec(RunConfig(algorithm=EiaSecConfig(hidden=4096)))

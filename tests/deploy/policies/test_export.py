@@ -13,7 +13,7 @@ from safetensors.numpy import load_file
 
 from common.action_adapters import ADAPTERS, SIGNS, MirroredAxes
 from common.actors import TeamActors
-from common.config import AlgorithmConfig, EnvConfig, FarmConfig, ObservationConfig, ReplayConfig, RunConfig
+from common.config import EnvConfig, FarmConfig, MasacConfig, ObservationConfig, ReplayConfig, RunConfig
 from common.config.files import to_toml
 from common.farm import farm_team
 from common.policy_file import save_policy
@@ -82,7 +82,7 @@ def test_what_was_trained_with_every_aid_is_exported(tmp_path):
     team, draw = TeamSpec((GroupSpec("walker", 2, 5, 3), GroupSpec("flyer", 1, 4, 1))), np.random.default_rng(4)
     config = RunConfig(
         env=EnvConfig("some.module:env"),
-        algorithm=AlgorithmConfig(name="masac", hidden=8, batch=16, observation_normalisation=True, actor_rate=0.05),
+        algorithm=MasacConfig(hidden=8, batch=16, observation_normalisation=True, actor_rate=0.05),
         replay=ReplayConfig(capacity=320, warmup_steps=0),
     )
     flag = np.full(200, TRANSITION, np.uint8)

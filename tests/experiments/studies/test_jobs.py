@@ -213,8 +213,9 @@ def test_every_method_is_tuned_and_trained_alike(scale, tmp_path):
         for alike in zip(*jobs, strict=True):
             configs = [job.config for job in alike]
             assert len({json.dumps(dict(job.options)) for job in alike}) == 1
-            for part in ("seed", "farm", "replay", "rollout", "exploration", "elite", "learner"):
+            for part in ("seed", "farm", "replay", "rollout", "exploration", "learner"):
                 assert len({getattr(config, part) for config in configs}) == 1
+            assert len({config.elite for config in configs if config.imitates}) <= 1
             spent = [budget(config) for config in configs]
             assert max(spent) - min(spent) <= configs[0].elite.farms + configs[0].rollout.environments
 

@@ -320,7 +320,7 @@ def test_only_what_another_configuration_made_is_done_again(bench, tmp_path, mon
     """With other settings the methods' runs are missing, and with the same ones none is."""
     monkeypatch.setattr(Runner, "run", run_here)
     carry_out(plan(bench, "ensemble", tmp_path, []), StopSignal())
-    changed = Bench(replace(TINY, settings=TINY.settings + "[exploration]\nstart = 0.25\n"), bench.records)
+    changed = Bench(replace(TINY, settings=TINY.settings + "[exploration]\nnoise_std_start = 0.25\n"), bench.records)
     more = Bench(replace(TINY, members=(1, 2, 3)), bench.records)
     missing = {
         name: [job.label for job in bench.records.missing(jobs)]

@@ -3,14 +3,13 @@
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
 import torch
 
-from common.config import AlgorithmConfig, EliteConfig, RunConfig
-from common.config.learning import AlgorithmName
+from common.config import ALGORITHM_CONFIGS, EiaSecConfig, EliteConfig, RunConfig
+from common.config.algorithms import switched
 from common.imitation import ImitationSchedule
 from deploy.commands.training.train import TrainArguments
 from deploy.options import base_configuration, parse
@@ -19,18 +18,19 @@ from learner.algorithms.base import Algorithm
 from learner.checkpoint.trainer_state import random_state, restored_random
 from learner.engine import Engine
 from tests.learner.algorithms.test_engine import TEAM, batches, same_state
+from tests.learner.algorithms.variants import variant
 
 ROOT = Path(__file__).resolve().parents[3]
 PARTS = {"__init__", "base", "actors", "critics", "ensemble"}
 """What algorithms are made from."""
-SMALL = AlgorithmConfig(hidden=8, batch=16, actor_rate=2e-3, critic_rate=5e-3)
+SMALL = EiaSecConfig(hidden=8, batch=16, actor_rate=2e-3, critic_rate=5e-3)
 
 
 def test_registry_files_names_and_documentation_agree():
     """Every file of learner/algorithms is registered, every name is configurable and documented, and no more."""
     files = {path.stem for path in (ROOT / "learner" / "algorithms").glob("*.py")} - PARTS
     assert {method.__module__.rpartition(".")[2] for method in ALGORITHMS.values()} == files
-    assert set(ALGORITHMS) == set(get_args(AlgorithmName))
+    assert set(ALGORITHMS) == set(ALGORITHM_CONFIGS)
     page = (ROOT / "docs" / "reference" / "algorithms.md").read_text()
     rows = re.findall(r"^\| `([a-z0-9-]+)` \| `learner/algorithms/([a-z0-9_]+)\.py` \|", page, re.MULTILINE)
     assert dict(rows) == {name: method.__module__.rpartition(".")[2] for name, method in ALGORITHMS.items()}
@@ -38,36 +38,25 @@ def test_registry_files_names_and_documentation_agree():
 
 
 @pytest.mark.parametrize(
-    ("name", "ensemble", "imitation", "joint"),
+    ("name", "sections", "joint"),
     [
-        ("eia-sec", True, True, False),
-        ("eia", False, True, False),
-        ("sec", True, False, False),
-        ("base", False, False, False),
-        ("maddpg", False, False, True),
-        ("matd3", False, False, True),
-        ("masac", False, False, True),
+        ("eia-sec", ("replay", "exploration", "elite"), False),
+        ("maddpg", ("replay", "exploration"), True),
+        ("matd3", ("replay", "exploration"), True),
+        ("masac", ("replay", "exploration"), True),
     ],
 )
-def test_a_name_decides_which_parts_there_are(name, ensemble, imitation, joint):
-    """A name has its parts by default, and a switch takes one away but never adds one."""
-    config = AlgorithmConfig(name=name)
-    assert (config.uses_ensemble, config.has_imitation, config.joint_critics) == (ensemble, imitation, joint)
-    assert not replace(config, ensemble=False).uses_ensemble
+def test_a_name_decides_which_parts_there_are(name, sections, joint):
+    """Only EIA-SEC has an ensemble and imitates, unless switched off; only the baselines' critics are joint."""
+    config = switched(EiaSecConfig(), name)
+    assert (config.name, config.sections, config.joint_critics) == (name, sections, joint)
+    assert config.uses_ensemble == ("elite" in sections)
+    assert not variant(config, name, ensemble=False).uses_ensemble
     assert replace(config, critic_scope="joint").joint_critics
     assert not replace(config, critic_scope="local").joint_critics
     run = RunConfig(algorithm=config)
-    assert ImitationSchedule.of(run).is_due(0, 10) == imitation
+    assert ImitationSchedule.of(run).is_due(0, 10) == ("elite" in sections)
     assert not ImitationSchedule.of(replace(run, elite=EliteConfig(enabled=False))).is_due(0, 10)
-
-
-def test_the_ablation_without_ensemble_is_the_switch():
-    """`eia` and `eia-sec` without its ensemble do the same updates, bit for bit."""
-    engines = [Engine(replace(SMALL, name="eia"), TEAM, 3), Engine(replace(SMALL, ensemble=False), TEAM, 3)]
-    for batch in batches(TEAM, SMALL, 3, torch.float32):
-        for engine in engines:
-            engine.update(batch)
-    assert same_state(*engines)
 
 
 @pytest.mark.parametrize("words", [["--algorithm", "matd3"], ["--algorithm=matd3"], ["--algorithm.name", "matd3"]])
@@ -81,7 +70,7 @@ def test_the_command_line_names_an_algorithm(words):
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_a_state_put_into_a_fresh_engine_goes_on_alike(name):
     """An engine that takes another's tensors and generator does the same updates from there, bit for bit."""
-    config = replace(SMALL, name=name, observation_normalisation=True, reward_normalisation=True)
+    config = variant(SMALL, name, observation_normalisation=True, reward_normalisation=True)
     one, other = Engine(config, TEAM, 3), Engine(config, TEAM, 4)
     draw = np.random.default_rng(0)
     rows = draw.normal(3.0, 2.0, (50, TEAM.observation_size)).astype(np.float32)
@@ -131,7 +120,7 @@ def test_normalised_rewards_have_unit_deviation():
 @pytest.mark.parametrize(("name", "period"), [("eia-sec", 1), ("maddpg", 1), ("matd3", 3), ("masac", 1)])
 def test_actors_step_once_a_period(name, period):
     """The actors change in the last update of every period, and in no other."""
-    config = replace(SMALL, name=name, actor_delay=3)
+    config = variant(SMALL, name, actor_delay=3)
     assert ALGORITHMS[name].actor_period(config) == period
     engine = Engine(config, TEAM, 0)
     steps = []

@@ -16,6 +16,7 @@ from learner.engine import NOISE, Engine
 from learner.trainer import Trainer
 from tests.learner.algorithms.test_engine import BASE, SWITCHES, TEAM, actor_stacks, batches, twins
 from tests.learner.algorithms.test_peers import ORACLES, critics_of
+from tests.learner.algorithms.variants import variant
 
 CLIP = 0.003
 READ_BACK = {"aten::item", "aten::_local_scalar_dense", "aten::is_nonzero", "aten::nonzero", "aten::masked_select"}
@@ -32,7 +33,7 @@ def diagnosed(diagnostics):
 
 def peers(name, **options):
     """Return an engine of a peer, its oracle, a batch and the update's noise, all in float64."""
-    config = replace(BASE, name=name, **options)
+    config = variant(BASE, name, **options)
     engine = Engine(config, TEAM, 3, dtype=torch.float64)
     method, (batch,) = engine.algorithm, batches(TEAM, config, 1)
     oracle = ORACLES[name](config, TEAM, actor_stacks(engine, method.actors.flat), critics_of(engine, "phi"))
@@ -126,7 +127,7 @@ def test_entropy_is_reported_beside_the_soft_value():
 @pytest.mark.parametrize("name", ["eia-sec", *ORACLES])
 def test_a_soft_value_is_not_compared_with_rewards(name):
     """Where Q counts entropy, the returns are reported and its excess over them is not; elsewhere both are."""
-    algorithm = replace(BASE, name=name, discount=0.5)
+    algorithm = variant(BASE, name, discount=0.5)
     trainer = Trainer(RunConfig(algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0)), TEAM)
     flag = np.full(256, TRANSITION, np.uint8)
     flag[7::8] = 0
@@ -157,7 +158,7 @@ class Operations(TorchDispatchMode):
 @pytest.mark.parametrize("name", sorted(ALGORITHMS))
 def test_an_update_asks_the_device_for_nothing(name, clip):
     """No operation of an update with diagnostics reads a number back, so it can be captured as a graph."""
-    engine = Engine(replace(BASE, name=name, gradient_clip=clip, ensemble_copy_rate=0.1), TEAM, 3, cores=0)
+    engine = Engine(variant(BASE, name, gradient_clip=clip, ensemble_copy_rate=0.1), TEAM, 3, cores=0)
     for step, batch in enumerate(batches(TEAM, BASE, 2, torch.float32)):
         noise = torch.zeros(engine.algorithm.noise_blocks, BASE.batch * TEAM.action_size)
         with torch.inference_mode(), Operations() as seen:

@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from common.actors import TeamActors
-from common.config import AlgorithmConfig
+from common.config import EiaSecConfig
 from common.team import GroupSpec, TeamSpec
 from learner.engine import Batch, Engine
 from tests.learner.algorithms.oracle import Oracle
 
 TEAM = TeamSpec((GroupSpec("c", 2, 5, 2), GroupSpec("m", 3, 4, 2), GroupSpec("d", 4, 7, 2)))
 UNEVEN = TeamSpec((GroupSpec("c", 1, 5, 1), GroupSpec("m", 3, 5, 3), GroupSpec("d", 2, 3, 2)))
-BASE = AlgorithmConfig(hidden=11, batch=16, actor_rate=2e-3, critic_rate=5e-3, target_rate=0.05)
+BASE = EiaSecConfig(hidden=11, batch=16, actor_rate=2e-3, critic_rate=5e-3, target_rate=0.05)
 SWITCHES = {
     "default": {},
     "no ensemble": {"ensemble": False},

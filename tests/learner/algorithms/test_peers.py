@@ -1,20 +1,19 @@
 """MADDPG, MATD3 and MASAC: the stacked engine against the per-agent oracles, option by option."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
 
 from common.actors import TeamActors
-from common.config import AlgorithmConfig
+from common.config import EiaSecConfig
 from common.seeds import stream
 from learner.engine import NOISE, Engine
 from tests.learner.algorithms.peers import MaddpgOracle, MasacOracle, Matd3Oracle
 from tests.learner.algorithms.test_engine import TEAM, UNEVEN, actor_stacks, batches, same_state
+from tests.learner.algorithms.variants import variant
 
 ORACLES = {"maddpg": MaddpgOracle, "matd3": Matd3Oracle, "masac": MasacOracle}
-BASE = AlgorithmConfig(hidden=11, batch=16, actor_rate=2e-3, critic_rate=5e-3, target_rate=0.05)
+BASE = EiaSecConfig(hidden=11, batch=16, actor_rate=2e-3, critic_rate=5e-3, target_rate=0.05)
 OPTIONS = {
     "default": {},
     "local critics": {"critic_scope": "local"},
@@ -36,7 +35,7 @@ def critics_of(engine, part):
 def test_fifty_updates_equal_the_loop_over_agents(name, option):
     """Fifty updates end at the parameters of the loop over agents, by torch and on one core and three."""
     team = UNEVEN if option == "apart" else TEAM
-    config = replace(BASE, name=name, **OPTIONS[option])
+    config = variant(BASE, name, **OPTIONS[option])
     engines = [Engine(config, team, 3, dtype=torch.float64, cores=cores) for cores in (1, 0, 3)]
     method, noise = engines[0].algorithm, stream(3, NOISE)
     oracle = ORACLES[name](config, team, actor_stacks(engines[0], method.actors.flat), critics_of(engines[0], "phi"))
@@ -73,7 +72,7 @@ def differences(engine, oracle):
 @pytest.mark.parametrize("name", ORACLES)
 def test_figures_change_nothing(name):
     """An update that reports its diagnostics does what a silent one does, and they are of every agent and row."""
-    config = replace(BASE, name=name)
+    config = variant(BASE, name)
     telling, silent = (Engine(config, TEAM, 3) for _ in range(2))
     for batch in batches(TEAM, config, 4, torch.float32):
         diagnostics = telling.update(batch, diagnostics=True)
@@ -86,7 +85,7 @@ def test_figures_change_nothing(name):
 
 def test_twin_critics_start_apart_and_agents_alike():
     """The two critics of an agent start as different networks, those of a type's agents as one."""
-    engine = Engine(replace(BASE, name="matd3"), TEAM, 5)
+    engine = Engine(variant(BASE, "matd3"), TEAM, 5)
     first, second = critics_of(engine, "phi")
     for a, b in zip(first, second, strict=True):
         assert not torch.equal(a, b)
@@ -95,7 +94,7 @@ def test_twin_critics_start_apart_and_agents_alike():
 
 def test_gaussian_actors_act_by_their_mean_and_explore_by_their_deviation():
     """MASAC's exported actors decide tanh(m), and their samples are tanh(m + s n)."""
-    actors = Engine(replace(BASE, name="masac"), TEAM, 5).actors()
+    actors = Engine(variant(BASE, "masac"), TEAM, 5).actors()
     draw = np.random.default_rng(0)
     observation = draw.normal(size=(4000, TEAM.observation_size)).astype(np.float32)
     noise = draw.normal(size=(4000, TEAM.action_size)).astype(np.float32)
@@ -125,7 +124,7 @@ def test_deterministic_actors_explore_by_the_given_deviation():
 @pytest.mark.parametrize("name", ["eia-sec", *ORACLES])
 def test_captured_updates_equal_those_of_the_processor(name):
     """Updates replayed from CUDA graphs follow those on the CPU to rounding, with and without a step of the actors."""
-    config = replace(BASE, name=name)
+    config = variant(BASE, name)
     host = Engine(config, TEAM, 3, dtype=torch.float64)
     device = Engine(config, TEAM, 3, "cuda", torch.float64)
     for number, batch in enumerate(batches(TEAM, config, 12)):
@@ -133,19 +132,3 @@ def test_captured_updates_equal_those_of_the_processor(name):
         device.update(type(batch)(*(tensor.cuda() for tensor in batch)), diagnostics=number % 4 == 0)
     for tensor_name, tensor in host.tensors().items():
         torch.testing.assert_close(device.tensors()[tensor_name].cpu(), tensor, atol=1e-9, rtol=1e-7)
-
-
-def test_in_the_joint_scope_eia_sec_keeps_its_own_objective():
-    """`others` belongs to MADDPG, MATD3 and MASAC; by torch and by kernels it changes nothing of EIA-SEC."""
-    config = replace(BASE, name="eia-sec", critic_scope="joint")
-    for cores in (0, 1):
-        engines = [
-            Engine(replace(config, others=others), TEAM, 3, dtype=torch.float64, cores=cores)
-            for others in ("batch", "team")
-        ]
-        for batch in batches(TEAM, config, 5):
-            for engine in engines:
-                engine.update(batch)
-        first, second = (engine.export_actors() for engine in engines)
-        for one, other in zip(first, second, strict=True):
-            np.testing.assert_array_equal(one, other)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from common.config import AlgorithmConfig, EvaluationConfig, LearnerConfig, ReplayConfig, RunConfig
+from common.config import EiaSecConfig, EvaluationConfig, LearnerConfig, ReplayConfig, RunConfig
 from common.config.files import digest
 from common.errors import RunDirError
 from common.imitation import ImitationEvent
@@ -20,11 +20,12 @@ from learner.checkpoint import files
 from learner.checkpoint.storage import CHECKPOINTS, RunStorage
 from learner.intake.ledger import Intake
 from learner.trainer import Trainer
+from tests.learner.algorithms.variants import variant
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 CONFIG = RunConfig(
     seed=11,
-    algorithm=AlgorithmConfig(hidden=12, batch=16, n_step=3, target_actor=True, ensemble_copy_rate=0.01),
+    algorithm=EiaSecConfig(hidden=12, batch=16, n_step=3, target_actor=True, ensemble_copy_rate=0.01),
     replay=ReplayConfig(capacity=1500, warmup_steps=40, updates_per_step=0.25, max_age_versions=30),
     learner=LearnerConfig(keep_checkpoints=2),
 )
@@ -117,7 +118,7 @@ def test_resume_is_bit_equal(tmp_path, cut):
 def test_resume_is_bit_equal_for_every_algorithm(tmp_path, name, cut):
     """Likewise with both normalisations and clipped gradients, whose state is part of a checkpoint, too."""
     aids = {"observation_normalisation": True, "reward_normalisation": True, "gradient_clip": 0.5}
-    check_resume(tmp_path, cut, 20, replace(CONFIG, algorithm=replace(CONFIG.algorithm, name=name, **aids)))
+    check_resume(tmp_path, cut, 20, replace(CONFIG, algorithm=variant(CONFIG.algorithm, name, **aids)))
 
 
 @pytest.mark.nightly

@@ -20,13 +20,14 @@ import numba
 import torch
 
 from learner.engine import Engine
+from tests.learner.algorithms.variants import variant
 from tests.learner.algorithms.test_engine import BASE, TEAM, batches
 
 cores = int(sys.argv[1])
 torch.set_num_threads(cores)
 found = {}
 for name in ("eia-sec", "maddpg", "masac"):
-    config = replace(BASE, name=name)
+    config = variant(BASE, name)
     engine = Engine(config, TEAM, 3, dtype=torch.float64)
     for batch in batches(TEAM, config, 20):
         engine.update(batch)

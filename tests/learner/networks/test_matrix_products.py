@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from learner.engine import Engine
 from learner.networks import compiled_pass, matrix_products
 from learner.networks.matrix_products import SMALL, WHOLE
 from tests.learner.algorithms.test_engine import BASE, TEAM, batches
+from tests.learner.algorithms.variants import variant
 
 SHAPES = [(128, 66, 64), (512, 67, 128), (128, 437, 64), (130, 33, 7), (1, 1, 1), (7, 300, 256), (3, 5, 20_000)]
 CASES = [
@@ -74,7 +74,7 @@ def test_pieces_are_for_processors_with_long_vectors(monkeypatch, features):
 @pytest.mark.parametrize("name", ["eia-sec", "maddpg", "matd3", "masac"])
 def test_training_ends_where_whole_products_do(monkeypatch, name):
     """Twenty updates in pieces, of many sizes, end within rounding of twenty updates with whole products."""
-    config, ends = replace(BASE, name=name), []
+    config, ends = variant(BASE, name), []
     for piece in (SMALL, 500, WHOLE):
         monkeypatch.setattr(compiled_pass, "piece_size", lambda piece=piece: piece)
         engine = Engine(config, TEAM, 3, dtype=torch.float64, cores=1)

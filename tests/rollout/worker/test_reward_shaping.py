@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from common.actors import TeamActors
-from common.config import AlgorithmConfig, EnvConfig, RewardConfig, RolloutConfig, RunConfig
+from common.config import EiaSecConfig, EnvConfig, RewardConfig, RolloutConfig, RunConfig
 from common.errors import ConfigError
 from common.farm import farm_team
 from common.transitions import TRANSITION
@@ -39,7 +39,7 @@ def configured(discount, seconds=1.0, relays=2, chunk=STEPS, threads=1, **reward
     world = replace(SMALL.world, steps=15, step_seconds=seconds, communication_uavs=relays)
     farm = replace(SMALL, world=world, reward=RewardConfig(**reward))
     rollout = RolloutConfig(environments=2, chunk_steps=chunk, threads=threads)
-    return RunConfig(farm=farm, rollout=rollout, algorithm=AlgorithmConfig(hidden=4, potential_discount=discount))
+    return RunConfig(farm=farm, rollout=rollout, algorithm=EiaSecConfig(hidden=4, potential_discount=discount))
 
 
 def flown(config):
@@ -138,4 +138,4 @@ def test_other_environments_pay_what_they_pay():
 def test_discounts_outside_0_to_1_are_refused(discount):
     """A discount that is none is refused by name."""
     with pytest.raises(ConfigError, match="potential_discount"):
-        AlgorithmConfig(potential_discount=discount)
+        EiaSecConfig(potential_discount=discount)

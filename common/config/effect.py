@@ -1,0 +1,35 @@
+"""Options that have no effect with the chosen algorithm, each refused in a sentence that says where it has one."""
+
+from dataclasses import fields
+
+from common.config.algorithms import ALGORITHM_CONFIGS, OPTIONAL_SECTIONS
+from common.config.run import RunConfig
+
+
+def without_effect(config: RunConfig, key: str) -> str | None:
+    """Return why an option has no effect in a configuration, or None when it has one or does not exist.
+
+    Args:
+        config: the configuration.
+        key: the option with dots, algorithm.temperature for instance, or a whole section.
+    """
+    name, (section, _, field) = config.algorithm.name, key.partition(".")
+    if section in OPTIONAL_SECTIONS and section not in config.algorithm.sections:
+        return _sentence(key, name, [other for other, kind in ALGORITHM_CONFIGS.items() if section in kind.sections])
+    if section == "algorithm" and not hasattr(config.algorithm, field):
+        owners = [other for other, kind in ALGORITHM_CONFIGS.items() if field in {f.name for f in fields(kind)}]
+        return _sentence(key, name, owners) if owners else None
+    return None
+
+
+def switched_off(config: RunConfig, key: str) -> str | None:
+    """Return why an option has no effect because its part of the algorithm is switched off, or None."""
+    for part, switch in (("algorithm.ensemble_", "algorithm.ensemble"), ("elite.", "elite.enabled")):
+        section, _, field = switch.partition(".")
+        if key.startswith(part) and key != switch and not getattr(getattr(config, section), field, True):
+            return f"{key} has no effect while {switch} is false."
+    return None
+
+
+def _sentence(key: str, name: str, owners: list[str]) -> str:
+    return f"{key} has no effect with {name}; it is an option of {', '.join(owners)}."

@@ -1,0 +1,202 @@
+"""One configuration class for each algorithm; an option without effect is refused where it is given."""
+
+import dataclasses
+
+import pytest
+
+from common.config import ALGORITHM_CONFIGS, EliteConfig, MaddpgConfig, MasacConfig, Matd3Config, RunConfig
+from common.config.algorithms import OPTIONAL_SECTIONS, switched
+from common.config.files import differences, flatten, from_toml, to_toml, with_setting, with_values
+from common.config.former import ABLATIONS
+from common.config.presets import PRESETS, preset
+from common.errors import ConfigError
+from deploy.commands.training.train import TrainArguments
+from deploy.options import base_configuration, parse
+
+
+@pytest.mark.parametrize("name", ALGORITHM_CONFIGS)
+def test_a_class_is_registered_under_its_name(name):
+    """A class names its algorithm and sections that exist, and its configuration survives being written and read."""
+    config = ALGORITHM_CONFIGS[name]()
+    assert config.name == name
+    assert set(config.sections) <= set(OPTIONAL_SECTIONS)
+    run = RunConfig(algorithm=config)
+    assert {key.partition(".")[0] for key in flatten(run)} & set(OPTIONAL_SECTIONS) == set(config.sections)
+    for base in PRESETS.values():
+        assert from_toml(to_toml(run), base) == run
+
+
+def test_another_algorithm_keeps_what_both_inherit():
+    """Shared options keep their values, and all others take the other algorithm's defaults."""
+    eia_sec = dataclasses.replace(RunConfig().algorithm, hidden=32, n_step=3, critic_scope="local")
+    assert switched(eia_sec, "eia-sec") is eia_sec
+    assert switched(eia_sec, "maddpg") == MaddpgConfig(hidden=32, n_step=3)
+    matd3 = Matd3Config(others="team", critic_scope="local", actor_delay=3)
+    assert switched(matd3, "masac") == MasacConfig(others="team", critic_scope="local")
+    with pytest.raises(ConfigError, match=r"^algorithm.name must be one of eia-sec, maddpg, .*, not 'ddpg'\.$"):
+        switched(eia_sec, "ddpg")
+
+
+def test_sections_that_nobody_reads_make_no_difference():
+    """Two MADDPG runs are equal whatever their bases said about elites."""
+    found = [
+        with_values(base, {"algorithm.name": "maddpg"})
+        for base in (RunConfig(), dataclasses.replace(RunConfig(), elite=EliteConfig(cycle=3)))
+    ]
+    assert found[0] == found[1]
+    assert not found[0].imitates
+    assert "algorithm.ensemble: true -> none" in differences(RunConfig(), found[0])
+    assert "elite.cycle: 10 -> none" in differences(RunConfig(), found[0])
+
+
+REFUSED = [
+    ("[algorithm]\ntemperature = 2.0", "algorithm.temperature has no effect with eia-sec; it is an option of masac."),
+    (
+        '[algorithm]\nname = "maddpg"\nensemble = false',
+        "algorithm.ensemble has no effect with maddpg; it is an option of eia-sec.",
+    ),
+    (
+        '[algorithm]\nname = "masac"\nactor_delay = 3',
+        "algorithm.actor_delay has no effect with masac; it is an option of matd3.",
+    ),
+    (
+        "algorithm.others = 'team'",
+        "algorithm.others has no effect with eia-sec; it is an option of maddpg, matd3, masac.",
+    ),
+    (
+        '[elite]\ncycle = 4\n[algorithm]\nname = "matd3"',
+        "elite.cycle has no effect with matd3; it is an option of eia-sec.",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "sentence"), REFUSED, ids=[case[0] for case in REFUSED])
+def test_a_file_with_an_option_without_effect_is_refused(text, sentence):
+    """The sentence names the option, the algorithm, and the algorithms that have it."""
+    with pytest.raises(ConfigError) as caught:
+        from_toml(text, RunConfig())
+    assert str(caught.value) == sentence
+
+
+LINES = [
+    (
+        ["--algorithm.temperature", "2"],
+        "algorithm.temperature has no effect with eia-sec; it is an option of masac.",
+    ),
+    (
+        ["--algorithm=masac", "--algorithm.no-ensemble"],
+        "algorithm.ensemble has no effect with masac; it is an option of eia-sec.",
+    ),
+    (
+        ["--algorithm", "matd3", "--elite.cycle", "4"],
+        "elite.cycle has no effect with matd3; it is an option of eia-sec.",
+    ),
+    (
+        ["--algorithm.no-ensemble", "--algorithm.ensemble-members", "3"],
+        "algorithm.ensemble_members has no effect while algorithm.ensemble is false.",
+    ),
+    (["--elite.no-enabled", "--elite.cycle", "4"], "elite.cycle has no effect while elite.enabled is false."),
+    (["--algorithm", "sec"], "sec is an ablation of eia-sec: choose eia-sec and set elite.enabled=false."),
+    (
+        ["--algorithm.name=base"],
+        "base is an ablation of eia-sec: choose eia-sec and set algorithm.ensemble=false and elite.enabled=false.",
+    ),
+]
+
+
+@pytest.mark.parametrize(("words", "sentence"), LINES, ids=[" ".join(case[0]) for case in LINES])
+def test_a_command_line_with_an_option_without_effect_is_refused(words, sentence):
+    """Likewise on a command line, where an option of a part that is switched off is refused, too."""
+    with pytest.raises(ConfigError) as caught:
+        parse(TrainArguments, words, "train", TrainArguments(settings=base_configuration(words)))
+    assert str(caught.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (["--algorithm", "masac", "--algorithm.temperature", "2"], MasacConfig(temperature=2.0)),
+        (["--algorithm.smoothing-clip=0.25", "--algorithm=matd3"], Matd3Config(smoothing_clip=0.25)),
+    ],
+)
+def test_a_command_line_has_the_options_of_its_algorithm(words, wanted):
+    """The chosen algorithm's own options are on the command line."""
+    defaults = TrainArguments(settings=base_configuration(words))
+    assert parse(TrainArguments, words, "train", defaults).settings.algorithm == wanted
+
+
+def test_a_setting_names_an_algorithm_but_no_ablation():
+    """`--set algorithm.name=` takes an algorithm, and says what to write for an ablation."""
+    assert with_setting(RunConfig(), "algorithm.name=masac").algorithm == MasacConfig()
+    with pytest.raises(ConfigError, match=r"eia is an ablation of eia-sec: choose eia-sec and set algorithm.ensemble="):
+        with_setting(RunConfig(), "algorithm.name=eia")
+
+
+FORMER = """
+[algorithm]
+name = "{name}"
+hidden = 64
+discount = 0.97
+n_step = 1
+batch = 128
+actor_rate = 0.001
+critic_rate = 0.003
+target_rate = 0.005
+reward_scale = 0.1
+potential_discount = 0.0
+reward_normalisation = false
+observation_normalisation = false
+gradient_clip = 0.0
+ensemble = true
+ensemble_members = 3
+mixture_epsilon = 0.1
+ensemble_loss = "member"
+ensemble_gradient = true
+ensemble_copy_rate = 0.0
+bootstrap = "mixture"
+target_actor = false
+actor_objective = "mixture"
+critic_scope = "algorithm"
+others = "policy"
+initialisation = "type"
+actor_delay = 4
+smoothing_noise = 0.2
+smoothing_clip = 0.5
+temperature = 0.5
+temperature_rate = 0.0003
+entropy_target = -1.0
+
+[elite]
+enabled = true
+cycle = 7
+
+[exploration]
+start = 0.4
+end = 0.1
+"""
+"""What earlier versions wrote of an algorithm: the options of all of them."""
+MEANT = {
+    "eia-sec": {"algorithm.ensemble_members": 3, "elite.cycle": 7},
+    "maddpg": {"algorithm.name": "maddpg", "algorithm.others": "policy"},
+    "matd3": {"algorithm.name": "matd3", "algorithm.others": "policy", "algorithm.actor_delay": 4},
+    "masac": {"algorithm.name": "masac", "algorithm.others": "policy", "algorithm.temperature": 0.5},
+    **{name: {"algorithm.ensemble_members": 3, "elite.cycle": 7, **ABLATIONS[name]} for name in ABLATIONS},
+}
+
+
+@pytest.mark.parametrize("name", MEANT)
+def test_a_file_of_an_earlier_version_means_what_it_meant(name):
+    """The chosen algorithm's options count, those of the others are left out, and ablations are switches."""
+    noise = {"exploration.noise_std_start": 0.4, "exploration.noise_std_end": 0.1}
+    wanted = with_values(preset("study"), {"algorithm.critic_rate": 0.003, **noise, **MEANT[name]})
+    assert from_toml(FORMER.format(name=name), preset("study")) == wanted
+
+
+def test_a_file_may_name_an_ablation_of_an_earlier_version():
+    """A file that somebody wrote for an earlier version and that names an ablation is read, too."""
+    found = from_toml("[algorithm]\nname = 'base'\nhidden = 32", RunConfig())
+    assert differences(RunConfig(), found) == [
+        "algorithm.hidden: 64 -> 32",
+        "algorithm.ensemble: true -> false",
+        "elite.enabled: true -> false",
+    ]
