@@ -115,7 +115,7 @@ def tasks_block(*tasks: dict[str, Any]) -> str:
     pictures = [f"![{task['task']}](../results/tasks/{task['task']}/curves.png)" for task in tasks]
     return "\n".join(
         [
-            "Reward of an episode per agent without noise, on scenarios that training never saw; mean over the seeds",
+            "Reward per agent and episode without noise, on scenarios that training never saw: mean over the seeds",
             f"and their range. Made by {commands}, on cores shared with other work.",
             "",
             *rows,
