@@ -1,11 +1,11 @@
-"""What it costs a worker to be watched.
+"""What watching costs a worker.
 
 Run `python -m benchmarks.watch --write docs/results/watch.json`, then `make docs`.
 
-One worker flies the default farm as fast as it can; stretches in which nobody watches, one watcher watches and four
-watch take turns in one run. The listener and the watchers are a process of their own, as they are in a run. Counted is
-the worker's whole processor time for each environment step, which is as noisy as the machine; and, exactly, the part of
-it that watching takes: the main thread's time in `ViewService` and the probe, and that of all other threads, Zenoh's.
+One worker simulates the default farm as fast as it can. Stretches with no watcher, one and four take turns in one run.
+The listener and the watchers are a process of their own, as they are in a run. Counted is the worker's whole processor
+time for each environment step, which is as noisy as the machine; and, exactly, the part of it that watching takes: the
+main thread's time in `ViewService` and the probe, and that of all other threads, Zenoh's.
 
 Where cores share caches or are two halves of one, a step takes longer because the watchers' process works beside it,
 whatever that does. As a control, there are stretches in which nobody watches and the other process is kept as busy as
@@ -76,12 +76,12 @@ class _Tally:
 
 
 class _TimedProbe(Probe):
-    """A probe that knows how long it has looked."""
+    """A probe that measures the time it takes."""
 
     seconds = 0.0
 
     def record(self) -> None:
-        """Look, and count the time."""
+        """Record, and count the time."""
         started = time.thread_time()
         super().record()
         self.seconds += time.thread_time() - started

@@ -23,7 +23,8 @@ from deploy.policies.evaluate import parse_farms
 from deploy.reports.intervals import COLUMNS, interval_table, ranked
 from deploy.reports.provenance import provenance
 from rollout.evaluation import Evaluation, Score, evaluate
-from rollout.policies import POLICIES, RELAYS, policy_of
+from rollout.heuristics.registry import RELAYS
+from rollout.policies import POLICIES, policy_of
 
 RESAMPLES: Final = 10_000
 LEVEL: Final = 0.95

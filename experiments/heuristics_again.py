@@ -12,7 +12,8 @@ from pathlib import Path
 from common.config.presets import read_saved
 from deploy.reports.provenance import provenance
 from rollout.evaluation import evaluate
-from rollout.policies import HEURISTICS, policy_of
+from rollout.heuristics.registry import HEURISTICS
+from rollout.policies import policy_of
 
 
 def main() -> None:

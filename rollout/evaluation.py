@@ -1,4 +1,4 @@
-"""Noise-free evaluation: fly a policy over farms and say what each episode came to."""
+"""Noise-free evaluation of a policy on farms, or on scenarios of another environment."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -14,12 +14,13 @@ from common.errors import ConfigError
 from common.seeds import derive
 from common.team import TeamSpec
 from common.transitions import EpisodeSummary
-from rollout.envs.base import Environments, make_environments
+from rollout.envs.base import Environments
+from rollout.envs.registry import make_environments
 from rollout.policies import BatchPolicy, Policy
 from rollout.sim.batch import FarmBatch
 
 BATCH: Final = 32
-"""Episodes that are flown side by side; results do not depend on it."""
+"""Episodes in one batch; results do not depend on it."""
 
 World = TypeVar("World", bound=Environments)
 
@@ -43,7 +44,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a policy came to on a set of farms, or of scenarios of another environment.
+    """Scores of a policy on a set of farms, or of scenarios of another environment.
 
     Attributes:
         policy: its name.
@@ -98,7 +99,7 @@ class Trajectory:
         collected: [T + 1, n] VMUF or DCUF that each UAV has served up to then, units; 0 for relays.
         final_aoi: [S] units.
         final_vdf: [n_px, n_py] units.
-        summary: what the episode came to.
+        summary: of the episode.
     """
 
     config: FarmConfig
@@ -125,15 +126,15 @@ def evaluate_environments(
     name: str,
     batch: int = BATCH,
 ) -> Evaluation:
-    """Fly a policy over farms, or over scenarios of another environment.
+    """Evaluate a policy on farms, or on scenarios of another environment.
 
     Args:
         make: returns that many environments.
-        policy: what decides.
+        policy: the policy.
         farms: seeds of the farms.
         episodes: episodes on each farm; number k has the seed `episode_seed(farm, k)`.
         name: the policy's name in the result.
-        batch: episodes flown side by side.
+        batch: episodes in one batch; results do not depend on it.
 
     Raises:
         ConfigError: there is no farm or no episode to fly.
@@ -158,7 +159,7 @@ def evaluate_environments(
 def evaluate(
     config: FarmConfig, policy: Policy, farms: Sequence[int], episodes: int, *, name: str, batch: int = BATCH
 ) -> Evaluation:
-    """Fly a policy over farms of a configuration; see `evaluate_environments`."""
+    """Evaluate a policy on farms of a configuration; see `evaluate_environments`."""
     return evaluate_environments(
         lambda count: FarmBatch(config, count), policy, farms, episodes, name=name, batch=batch
     )
@@ -167,12 +168,12 @@ def evaluate(
 def evaluate_run(
     config: RunConfig, policy: BatchPolicy[Environments], farms: Sequence[int], episodes: int, *, name: str
 ) -> Evaluation:
-    """Let a policy act in the environment of a run, whichever it is; see `evaluate_environments`."""
+    """Evaluate a policy in the environment of a run; see `evaluate_environments`."""
     return evaluate_environments(lambda count: make_environments(config, count), policy, farms, episodes, name=name)
 
 
 def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Trajectory:
-    """Fly one episode and keep its course; it is the same episode that `evaluate` flies.
+    """Record one episode step by step; it is the episode that `evaluate` runs.
 
     Raises:
         PolicyError: the policy does not fit the farm.

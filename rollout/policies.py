@@ -1,6 +1,6 @@
-"""What decides the actions of a whole batch of farms, and every such policy that has a name.
+"""Policies: they decide the actions of all agents in a batch of environments.
 
-The loop that calls a policy is:
+A policy is called in this loop:
 
     for index in range(environments):
         farms.reset(index, farm_seed, episode_seed)
@@ -9,7 +9,6 @@ The loop that calls a policy is:
         farms.step(policy.act(farms))
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
@@ -22,11 +21,8 @@ from common.farm import farm_of, farm_team
 from common.policy_file import load_policy
 from common.team import Float32, GroupSpec, TeamSpec
 from rollout.envs.base import Environments
-from rollout.heuristics import greedy, horizon, hungarian, lawnmower, tour
-from rollout.heuristics.composite import CompositePolicy, GroupPolicyFactory
 from rollout.heuristics.random import RandomPolicy
-from rollout.heuristics.relays import CentroidRelays, SearchRelays
-from rollout.heuristics.static import StaticPolicy
+from rollout.heuristics.registry import HEURISTICS, RELAYS, heuristic
 from rollout.sim.batch import FarmBatch
 
 TRAINED: Final = Path(__file__).parent / "trained" / "default.safetensors"
@@ -37,7 +33,7 @@ World_contra = TypeVar("World_contra", contravariant=True)
 
 
 class BatchPolicy(Protocol[World_contra]):
-    """Decides for all agents of all environments of a batch."""
+    """Decides the actions of all agents of all environments of a batch."""
 
     def reset(self, world: World_contra, index: int, /) -> None:
         """Prepare for the episode that environment `index` has just begun."""
@@ -61,14 +57,14 @@ class ActorPolicy:
         self._actors = actors
 
     def reset(self, environments: Environments, index: int) -> None:
-        """Take up the environments' action adapters; raise PolicyError unless the actors fit their team."""
+        """Adopt the environments' action adapters; raise PolicyError unless the actors fit their team."""
         self._actors = fitted(self._actors, environments.team)
 
     def act(self, environments: Environments) -> Float32:
-        """Return what the actors command.
+        """Return the actors' actions.
 
-        One environment is computed at a time: a matrix product sums in another order for another number of rows, and
-        an episode must not depend on which others are flown beside it.
+        Environments are computed one at a time. A matrix product sums in another order for another number of rows, and
+        an episode must not depend on the others in its batch.
         """
         return np.concatenate([self._actors.environment_actions(row[None]) for row in environments.observation])
 
@@ -108,49 +104,25 @@ def _shipped(config: FarmConfig) -> Policy:
     return trained_policy(TRAINED, config)
 
 
-TASKS: Final[dict[str, tuple[GroupPolicyFactory, GroupPolicyFactory]]] = {
-    "lawnmower": (lawnmower.monitors, lawnmower.collectors),
-    "greedy": (greedy.monitors, greedy.collectors),
-    "tour": (tour.monitors, tour.collectors),
-    "hungarian": (hungarian.monitors, hungarian.collectors),
-    "horizon": (horizon.monitors, horizon.collectors),
-}
-"""Heuristics of the monitors and of the collectors."""
-
-RELAYS: Final[dict[str, GroupPolicyFactory]] = {"search": SearchRelays, "centroid": CentroidRelays}
-"""Heuristics of the relays; the first one flies where none is named."""
-
-
-def _crews(task: str, relays: str = next(iter(RELAYS))) -> Callable[[FarmConfig], Policy]:
-    return lambda config: CompositePolicy(config, RELAYS[relays], *TASKS[task])
-
-
-POLICIES: Final[dict[str, Callable[[FarmConfig], Policy]]] = {
-    "static": lambda _: StaticPolicy(),
-    "random": lambda _: RandomPolicy(),
-    **{task: _crews(task) for task in TASKS},
-    "trained": _shipped,
-}
-"""Every policy that has a name, made for a farm's configuration. TASK+RELAYS, as in greedy+centroid, names others."""
+TRAINED_NAME: Final = "trained"
+POLICIES: Final = (*HEURISTICS, TRAINED_NAME)
+"""Every policy that has a name; `rollout.heuristics.registry` lists the heuristics."""
 
 REFERENCES: Final = ("lawnmower", "greedy", "static", "random")
-"""What a run's report compares with; heuristics that plan ahead take minutes, and `eia-sec evaluate` flies them."""
-
-HEURISTICS: Final = tuple(name for name in POLICIES if name != "trained")
-"""The policies that learn nothing."""
+"""Policies that a run's report compares with. Heuristics that plan ahead take minutes, so they are left out."""
 
 
 def policy_of(name: str, config: FarmConfig) -> Policy:
     """Return the policy of a name, of TASK+RELAYS, or of the file at that path.
 
     Raises:
-        PolicyError: there is neither, or what there is cannot be used.
+        PolicyError: there is none, or it cannot be used.
     """
-    if name in POLICIES:
-        return POLICIES[name](config)
-    task, _, relays = name.partition("+")
-    if task in TASKS and relays in RELAYS:
-        return _crews(task, relays)(config)
+    if name == TRAINED_NAME:
+        return _shipped(config)
+    found: Policy | None = heuristic(name, config)
+    if found is not None:
+        return found
     if Path(name).is_file():
         return trained_policy(Path(name), config)
     raise PolicyError(
@@ -180,9 +152,9 @@ def reference_policies(config: RunConfig) -> tuple[str, ...]:
 
 def _describe(team: TeamSpec) -> str:
     """Return a team in words: how many of each type, how many numbers each of them observes, and its adapters."""
-    told = []
+    groups = []
     for group in team.groups:
         kinds = ", ".join(adapter.kind for adapter in group.adapters)
         how = f" ({kinds})" if kinds else ""
-        told.append(f"{group.count} {group.name} agents with {group.observation_size} inputs{how}")
-    return ", ".join(told)
+        groups.append(f"{group.count} {group.name} agents with {group.observation_size} inputs{how}")
+    return ", ".join(groups)

@@ -31,7 +31,7 @@ from experiments.studies.methods import MIXTURE
 from experiments.studies.record_checks import COUNTERS
 from experiments.studies.timing import time_decisions
 from learner.trainer import Trainer
-from rollout.envs.base import environment_spec
+from rollout.envs.registry import environment_spec
 from rollout.evaluation import Evaluation, evaluate
 from rollout.policies import ActorPolicy, policy_of
 

@@ -6,7 +6,7 @@ from typing import Final
 from common.config import FarmConfig, RunConfig
 from common.config.files import from_toml
 from common.config.presets import PRESETS
-from rollout.policies import HEURISTICS
+from rollout.heuristics.registry import HEURISTICS
 
 TRIAL_SEED: Final = 1000
 """Seed of every tuning trial; no run that is reported has it."""

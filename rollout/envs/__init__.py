@@ -1,1 +1,1 @@
-"""Standard interfaces: the farm for PettingZoo and Gymnasium, and PettingZoo environments for workers."""
+"""Environments: the contract for workers, the farm for PettingZoo and Gymnasium, and PettingZoo environments."""

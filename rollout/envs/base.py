@@ -1,28 +1,23 @@
-"""What a worker simulates: a batch of environments of one kind behind one small contract.
+"""The contract that a worker's environments fulfil: a batch of environments of one kind.
 
-    environments = make_environments(config, count)
+    environments = make_environments(config, count)                 # rollout.envs.registry
     environments.reset(index, scenario_seed, episode_seed)          # each index before the first step
     while not environments.ended.any():
-        environments.step(action)                                   # reads: observation, reward, terminated
+        environments.step(action)                                   # then read observation, reward, terminated
     environments.summary(index)
 
 There is no automatic reset. Where episodes differ in length, an environment whose episode is over stands still and
-earns nothing until it is reset; farms all last equally long, and one that is over refuses to step.
+earns nothing until it is reset. Farms all last equally long, and a farm whose episode is over refuses to step.
 """
 
-from contextlib import closing
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import RunConfig
 from common.environment import EnvironmentSpec
-from common.farm import farm_of
-from common.protocol.message_sizes import require_frames
 from common.team import Float32, TeamSpec
 from common.transitions import EpisodeSummary
-from rollout.sim.batch import FarmBatch
 
 
 class Environments(Protocol):
@@ -38,7 +33,7 @@ class Environments(Protocol):
 
     @property
     def observation(self) -> Float32:
-        """[E, O] what everybody sees now."""
+        """[E, O] present observations of all agents."""
 
     @property
     def reward(self) -> Float32:
@@ -46,7 +41,7 @@ class Environments(Protocol):
 
     @property
     def potential(self) -> Float32:
-        """[E, agents] whose change in a step is part of the reward, as of now; else 0."""
+        """[E, agents] level of which the reward pays the change, as of now; else 0. Reward shaping uses it."""
 
     @property
     def time(self) -> NDArray[np.int64]:
@@ -67,31 +62,7 @@ class Environments(Protocol):
         """Step every environment with actions [E, A] in [-1, 1]."""
 
     def summary(self, index: int) -> EpisodeSummary:
-        """Return what the episode of an environment came to so far."""
+        """Return the summary of an environment's episode so far."""
 
     def close(self) -> None:
-        """Let go of whatever the environments hold outside this process's memory."""
-
-
-def make_environments(config: RunConfig, count: int) -> Environments:
-    """Return `count` environments of a run.
-
-    Raises:
-        ConfigError: the environment that the configuration names does not exist or cannot be trained.
-    """
-    if (farm := farm_of(config)) is not None:
-        return FarmBatch(farm, count, config.rollout.threads)
-    from rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for those who use it
-
-    return PettingZooBatch(config.env, count)
-
-
-def environment_spec(config: RunConfig) -> EnvironmentSpec:
-    """Return what generic code needs to know of a run's environment.
-
-    Raises:
-        ConfigError: as `make_environments`, or its chunks, its actors or its flights for the elite fit into no message.
-    """
-    with closing(make_environments(config, 1)) as environments:
-        require_frames(config, environments.spec)
-        return environments.spec
+        """Release what the environments hold outside this process's memory."""

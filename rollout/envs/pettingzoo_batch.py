@@ -103,7 +103,7 @@ class PettingZooBatch:
                 self._step(index, row)
 
     def summary(self, index: int) -> EpisodeSummary:
-        """Return what the running episode of an environment came to so far; raise SimulationError before any."""
+        """Return the summary of an environment's episode so far; raise SimulationError before the first."""
         if self.time[index] < 0:
             raise SimulationError(f"environment {index} has not been reset yet.")
         return EpisodeSummary(*self._seeds[index], int(self.time[index]), tuple(self._returns[index].tolist()), {})

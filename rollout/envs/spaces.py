@@ -1,4 +1,4 @@
-"""What agents see and do, with its bounds: the spaces of every interface to the farm.
+"""Observations and actions with their bounds: the spaces of every interface to the farm.
 
 The bounds follow from `rollout/sim/kernel/observation.py` and hold for every state; nothing is clipped to make them
 hold. UAVs never leave the field, so an offset is at most 1. A distance is three-dimensional but divided by the field's

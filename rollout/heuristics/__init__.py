@@ -1,1 +1,1 @@
-"""Policies that learn nothing: what every trained policy is compared with. One file each."""
+"""Policies that learn nothing, for comparison with trained ones; `registry` lists them by name."""

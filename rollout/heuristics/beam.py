@@ -12,7 +12,7 @@ Indices = NDArray[np.int64]
 
 
 class SearchGrid(NamedTuple):
-    """Places, and the sites that can be served from each.
+    """Places one step apart, and the sites that can be served from each.
 
     Attributes:
         place: [K, 2] m, x outer.
@@ -30,7 +30,7 @@ class SearchGrid(NamedTuple):
 
 
 class StepReward(NamedTuple):
-    """What a step is worth, in units of reward.
+    """Reward of a step.
 
     Attributes:
         unit: of one unit served.
@@ -51,7 +51,7 @@ class StepReward(NamedTuple):
 
 @compiled
 def _units(grid: SearchGrid, level: Array, rest: Array, node: int) -> float:
-    """Return the units that a step over a place is expected to serve."""
+    """Return the expected units that a step over a place serves."""
     total = 0.0
     for entry in range(grid.first[node], grid.first[node + 1]):
         site = grid.site[entry]
@@ -61,14 +61,14 @@ def _units(grid: SearchGrid, level: Array, rest: Array, node: int) -> float:
 
 @compiled
 def _serve(grid: SearchGrid, rest: Array, node: int) -> None:
-    """Take from the shares [S] that are left what a step over a place serves."""
+    """Subtract what a step over a place serves from the shares [S] that are left."""
     for entry in range(grid.first[node], grid.first[node + 1]):
         rest[grid.site[entry]] *= 1.0 - grid.chance[entry]
 
 
 @compiled
 def _closing(place: Array, node: int, before: int, others: Array, earlier: Array, safety: float) -> float:
-    """Return by how many metres a move closes in on whoever is nearest after it, if that is inside `safety`."""
+    """Return by how many metres a move closes in on the UAV that is nearest after it, if it is nearer than `safety`."""
     nearest, closing = safety, 0.0
     for other in range(len(others)):
         now = np.hypot(place[node, 0] - others[other, 0], place[node, 1] - others[other, 1])
@@ -81,7 +81,7 @@ def _closing(place: Array, node: int, before: int, others: Array, earlier: Array
 @compiled
 def _expand(
     grid: SearchGrid,
-    worth: StepReward,
+    reward: StepReward,
     level: Array,
     others: Array,
     earlier: Array,
@@ -92,12 +92,12 @@ def _expand(
     candidate: Array,
     move: Indices,
 ) -> int:
-    """Score every move of every path that is kept.
+    """Score every move of every kept path.
 
     Args:
         grid: places and sites.
-        worth: what counts.
-        level: [S] counters that this step would be credited with.
+        reward: reward of a step.
+        level: [S] counters that this step would credit.
         others: [m, 2] where the other UAVs are after the step, m.
         earlier: [m, 2] the same before it.
         factor: discount of this step.
@@ -117,9 +117,9 @@ def _expand(
             for y in range(max(0, row - 1), min(grid.rows, row + 2)):
                 to = x * grid.rows + y
                 units = _units(grid, level, rest[b], to)
-                value = worth.unit * units + worth.flight[abs(x - column) + abs(y - row)]
-                value += worth.idle if units < 0.5 else 0.0
-                value += worth.risk * _closing(grid.place, to, node[b], others, earlier, worth.safety)
+                value = reward.unit * units + reward.flight[abs(x - column) + abs(y - row)]
+                value += reward.idle if units < 0.5 else 0.0
+                value += reward.risk * _closing(grid.place, to, node[b], others, earlier, reward.safety)
                 candidate[count] = score[b] + factor * value
                 move[count, 0], move[count, 1] = b, to
                 count += 1
@@ -127,8 +127,8 @@ def _expand(
 
 
 @compiled
-def _choose(candidate: Array, move: Indices, width: int, same: int, used: Indices, chosen: Indices) -> int:
-    """Choose the best candidates, at most `same` that end in one place; return how many."""
+def _keep_best(candidate: Array, move: Indices, width: int, same: int, used: Indices, chosen: Indices) -> int:
+    """Keep the best candidates, at most `same` that end in one place; return how many."""
     kept = 0
     for pick in np.argsort(-candidate):
         to = move[pick, 1]
@@ -146,7 +146,7 @@ def _choose(candidate: Array, move: Indices, width: int, same: int, used: Indice
 @compiled_entry
 def best_path(
     grid: SearchGrid,
-    worth: StepReward,
+    reward: StepReward,
     start: int,
     level: Array,
     claimed: Indices,
@@ -158,10 +158,10 @@ def best_path(
 
     Args:
         grid: places and sites.
-        worth: what counts.
+        reward: reward of a step.
         start: place of the UAV.
-        level: [H, S] counters with which each of the H steps would be credited if nobody served anything.
-        claimed: [M] places over which the plans of the other UAVs lead: what they serve is left to them.
+        level: [H, S] counters that each of the H steps would credit if nobody served anything.
+        claimed: [M] places on the plans of the other UAVs; what these serve is left to them.
         others: [H + 1, m, 2] where the other UAVs are now and after each step, m.
         width: paths that are kept.
         same: how many of them may end in one place.
@@ -179,15 +179,15 @@ def best_path(
     factor = 1.0
     for step in range(horizon):
         count = _expand(
-            grid, worth, level[step], others[step + 1], others[step], factor, node, score, rest, candidate, move
+            grid, reward, level[step], others[step + 1], others[step], factor, node, score, rest, candidate, move
         )
-        kept = _choose(candidate[:count], move, width, same, used, chosen)
+        kept = _keep_best(candidate[:count], move, width, same, used, chosen)
         score = candidate[chosen[:kept]]
         parent, node = move[chosen[:kept], 0], move[chosen[:kept], 1].copy()
         rest, path = rest[parent], path[parent]
         for k in range(kept):
             path[k, step] = node[k]
             _serve(grid, rest[k], node[k])
-        factor *= worth.discount
+        factor *= reward.discount
     best: Indices = path[0].copy()
     return best

@@ -1,7 +1,7 @@
-"""How a heuristic is put together: one crew for the relays, one for the monitors, one for the collectors.
+"""Heuristics composed of three group policies: one each for the relays, the monitors and the collectors.
 
-A crew says where its UAVs should be next; flying there and keeping apart is the same for all (`steering`). Every
-environment has crews of its own and they see nothing of the others, so an episode does not depend on its batch.
+A group policy says where its UAVs should be next. `steering` flies them there and keeps them apart, in the same way for
+all. Every environment has group policies of its own, so an episode does not depend on the others in its batch.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from rollout.sim.layout import Layout
 RELAYS: Final = 0
 MONITORS: Final = 1
 COLLECTORS: Final = 2
-"""The three types, as `FarmState.agents` has them."""
+"""The three types, as indices of `FarmState.agents`."""
 
 
 @dataclass(frozen=True)
@@ -55,24 +55,24 @@ class FarmState:
 
 
 class GroupPolicy(Protocol):
-    """The UAVs of one type in one environment, for one episode."""
+    """Steers the UAVs of one type in one environment for one episode."""
 
     def goals(self, state: FarmState) -> Array:
-        """Return where each UAV should be after this step, or later where that is too far: [n_v, 2] m."""
+        """Return where each UAV should be after this step, or later if that is too far: [n_v, 2] m."""
 
 
 GroupPolicyFactory = Callable[[FarmState], GroupPolicy]
-"""Makes a crew for the episode that begins with a state."""
+"""Makes a group policy for the episode that begins with a state."""
 
 
 class CompositePolicy:
-    """Crews fly every environment of a batch.
+    """Flies every environment of a batch by three group policies.
 
     Args:
         config: the farm.
-        relays: makes the crew of communication UAVs.
-        monitors: makes the crew of monitoring UAVs.
-        collectors: makes the crew of data collection UAVs.
+        relays: makes the policy of the communication UAVs.
+        monitors: makes the policy of the monitoring UAVs.
+        collectors: makes the policy of the data collection UAVs.
     """
 
     def __init__(
@@ -87,15 +87,15 @@ class CompositePolicy:
         self._make = relays, monitors, collectors
         self._layouts: dict[int, Layout] = {}
         self._seeds: dict[int, tuple[int, int]] = {}
-        self._crews: dict[int, list[GroupPolicy]] = {}
+        self._groups: dict[int, list[GroupPolicy]] = {}
 
     def reset(self, farms: FarmBatch, index: int) -> None:
-        """Make new crews for one environment."""
+        """Make new group policies for one environment."""
         episode = farms.summary(index)
         self._layouts[index] = farms.layout(index)
         self._seeds[index] = episode.farm, episode.episode
         state = self._farm_state(farms, index)
-        self._crews[index] = [make(state) for make in self._make]
+        self._groups[index] = [make(state) for make in self._make]
 
     def act(self, farms: FarmBatch) -> Float32:
         """Return the actions [E, A] of this step."""
@@ -108,7 +108,7 @@ class CompositePolicy:
 
     def _goals(self, farms: FarmBatch, index: int) -> Array:
         state = self._farm_state(farms, index)
-        return np.concatenate([crew.goals(state) for crew in self._crews[index]])
+        return np.concatenate([group.goals(state) for group in self._groups[index]])
 
     def _farm_state(self, farms: FarmBatch, index: int) -> FarmState:
         relays, monitors, collectors = farms.team.agent_slices()

@@ -1,4 +1,4 @@
-"""Every UAV flies to the target with the best value / (time + c), and stays with it until it is worth nothing.
+"""Every UAV flies to the target with the best value / (time + c), and stays until its value is 0.
 
 Source: nearest-task allocation weighed by reward, as in greedy multi-robot task allocation (Gerkey and Mataric 2004).
 """
@@ -15,7 +15,7 @@ from rollout.heuristics.targets import Targets
 OFFSET: Final = 1.0
 """c, steps."""
 SEPARATION: Final = 60.0
-"""Targets of two UAVs of a type are at least this far apart, m, so that none is shared and paths stay apart."""
+"""Least distance between the targets of two UAVs of a type, m: none is shared, and paths stay apart."""
 
 
 def monitors(state: FarmState) -> GroupPolicy:
@@ -33,7 +33,7 @@ class GreedyGroupPolicy:
 
     Args:
         state: the start.
-        kind: the crew's type.
+        kind: the UAVs' type.
     """
 
     def __init__(self, state: FarmState, kind: int) -> None:
@@ -42,7 +42,7 @@ class GreedyGroupPolicy:
         self._chosen: NDArray[np.int64] = np.full(len(state.of(kind)), -1)
 
     def goals(self, state: FarmState) -> Array:
-        """Return a place in each UAV's target, or its own place when nothing is worth a flight: [n_v, 2] m."""
+        """Return a place in each UAV's target, or its own place when no target has a value: [n_v, 2] m."""
         position, world, box = state.of(self._kind), state.config.world, self._targets.box
         value = self._targets.value(state)
         steps = steps_to(position[:, None], box[:, None], world)
@@ -62,15 +62,15 @@ def best_targets(
     """Give each UAV in turn the best target that lies apart from those already given.
 
     Args:
-        value: what a visit is worth, [K]; nobody flies to a target worth 0.
-        steps: how far it is, [n, K].
-        centre: where it is, [K, 2] m.
-        kept: [n] target of the step before, -1 for none; it is kept as long as it is worth anything.
+        value: [K] of a visit; nobody flies to a target of value 0.
+        steps: [n, K] of the flight there.
+        centre: [K, 2] m.
+        kept: [n] target of the step before, -1 for none; it is kept while its value is above 0.
         offset: c, steps.
         separation: least distance between two targets that are given anew, m.
 
     Returns:
-        [n] target of each UAV, -1 when nothing is worth a flight.
+        [n] target of each UAV, -1 when no target has a value.
     """
     free = value > 0.0
     chosen = np.where((kept >= 0) & free[kept], kept, -1)

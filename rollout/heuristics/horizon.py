@@ -1,4 +1,4 @@
-"""Every UAV plans some steps ahead for what the reward pays, flies the first few of them, and plans anew.
+"""Receding horizon: every UAV plans some steps ahead by the reward, flies the first few of them, and plans anew.
 
 Source: receding-horizon control with beam search over a grid, as for informative paths (Binney and Sukhatme 2012);
 one robot after the other as in sequential allocation (Singh et al. 2009).
@@ -22,19 +22,19 @@ from rollout.sim.kernel.motion import flight_power
 from rollout.sim.layout import cell_counts
 
 LAST: Final = 60
-"""Steps before the end from which on plans look further ahead: what is left at the end is lost."""
+"""Last steps of an episode, in which plans look further ahead: what is left at the end is lost."""
 NOBODY: Final[Indices] = np.zeros(0, np.int64)
-"""The plan of a UAV that has none yet."""
+"""The plan of a UAV that has no plan yet."""
 FAINT: Final = 0.02
-"""Sensors that are heard with a smaller chance are left out."""
+"""Sensors that are heard with a smaller chance are ignored."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How hard a plan is sought.
+    """Size of the search for a plan.
 
     Attributes:
-        horizon: steps that it looks ahead.
+        horizon: steps that a plan looks ahead.
         width: paths that the search keeps.
         last_horizon: steps that it looks ahead in the last LAST steps.
         last_width: paths that the search keeps then.
@@ -55,7 +55,7 @@ EFFORT: Final = Effort()
 
 
 def monitors(state: FarmState) -> GroupPolicy:
-    """Return monitors that sweep until the last steps: all plots are alike, so no plan finds a better round."""
+    """Return monitors that sweep until the last steps: all plots are alike, so no plan beats a sweep."""
     return Handover(state, lawnmower.monitors(state), HorizonGroupPolicy(state, MONITORS))
 
 
@@ -65,7 +65,7 @@ def collectors(state: FarmState) -> GroupPolicy:
 
 
 class Handover:
-    """One crew flies until the last steps of the episode, another one from there on.
+    """One group policy flies until the last steps of the episode, another one from there on.
 
     Args:
         state: the start.
@@ -78,24 +78,24 @@ class Handover:
         self._early, self._late = early, late
 
     def goals(self, state: FarmState) -> Array:
-        """Return the goals of whoever flies now, [n_v, 2] m."""
+        """Return the goals of the policy that flies now, [n_v, 2] m."""
         return (self._early if state.time < self._change else self._late).goals(state)
 
 
 class HorizonGroupPolicy:
-    """One UAV after the other plans, one in each step; what the plans of the others will serve is left to them.
+    """UAVs plan in turn, one in each step; a plan leaves to the others what their plans will serve.
 
     Args:
         state: the start.
-        kind: the crew's type.
-        effort: how hard the plans are sought.
+        kind: the UAVs' type.
+        effort: size of the search.
     """
 
     def __init__(self, state: FarmState, kind: int, effort: Effort = EFFORT) -> None:
         world, layout = state.config.world, state.layout
         self._kind = kind
         self._effort = effort
-        self._worth = step_reward(state.config, kind, effort.discount)
+        self._reward = step_reward(state.config, kind, effort.discount)
         if kind == MONITORS:
             self._grid = plot_grid(state.config)
             self._cycle: Indices = np.full(layout.plot_phase.size, round(world.vdf_cycle / world.step_seconds))
@@ -132,10 +132,10 @@ class HorizonGroupPolicy:
         claimed = np.concatenate([plan for index, plan in enumerate(self._plans) if index != uav] or [NOBODY])
         start = int(np.abs(place - position[uav]).max(axis=1).argmin())
         levels = self._levels(state, horizon)
-        return best_path(self._grid, self._worth, start, levels, claimed, others, width, effort.same)
+        return best_path(self._grid, self._reward, start, levels, claimed, others, width, effort.same)
 
     def _levels(self, state: FarmState, horizon: int) -> Array:
-        """Return the counters [horizon, S] with which the steps to come are credited if nobody serves anything."""
+        """Return the counters [horizon, S] that the coming steps would credit if nobody served anything."""
         now = state.vdf if self._kind == MONITORS else state.aoi
         then = state.time + np.arange(horizon)[:, None]
         rises = (then - self._phase) // self._cycle - (state.time - self._phase) // self._cycle
@@ -144,7 +144,7 @@ class HorizonGroupPolicy:
 
 
 def step_reward(config: FarmConfig, kind: int, discount: float) -> StepReward:
-    """Return what the reward pays UAVs of a type; closing in is paid for by both of a pair."""
+    """Return the reward of UAVs of a type for one step; both UAVs of a pair pay for closing in."""
     reward, world = config.reward, config.world
     flight, across = constants(config, cell_counts(world)).flight, reach(world) / world.step_seconds
     speeds = 0.0, float(across.mean()), float(np.hypot(*across))

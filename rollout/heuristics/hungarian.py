@@ -1,4 +1,4 @@
-"""Targets assigned by the Hungarian method, by what a short chain of visits from each of them is worth.
+"""Targets assigned by the Hungarian method, by the value of a short chain of visits from each.
 
 Source: sequential assignment with the Hungarian method (Kuhn 1955), with look-ahead by rolling out a chain.
 """
@@ -17,15 +17,15 @@ from rollout.heuristics.targets import Targets
 Indices = NDArray[np.int64]
 
 MOST_KNOWN: Final = 2048
-"""Up to so many targets the ways between all of them are held in memory."""
+"""Up to so many targets, the flight times between all pairs are held in memory."""
 CANDIDATES: Final = 12
 """Targets that each UAV considers: those with the largest discounted value."""
 CHAIN: Final = 8
 """Visits of a chain."""
 DISCOUNT: Final = 0.9
-"""Worth of what comes a step later."""
+"""Discount of a value that comes a step later."""
 FOREIGN: Final = 0.1
-"""Worth of a target that is nearer to another UAV of the type."""
+"""Factor on the value of a target that is nearer to another UAV of the type."""
 
 
 def monitors(state: FarmState) -> GroupPolicy:
@@ -39,11 +39,11 @@ def collectors(state: FarmState) -> GroupPolicy:
 
 
 class HungarianGroupPolicy:
-    """All UAVs are assigned anew whenever one of them has done its work.
+    """All UAVs are assigned anew whenever one of them is done.
 
     Args:
         state: the start.
-        kind: the crew's type.
+        kind: the UAVs' type.
     """
 
     def __init__(self, state: FarmState, kind: int) -> None:
@@ -55,7 +55,7 @@ class HungarianGroupPolicy:
         self._second = self.chosen
 
     def goals(self, state: FarmState) -> Array:
-        """Return a place in each UAV's target, or its own place when nothing is worth a flight: [n_v, 2] m."""
+        """Return a place in each UAV's target, or its own place when no target has a value: [n_v, 2] m."""
         position, box = state.of(self._kind), self._targets.box
         value = self._targets.value(state)
         if ((self.chosen < 0) | (value[self.chosen] <= 0.0)).any():
@@ -96,7 +96,7 @@ class HungarianGroupPolicy:
 def chain_value(
     first: Indices, factor: Array, value: Array, between: Callable[[Indices], Array], length: int
 ) -> tuple[Array, Indices]:
-    """Return what chains of visits are worth, and where each goes second.
+    """Return the values of chains of visits, and where each goes second.
 
     A chain goes on to the target with the largest discounted value that it has not visited.
 

@@ -1,4 +1,4 @@
-"""Everybody flies at random."""
+"""Uniform random actions."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from rollout.envs.base import Environments
 
 
 class RandomPolicy:
-    """Uniform actions; each episode's draws follow from its farm and episode seeds, so neighbours do not matter."""
+    """Uniform actions. An episode's draws depend on its farm and episode seeds alone, not on its batch."""
 
     def __init__(self) -> None:
         self._streams: dict[int, np.random.Generator] = {}

@@ -1,4 +1,4 @@
-"""Where the communication UAVs go; any relay crew flies with any task heuristic."""
+"""Heuristics for the communication UAVs; each combines with any heuristic for the tasks."""
 
 from typing import Final
 
@@ -13,20 +13,20 @@ from rollout.sim.kernel.constants import LEAST_LINK, RelayConstants, constants
 from rollout.sim.layout import cell_counts
 
 GAIN: Final = 0.02
-"""Share of the way to its centre that a relay flies in one step."""
+"""Share of the distance to its centre that a relay flies in one step."""
 LAST: Final = 30
-"""Steps before the end in which the search goes on."""
+"""Last steps of the episode, in which the search runs."""
 STRIDES: Final = (3.0, 6.0, 12.0, 25.0, 50.0)
-"""Lengths of the moves that are tried, m, one after the other step by step."""
+"""Lengths of the moves that are tried, m, a different one in each step."""
 MOVES: Final = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
 """Directions of the moves that are tried."""
 
 
 class CentroidRelays:
-    """Each relay follows the centre of the UAVs that it serves, and stays where it is when it serves none."""
+    """Each relay follows the centre of the UAVs that it serves, and stays in place while it serves none."""
 
     def __init__(self, _: FarmState) -> None:
-        """Remember nothing."""
+        """Keep no state."""
 
     def goals(self, state: FarmState) -> Array:
         """Return places on the way to the centres, [n_c, 2] m."""
@@ -40,8 +40,8 @@ class CentroidRelays:
 class SearchRelays:
     """Local search for the relays' places with the least sum of D_c, reached at the very end of the episode.
 
-    The changes of D_c that the reward pays add up to D_c at the start less D_c at the end, so until then a relay
-    flies no faster than it must.
+    The reward pays changes of D_c, which add up to D_c at the start minus D_c at the end. So a relay has no reason to
+    be anywhere before the end, and flies no faster than it must.
 
     Args:
         state: the start.

@@ -1,4 +1,4 @@
-"""Nobody moves."""
+"""No UAV moves."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ class StaticPolicy:
     """Every UAV hovers where it started."""
 
     def reset(self, farms: FarmBatch, index: int) -> None:
-        """Remember nothing."""
+        """Keep no state."""
 
     def act(self, farms: FarmBatch) -> Float32:
         """Return zero velocities, [E, A]."""

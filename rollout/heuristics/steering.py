@@ -1,4 +1,4 @@
-"""What the heuristics share: flying to a place, loitering there, and keeping apart.
+"""Shared by all heuristics: flying to a place, loitering there, and keeping apart.
 
 Actions are velocities as shares of the largest speed along each axis, so a step moves a UAV by
 action * (V_x-max, V_y-max) * t_step.
@@ -19,11 +19,11 @@ Array = NDArray[np.float64]
 STANDOFF: Final = 1e-9
 """Least distance by which a direction is divided, m."""
 EDGE: Final = 1e-3
-"""Nobody flies nearer to the field's edge, m, so that rounding puts nobody out of range."""
+"""Least distance from the field's edge, m, so that rounding puts no UAV outside."""
 ROUNDING: Final = 1e-2
 """A box counts as reached from this distance, m: actions are rounded to float32."""
 LOITER_MAX: Final = 1.0
-"""Who waits does not fly faster than this, m/s."""
+"""Fastest that a waiting UAV flies, m/s."""
 
 
 def reach(world: WorldConfig) -> Array:
@@ -48,14 +48,14 @@ def towards(position: Array, target: Array, world: WorldConfig) -> Array:
 
 
 def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
-    """Take out the part of each UAV's motion that closes in on a neighbour of its plane, and stay over the field.
+    """Remove the part of each UAV's motion that closes in on a neighbour of its plane, and stay over the field.
 
     A neighbour counts when the step would end nearer to it than now and nearer than d_safety, which is what the
-    safety risk SR charges (W8); the one that would end up nearest is heeded.
+    safety risk SR charges (W8). Of several, the one that would end up nearest counts.
 
     Args:
         position: UAVs of one plane, [E, n, 2] m.
-        action: what they would do, [E, n, 2].
+        action: [E, n, 2] before the correction.
         world: geometry and speeds.
 
     Returns:
@@ -81,7 +81,7 @@ def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
 def aim(position: Array, box: Array, onward: Array, world: WorldConfig) -> Array:
     """Return the place in a box that takes the fewest steps to reach and, among those, lies nearest to the next box.
 
-    Both axes have a speed limit of their own, so that each can be decided by itself.
+    Each axis has its own speed limit, so the axes are independent.
 
     Args:
         position: [..., 2] m.
@@ -119,13 +119,13 @@ def loiter_speed(config: FarmConfig) -> float:
 
 
 def loiter(position: Array, goal: Array, time: NDArray[np.int64], step: float) -> Array:
-    """Return the goals, where a UAV with a way shorter than `step` flies that far along x instead, to and fro.
+    """Return the goals, but let a UAV that is nearer than `step` fly that far along x instead, back and forth.
 
     Args:
         position: [E, n, 2] m.
         goal: [E, n, 2] m.
-        time: [E] steps done; decides between to and fro.
-        step: way of a loitering UAV in one step, m.
+        time: [E] steps done; decides between back and forth.
+        step: distance that a loitering UAV flies in one step, m.
 
     Returns:
         [E, n, 2] m.

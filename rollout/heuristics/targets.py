@@ -1,4 +1,4 @@
-"""What a monitor or a collector can fly to, and what a visit is worth."""
+"""Targets that a monitor or a collector can fly to, and the value of a visit."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from rollout.heuristics.steering import Array
 
 
 class Targets:
-    """For monitors every plot, worth its VDF; for collectors every stop, worth the AoI of the sensors nearest to it.
+    """Monitors: every plot, with its VDF as value. Collectors: every stop, with the AoI of the sensors nearest to it.
 
     Args:
         state: the start.
@@ -31,7 +31,7 @@ class Targets:
         self.centre: Array = self.box.mean(axis=0)
 
     def value(self, state: FarmState) -> Array:
-        """Return what a visit of each target is worth now, [K] units."""
+        """Return the present value of a visit to each target, [K] units."""
         if self._stop is None:
             return state.vdf
         value: Array = np.bincount(self._stop, state.aoi, len(self.centre)).astype(np.float64)

@@ -1,4 +1,4 @@
-"""UAVs on closed routes: the crew of every heuristic that plans its ways before it flies."""
+"""UAVs on closed routes: the group policy of every heuristic that plans its routes before it flies."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -11,16 +11,16 @@ from rollout.heuristics.composite import FarmState
 from rollout.heuristics.steering import Array, aim, inside, steps_to
 
 PATIENCE: Final = 3
-"""Steps without coming nearer, when another UAV is in the way, after which a box is left to the next round."""
+"""Steps without progress, with another UAV in the way, after which a box is skipped until the next lap."""
 
 
 class TourFollower:
-    """Each UAV flies one route round and round, through boxes in their order.
+    """Each UAV flies laps of one route, through its boxes in order.
 
     Args:
-        routes: one for each UAV of the crew, [2, L, 2] m: lowest and highest corners of its boxes.
-        kind: the crew's type.
-        state: the start; each UAV gets the route, and enters it at the box, to which the fleet's way is shortest.
+        routes: one for each UAV, [2, L, 2] m: lowest and highest corners of its boxes.
+        kind: the UAVs' type.
+        state: the start; routes are assigned so that the UAVs reach them in the fewest steps altogether.
     """
 
     def __init__(self, routes: Sequence[Array], kind: int, state: FarmState) -> None:

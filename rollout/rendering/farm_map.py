@@ -1,6 +1,6 @@
 """The farm's map in a matplotlib picture: plots, sensors, reach, trails, links and UAVs.
 
-Every picture that shows a farm in motion has one such map or several; who owns the figure decides what else is in it.
+Every animated picture of a farm has one such map or several; the owner of the figure adds the rest.
 """
 
 from typing import Any, Final

@@ -1,7 +1,7 @@
 """Colours, marks and names that every picture of the farm shares; nothing here needs a drawing library.
 
-Colours of the types are Okabe and Ito's, which people with any colour vision tell apart; every difference that a
-colour makes is also made by a marker, a line style or a label.
+The colours of the types are from Okabe and Ito's palette, which works for any colour vision. A marker, a line style or
+a label repeats every difference in colour.
 """
 
 from typing import Final, Literal

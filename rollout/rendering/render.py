@@ -1,4 +1,4 @@
-"""Showing one environment of a batch: as an array, as text, or to people."""
+"""Rendering one environment of a batch: as an array, as text, or in a window."""
 
 import importlib
 from typing import Any, Final, Protocol
@@ -90,7 +90,7 @@ class Renderer:
 
 
 def make_picture(scene: Scene) -> Picture:
-    """Return what draws scenes like this one; matplotlib is imported here, so that workers never pay for it."""
+    """Return what draws scenes like this one; matplotlib is imported here, so that workers never load it."""
     picture: Picture = importlib.import_module("rollout.rendering.picture").FarmPicture(scene)
     return picture
 
@@ -115,7 +115,7 @@ class Window:
         self._picture: Picture | None = None
 
     def show(self, scene: Scene) -> None:
-        """Show a scene and let the window breathe."""
+        """Show a scene and let the window handle its events."""
         self._picture = self._picture or make_picture(scene)
         pixels = self._picture.draw(scene)
         if self._figure is None:
@@ -134,7 +134,7 @@ class Window:
 
 
 class Terminal:
-    """Text on a console; on a terminal each scene takes the place of the one before.
+    """Text on a console; on a terminal each scene overwrites the one before.
 
     Args:
         console: where to write.

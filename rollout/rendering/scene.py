@@ -1,4 +1,4 @@
-"""What a picture of one environment shows: its present state and the way there."""
+"""What a picture of one environment shows: its present state and its course so far."""
 
 import math
 from collections import deque

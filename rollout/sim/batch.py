@@ -1,4 +1,4 @@
-"""A batch of simulated farms, stepped together by one compiled call."""
+"""A batch of simulated farms that one compiled call steps."""
 
 import copy
 import functools
@@ -25,27 +25,27 @@ from rollout.sim.layout import Layout, make_layout
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
 
 TRIES: Final = 200
-"""Random places that are tried for a UAV before the distance it must keep shrinks by a tenth."""
+"""Random places that are tried for a UAV before its least distance shrinks by a tenth."""
 
 NEVER: Final = 2**30
 """A step that no episode reaches; cycles are kept in 32 bits."""
 
 
 class FarmBatch:
-    """Environments that share a configuration and nothing else.
+    """Farms that share a configuration and nothing else.
 
-    An episode is a pure function of (farm seed, episode seed, actions): bit-equal in a batch of any size and order.
-    There is no automatic reset. All arrays keep their identity over steps and resets; read them, do not write.
+    An episode is a pure function of (farm seed, episode seed, actions), bit-equal in a batch of any size and order.
+    There is no automatic reset. All arrays keep their identity over steps and resets; callers must not write to them.
 
     Args:
         config: the farm.
         environments: E.
-        threads: how many threads step them, each a share of the environments. Results do not depend on it.
+        threads: threads that step them, each a share of the environments. Results do not depend on it.
 
     Attributes:
         config: the farm.
         team: layout of a row: c, then m, then d.
-        observation: [E, O] float32, what everybody sees now.
+        observation: [E, O] float32, present observations of all agents.
         reward: [E, n] float32, of the last step.
         parts: [E, n, K] weighted parts of the last step's reward, named by REWARD_PARTS; they sum to the reward.
         time: [E] steps done in this episode; -1 before the first reset.
@@ -100,14 +100,14 @@ class FarmBatch:
 
     @property
     def potential(self) -> Float32:
-        """[E, n] what a relay's reward pays the change of: -alpha_1 D_c t_step, or +alpha_1 as printed (W1)."""
+        """[E, n] level of which a relay's reward pays the change: -alpha_1 D_c t_step, or +alpha_1 as printed (W1)."""
         weight, levels = self._constants.reward, np.zeros_like(self.reward)
         levels[:, : self.service.shape[1]] = weight.positioning * self.service * self.config.world.step_seconds
         return levels
 
     @property
     def ended(self) -> NDArray[np.bool_]:
-        """[E] whether the episode is over; a farm's is truncated, it never terminates."""
+        """[E] whether the episode is over; on a farm it is truncated and never terminates."""
         return self.truncated
 
     @property
@@ -187,7 +187,7 @@ class FarmBatch:
             other.result()
 
     def summary(self, index: int) -> EpisodeSummary:
-        """Return what the running episode of an environment came to so far; raise SimulationError before any."""
+        """Return the summary of an environment's episode so far; raise SimulationError before the first."""
         self._begun(index)
         farm, episode = self._seeds[index]
         steps = int(self.time[index])
@@ -205,7 +205,7 @@ class FarmBatch:
         """Do nothing: farms hold nothing outside this process's memory."""
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "FarmBatch":
-        """Return farms that go on as these would; threads are started anew."""
+        """Return a copy that continues as this batch would; threads are started anew."""
         twin = object.__new__(FarmBatch)
         memo[id(self)] = twin
         fresh = ThreadPoolExecutor(len(self._arguments) - 1, "farms") if self._pool else None
@@ -220,7 +220,7 @@ class FarmBatch:
 
 @functools.lru_cache(maxsize=256)
 def by_rows(layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the sensors row by row of cells, [S], and where each cell's begin in that list, [cells + 1]."""
+    """Return the sensors row by row of cells, [S], and the first of each cell in that list, [cells + 1]."""
     columns, rows = layout.cells
     number = np.diff(layout.cell_start)
     cell = np.arange(columns * rows).reshape(columns, rows)
@@ -229,14 +229,14 @@ def by_rows(layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def packet_key(farm_seed: int, episode_seed: int) -> int:
-    """Return the 63-bit key from which the fate of every packet of an episode follows."""
+    """Return the 63-bit key that decides, with step and sensor, whether each packet of an episode arrives."""
     return derive(farm_seed, episode_seed, "packets")
 
 
 def start_positions(world: WorldConfig, farm_seed: int, episode_seed: int) -> NDArray[np.float64]:
-    """Return where the UAVs start, [n, 2] m: uniform, in one plane at least d_safety apart.
+    """Return the start positions of the UAVs, [n, 2] m: uniform, and at least d_safety apart within a plane.
 
-    Where a plane is too crowded for that, the distance shrinks by a tenth until a place is found.
+    In a plane that is too crowded for that, the distance shrinks by a tenth until a place is found.
     """
     random = stream(farm_seed, episode_seed, "start")
     places: list[tuple[float, float]] = []

@@ -21,7 +21,7 @@ Density = Callable[[Array], Array]
 DENSITY_FLOOR: Final = 0.15
 """Least acceptance of a candidate place on an irregular farm; 1 in the densest parts."""
 PACKING: Final = 0.697
-"""Sensors per square of the spacing when no more can be thrown: 0.547 of the area lies under disks of that diameter."""
+"""Sensors per square of the spacing when no more fit at random: disks of that diameter cover 0.547 of the area."""
 PARKING: Final = 0.7476
 """The same along a line: Renyi's parking constant."""
 CHOICES: Final = 8
@@ -50,7 +50,7 @@ def make_density(kind: str, world: WorldConfig, random: np.random.Generator) -> 
 
 
 def needed_share(world: WorldConfig) -> float:
-    """Return the share of the field that the sensors fill when they stand as close as they can be thrown."""
+    """Return the share of the field that the sensors fill when they stand as close as random sampling allows."""
     return world.sensors * world.sensor_spacing**2 / (PACKING * world.field_x * world.field_y)
 
 

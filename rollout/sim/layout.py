@@ -17,7 +17,7 @@ CELL: Final = 25.0
 MAX_CELLS: Final = 128
 """Most cells along one axis."""
 GIVEN: Final = "given"
-"""What a layout names as its density when its places come from the configuration."""
+"""Density of a layout whose places come from the configuration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Layout:
 
     Attributes:
         seed: the farm's seed.
-        density: which one it was thrown by, or GIVEN.
+        density: by which the places were sampled, or GIVEN.
         sensor_xy: [S, 2] places, m; numbered cell by cell, cells in row-major order (x outer).
         sensor_type: [S] type, 0 .. I_type - 1.
         sensor_cycle_steps: [S] AoI update cycle T_UA of the sensor's type, steps.
@@ -51,8 +51,8 @@ class Layout:
 def make_layout(farm: FarmConfig, seed: int) -> Layout:
     """Return the farm of a seed.
 
-    Its places are thrown by the configured density, at least `sensor_spacing` apart, and its types are balanced; given
-    places, and types given with them, are kept as they are. Phases always follow from the seed.
+    Places are sampled by the configured density, at least `sensor_spacing` apart, and types are balanced. Given places,
+    and types given with them, are kept as they are. Phases always follow from the seed.
 
     Raises:
         ConfigError: so many sensors do not fit at that spacing.

@@ -1,4 +1,4 @@
-"""Poisson-disk places: darts are thrown by a density, and one that lands too close to another is taken out."""
+"""Poisson-disk sampling by a density: a candidate that lies too close to an earlier one is rejected."""
 
 from typing import Final
 
@@ -12,13 +12,13 @@ from rollout.sim.densities import make_density
 from rollout.sim.kernel.compiler.decorators import compiled_entry
 
 BLOCKS: Final = 64
-"""Blocks of candidate places that are tried before a layout is given up."""
+"""Blocks of candidates that are tried before a layout counts as impossible."""
 MAX_BINS: Final = 128
 """Most bins along one axis in which neighbours are looked for."""
 
 
 def sample_positions(world: WorldConfig, seed: int, kind: str) -> NDArray[np.float64]:
-    """Return places [S, 2] m: candidates thinned by a density, each kept if it is far enough from all before it.
+    """Return sensor positions [S, 2] m: candidates thinned by a density, each kept if far enough from all before it.
 
     Args:
         world: counts and sizes.

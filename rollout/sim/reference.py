@@ -1,7 +1,7 @@
-"""The farm written straight from the equations: the readable oracle that the compiled simulator is held against.
+"""The farm written straight from the equations: the readable oracle for tests of the compiled simulator.
 
-One environment, NumPy, no speed. Nothing here is shared with the kernel but the layout and the start; physics is in
-dB and metres as in the paper, where the kernel works with precomputed linear factors.
+One environment, NumPy, slow. It shares only the layout and the start with the kernel. Physics is in dB and metres as in
+the paper, where the kernel uses precomputed linear factors.
 """
 
 import math

@@ -1,1 +1,1 @@
-"""The worker process: collects experience, sends chunks, and shows its farm to those who watch."""
+"""The worker process: collects experience, delivers chunks, evaluates on request, and lets people watch."""

@@ -1,4 +1,4 @@
-"""Collecting experience: a batch of environments stepped with the present actors and exploration noise."""
+"""Collection of experience: a batch of environments stepped with the newest actors and exploration noise."""
 
 from collections.abc import Sequence
 from contextlib import closing
@@ -12,38 +12,38 @@ from common.config import RunConfig
 from common.seeds import derive, stream
 from common.team import Float32
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
-from rollout.envs.base import make_environments
+from rollout.envs.registry import make_environments
 from rollout.worker.reward_shaping import RewardShaping
 
 BLOCK: Final = 128
-"""Steps for which random numbers are drawn at once."""
+"""Steps of random numbers that are drawn at once."""
 
 
 class StepObserver(Protocol):
-    """Looks at one environment, as `rollout.worker.probe.Probe` does."""
+    """Records one environment, as `rollout.worker.probe.Probe` does."""
 
     index: int
 
     def record(self) -> None:
-        """Look; called after every reset of the environment and every step."""
+        """Record the present state; called after every reset of the environment and every step."""
 
 
 class Collector:
     """One worker's environments.
 
-    A chunk is `chunk_steps` steps of every environment. Which farm or scenario an episode is flown on, its seed and its
-    noise follow from (run seed, worker, start, environment, number of the episode), never from what other processes do.
+    A chunk is `chunk_steps` steps of every environment. An episode's farm or scenario, its seed and its noise are a
+    function of (run seed, worker, start, environment, number of the episode), never of what other processes do.
 
     Args:
         config: the run.
         worker: the worker's name.
-        start: distinguishes the starts of a worker of this name; a fixed number repeats the same episodes.
+        start: number of this start of the worker; the same number repeats the same episodes.
 
     Attributes:
         environments: the batch.
         team: layout of a row.
-        environment_steps: steps flown, all environments together.
-        probe: who looks on, if anybody does; what is flown does not depend on it.
+        environment_steps: steps collected, all environments together.
+        probe: records one environment while somebody watches, else None; the experience does not depend on it.
 
     Raises:
         ConfigError: the environment does not exist or cannot be trained.
@@ -64,17 +64,17 @@ class Collector:
         for index in range(count):
             self._begin(index)
 
-    def collect(self, actors: TeamActors, deviation: float, uniform: bool) -> Chunk:
-        """Fly one chunk.
+    def collect(self, actors: TeamActors, noise_std: float, uniform: bool) -> Chunk:
+        """Collect one chunk.
 
         Args:
             actors: the actors.
-            deviation: standard deviation of the Gaussian noise on a deterministic head's action, 0..1.
+            noise_std: standard noise_std of the Gaussian noise on a deterministic head's action, 0..1.
             uniform: draw actions uniformly instead (warm-up).
 
         Returns:
-            Rows of all environments, each environment's segments one after the other, and the episodes that ended. What
-            rows pay may be shaped (`rollout.worker.reward_shaping`), what the episodes tell is not.
+            The rows of all environments, one environment's segments after the other, and the episodes that ended. The
+            rewards in the rows may be shaped (`rollout.worker.reward_shaping`); those of the episodes are not.
         """
         environments, steps = self.environments, self._config.rollout.chunk_steps
         rows = _ChunkRows(len(environments.time), steps, self.team.observation_size, self.team.action_size)
@@ -82,7 +82,7 @@ class Collector:
         episodes: list[EpisodeSummary] = []
         for step in range(steps):
             rows.observation[:, step] = environments.observation
-            action = self._act(actors, deviation, uniform)
+            action = self._act(actors, noise_std, uniform)
             self._shaping.before_step()
             environments.step(self.team.adapt(environments.observation, action))
             if self.probe is not None:
@@ -97,12 +97,12 @@ class Collector:
         self.environment_steps += len(environments.time) * steps
         return Chunk(rows.rows(reward), tuple(episodes))
 
-    def _act(self, actors: TeamActors, deviation: float, uniform: bool) -> Float32:
+    def _act(self, actors: TeamActors, noise_std: float, uniform: bool) -> Float32:
         environments = self.environments
         if uniform:
             return 2.0 * self._uniform.at(self._episode, environments.time, normal=False) - 1.0
         noise = self._noise.at(self._episode, environments.time, normal=True)
-        return actors.explore(environments.observation, noise, deviation)
+        return actors.explore(environments.observation, noise, noise_std)
 
     def _begin(self, index: int) -> None:
         self._episode[index] += 1
@@ -114,7 +114,7 @@ class Collector:
 
 
 class _ChunkRows:
-    """The rows of one chunk: environments by steps, and the last observations of episodes that ended on the way."""
+    """The rows of one chunk: environments by steps, and the final observations of episodes that ended in it."""
 
     def __init__(self, count: int, steps: int, observations: int, actions: int) -> None:
         self._steps = steps
@@ -125,14 +125,14 @@ class _ChunkRows:
         self._inserted: list[tuple[int, Float32]] = []
 
     def end(self, index: int, step: int, terminated: bool) -> None:
-        """Note that an environment's episode ended in a step; the observation behind it is in place."""
+        """Mark the end of an environment's episode in a step; the final observation is written already."""
         self._flag[index, step] |= TERMINATED if terminated else TRUNCATED
         if step + 1 < self._steps:
             place = index * (self._steps + 1) + step + 1
             self._inserted.append((place, self.observation[index, step + 1].copy()))
 
     def rows(self, reward: Float32) -> Rows:
-        """Return all rows, each episode's last observation in a row of its own before the next episode's first."""
+        """Return all rows; each episode's final observation has a row of its own before the next episode's first."""
         count = self._flag.size
         observation, action, earned = (a.reshape(count, -1) for a in (self.observation, self.action, reward))
         flag = self._flag.reshape(count)
@@ -146,7 +146,7 @@ class _ChunkRows:
 
 
 class _NoiseRows:
-    """Random rows for every step of every environment's episode, whatever was drawn for other episodes or steps."""
+    """Random numbers for every step of an episode, independent of those for other episodes and steps."""
 
     def __init__(self, name: tuple[Any, ...], count: int, size: int) -> None:
         self._name = name
@@ -170,7 +170,7 @@ class _NoiseRows:
 def run_noise_free_episodes(
     config: RunConfig, actors: TeamActors, farms: Sequence[int], episodes: Sequence[int]
 ) -> tuple[Float32, NDArray[np.int64]]:
-    """Fly one noise-free episode on each farm.
+    """Run one noise-free episode on each farm.
 
     Args:
         config: the run.
@@ -179,7 +179,7 @@ def run_noise_free_episodes(
         episodes: episode seeds, one for each farm.
 
     Returns:
-        [F, T, agents] step rewards, zeros behind the end of a shorter episode, and [F] the steps of each episode.
+        [F, T, agents] step rewards, zeros after the end of a shorter episode, and [F] the steps of each episode.
     """
     with closing(make_environments(config, len(farms))) as batch:
         for index, (farm, episode) in enumerate(zip(farms, episodes, strict=True)):

@@ -1,4 +1,4 @@
-"""Looks at one environment of a batch of farms while it flies, step by step, and keeps what was seen for a while."""
+"""Records one environment of a batch of farms step by step, for people who watch."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,7 +11,7 @@ from common.protocol.view_checks import FRAMES
 from rollout.sim.batch import FarmBatch
 
 HELD: Final = 1024
-"""Frames that are held until somebody takes them; a probe that is full closes."""
+"""Most frames that are held until they are taken; a full probe closes."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class _Frame:
 
 
 class Probe:
-    """Keeps frames of one environment from when it is opened up to the end of an episode.
+    """Keeps frames of one environment from its opening to the end of an episode.
 
     Args:
         batch: the simulator.
@@ -35,8 +35,8 @@ class Probe:
 
     Attributes:
         index: which environment.
-        again: whether it goes on with the next episode when one is over.
-        is_open: whether it keeps frames, or waits for an episode to begin.
+        again: whether it continues with the next episode when one is over.
+        is_open: whether it keeps frames or waits for an episode to begin.
     """
 
     def __init__(self, batch: FarmBatch, index: int) -> None:
@@ -58,7 +58,7 @@ class Probe:
         self.is_open = False
 
     def record(self) -> None:
-        """Look; to be called after every reset of the environment and every step."""
+        """Keep a frame of the present state; to be called after every reset of the environment and every step."""
         batch, e = self._batch, self.index
         step = int(batch.time[e])
         if self._waiting and step == 0:
@@ -83,12 +83,12 @@ class Probe:
         if step == batch.config.world.steps:
             self.is_open = self.again
 
-    def take(self, skipped: int, deviation: float, uniform: bool) -> list[ViewMessage]:
-        """Return what was kept, in messages of consecutive frames of one episode, and forget it.
+    def take(self, skipped: int, noise_std: float, uniform: bool) -> list[ViewMessage]:
+        """Return and forget the frames, in messages of consecutive frames of one episode.
 
         Args:
-            skipped: steps that were flown and not shown.
-            deviation: of the exploration noise.
+            skipped: steps that were collected and not shown.
+            noise_std: standard noise_std of the exploration noise.
             uniform: whether actions were drawn uniformly instead.
         """
         held, self._frames = self._frames, []
@@ -96,11 +96,11 @@ class Probe:
         begin = 0
         for end in range(1, len(held) + 1):
             if end == len(held) or end - begin == FRAMES or held[end].step != held[end - 1].step + 1:
-                found.append(self._message(held[begin:end], skipped, deviation, uniform))
+                found.append(self._message(held[begin:end], skipped, noise_std, uniform))
                 begin = end
         return found
 
-    def _message(self, frames: list[_Frame], skipped: int, deviation: float, uniform: bool) -> ViewMessage:
+    def _message(self, frames: list[_Frame], skipped: int, noise_std: float, uniform: bool) -> ViewMessage:
         world = self._batch.config.world
         aoi, vdf = np.stack([frame.aoi for frame in frames]), np.stack([frame.vdf for frame in frames])
         parts = np.stack([frame.parts for frame in frames])
@@ -110,7 +110,7 @@ class Probe:
             episode=frames[0].seeds[1],
             first=frames[0].step,
             skipped=skipped,
-            deviation=deviation,
+            deviation=noise_std,
             uniform=uniform,
             position=np.stack([frame.position for frame in frames]).astype(np.float32),
             assignment=np.stack([frame.assignment for frame in frames]).astype(np.uint8),

@@ -1,8 +1,8 @@
-"""A worker that is watched: who watches, until when, and what they get to see.
+"""Watching a worker: who watches, until when, and which frames are published.
 
-Nothing is looked at and nothing is published unless somebody has asked in the last LEASE_SECONDS. A worker flies an
-episode in a fraction of a second, people look at it for many; so it shows one whole episode, step by step, and rests
-until STEPS_PER_SECOND allows for the next. What is flown meanwhile is counted as skipped, never queued.
+Nothing is recorded or published unless somebody has asked in the last LEASE_SECONDS. A worker simulates an episode in a
+fraction of a second, and people watch it for many. So it shows one whole episode, step by step, and pauses until
+STEPS_PER_SECOND allows for the next. Steps in between are counted as skipped and never queued.
 """
 
 import time
@@ -19,33 +19,33 @@ from rollout.worker.collector import Collector
 from rollout.worker.probe import Probe
 
 LEASE_SECONDS: Final = 4.0
-"""Time after its last request that a watcher counts as gone."""
+"""Time after its last request at which a watcher counts as gone."""
 STEPS_PER_SECOND: Final = 25.0
-"""Frames that are published in a second, on average."""
+"""Frames published in a second, on average."""
 SLACK_SECONDS: Final = 1.0
-"""Time by which publishing may be ahead of its allowance before the probe rests after an episode."""
+"""How far publishing may be ahead of STEPS_PER_SECOND before the probe pauses after an episode."""
 GREETING_SECONDS: Final = 2.0
-"""Least time between two episodes that are shown early because somebody new has come."""
+"""Least time between two episodes that are shown early because a new watcher came."""
 MAX_WATCHERS: Final = 16
 CAPACITY: Final = 32
 """Requests that may wait."""
 
 
 class ViewService:
-    """Shows the first environment of a worker to whoever asks.
+    """Publishes frames of a worker's first environment to watchers.
 
     Args:
         bus: the control lane.
         run: the run's name.
         worker: the worker's name.
         incarnation: number of this start.
-        collector: what flies.
+        collector: whose environments are shown.
         toml: the run's configuration.
         clock: returns seconds.
 
     Attributes:
         shown: frames published.
-        skipped: steps flown while somebody watched, and not shown.
+        skipped: steps collected while somebody watched, and not shown.
         refused: requests that were refused.
     """
 
@@ -73,15 +73,15 @@ class ViewService:
 
     @property
     def watchers(self) -> int:
-        """Return how many watch."""
+        """Return the number of watchers."""
         return len(self._until)
 
-    def poll(self, version: int, deviation: float, uniform: bool) -> None:
-        """Answer requests, let go of watchers that are gone, and publish what has been seen since the last call.
+    def poll(self, version: int, noise_std: float, uniform: bool) -> None:
+        """Answer requests, drop watchers that are gone, and publish the frames since the last call.
 
         Args:
-            version: parameter version that was flown with.
-            deviation: of the exploration noise.
+            version: parameter version of the actors.
+            noise_std: standard noise_std of the exploration noise.
             uniform: whether actions were drawn uniformly instead.
         """
         for incoming in self._requests.waiting():
@@ -95,7 +95,7 @@ class ViewService:
             self._probe.take(0, 0.0, False)
             self._collector.probe = None
             return
-        self._publish(self._probe, now, version, deviation, uniform)
+        self._publish(self._probe, now, version, noise_std, uniform)
         if not self._probe.is_open:
             self._collector.probe = None
             if now >= self._paid:
@@ -115,7 +115,7 @@ class ViewService:
             return
         incoming.reply(self._terms)
         if not request.stay:
-            # It goes with the next call of `poll`, which also closes the probe behind the last one.
+            # The next call of `poll` drops it, and closes the probe after the last one.
             if request.watcher in self._until:
                 self._until[request.watcher] = 0.0
             return
@@ -125,7 +125,7 @@ class ViewService:
             self._greet(self._probe)
 
     def _greet(self, probe: Probe) -> None:
-        """Let somebody new see something soon: the running episode if nobody watched, else the next one."""
+        """Show a new watcher something soon: the running episode if nobody watched before, else the next one."""
         now = self._clock()
         if len(self._until) == 1:
             self._flown = self._steps() - self._seen - self.skipped
@@ -139,8 +139,8 @@ class ViewService:
         probe.open(at_once=at_once)
         self._collector.probe = probe
 
-    def _publish(self, probe: Probe, now: float, version: int, deviation: float, uniform: bool) -> None:
-        for message in probe.take(self.skipped, deviation, uniform):
+    def _publish(self, probe: Probe, now: float, version: int, noise_std: float, uniform: bool) -> None:
+        for message in probe.take(self.skipped, noise_std, uniform):
             self._put(message, version)
             self._paid = max(now, self._paid) + len(message.position) / STEPS_PER_SECOND
         self.skipped = max(self.skipped, self._steps() - self._flown - self._seen)
@@ -153,5 +153,5 @@ class ViewService:
         self._publisher.put(message.encode(), Envelope(*self._sender, self._sequence, version).encode())
 
     def _steps(self) -> int:
-        """Return the steps that the shown environment has flown."""
+        """Return the steps of the shown environment."""
         return self._collector.environment_steps // len(self._collector.environments.time)

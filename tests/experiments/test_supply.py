@@ -11,7 +11,8 @@ from common.config.presets import PRESETS
 from common.errors import ConfigError
 from experiments.supply import COLUMNS, KINDS, Ledger, follow, main, mean, page
 from rollout.evaluation import episode_seed, record
-from rollout.policies import HEURISTICS, policy_of
+from rollout.heuristics.registry import HEURISTICS
+from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import make_layout
 from tests.rollout.heuristics.small_farm import SMALL

@@ -17,7 +17,7 @@ from common.protocol.messages import (
     ProgressMessage,
 )
 from common.transport.bus import Bus
-from rollout.envs.base import environment_spec
+from rollout.envs.registry import environment_spec
 from tests.system.fleet import RUN, TINY, Processes, configured, until
 
 LAG, SILENCE = 5, 1.5

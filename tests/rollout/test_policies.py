@@ -12,7 +12,8 @@ from common.policy_file import save_policy
 from deploy.policies.evaluate import EvaluateArguments
 from docs.tools.configuration_tables import field_docs
 from rollout import policies
-from rollout.policies import HEURISTICS, POLICIES, RELAYS, TASKS, ActorPolicy, policy_of
+from rollout.heuristics.registry import HEURISTICS, RELAYS, TASKS
+from rollout.policies import POLICIES, ActorPolicy, policy_of
 from rollout.sim.batch import FarmBatch
 from tests.rollout.heuristics.small_farm import SMALL
 

@@ -15,7 +15,7 @@ from learner.intake.ledger import Intake
 from learner.intake.peer_penalties import CUT_SECONDS, LIMIT, MOST_PEERS, PeerPenalties
 from learner.intake.receiver import Receiver
 from learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Throttle
-from rollout.envs.base import environment_spec
+from rollout.envs.registry import environment_spec
 
 ENVIRONMENT = environment_spec(RunConfig())
 

@@ -15,7 +15,7 @@ from deploy.options import base_configuration, parse
 from learner.networks.device import usable_device
 from learner.options import LearnerOptions
 from learner.service import serve
-from rollout.envs.base import environment_spec
+from rollout.envs.registry import environment_spec
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from deploy.monitor.run_monitor import RunMonitor
 from deploy.options import base_configuration, parse
 from deploy.output import patient_output
 from deploy.reports.run_report import write_report
-from rollout.envs.base import environment_spec
+from rollout.envs.registry import environment_spec
 
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0

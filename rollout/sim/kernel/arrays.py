@@ -18,7 +18,7 @@ REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "
 
 
 class State(NamedTuple):
-    """All environments [E]; UAVs [n] in row order.
+    """State of all environments [E]; UAVs [n] in row order.
 
     Attributes:
         key: [E] key of the episode's packets.
@@ -88,7 +88,7 @@ class State(NamedTuple):
 
 
 class Farm(NamedTuple):
-    """One environment: the arrays of State without their first axis, and its two numbers."""
+    """State of one environment: the arrays of `State` without their first axis; `step` is its `time`."""
 
     key: np.uint64
     step: int
@@ -280,7 +280,7 @@ def make_scratch(config: FarmConfig) -> Scratch:
 
 
 class Workspace(NamedTuple):
-    """All that one thread works with.
+    """Everything that one thread works with.
 
     Attributes:
         constants: numbers derived from the configuration.

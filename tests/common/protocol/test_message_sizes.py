@@ -16,7 +16,7 @@ from common.protocol.message_sizes import actor_bytes, chunk_bytes, evaluation_b
 from common.protocol.messages import EvaluationResult, ParametersMessage
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
-from rollout.envs.base import environment_spec
+from rollout.envs.registry import environment_spec
 
 FARM = farm_environment(RunConfig().farm)
 TEAM = FARM.team

@@ -28,7 +28,7 @@ from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Row
 from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint
 from learner.intake.chunk_rules import ChunkRules
-from rollout.envs.base import environment_spec
+from rollout.envs.registry import environment_spec
 from tests.system.fleet import RUN, configured
 
 PER_NAME: Final = 15

@@ -10,8 +10,8 @@ from common.actors import TeamActors
 from common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
 from common.errors import ConfigError, SimulationError
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED
-from rollout.envs.base import environment_spec, make_environments
 from rollout.envs.pettingzoo_batch import PettingZooBatch
+from rollout.envs.registry import environment_spec, make_environments
 from rollout.evaluation import evaluate_run
 from rollout.heuristics.random import RandomPolicy
 from rollout.worker.collector import Collector, run_noise_free_episodes
@@ -77,7 +77,7 @@ def test_who_has_left_is_seen_as_zeros_and_earns_nothing():
     ("config", "terminated", "steps"),
     [(relay(), True, 5), (relay('{"cut": true}'), False, 5), (relay(steps=2), False, 2)],
 )
-def test_terminated_and_truncated_are_told_apart(config, terminated, steps):
+def test_terminated_and_truncated_are_distinguished(config, terminated, steps):
     """An end by the environment's own time limit, or by ours, is bootstrapped from."""
     batch = PettingZooBatch(config, 1)
     batch.reset(0, 0, 0)
@@ -232,7 +232,7 @@ def test_collecting_does_not_depend_on_where_chunks_are_cut():
 
 
 def test_noise_free_flights_may_differ_in_length():
-    """Rewards behind an episode's end are zeros, and the steps of each are told."""
+    """Rewards after an episode's end are zeros, and the steps of each are returned."""
     config = run_config(EnvConfig("toy_env:Relay", steps=4))
     actors = TeamActors.initial(environment_spec(config).team, 4, 0)
     reward, steps = run_noise_free_episodes(config, actors, (0, 1), (5, 6))

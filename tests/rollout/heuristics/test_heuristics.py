@@ -10,6 +10,7 @@ from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
 from rollout.heuristics.greedy import best_targets
 from rollout.heuristics.hungarian import HungarianGroupPolicy, chain_value
 from rollout.heuristics.lawnmower import INSET, collection_routes, monitoring_routes, round_steps
+from rollout.heuristics.registry import HEURISTICS, TASKS
 from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centres, total_service
 from rollout.heuristics.sites import (
     plot_centres,
@@ -18,7 +19,7 @@ from rollout.heuristics.sites import (
 from rollout.heuristics.static import StaticPolicy
 from rollout.heuristics.steering import aim, inside, keep_apart, loiter_speed, reach, steps_to, towards
 from rollout.heuristics.tour import grouped_tours, plot_tours, short_tour, tries
-from rollout.policies import HEURISTICS, TASKS, policy_of
+from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
 from rollout.sim.kernel.constants import constants
 from rollout.sim.layout import cell_counts
@@ -55,9 +56,9 @@ def state(config=SMALL, farm=7, steps=0):
     farms = begin(config, policy, [(farm, 1)])
     for _ in range(steps):
         farms.step(policy.act(farms))
-    crews = CompositePolicy(config, CentroidRelays, greedy.monitors, greedy.collectors)
-    crews.reset(farms, 0)
-    return crews._farm_state(farms, 0)
+    policy = CompositePolicy(config, CentroidRelays, greedy.monitors, greedy.collectors)
+    policy.reset(farms, 0)
+    return policy._farm_state(farms, 0)
 
 
 @pytest.mark.parametrize("name", HEURISTICS)
@@ -289,10 +290,10 @@ def test_hungarian_sends_no_two_to_one_target(kind):
     config = FarmConfig(world=WorldConfig(monitoring_uavs=8, collection_uavs=8, steps=300))
     for farm in range(5):
         now = state(config, farm, 130)
-        crew = HungarianGroupPolicy(now, kind)
-        crew.goals(now)
-        assert (crew.chosen >= 0).all()
-        assert len(set(crew.chosen.tolist())) == 8
+        group = HungarianGroupPolicy(now, kind)
+        group.goals(now)
+        assert (group.chosen >= 0).all()
+        assert len(set(group.chosen.tolist())) == 8
 
 
 def test_a_chain_is_worth_its_discounted_visits():
@@ -343,11 +344,11 @@ def test_search_relays_wait_for_the_last_steps():
     """Until its last steps the search goes nowhere; then its places are no worse than the centres."""
     config = FarmConfig(world=WorldConfig(steps=60))
     early, late = state(config, 3, 0), state(config, 3, 50)
-    crew = SearchRelays(early)
-    np.testing.assert_array_equal(crew.goals(early), early.position[:4])
+    relays = SearchRelays(early)
+    np.testing.assert_array_equal(relays.goals(early), early.position[:4])
     for time in range(50, 60):
-        crew.goals(replace(late, time=time))
+        relays.goals(replace(late, time=time))
     own, served = late.position[:4], late.position[4:]
     relay = constants(config, cell_counts(config.world)).relay
-    found = total_service(config.world, relay, crew._places, served)
+    found = total_service(config.world, relay, relays._places, served)
     assert found < total_service(config.world, relay, served_centres(own, served, late.assignment), served)

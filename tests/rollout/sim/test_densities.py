@@ -1,4 +1,4 @@
-"""The densities of a farm: spaced, as many as asked for, pure in the seed, and told apart by their statistics."""
+"""The densities of a farm: spaced, as many as asked for, pure in the seed, and distinct in their statistics."""
 
 import hashlib
 from dataclasses import replace
@@ -96,7 +96,7 @@ def test_what_does_not_fit_is_refused(density):
     assert str(caught.value) == "1400 sensors do not fit into 400 m x 400 m at least 10 m apart."
 
 
-def test_counts_in_a_raster_tell_the_densities_apart():
+def test_counts_in_a_raster_distinguish_the_densities():
     """On average: uniform is more even than chance, irregular less so, clustered and patchy are lumpy."""
     mean = {density: dispersion(density).mean() for density in KINDS}
     assert mean["uniform"] < 0.6

@@ -44,7 +44,7 @@ def test_ten_thousand_sensors_find_their_places():
 
 
 def test_density_is_irregular_and_differs_between_farms():
-    """Counts in a 4 x 4 raster spread more than evenly thrown sensors would, and not alike on two farms."""
+    """Counts in a 4 x 4 raster spread more than evenly sampled sensors would, and not alike on two farms."""
     counts = [np.histogram2d(*make_layout(FarmConfig(), seed).sensor_xy.T, bins=4)[0].ravel() for seed in range(6)]
     for count in counts:
         assert count.std() > np.sqrt(25.0)

@@ -1,4 +1,4 @@
-"""What rows pay where rewards are shaped by a potential."""
+"""Rewards in a worker's rows, shaped by a potential."""
 
 from dataclasses import replace
 
@@ -53,7 +53,7 @@ def flown(config):
 
 
 def paid(chunk):
-    """Return what the steps of the first environment's rows pay, [STEPS, n]."""
+    """Return the rewards in the first environment's rows, [STEPS, n]."""
     rows = chunk.rows
     return rows.reward[(rows.flag & TRANSITION) > 0][:STEPS]
 
@@ -68,7 +68,7 @@ def paid(chunk):
     ],
 )
 def test_relays_are_paid_for_where_they_stand(discount, seconds, weights):
-    """In place of the change of D_c a row pays (1 - gamma_s) of D_c itself, also where an episode begins."""
+    """A row holds (1 - gamma_s) of D_c itself instead of its change, also where an episode begins."""
     config = configured(discount, seconds, **weights)
     chunk, seen = flown(config)
     steps = [(service, parts) for time, service, parts in seen if time > 0]
@@ -85,14 +85,14 @@ def test_relays_are_paid_for_where_they_stand(discount, seconds, weights):
 
 
 def test_nothing_is_shaped_without_a_discount():
-    """At 0 rows pay what the farm does, bit for bit."""
+    """At 0 rows hold the farm's own rewards, bit for bit."""
     chunk, seen = flown(configured(0.0))
     wanted = np.array([parts.sum(axis=1) for time, _, parts in seen if time > 0])
     assert np.array_equal(paid(chunk), wanted.astype(np.float32))
 
 
 def test_episodes_are_summed_up_as_they_were_flown():
-    """What an episode came to does not depend on what its rows pay, and neither does how it is flown."""
+    """Neither the summary of an episode nor its course depends on shaping."""
     plain, _ = flown(configured(0.0))
     shaped, _ = flown(configured(0.995))
     assert shaped.episodes == plain.episodes
@@ -114,7 +114,7 @@ def test_chunks_and_threads_change_nothing():
 
 
 def test_elites_are_chosen_by_what_farms_pay():
-    """Noise-free episodes, by which agents are scored, earn the same whatever rows pay."""
+    """Noise-free episodes, which score the agents, are not shaped."""
     plain, shaped = configured(0.0), configured(0.995)
     actors = TeamActors.initial(farm_team(plain.farm), 4, 0)
     found = [run_noise_free_episodes(config, actors, [3, 4], [5, 6])[0] for config in (plain, shaped)]

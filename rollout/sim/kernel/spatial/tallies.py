@@ -12,7 +12,7 @@ from rollout.sim.kernel.spatial.neighbours import WAITING, cell_of
 
 @allocation_free
 def add(below: Array, above: Array, column: int, row: int, amount: float) -> None:
-    """Let what lies at a place of the grid grow by an amount."""
+    """Add an amount at a place of the grid."""
     for r in range(row + 1, len(below)):
         below[r, column] += amount
     for r in range(row + 1):
@@ -21,7 +21,7 @@ def add(below: Array, above: Array, column: int, row: int, amount: float) -> Non
 
 @allocation_free
 def _accumulate(below: Array, above: Array) -> None:
-    """Turn what each place holds, given in `above`, into the tally."""
+    """Turn the amounts of all places, given in `above`, into the tally."""
     rows, columns = len(above) - 1, above.shape[1]
     for column in range(columns):
         below[0, column], above[rows, column] = 0.0, 0.0
@@ -70,7 +70,7 @@ def add_sensor(
     above: Array,
     waiting: Indices,
 ) -> None:
-    """Let the AoI of the sensor at (x, y) grow by an amount, and the number of those that hold data by `holders`."""
+    """Add an amount to the AoI of the sensor at (x, y), and `holders` to the number of sensors that hold data."""
     column, row = cell_of(x / fleet.width, seen.cells_x), cell_of(y / fleet.depth, seen.cells_y)
     add(below, above, column, row, amount)
     waiting[0] += holders

@@ -162,7 +162,7 @@ def numbers(world: WorldConfig) -> dict[str, dict[str, st.SearchStrategy[Any]]]:
 
 @st.composite
 def farm_configs(draw: st.DrawFn, world: st.SearchStrategy[WorldConfig] | None = None) -> FarmConfig:
-    """Draw a farm: its world first, then every switch and the telling numbers of every other section."""
+    """Draw a farm: its world first, then every switch and the numbers that matter of every other section."""
     place = draw(worlds() if world is None else world)
     chosen = numbers(place)
     parts = {
@@ -175,12 +175,12 @@ def farm_configs(draw: st.DrawFn, world: st.SearchStrategy[WorldConfig] | None =
 
 def differences(config: Any) -> str:
     """Return code that makes a configuration, without what is as by default."""
-    usual, told = type(config)(), []
+    usual, changed = type(config)(), []
     for f in fields(config):
         value = getattr(config, f.name)
         if value != getattr(usual, f.name):
-            told.append(f"{f.name}={differences(value) if is_dataclass(value) else repr(value)}")
-    return f"{type(config).__name__}({', '.join(told)})"
+            changed.append(f"{f.name}={differences(value) if is_dataclass(value) else repr(value)}")
+    return f"{type(config).__name__}({', '.join(changed)})"
 
 
 def renumbered(config: FarmConfig, layout: Layout, xy: np.ndarray) -> tuple[Layout, np.ndarray]:

@@ -36,7 +36,7 @@ class Tally(NamedTuple):
 
     @property
     def raised(self) -> np.ndarray:
-        """[T, I] what the counter comes to where nobody serves it."""
+        """[T, I] the counter after the step if nobody serves it."""
         return np.minimum(self.before + self.due, self.most)
 
     @property
@@ -136,7 +136,7 @@ def test_counters_stay_between_nothing_and_their_cap(flight):
 @dose(25)
 @given(flights())
 def test_counters_rise_by_one_when_due_and_else_only_fall(flight):
-    """No counter exceeds what it comes to unserved, and whole ones either come to just that or to 0."""
+    """No counter exceeds its unserved value, and whole ones are either at that value or at 0."""
     course = fly(flight)
     for index, tally in enumerate(tallies(course)):
         assert (tally.after <= tally.raised).all()

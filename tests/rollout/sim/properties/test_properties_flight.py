@@ -117,10 +117,10 @@ def test_risk_is_that_of_the_closest_pair(flight):
     change = np.where(closest, now - before, 0.0)
     risk = np.maximum(0.0, -change) if weight.risk == "closing" else change
     expected = -weight.collision_risk * world.step_seconds * risk
-    told = part(course, "risk")[:, :, None]
+    risk = part(course, "risk")[:, :, None]
     near, far = (least[..., 0] < world.safety_distance + margin for margin in (-1e-9, 1e-9))
-    assert (closest & (np.abs(told - expected) < 1e-7)).any(axis=2)[near].all()
-    assert not told[~far].any()
+    assert (closest & (np.abs(risk - expected) < 1e-7)).any(axis=2)[near].all()
+    assert not risk[~far].any()
 
 
 @dose(25)

@@ -1,0 +1,55 @@
+"""Every environment that a run can be about, by `env.name`.
+
+To add one to this package, write a class that fulfils `rollout.envs.base.Environments` and add a line to FACTORIES. An
+environment outside this package needs no line: any PettingZoo parallel environment is named module:name.
+"""
+
+from collections.abc import Callable
+from contextlib import closing
+from typing import Final
+
+from common.config import RunConfig
+from common.config.environment import FARM
+from common.environment import EnvironmentSpec
+from common.protocol.message_sizes import require_frames
+from rollout.envs.base import Environments
+from rollout.sim.batch import FarmBatch
+
+Factory = Callable[[RunConfig, int], Environments]
+"""Makes so many environments of a run."""
+
+
+def _farms(config: RunConfig, count: int) -> Environments:
+    return FarmBatch(config.farm, count, config.rollout.threads)
+
+
+def _pettingzoo(config: RunConfig, count: int) -> Environments:
+    from rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
+
+    return PettingZooBatch(config.env, count)
+
+
+FACTORIES: Final[dict[str, Factory]] = {
+    FARM: _farms,
+}
+"""Environments of this package; other names are those of PettingZoo environments."""
+
+
+def make_environments(config: RunConfig, count: int) -> Environments:
+    """Return `count` environments of a run.
+
+    Raises:
+        ConfigError: the environment that the configuration names does not exist or cannot be trained.
+    """
+    return FACTORIES.get(config.env.name, _pettingzoo)(config, count)
+
+
+def environment_spec(config: RunConfig) -> EnvironmentSpec:
+    """Return what generic code needs to know of a run's environment.
+
+    Raises:
+        ConfigError: as `make_environments`, or a chunk, the actors or an evaluation would not fit into a message.
+    """
+    with closing(make_environments(config, 1)) as environments:
+        require_frames(config, environments.spec)
+        return environments.spec
