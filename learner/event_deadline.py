@@ -1,8 +1,8 @@
 """How late imitation events are, and for how long new experience waits for them.
 
-A free-running learner takes no turns with the coordinator, so an event is applied a little after the episode at which
-it falls due. On a fast environment, or while a coordinator starts or is replaced, that little grows until a run ends
-without any imitation. From a whole cycle on the learner therefore takes in nothing more until the event has come.
+A free-running learner does not wait for the coordinator, so an event is applied some episodes after it falls due. With
+a fast environment, or while a coordinator starts, the delay can grow until a run ends without any imitation. So once an
+event is a whole cycle late, the learner takes in no new experience until it arrives.
 """
 
 from typing import Final
@@ -10,14 +10,14 @@ from typing import Final
 from common.imitation import ImitationSchedule
 
 HOLD_SECONDS: Final = 20.0
-"""Longest wait for one event; shorter than workers wait for an answer, so that they send nothing twice."""
+"""Longest wait for one event. It is shorter than workers wait for an answer, so they send nothing twice."""
 
 ALARM_SECONDS: Final = 5.0
-"""Time for which an event may be late before anybody is told."""
+"""Time for which an event may be a cycle late before that is an alarm."""
 
 
 class EventDeadline:
-    """Watches one run's events.
+    """Watches the imitation events of one run.
 
     Args:
         schedule: when events fall due.
@@ -30,19 +30,19 @@ class EventDeadline:
         self._since: float | None = None
 
     def holds(self, applied: int, episodes: int, *, expected: bool, now: float) -> bool:
-        """Return whether new experience is to wait for the next event.
+        """Return whether new experience must wait for the next event.
 
         Args:
             applied: events applied.
             episodes: finished episodes, lambda.
-            expected: whether there is, or will be, somebody who holds events.
+            expected: whether a coordinator is there or will come.
             now: a monotonic clock, seconds.
         """
         late = self._lateness(applied, episodes, now)
         return expected and 0.0 <= late < HOLD_SECONDS
 
     def alarm(self, applied: int, episodes: int, now: float) -> str:
-        """Return that an event has been a cycle late for some time, or nothing; arguments as those of `holds`."""
+        """Return a sentence if an event has been a cycle late for some time, else ""; arguments as for `holds`."""
         if self._lateness(applied, episodes, now) < ALARM_SECONDS:
             return ""
         return (
@@ -50,7 +50,7 @@ class EventDeadline:
         )
 
     def _lateness(self, applied: int, episodes: int, now: float) -> float:
-        """Return the seconds for which the next event has been a cycle late, or -1."""
+        """Return for how many seconds the next event has been a cycle late, or -1 if it is not."""
         if applied != self._applied:
             self._applied, self._since = applied, None
             self._due = self._schedule.due_episode(applied + 1)

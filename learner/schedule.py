@@ -97,5 +97,5 @@ class Schedule:
         return self._imitation.is_due(counters.events, counters.episodes)
 
     def event_alarm(self, counters: Counters, now: float) -> str:
-        """Return a sentence about an imitation event that is overdue, or an empty string."""
+        """Return a sentence about an imitation event that is late, or an empty string."""
         return self.deadline.alarm(counters.events, counters.episodes, now)

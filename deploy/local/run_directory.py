@@ -18,7 +18,7 @@ POLICY = "policy.safetensors"
 LAST_LINE_BYTES = 2**16
 """Part of the end of metrics.jsonl that holds its last line; a record of the end is far shorter."""
 HISTORY = "history"
-"""Folder of the processes' own accounts, see `common.history`."""
+"""Folder of the processes' histories, see `common.history`."""
 
 
 def own_folder(run_dir: Path, name: str) -> Path:
@@ -41,9 +41,9 @@ class RunDirectory:
         self._folder: int | None = None
 
     def prepare(self, config: RunConfig, *, resume: bool) -> None:
-        """Create the folder with its configuration, or check that it is this configuration's.
+        """Create the folder with its configuration, or check that it has this configuration.
 
-        A run that is resumed may have other settings of its processes, see `common.config.files.method_of`.
+        A resumed run may change the settings of its processes, see `common.config.files.method_of`.
 
         Raises:
             RunDirError: when the folder holds another configuration, holds a run that was not to be resumed, holds none
@@ -96,7 +96,7 @@ class RunDirectory:
             self._lock.flush()
 
     def adopt(self, config: RunConfig) -> None:
-        """Take over a configuration that `prepare` has let pass, once the folder is locked."""
+        """Store a configuration that `prepare` has accepted; the folder must be locked."""
         if self.configuration() == config:
             return
         fresh = self.path / f"{CONFIG}.new"
@@ -107,7 +107,7 @@ class RunDirectory:
             raise RunDirError(f"cannot write into {self.path}: {error.strerror}.") from error
 
     def configuration(self) -> RunConfig:
-        """Return the configuration, in which what an older version did not name is as it was then.
+        """Return the configuration; options that an older version did not have keep that version's behaviour.
 
         Raises:
             RunDirError: the folder holds none.
@@ -122,7 +122,7 @@ class RunDirectory:
         return (self.path / CONFIG).exists()
 
     def finished(self) -> bool:
-        """Return whether the learner's newest start here came to the end of its run."""
+        """Return whether the newest start of the learner here finished its run."""
         try:
             with (self.path / METRICS).open("rb") as file:
                 size = file.seek(0, os.SEEK_END)

@@ -1,1 +1,1 @@
-"""Checkpoints: what they hold, how they are written, and how a run resumes from one."""
+"""Checkpoints: their contents and format, the thread that writes them, and resuming from them."""

@@ -57,7 +57,7 @@ class Found:
     Attributes:
         tensors: by name.
         manifest: the body that was saved with them.
-        skipped: each newer checkpoint that is damaged, and a sentence that says so.
+        skipped: each newer checkpoint that is damaged, with the reason.
     """
 
     tensors: dict[str, Tensor]
@@ -73,9 +73,9 @@ def save(
     Args:
         directory: where checkpoints live; made if missing.
         tensors: contiguous tensors by name; frozen ones are read here.
-        manifest: what JSON can hold.
-        keep: how many checkpoints stay.
-        rest: seconds to rest after each piece, which leave the processor to other threads.
+        manifest: plain values that JSON can hold.
+        keep: how many checkpoints are kept.
+        rest: seconds to sleep after each piece, so that other threads get the processor.
 
     Returns:
         the checkpoint's folder.
@@ -83,7 +83,7 @@ def save(
     Raises:
         CheckpointError: when it is larger than `load` reads, or a number is not finite; the checkpoints before it are
             untouched.
-        OSError: when the disk does not take it; likewise.
+        OSError: when the disk refuses; likewise.
     """
     directory.mkdir(exist_ok=True)
     for leftover in directory.glob(f"{_PARTIAL}*"):
@@ -137,10 +137,10 @@ def load_latest(directory: Path, most_bytes: int = MAX_TENSORS) -> Found | None:
 
 
 def set_aside(paths: Sequence[Path]) -> None:
-    """Take the names of damaged checkpoints, and remove what was set aside before.
+    """Rename damaged checkpoints so that they no longer count, and remove those that were renamed before.
 
     Raises:
-        OSError: when the disk does not let it.
+        OSError: when the disk refuses.
     """
     for leftover in {old for path in paths for old in path.parent.glob(f"{_DAMAGED}*")}:
         shutil.rmtree(leftover)
@@ -215,7 +215,7 @@ def _read(path: Path, limit: int) -> bytes:
 
 
 def _header(tensors: Mapping[str, Tensor | Frozen]) -> tuple[list[str], bytes]:
-    """Return the names in the order of the file, the widest types first as the format wishes, and the file's header."""
+    """Return the names in file order, with the widest types first as the format requires, and the file's header."""
     types = list(_DTYPES)
     names = sorted(tensors, key=lambda name: (types.index(tensors[name].dtype), name))
     header, start = {}, 0

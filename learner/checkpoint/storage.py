@@ -30,16 +30,16 @@ class Ledger(Protocol):
 
 
 class RunStorage:
-    """The run directory as the learner uses it; without a directory nothing is kept.
+    """Keeps checkpoints and the policy in the run directory; without a directory it keeps nothing.
 
     Args:
         directory: the run directory, or None.
-        config: the run; a checkpoint of another method is refused, see `common.config.files.method_of`.
+        config: the run; checkpoints of another method are refused, see `common.config.files.method_of`.
 
     Attributes:
-        skipped: checkpoints that fell due while the one before was still being written.
-        pause: seconds for which the newest checkpoint stopped the training.
-        longest_pause: the most that one did.
+        skipped: checkpoints that were due while the previous one was still being written.
+        pause: seconds for which the newest checkpoint stopped training.
+        longest_pause: the longest such pause.
     """
 
     def __init__(self, directory: Path | None, config: RunConfig) -> None:
@@ -72,16 +72,16 @@ class RunStorage:
             raise RunDirError(f"another directory has taken the place of the run directory {self._directory}.")
 
     def save(self, trainer: Trainer, ledger: Ledger, elapsed: float, epoch: int, *, wait: bool = False) -> None:
-        """Begin to write a checkpoint of this instant, or count it as skipped while the one before is being written.
+        """Begin to write a checkpoint of this instant, or count it as skipped while the previous one is being written.
 
-        Training goes on meanwhile, and after a failure too (see `alarm`): the checkpoint before is still whole.
+        Training continues meanwhile, and also after a failure (see `alarm`): the previous checkpoint is still whole.
 
         Args:
-            trainer: its whole state is kept.
+            trainer: its whole state is saved.
             ledger: the ledger of the chunks in that state.
-            elapsed: seconds that the run has taken.
+            elapsed: seconds that the run has taken so far.
             epoch: the learner's fencing epoch.
-            wait: return only when it is on the disk, or has failed; it is not skipped then.
+            wait: return only when it is on disk or has failed; it is never skipped then.
         """
         if self._writer is None:
             return
@@ -106,12 +106,12 @@ class RunStorage:
             self._writer.join()
 
     def close(self) -> None:
-        """Wait until nothing is being written."""
+        """Wait until no checkpoint is being written."""
         if self._writer is not None:
             self._writer.join()
 
     def statistics(self) -> dict[str, float]:
-        """Return figures of the checkpoints since this start; of the newest where nothing else is said."""
+        """Return metrics of the checkpoints since this start; those without "longest" are about the newest one."""
         if self._writer is None:
             return {}
         return {
@@ -124,9 +124,9 @@ class RunStorage:
         }
 
     def restore(self, trainer: Trainer, intake: Intake) -> tuple[float, int]:
-        """Take up the newest whole checkpoint; return the seconds that the run has taken and the epoch it was in.
+        """Resume from the newest whole checkpoint; return the seconds that the run has taken, and its epoch.
 
-        A run that was killed before its first checkpoint begins anew.
+        Without any checkpoint nothing changes, and both are 0: the run was killed before its first one.
 
         Raises:
             RunDirError: when the checkpoint is of another configuration.
@@ -156,7 +156,7 @@ class RunStorage:
             log(f"ALARM: a damaged checkpoint could not be set aside: {error.strerror or error}.")
 
     def write_policy(self, trainer: Trainer) -> str:
-        """Write the present actors as policy.safetensors; return why that was not possible, or nothing."""
+        """Write the present actors as policy.safetensors; return why that failed, or an empty string."""
         if self._directory is None:
             return ""
         metadata = {
@@ -182,7 +182,7 @@ def largest_state(trainer: Trainer) -> int:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Return what tells a directory from every other one, or None when it is not there."""
+    """Return the device and inode of a directory, or None when it is not there."""
     try:
         found = path.stat()
     except OSError:

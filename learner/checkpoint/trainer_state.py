@@ -1,4 +1,4 @@
-"""A trainer's whole state as tensors and plain values, and back: what a checkpoint holds."""
+"""A trainer's state as tensors and plain values for a checkpoint, and the checks when it is read back."""
 
 import math
 from collections.abc import Mapping

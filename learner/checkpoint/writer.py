@@ -1,4 +1,4 @@
-"""Writes checkpoints in a thread of its own, one at a time, while training goes on."""
+"""Writes checkpoints in a separate thread, one at a time, while training continues."""
 
 import time
 from collections.abc import Mapping
@@ -13,26 +13,26 @@ from learner.checkpoint import files
 from learner.data.tensor_snapshot import Frozen
 
 REST_SECONDS = 0.002
-"""Rest after each piece of 1 MiB; a thread of low priority would do worse, because training waits for what it holds."""
+"""Rest after each piece of 1 MiB. A low priority would not do: training waits for locks that the thread holds."""
 
 
 class CheckpointWriter:
-    """Hashes and writes what is handed over; a failure is kept for whoever asks, and training goes on.
+    """Hashes and writes checkpoints; a failure is noted in `failure` and does not stop training.
 
     Args:
         directory: where checkpoints live.
-        keep: how many stay.
+        keep: how many checkpoints are kept.
 
     Attributes:
         written: checkpoints written.
-        failure: why the newest one is not there, or empty.
-        seconds: time that the newest one took to write.
-        bytes: size of its tensors.
+        failure: why the newest one could not be written, or empty.
+        seconds: time that writing the newest one took.
+        bytes: size of its tensors' file.
     """
 
     def __init__(self, directory: Path, keep: int) -> None:
         self._directory, self._keep = directory, keep
-        # The thread is there before it is needed: starting one waits until the system lets it run.
+        # Start the thread now: starting one blocks until the system schedules it, which would delay training later.
         self._pool = ThreadPoolExecutor(1, "checkpoint")
         self._job: Future[None] = self._pool.submit(lambda: None)
         self.written = self.bytes = 0
@@ -45,7 +45,7 @@ class CheckpointWriter:
         return not self._job.done()
 
     def start(self, tensors: Mapping[str, Tensor | Frozen], manifest: dict[str, Any]) -> None:
-        """Begin to write; nothing else may be being written."""
+        """Begin to write a checkpoint; no other one may be in progress."""
         self._job.result()
         self._job = self._pool.submit(self._run, tensors, manifest)
 
@@ -62,7 +62,7 @@ class CheckpointWriter:
             self.written += 1
             self.failure = ""
         except Exception as error:
-            # Whatever it is, such as a device without memory: raised at the next checkpoint it would end the training.
+            # Any exception, such as a device out of memory, would otherwise end training at the next checkpoint.
             self.failure = f"no checkpoint could be written ({error}); the one before stands."
             log(f"ALARM: {self.failure}")
         finally:

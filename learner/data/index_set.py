@@ -1,4 +1,4 @@
-"""The set of places in a ring that may be drawn: uniform draws, additions and removals without a loop over places."""
+"""A set of indices into a ring, with uniform draws, additions and removals in time independent of its size."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +10,15 @@ Places = NDArray[np.int64]
 
 
 class IndexSet:
-    """A subset of the places 0 .. capacity - 1, held compactly, so that a draw is one index into an array.
+    """A subset of 0 .. capacity - 1 in a compact array, so that a draw is one look-up.
 
-    What is removed leaves a hole, which the last place of the array fills; the order is a function of the calls alone.
+    The last index of the array fills the hole that a removed one leaves. The order depends on the calls alone.
 
     Args:
-        capacity: number of places.
+        capacity: number of possible indices.
 
     Attributes:
-        count: places in the set.
+        count: indices in the set.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -27,28 +27,28 @@ class IndexSet:
         self.count = 0
 
     def remove(self, places: Places) -> int:
-        """Take out those of the places that are in the set; return how many were."""
+        """Remove those of some indices that are in the set; return how many were."""
         left = replay_kernels.take_out(self._places, self._slot, self.count, places)
         taken, self.count = self.count - left, left
         return taken
 
     def exchange(self, gone: Places, new: Places) -> None:
-        """Take out those of some places that are in the set, then put in others, each once and none of them in it."""
+        """Remove those of some indices that are in the set, then add others, which are distinct and not in it."""
         self.count = replay_kernels.exchange(self._places, self._slot, self.count, gone, new)
 
     def draw(self, count: int, generator: np.random.Generator) -> Places:
-        """Return `count` places, drawn uniformly with replacement; the set must not be empty."""
+        """Return `count` indices, drawn uniformly with replacement; the set must not be empty."""
         return self._places[generator.integers(0, self.count, size=count)]
 
     def members(self) -> Places:
-        """Return a copy of all places in the set, in the order that `restore` needs."""
+        """Return a copy of all indices in the set, in the order that `restore` needs."""
         return self._places[: self.count].copy()
 
     def restore(self, members: Places) -> None:
         """Continue from `members`.
 
         Raises:
-            CheckpointError: when they are not different places of this set.
+            CheckpointError: when they are not distinct indices below the capacity.
         """
         capacity = self._places.shape[0]
         if members.ndim != 1 or members.shape[0] > capacity or (members < 0).any() or (members >= capacity).any():

@@ -1,15 +1,15 @@
 """The replay buffer: a ring of rows, from which transitions are drawn uniformly.
 
-Rows are those of `common.transitions`. Each observation is stored once: the next observation of a row is its
-successor's, found by index, and where a chunk goes on with a trajectory that the chunk before cut off, its first row
-becomes part of the row that is there already (see `learner.data.segments`). A successor is always newer than its row,
-so that a row whose step is in the ring has its successor there, too.
+Rows are those of `common.transitions`. Each observation is stored once: a row's next observation is that of its
+successor, found by index. Where a chunk continues a trajectory that the previous chunk cut off, its first row merges
+with the row that is already there (see `learner.data.segments`). A successor is always newer than its row, so every
+row in the ring whose step is there has its successor there as well.
 
-With n steps (A5's target with more rewards before it bootstraps), a transition from row t is
+With n steps (reading A5 with more rewards before the bootstrap), a transition from row t is
 
     reward = sum_{k < m} gamma^k r_{t+k},   next_observation = o_{t+m},   discount = gamma^m,
 
-where m is n, or less where the episode ends or the rows that are known yet do.
+where m is n, or less if the episode or the known part of the trajectory ends before that.
 """
 
 from collections.abc import Mapping
@@ -47,17 +47,17 @@ class Replay:
         discount: gamma.
 
     Attributes:
-        head: where the next row goes.
+        head: index of the next row.
         rows: rows in the ring.
         written: rows ever written.
         drawn: transitions ever drawn.
-        dropped: transitions that were too old to be drawn any longer.
+        dropped: transitions that became too old to be drawn.
         retired: transitions that were overwritten.
-        retired_uses: how often these had been drawn, in all.
-        oldest_version: least policy version that is drawn from.
-        drawn_version: mean policy version behind the rows of the last batch.
-        drawn_oldest: least policy version among them.
-        drawn_places: these rows.
+        retired_uses: how often these had been drawn in total.
+        oldest_version: lowest policy version that may be drawn.
+        drawn_version: mean policy version of the rows of the last batch.
+        drawn_oldest: lowest policy version among them.
+        drawn_places: indices of these rows.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Replay:
         self.observation = torch.zeros(capacity, team.observation_size, device=device)
         self.action = torch.zeros(capacity, team.action_size, device=device)
         self.reward = torch.zeros(capacity, team.agents, device=device)
-        # The same memory as an array, where there is one: looking for it at every chunk takes longer than a small copy.
+        # NumPy views of the same memory on a CPU; making them for every chunk takes longer than copying a small one.
         self._rows: list[Float32 | Tensor] = [
             large.numpy() if large.device.type == "cpu" else large for large in self._large()
         ]
@@ -106,7 +106,7 @@ class Replay:
         Args:
             rows: whole segments, checked against the team.
             version: policy version that acted in them.
-            source: who made them, so that the next chunk can go on where this one stops; empty for nobody.
+            source: who made them, so that its next chunk can continue them; empty if none does.
             number: number of this chunk among those of the source, which count up by one.
 
         Raises:
@@ -120,7 +120,7 @@ class Replay:
         living = held >= self.written + count - self.capacity
         starts, held = starts[living], held[living]
         small = self.flag, self.version, self.successor, self.uses
-        # A copy, because rows that came in a message cannot be written to, which would be compiled once more.
+        # Copied because arrays from a message are read-only, a type for which the kernel would be compiled again.
         numbers, new, drawable, gone, uses = replay_kernels.enter(
             rows.flag.copy(), starts, held, version, self.written, *small
         )
@@ -136,7 +136,7 @@ class Replay:
         self._ends.remember(rows, numbers, source, number)
 
     def _copy(self, rows: Rows, new: Indices, starts: Indices, places: Places) -> None:
-        """Write new rows behind the head, and what was done in rows whose observations had been there before."""
+        """Write new rows at the head, and the actions and rewards of rows whose observations were already there."""
         first = min(new.shape[0], self.capacity - self.head)
         for start, part in ((self.head, new[:first]), (0, new[first:])):
             if part.shape[0]:
@@ -152,7 +152,7 @@ class Replay:
             self.reward[where] = torch.from_numpy(rows.reward[starts]).to(self._device)
 
     def _protect(self, start: int, stop: int) -> None:
-        """Save rows that are about to be changed for whoever still reads the state before."""
+        """Save rows that are about to change for snapshots that are still being read."""
         for frozen in self._frozen:
             frozen.protect(start, stop)
 
@@ -160,13 +160,13 @@ class Replay:
         return self.observation, self.action, self.reward
 
     def drop_before(self, version: int) -> None:
-        """Draw no more from rows of a policy version below this one; they are counted and stay until overwritten."""
+        """Stop drawing rows of a policy version below this one; they are counted and stay until overwritten."""
         self.oldest_version = version
         old = np.flatnonzero((self.version[: self.rows] < version) & ((self.flag[: self.rows] & TRANSITION) != 0))
         self.dropped += self._drawable.remove(old)
 
     def draw(self, count: int, generator: np.random.Generator) -> Places:
-        """Return the places of `count` transitions, drawn uniformly with replacement.
+        """Return the indices of `count` transitions, drawn uniformly with replacement.
 
         Raises:
             EiaSecError: when the ring holds no transition that may be drawn.
@@ -185,7 +185,7 @@ class Replay:
         return self.transitions_from(places)
 
     def transitions_from(self, places: Places) -> Batch:
-        """Return the transitions that begin in rows from which a step follows."""
+        """Return the transitions that start at these rows, each of which has a step."""
         here = torch.from_numpy(places).to(self._device)
         reward = self.reward.index_select(0, here)
         discount = self._powers[1].expand(places.shape[0])
@@ -204,11 +204,11 @@ class Replay:
         )
 
     def _further(self, places: Places, reward: Tensor) -> tuple[Places, Tensor, Tensor]:
-        """Return the rows of the last steps that count, the sums of rewards and the discounts for n > 1."""
+        """Return, for n > 1, the row of each transition's last step, the sum of its rewards and its discount."""
         last, taken = places, np.ones(places.shape[0], np.int64)
         going = np.ones(places.shape[0], np.bool_)
         for k in range(1, self._steps):
-            # No step follows the last row of an episode, nor the last one of a trajectory that is known so far.
+            # The last row of an episode has no step, and neither has the last known row of a trajectory.
             following = self.successor[last]
             going = going & ((self.flag[following] & TRANSITION) != 0)
             last = np.where(going, following, last)
@@ -218,9 +218,9 @@ class Replay:
         return last, reward, self._powers[torch.from_numpy(taken).to(self._device)]
 
     def snapshot(self) -> tuple[dict[str, Tensor | Frozen], dict[str, Any]]:
-        """Return the state at this instant: tensors of the ring's first `rows` places, and values that JSON can hold.
+        """Return the state at this instant: tensors of the ring's first `rows` rows, and values that JSON can hold.
 
-        The large tensors are not copied yet (see `Frozen`); whoever takes them reads or closes each.
+        The large tensors are not copied yet (see `Frozen`); the caller must read or close each of them.
         """
         large = {name: Frozen(tensor, self.rows) for name, tensor in zip(LARGE, self._large(), strict=True)}
         self._frozen += large.values()
@@ -273,7 +273,7 @@ class Replay:
 
 
 def _write(target: Float32 | Tensor, start: int, stop: int, source: Float32, index: Indices) -> None:
-    """Copy rows of an array to places start .. stop - 1, in memory without a copy between."""
+    """Copy some rows of an array to rows start .. stop - 1; on a CPU without a temporary copy."""
     if isinstance(target, Tensor):
         target[start:stop].copy_(torch.from_numpy(source[index]))
     else:

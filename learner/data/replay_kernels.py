@@ -1,4 +1,4 @@
-"""Compiled bookkeeping of the replay buffer: sets of places, and the small arrays beside the ring of rows."""
+"""Compiled index work of the replay buffer: index sets, and the small arrays beside the ring of rows."""
 
 from typing import cast
 
@@ -11,14 +11,14 @@ from learner.networks.compilation import Function
 from learner.networks.kernels import Table
 
 
-def booking(function: Function) -> Function:
-    """Compile a function that takes less time than giving Python's lock away and getting it back."""
+def compiled(function: Function) -> Function:
+    """Compile a function that keeps Python's lock: it takes less time than releasing and regaining the lock."""
     return cast(Function, numba.njit(error_model="numpy", cache=True)(function))
 
 
-@booking
+@compiled
 def put_in(places: Table, slot: Table, count: int, new: Table) -> int:
-    """Append places to the first `count` of a set's array, and note where each stands; return the new count."""
+    """Append indices to the `count` first of a set's array, and note the slot of each; return the new count."""
     for n in range(new.shape[0]):
         places[count + n] = new[n]
         slot[new[n]] = count + n
@@ -26,9 +26,9 @@ def put_in(places: Table, slot: Table, count: int, new: Table) -> int:
     return count
 
 
-@booking
+@compiled
 def take_out(places: Table, slot: Table, count: int, gone: Table) -> int:
-    """Remove those places that are in a set, each hole filled by the last one; return the new count."""
+    """Remove those indices that are in a set, and fill each hole with the last one; return the new count."""
     for n in range(gone.shape[0]):
         hole = slot[gone[n]]
         if hole >= 0:
@@ -39,7 +39,7 @@ def take_out(places: Table, slot: Table, count: int, gone: Table) -> int:
     return count
 
 
-@booking
+@compiled
 def enter(
     flags: NDArray[np.uint8],
     starts: Table,
@@ -51,22 +51,22 @@ def enter(
     successor: Table,
     uses: Table,
 ) -> tuple[Table, Table, Table, int, int]:
-    """Book a chunk's rows in the small arrays of a ring of rows.
+    """Enter a chunk's rows into the small arrays beside the ring.
 
     Args:
         flags: the chunk's flags.
-        starts: its rows that are in the ring already, in order.
+        starts: those of its rows that are already in the ring, in order.
         held: the running number of each of these.
         version: policy version of the chunk.
-        written: rows that were ever written into the ring, which is the running number of the next one.
-        flag: the ring's flags, changed, and with it:
+        written: rows ever written into the ring, which is the running number of the next one.
+        flag: the ring's flags; changed in place, like the arrays below.
         versions: policy versions.
-        successor: place of each row's successor.
-        uses: how often each was drawn.
+        successor: index of each row's successor.
+        uses: how often each row was drawn.
 
     Returns:
-        running numbers of the chunk's rows; those of its rows that are new; the places that may now be drawn; how many
-        transitions were overwritten; how often these had been drawn.
+        The running numbers of the chunk's rows; its new rows; the indices that may now be drawn; how many transitions
+        were overwritten; how often these had been drawn.
     """
     rows, capacity = flags.shape[0], flag.shape[0]
     numbers, new = np.empty(rows, np.int64), np.empty(rows - starts.shape[0], np.int64)
@@ -96,7 +96,7 @@ def enter(
     return numbers, new, drawable[:steps], gone, total
 
 
-@booking
+@compiled
 def exchange(places: Table, slot: Table, count: int, gone: Table, new: Table) -> int:
-    """Remove places from a set and append others, see `take_out` and `put_in`; return the new count."""
+    """Remove indices from a set and append others, see `take_out` and `put_in`; return the new count."""
     return put_in(places, slot, take_out(places, slot, count, gone), new)

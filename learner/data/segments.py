@@ -1,9 +1,9 @@
-"""Which segments of a new chunk go on where an earlier chunk of the same worker stopped.
+"""Which segments of a new chunk continue a segment of the same worker's previous chunk.
 
-A worker cuts its environments' trajectories into chunks, and the observation at the cut stands in both chunks: as the
-last row of the earlier segment and as the first of the later one. Replay keeps it once. The two are the same when
-the chunks' numbers follow each other and the observations are equal to the last bit; otherwise, after a lost chunk for
-instance, the later segment begins anew.
+A worker cuts its environments' trajectories into chunks. Both chunks hold the observation at the cut: as the last row
+of the earlier segment and as the first row of the later one. Replay stores it once. The rows are the same if the
+chunks' numbers are consecutive and the observations are bit-equal; otherwise, as after a lost chunk, the later segment
+starts afresh.
 """
 
 from typing import Any, Final
@@ -16,7 +16,7 @@ from common.errors import CheckpointError
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
 
 MAX_SOURCES = 4096
-"""Sources whose open ends are remembered; beyond that the one heard from least recently is forgotten."""
+"""Sources whose open ends are remembered; beyond that the least recent one is forgotten."""
 
 Indices = NDArray[np.int64]
 _FIRST: Final[Indices] = np.zeros(1, np.int64)
@@ -28,30 +28,30 @@ def segment_starts(flag: NDArray[np.uint8]) -> Indices:
 
 
 def open_ends(flag: NDArray[np.uint8]) -> Indices:
-    """Return the last row of each segment whose episode goes on."""
+    """Return the last row of each segment whose episode is not over."""
     last = _last_rows(flag)
     going: Indices = last[(flag[last - 1] & (TERMINATED | TRUNCATED)) == 0]
     return going
 
 
 def _last_rows(flag: NDArray[np.uint8]) -> Indices:
-    """Return the last row of each segment, the one behind its steps."""
+    """Return the last row of each segment, which follows its last step."""
     rows: Indices = np.flatnonzero((flag & TRANSITION) == 0)
     return rows
 
 
 class OpenEnds:
-    """The rows at which the newest chunk of each source stopped, by running number of the row."""
+    """The last rows of open segments in each source's newest chunk, by running number."""
 
     def __init__(self) -> None:
         self._ends: dict[str, tuple[int, list[tuple[str, int]]]] = {}
 
     def continued(self, rows: Rows, source: str, number: int) -> tuple[Indices, Indices]:
-        """Return which rows of a chunk are in the ring already.
+        """Return which rows of a chunk are already in the ring.
 
         Args:
             rows: the chunk.
-            source: who made it; empty for nobody who goes on.
+            source: who made it; empty if none of its segments is ever continued.
             number: its number among the chunks of that source.
 
         Returns:
@@ -72,7 +72,7 @@ class OpenEnds:
         return pairs[:, 0], pairs[:, 1]
 
     def remember(self, rows: Rows, numbers: Indices, source: str, number: int) -> None:
-        """Note where a chunk stops; `numbers` are the running numbers of its rows."""
+        """Remember a chunk's open ends; `numbers` are the running numbers of its rows."""
         if not source:
             return
         ends = [(_name(rows.observation[row]), int(numbers[row])) for row in open_ends(rows.flag).tolist()]

@@ -1,8 +1,8 @@
-"""A large tensor as it stood at one instant, read by one thread while another goes on writing into it.
+"""A large tensor as of one instant, read by one thread while another one keeps writing into it (copy on write).
 
-The tensor is not copied at that instant. The reader copies it piece by piece; the writer, before it changes rows,
-copies those of their pieces that the reader has not reached yet. So each piece is copied once, by whoever comes first,
-and the writer never waits longer than one piece takes.
+Nothing is copied at that instant. The reader copies the tensor piece by piece. Before the writer changes rows, it
+copies their pieces, unless the reader has already done so. So each piece is copied once, by whichever thread comes
+first, and the writer never waits longer than one piece takes.
 """
 
 import threading
@@ -19,7 +19,7 @@ class Frozen:
     """The first rows of a tensor at the instant of construction.
 
     Args:
-        live: the tensor [N, ...]; every later change of it must be announced to `protect`.
+        live: the tensor [N, ...]; `protect` must be called before every later change of it.
         rows: how many of its first rows belong to the frozen state.
 
     Attributes:
@@ -38,7 +38,7 @@ class Frozen:
         self.closed = self._count == 0
 
     def protect(self, start: int, stop: int) -> None:
-        """Save what rows start .. stop - 1 hold, unless it has been read; to be called before they are changed."""
+        """Save rows start .. stop - 1 unless they have been read; call this before they are changed."""
         if self.closed:
             return
         for piece in range(start // PIECE_ROWS, min(self._count, -(-stop // PIECE_ROWS))):
@@ -48,7 +48,7 @@ class Frozen:
                     self._saved[piece] = self._copy(piece)
 
     def pieces(self) -> Iterator[Tensor]:
-        """Yield all rows in order, as tensors on the CPU of up to `PIECE_ROWS` rows; can be called once."""
+        """Yield all rows in order, as CPU tensors of up to `PIECE_ROWS` rows; can be called once."""
         try:
             for piece in range(self._count):
                 yield self._piece(piece).cpu()
@@ -56,7 +56,7 @@ class Frozen:
             self.close()
 
     def close(self) -> None:
-        """Give the frozen state up."""
+        """Discard the frozen state."""
         with self._lock:
             self.closed = True
             self._saved.clear()
@@ -73,7 +73,7 @@ class Frozen:
 
 
 def whole(tensor: Tensor | Frozen) -> Tensor:
-    """Return the tensor itself, or all pieces of a frozen one in one."""
+    """Return the tensor itself, or the pieces of a frozen one as one tensor."""
     if isinstance(tensor, Tensor):
         return tensor
     pieces = list(tensor.pieces())

@@ -63,7 +63,7 @@ def recorded(count, seed=0):
 
 
 def play(trainer, intake, chunks, first, last):
-    """Absorb chunks, do the rounds that they allow, publish, and imitate after every fifth."""
+    """Absorb chunks, do the updates that they allow, publish, and imitate after every fifth."""
     for number in range(first, last):
         sender = Envelope("rollout", f"w{number % 2}", 1, number // 2 + 1, trainer.version)
         steps = chunks[number].rows.steps
@@ -175,7 +175,7 @@ def test_a_number_that_is_not_finite_is_an_alarm_and_no_checkpoint(tmp_path):
 
 @pytest.mark.parametrize("step", ["_write_tensors", "_write", "_flush_folder"])
 def test_a_disk_that_refuses_is_an_alarm_and_training_goes_on(tmp_path, monkeypatch, step):
-    """At each step of a write an I/O error is told, and the checkpoint before is the one that is found."""
+    """At each step of a write an I/O error is an alarm, and the checkpoint before is the one that is found."""
     trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(tmp_path, CONFIG)
     chunks = recorded(12)
     play(trainer, intake, chunks, 0, 6)

@@ -1,4 +1,4 @@
-"""What a learner tells of a run that goes on after a crash."""
+"""What a learner reports of a run that goes on after a crash."""
 
 import json
 
@@ -29,7 +29,7 @@ def write_run(log, first, last):
     log.close()
 
 
-def told(path, kind, name):
+def values_of(path, kind, name):
     return [record[name] for record in read_metrics(path) if record["kind"] == kind]
 
 
@@ -40,9 +40,9 @@ def test_what_a_crash_undid_is_left_out(tmp_path):
     log.write("resume", episodes=4, environment_steps=40, updates=4, events=1)
     write_run(log, 5, 10)
     path = tmp_path / "metrics.jsonl"
-    assert told(path, "episodes", "episodes") == told(path, "status", "updates") == list(range(1, 10))
-    assert told(path, "imitation", "event") == [1, 3, 4]
-    assert len(told(path, "resume", "time")) == 1
+    assert values_of(path, "episodes", "episodes") == values_of(path, "status", "updates") == list(range(1, 10))
+    assert values_of(path, "imitation", "event") == [1, 3, 4]
+    assert len(values_of(path, "resume", "time")) == 1
 
 
 def test_a_run_that_begins_again_has_nothing_from_before(tmp_path):
@@ -51,7 +51,7 @@ def test_a_run_that_begins_again_has_nothing_from_before(tmp_path):
     log = MetricsLog(tmp_path)
     log.write("resume", episodes=0, environment_steps=0, updates=0, events=0)
     write_run(log, 1, 2)
-    assert told(tmp_path / "metrics.jsonl", "episodes", "episodes") == [1]
+    assert values_of(tmp_path / "metrics.jsonl", "episodes", "episodes") == [1]
 
 
 @pytest.mark.parametrize("cut", [1, 5, 30])
@@ -61,8 +61,8 @@ def test_a_line_that_a_crash_has_cut_spoils_no_other(tmp_path, cut):
     path = tmp_path / "metrics.jsonl"
     path.write_bytes(path.read_bytes()[:-cut])
     write_run(MetricsLog(tmp_path), 3, 4)
-    assert told(path, "episodes", "episodes") == [1, 2, 3]
-    assert told(path, "status", "episodes") == [1, 3] if cut > 1 else [1, 2, 3]
+    assert values_of(path, "episodes", "episodes") == [1, 2, 3]
+    assert values_of(path, "status", "episodes") == [1, 3] if cut > 1 else [1, 2, 3]
     lines = path.read_text().splitlines()
     assert sum(line.endswith("}") for line in lines) >= len(lines) - 1
     assert json.loads(lines[-1])["kind"] == "status"
@@ -81,7 +81,7 @@ def test_moving_averages_go_on_with_the_episodes_before():
     assert resumed.smoothed() == whole.smoothed()
 
 
-def test_tensorboard_is_told_from_where_a_run_goes_on(tmp_path):
+def test_tensorboard_learns_from_where_a_run_goes_on(tmp_path):
     """It leaves out what it has at the step of a session's start or beyond; the checkpoint's own step stays."""
     tensorboard = TensorBoardWriter(tmp_path)
     tensorboard.resume(700)
@@ -91,7 +91,7 @@ def test_tensorboard_is_told_from_where_a_run_goes_on(tmp_path):
 
 
 def test_episodes_of_another_version_do_not_spoil_the_curves():
-    """A checkpoint may hold episodes of other figures; what all of them have is told, and rewards stay ours."""
+    """A checkpoint may hold episodes with other metrics; those that all have are averaged, and rewards stay ours."""
     rewards = (1.0,) * TEAM.agents
     before = [EpisodeSummary(0, 0, 50, rewards, {"aoi": 1.0, "reward": 9.0}), EpisodeSummary(0, 1, 50, rewards, {})]
     curves = Curves(TEAM, before)
@@ -156,7 +156,7 @@ def refuse_to_write():
 
 
 def test_a_training_that_diverges_is_an_alarm():
-    """Any figure that is not finite any more is named, and how many others there are."""
+    """The first statistic that is not finite is named, with the number of others."""
     assert diverging({"critic_loss": {"c": 1.0, "m": 2.0}}) == ""
     found = diverging({"critic_loss": {"c": float("nan"), "m": float("inf")}, "q_mean": {"c": 1.0}})
     assert found == "the training diverges: critic_loss/c and 1 more is not finite."
@@ -179,7 +179,7 @@ def test_metrics_that_are_removed_while_in_use_are_begun_anew(tmp_path, how):
     log.write("status", episodes=3)
     assert log.failure == "metrics.jsonl was removed while in use; the records up to then are gone."
     log.close()
-    assert told(path, "status", "episodes") == ([7] if how == "replaced" else []) + [2, 3]
+    assert values_of(path, "status", "episodes") == ([7] if how == "replaced" else []) + [2, 3]
 
 
 def test_an_event_file_that_is_removed_while_in_use_is_begun_anew(tmp_path):
