@@ -331,7 +331,9 @@ class Receiver:
                 if not self.arrivals.full():
                     # This thread alone puts, so the free place stays free.
                     counted = provable(chunk.episodes, self.intake.room(sender) + counts[0])
-                    self.uncounted_episodes += len(chunk.episodes) - len(counted)
+                    if uncounted := len(chunk.episodes) - len(counted):
+                        self.uncounted_episodes += uncounted
+                        self._log(f"{uncounted} episodes of worker {sender.name} do not count: their steps never came.")
                     lost = self.intake.accept(sender, *counts, counted=sum(episode.steps for episode in counted))
                     self._record_taken("accepted", sender, counts, lost)
                     self.peer_penalties.good(sender.name)
