@@ -1,4 +1,4 @@
-"""Which episodes an environment flies: a reproducible stream of (farm, episode) seeds."""
+"""The episodes of an environment: a reproducible stream of (farm, episode) seeds."""
 
 import operator
 import secrets
@@ -12,14 +12,14 @@ from common.seeds import derive, stream
 TRAINING_FARMS: Final = range(RolloutConfig.train_farms)
 """Seeds of the farms that training uses (W26)."""
 SEED_BITS: Final = 62
-"""Bits of a seed that nobody chose."""
+"""Bits of a random seed."""
 
 
 class EpisodeStream:
     """The episodes of one environment, one after another.
 
-    Episode number k of a stream is a pure function of (seed, k, farms). A seed begins the stream anew; without any
-    seed it begins somewhere that no other process begins.
+    Episode number k of a stream is a pure function of (seed, k, farms). A seed restarts the stream; without a seed it
+    starts at random.
 
     Args:
         farms: seeds of the farms that are drawn from.
@@ -37,14 +37,14 @@ class EpisodeStream:
         self._seed = secrets.randbits(SEED_BITS)
 
     def begin(self, seed: int) -> None:
-        """Begin anew with a seed; raise SimulationError unless it is a whole number from 0 on."""
+        """Restart with a seed; raise SimulationError unless it is a whole number from 0 on."""
         self._seed, self._number = whole("a seed", seed), 0
 
     def next(self, options: Mapping[str, Any] | None = None) -> tuple[int, int]:
         """Return the seeds of the next farm and episode.
 
         Args:
-            options: "farm" and "episode" take the place of what would be drawn; the stream moves on all the same.
+            options: "farm" and "episode" replace the seeds that would be drawn; the stream advances all the same.
 
         Raises:
             SimulationError: an option is no whole number from 0 on.

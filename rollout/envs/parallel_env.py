@@ -39,8 +39,8 @@ def parallel_env(
     """Return the farm as a PettingZoo ParallelEnv.
 
     Args:
-        config: the farm; the plain one, the preset study's, when there is none.
-        farms: seeds of the farms that episodes are flown on.
+        config: the farm; by default that of the preset study.
+        farms: seeds of the farms to draw episodes from.
         render_mode: "rgb_array", "ansi", "human", or none.
 
     Raises:
@@ -64,8 +64,8 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
     caller's own; the next step does not change them.
 
     Args:
-        config: the farm; the plain one, the preset study's, when there is none.
-        farms: seeds of the farms that episodes are flown on.
+        config: the farm; by default that of the preset study.
+        farms: seeds of the farms to draw episodes from.
         render_mode: "rgb_array", "ansi", "human", or none.
 
     Attributes:
@@ -129,7 +129,7 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
         Args:
             seed: begins a stream of episodes: the same seed gives the same farms and episodes from here on. Without
                 one the stream goes on.
-            options: "farm" and "episode" choose the seeds of this episode; other keys are none of ours.
+            options: "farm" and "episode" are the seeds of this episode; other keys are ignored.
 
         Returns:
             observations and infos of all agents.
@@ -159,7 +159,7 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
 
         Raises:
             SimulationError: there is no episode, an agent is missing or unknown, or an action has another shape or is
-                not finite; nothing has happened then.
+                not finite; the state is unchanged then.
         """
         if not self.agents:
             raise SimulationError("there is no episode to step: it is over or was never begun; call reset.")
@@ -180,7 +180,7 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
         return result
 
     def state(self) -> Float32:
-        """Return what all agents see in one row [O]; raise SimulationError before the first episode."""
+        """Return all observations in one row [O]; raise SimulationError before the first episode."""
         if self.batch.time[0] < 0:
             raise SimulationError("there is no state before the first reset.")
         row: Float32 = self.batch.observation[0].copy()
@@ -279,7 +279,7 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
         return self._renderer
 
     def _show(self) -> None:
-        """Keep the trail for pictures, and show one at once to people."""
+        """Keep the trail for pictures, and draw one where the mode is "human"."""
         if self.render_mode is not None:
             self._drawn().observe()
             if self.render_mode == "human":

@@ -19,7 +19,7 @@ from rollout.envs.pettingzoo_spec import describe, make_parallel
 class PettingZooBatch:
     """Environments stepped one after the other.
 
-    An agent that leaves before the others is seen as zeros and earns nothing from then on: an absorbing state, whose
+    An agent that leaves before the others observes zeros and earns nothing from then on: an absorbing state, whose
     value the critics learn to be 0 (Kostrikov et al. 2019, Discriminator-Actor-Critic, do the same).
 
     Args:

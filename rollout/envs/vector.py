@@ -34,13 +34,12 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
 
     What `reset` and `step` return are views of the simulator's own arrays, which change with the next call; copy
     what is to be kept. Observations and rewards may be written to (the simulator never reads them); the arrays in
-    infos are read-only. Environment e with seed s + e flies the very episodes that `parallel_env` flies with that
-    seed.
+    infos are read-only. Environment e with seed s + e has the same episodes as `parallel_env` with that seed.
 
     Args:
         num_envs: E.
-        config: the farm; the plain one, the preset study's, when there is none.
-        farms: seeds of the farms that episodes are flown on.
+        config: the farm; by default that of the preset study.
+        farms: seeds of the farms to draw episodes from.
         autoreset_mode: what follows an episode's end, as Gymnasium defines it. SAME_STEP: the next episode begins
             in the same call; the last observation is `infos["final_obs"][e]`, and the last info `infos["final_info"]`.
             NEXT_STEP: it begins in the next call, which ignores the action and pays 0. DISABLED: the caller resets
@@ -108,7 +107,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
             seed: environment e begins its stream of episodes with seed + e, or with entry e of a list; without one
                 the streams go on.
             options: "reset_mask", [E] bool: the environments to reset; "farm" and "episode": seeds for all of them,
-                or one for each of the E; other keys are none of ours.
+                or one for each of the E; other keys are ignored.
 
         Returns:
             observations and infos.
@@ -194,7 +193,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         return dict(self._views), rewards, np.zeros(self.num_envs, np.bool_), ended, infos
 
     def _finals(self, ended: Mask, summaries: dict[str, Any]) -> dict[str, Any]:
-        """Return copies of what ended environments showed last, in Gymnasium's form."""
+        """Return copies of the final observations and infos of ended environments, in Gymnasium's form."""
         last = _by_type(self.batch.team, self.batch.observation.copy())
         info = {name: array.copy() for name, array in self._infos.items()} | summaries
         return {
@@ -270,7 +269,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         return value[index]
 
     def _show(self) -> None:
-        """Keep the trails for pictures, and show one at once to people."""
+        """Keep the trails for pictures, and draw them where the mode is "human"."""
         for renderer in self._renderers:
             renderer.observe()
             if self.render_mode == "human":

@@ -1,4 +1,4 @@
-"""Farms on disk: sensors' places as CSV or GeoJSON, read with every mistake named by its line, and written."""
+"""Farms on disk: positions of sensors as CSV or GeoJSON. A mistake in a file is reported with its line."""
 
 from rollout.farm_files.files import read_farm, write_farm
 from rollout.farm_files.survey import GivenFarm

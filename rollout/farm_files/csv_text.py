@@ -1,4 +1,4 @@
-"""Farms as CSV: a header that says what the columns are, one line for each sensor, comments behind #."""
+"""Farms as CSV: a header that names the columns, one line for each sensor, comments after #."""
 
 import csv
 import math
@@ -24,14 +24,14 @@ _FIELD: Final = re.compile(r"#\s*field:\s*(\S+)\s*x\s*(\S+)\s*m\s*", re.IGNORECA
 
 
 def parse_csv(text: str, name: str) -> Survey:
-    """Return what a CSV text says.
+    """Parse a farm from CSV text.
 
     Args:
         text: the file's text.
         name: the file, for error messages.
 
     Raises:
-        ConfigError: a line that is none of a farm; the sentence names it.
+        ConfigError: a line is not that of a farm; the message names it.
     """
     field: tuple[Pair, int] | None = None
     table: _Table | None = None
@@ -56,7 +56,7 @@ def parse_csv(text: str, name: str) -> Survey:
 
 
 class _Table:
-    """The lines behind the header."""
+    """The lines after the header."""
 
     def __init__(self, name: str, where: str, header: str) -> None:
         self.name = name
@@ -69,7 +69,7 @@ class _Table:
         self.marks: list[int] = []
 
     def add(self, where: str, line: str) -> None:
-        """Take in a line."""
+        """Parse a line."""
         cells = self._cells(where, line)
         if len(cells) != len(self.columns):
             raise ConfigError(f"{self.name}, {where}: {len(cells)} values where the header has {len(self.columns)}.")

@@ -1,4 +1,4 @@
-"""Farm files on disk: which format, how large, and what can go wrong before a line is looked at."""
+"""Farm files on disk: their format, their size, and errors of reading and writing."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,7 +27,7 @@ def read_farm(path: Path) -> GivenFarm:
         path: a file that ends in .csv, .geojson or .json.
 
     Raises:
-        ConfigError: the file cannot be read or holds no farm; the sentence names the file and, where there is one,
+        ConfigError: the file cannot be read or holds no farm; the message names the file and, where there is one,
             the line.
     """
     kind = _format_of(path)
@@ -37,7 +37,7 @@ def read_farm(path: Path) -> GivenFarm:
 
 
 def write_farm(path: Path, farm: FarmConfig, seed: int, corner: tuple[float, float] = (0.0, 0.0)) -> None:
-    """Write the farm of a seed; read again, every sensor is where it was to 1 mm.
+    """Write the farm of a seed; positions are exact to 1 mm.
 
     Args:
         path: a file that ends in .csv, .geojson or .json.

@@ -20,14 +20,14 @@ _WGS84: Final = ("CRS84", "EPSG:4326", "EPSG::4326")
 
 
 def parse_geojson(text: str, name: str) -> Survey:
-    """Return what a GeoJSON text says.
+    """Parse a farm from GeoJSON text.
 
     Args:
         text: the file's text.
         name: the file, for error messages.
 
     Raises:
-        ConfigError: text that is no JSON, or a feature that is none of a farm; the sentence names feature and line.
+        ConfigError: the text is no JSON, or a feature is not that of a farm; the message names feature and line.
     """
     collection = _Collection(name)
     members: dict[str, Any] = {}
@@ -94,7 +94,7 @@ class _Document:
                 self._expect("]")
 
     def _next(self) -> str:
-        """Go on to the next character that is no space and return it, or nothing at the end."""
+        """Advance to the next character that is no space and return it, or nothing at the end."""
         space = _SPACE.match(self.text, self.at)
         assert space is not None, "the pattern matches nothing as well"
         self.at = space.end()
@@ -129,7 +129,7 @@ class _Collection:
         self._here = ""
 
     def add(self, feature: Any, line: int) -> None:
-        """Take in a feature."""
+        """Parse a feature."""
         self.found += 1
         self._here = f"line {line}, feature {self.found}"
         if not isinstance(feature, dict) or feature.get("type") != "Feature":
@@ -214,7 +214,7 @@ def _refuse_constant(name: str) -> NoReturn:
 
 
 def _show(value: Any) -> str:
-    """Return a value for a sentence."""
+    """Return a value as messages show it."""
     if isinstance(value, str):
         return quote(value)
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**15:

@@ -1,4 +1,4 @@
-"""From what a farm file says to sensors on a field: projected, moved to the field's corner, rounded to a millimetre."""
+"""From the contents of a farm file to sensors on a field: projected, moved to the corner, rounded to a millimetre."""
 
 import math
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ MAX_PLOTS: Final = 256
 
 @dataclass(frozen=True)
 class Survey:
-    """What a farm file says.
+    """The contents of a farm file.
 
     Attributes:
         name: the file.
@@ -68,7 +68,7 @@ class GivenFarm:
     """Sensors on a field.
 
     Attributes:
-        survey: what the file said.
+        survey: the contents of the file.
         xy: place of each sensor, in the file's order, m.
         field_x: width, m.
         field_y: depth, m.
@@ -111,12 +111,12 @@ class GivenFarm:
 
 
 def quote(text: str) -> str:
-    """Return what a file says for a sentence: cut, and without anything that a terminal would obey."""
+    """Return a text from a file as messages show it: cut, and without control characters."""
     return ascii(text if len(text) <= 40 else text[:37] + "...")
 
 
 def settle(survey: Survey) -> GivenFarm:
-    """Put what a file says onto a field.
+    """Place the contents of a file on a field.
 
     Raises:
         ConfigError: there are no sensors or too many, a point that is none, one that is far off, outside the field or

@@ -10,7 +10,7 @@ class CollectionGate:
     """Holds a worker back in these cases.
 
     - No parameters have come yet, or the run drains.
-    - The spool is full: the learner takes in less than the workers make. A worker waits and throws nothing away.
+    - The spool is full: the workers make more than the learner takes in. A worker waits and drops nothing.
     - Its actors are more than `rollout.max_lag_versions` versions behind the learner's.
     - The learner has published nothing for more than `rollout.max_silence_seconds`.
 

@@ -1,13 +1,13 @@
-"""What each type of UAV sees, scaled to about [-1, 1] (W24).
+"""Observations of each type of UAV, scaled to about [-1, 1] (W24).
 
 Positions are 2 x / X - 1; offsets dx / X, dy / Y; distances are three-dimensional, over the field's diagonal; VDF and
 AoI are over their maxima. A UAV that does not exist is (0, 0, 1). Which of its type an agent is and the share of the
 episode that is over come last.
 
-Where the view is mirrored, each axis points so that what decides is not below 0: where a relay or a collector stands in
-the field, and where a monitor stands in its plot, from the middle of either. The two signs that say so follow the own
-place, everything along an axis is multiplied by the axis' sign, and the window of VDF is turned. What the farm takes is
-along the field's axes all the same; `TeamSpec.steer` turns what actors command.
+Where the view is mirrored, the axes are turned so that one position is never below 0: for a relay or a collector its
+position in the field, for a monitor its position in its plot, each from the middle. The signs of both axes follow the
+own position. Everything along an axis is multiplied by the axis' sign, and the window of VDF is turned. The farm still
+takes actions along the field's axes; `TeamSpec.steer` turns what actors command.
 """
 
 import math
@@ -99,7 +99,7 @@ def see_relays(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> in
 
     Args:
         c: constants.
-        farm: the environment, in whose row it writes.
+        farm: the environment; its row of observations is written.
         s: scratch.
         time: share of the episode that is over.
         at: where to begin in the row.

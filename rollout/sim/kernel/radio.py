@@ -65,7 +65,7 @@ def _square(position: Array, u: int, sensor: Array, j: int) -> float:
 
 @inlined
 def interfere(c: Constants, farm: Farm, s: Scratch) -> None:
-    """Sum up what disturbs each data collection UAV (W14).
+    """Sum up the interference at each data collection UAV (W14).
 
     Writes into `power` what arrives from the strongest woken sensor of each other UAV, mW; 0 without the switch. The
     nearest sensor that each UAV wakes stands in `woken`, -1 for none.
@@ -113,7 +113,7 @@ def _share_delivered(
 ) -> float:
     """Return T_S: 1 or 0 by the packet's draw, or its chance itself in expected delivery (W17).
 
-    Most draws lie outside the bounds of the chance at that distance and need no chance.
+    Most draws are outside the bounds of the chance at that distance, so the chance itself is not computed.
     """
     uniform = draw(key, step, sensor)
     piece = min(CHANCES - 1, int(square * (CHANCES / (radio.reach * radio.reach))))

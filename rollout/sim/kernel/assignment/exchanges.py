@@ -1,10 +1,10 @@
 """Repair of an assignment with capacities by exchanges, and the proof that no other is as good.
 
-The nodes are the columns. The arc from a to b is the row of a that could go to b at the least extra cost. Where the
-columns have more places than there are rows, one more node stands for the room: every column with room may hand it a
-place, every column may take one. An assignment is the best if and only if no cycle costs less than 0 (Klein 1967), and
-the only best one if every cycle costs more. Both follow from prices of the nodes (Bellman and Ford); where there are
-none, the arcs by which the prices fell close a cycle, and to go round it makes the assignment better.
+The nodes are the columns. The arc from a to b is the row of a that can move to b at the least extra cost. Where the
+columns have more places than there are rows, one more node stands for the free places: every column with a free place
+has an arc to it, and it has an arc to every column. An assignment is optimal if and only if no cycle has a cost below 0
+(Klein 1967), and the only optimum if every cycle costs more than 0. Prices of the nodes show both (Bellman and Ford).
+Where there are none, the arcs that lowered the prices close a cycle, and exchanges along it improve the assignment.
 """
 
 import math
@@ -68,7 +68,7 @@ def make_exchanges(rows: int, columns: int) -> Exchanges:
 
 @allocation_free
 def settle(pair: Array, chosen: Indices, capacity: int, work: Exchanges) -> bool:
-    """Improve an assignment until no round of exchanges does; return whether it is now the only best one.
+    """Improve an assignment until no cycle of exchanges does; return whether it is the only optimum.
 
     Args:
         pair: [R, C] cost of each row in each column.
@@ -128,7 +128,7 @@ def _find_exchanges(pair: Array, capacity: int, work: Exchanges, column: int, no
 
 @allocation_free
 def _lower_prices(work: Exchanges, nodes: int) -> bool:
-    """Let no price exceed another by more than the exchange costs; return whether any node was looked at again."""
+    """Lower prices that exceed another by more than the exchange costs; return whether any node was looked at."""
     looked = False
     for node in range(nodes):
         price, costs = work.price[node], work.cost[node]
@@ -144,7 +144,7 @@ def _lower_prices(work: Exchanges, nodes: int) -> bool:
 
 @allocation_free
 def _improve(pair: Array, chosen: Indices, capacity: int, work: Exchanges, nodes: int) -> bool:
-    """Go round every cycle by which prices fell; return False if one of them saves nothing."""
+    """Make the exchanges of every cycle by which prices fell; return False if one of them saves nothing."""
     found = False
     for node in range(nodes):
         work.mark[node] = -1

@@ -1,4 +1,4 @@
-"""Which UAV is nearest to a place, and which sensors are nearest to a UAV, by way of the sensor cells."""
+"""The UAV nearest to a place, and the sensors nearest to a UAV, found through the sensor cells."""
 
 import math
 from typing import Final
@@ -13,12 +13,12 @@ HOLDING: Final = 1
 EMPTY: Final = 2
 """Only sensors that hold no data count."""
 WAITING: Final = 0.5
-"""AoI from which on a sensor counts as holding data; without expected delivery AoI is a whole number."""
+"""Least AoI of a sensor that holds data; AoI is a whole number unless delivery is expected."""
 
 
 @allocation_free
 def cell_of(share: float, cells: int) -> int:
-    """Return the cell at a share of the axis, by the very product with which the layout numbers sensors."""
+    """Return the cell at a share of the axis, by the same product with which the layout numbers sensors."""
     return int(min(cells - 1.0, max(0.0, share * cells)))
 
 
@@ -66,18 +66,18 @@ def gather(
     around: Indices,
     square: Array,
 ) -> int:
-    """List the sensors of a block of cells that lie near enough and hold so much data, by rising number.
+    """List the sensors of a block of cells that are near enough and have an AoI in a range, by rising number.
 
-    The cells of one column are consecutive, so a column is one run; and nothing branches on a sensor, for no
-    processor could predict it.
+    The cells of one column are consecutive, so each column is one run. Nothing branches on a sensor, because no
+    processor could predict the branch.
 
     Args:
         seen: the sensor cells.
         block: first and last column, first and last row.
         x: of the place, m.
         y: of the place, m.
-        least: AoI from which on a sensor counts.
-        below: AoI from which on it counts no more.
+        least: least AoI.
+        below: bound above all AoI that count.
         limit: largest square of the distance, m^2.
         sensor: [2, S] m.
         cell_start: first sensor of each cell.
@@ -103,7 +103,7 @@ def gather(
 def block_around(
     fleet: FleetConstants, seen: ObservationConstants, x: float, y: float, reach: float
 ) -> tuple[int, int, int, int]:
-    """Return the first and last column and the first and last row of the cells that a reach around a place touches."""
+    """Return first and last column, first and last row of the cells that a reach around a place touches."""
     return (
         cell_of((x - reach) / fleet.width, seen.cells_x),
         cell_of((x + reach) / fleet.width, seen.cells_x),
@@ -130,8 +130,8 @@ def nearest_sensors(
 ) -> int:
     """List the sensors of a sort that are nearest to a place, nearest first; ties go to the lowest index.
 
-    Whatever different sensors the list holds before bounds how far one has to look: as far as the farthest of them, if
-    there are enough of the sort. In a list of the step before, there mostly are.
+    The sensors in the list before the call bound the search: it reaches as far as the farthest of them, if enough of
+    them are of the sort. In the list of the step before, they mostly are.
 
     Args:
         fleet: the field.
@@ -173,7 +173,7 @@ def nearest_sensors(
 
 @allocation_free
 def _select(around: Indices, square: Array, found: int, wanted: int, nearest: Indices, nearest_square: Array) -> int:
-    """Write those of a list by rising number that have the least squares, in rising order; return how many."""
+    """Write the entries with the least squares, in rising order; return how many. The list is by rising number."""
     held = 0
     for entry in range(found):
         apart = square[entry]

@@ -1,7 +1,7 @@
 """D_VDF and D_AoI: the quadrant around a UAV with the largest sum (W25).
 
-Quadrants are numbered (+,+), (-,+), (-,-), (+,-); what lies level with the UAV counts to the positive side; of equal
-sums the first wins; where every sum is 0 there is no direction.
+Quadrants are numbered (+,+), (-,+), (-,-), (+,-). A sensor or plot level with the UAV belongs to the positive side. Of
+equal sums the first wins. Where every sum is 0 there is no direction.
 """
 
 import math
@@ -16,7 +16,7 @@ DIAGONAL: Final = math.sqrt(0.5)
 
 
 CLEAR: Final = 1e-6
-"""By how much a sum must lead to need no closer look, AoI; more than rounding can make."""
+"""Lead of a sum beyond which its sensors need no closer look, AoI; more than rounding can cause."""
 
 
 @allocation_free

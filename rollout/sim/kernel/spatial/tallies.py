@@ -1,8 +1,8 @@
 """Running sums of VDF over plots and of AoI over sensor cells, from which quadrants are summed without a scan.
 
 A tally is two tables [rows + 1, columns]: `below` holds at [r, i] the sum over the rows under r of column i, `above`
-that over row r and all rows over it. A quadrant's sum is then that of a piece of one row of them. Counters are whole
-numbers unless delivery is expected, so that adding to a tally leaves the very sums that a fresh count would give.
+the sum over row r and all rows over it. The sum of a quadrant is the sum of a piece of one of their rows. Counters are
+whole numbers unless delivery is expected, so adding to a tally gives the same bits as a fresh count.
 """
 
 from rollout.sim.kernel.compiler.decorators import allocation_free
