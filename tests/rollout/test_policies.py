@@ -55,7 +55,7 @@ def test_random_depends_on_the_episode_alone():
 
 
 def test_actor_policy_equals_its_actors():
-    """The actor policy does what the actors computes from the observation."""
+    """The actor policy's actions are those that the actors compute from the observation."""
     actors = TeamActors.initial(farm_team(SMALL), 16, 3, per_type=False)
     policy = ActorPolicy(actors)
     farms = begin(SMALL, policy)
@@ -124,7 +124,7 @@ def test_a_task_and_its_relays_make_a_name(task, relays):
 
 @pytest.mark.parametrize("name", ["static+search", "greedy+nobody", "+search", "greedy+", "trained+centroid"])
 def test_other_combinations_are_refused(name):
-    """Only a task heuristic has relays to choose, and only those that there are."""
+    """Only a task heuristic takes relays, and only those in the registry."""
     with pytest.raises(PolicyError, match="there is no policy"):
         policy_of(name, SMALL)
 
@@ -146,7 +146,7 @@ def test_a_policy_steers_by_the_lattice_of_the_farm_that_it_flies_over():
 
 
 def test_a_mirrored_policy_is_another_kind_even_where_sizes_are_the_same():
-    """With one UAV of each type two signs are as many numbers as rank and clock."""
+    """With one UAV of each type the two signs take as many numbers as rank and clock."""
     one = replace(FarmConfig().world, communication_uavs=1, monitoring_uavs=1, collection_uavs=1)
     plain = FarmConfig(world=one, observation=ObservationConfig(mirrored=False))
     mirrored = FarmConfig(world=one, observation=ObservationConfig(mirrored=True, identity=False, clock=False))

@@ -206,13 +206,13 @@ def test_a_seed_begins_a_stream_of_episodes():
 
 
 def test_without_any_seed_environments_differ():
-    """Two environments that nobody seeded fly other episodes, so that workers do not repeat one another."""
+    """Two environments without a seed have different episodes, so workers do not repeat one another."""
     seeds = {parallel_env(SHORT).reset()[1]["monitoring_0"]["episode"] for _ in range(3)}
     assert len(seeds) == 3
 
 
 def test_options_choose_farm_and_episode():
-    """Both options win over the stream, which moves on; unknown ones are none of ours."""
+    """Both options override the stream, which advances all the same; unknown options are ignored."""
     farm = parallel_env(SHORT)
     _, infos = farm.reset(seed=1, options={"farm": np.int64(1234), "episode": 5, "colour": "red"})
     assert {(info["farm"], info["episode"]) for info in infos.values()} == {(1234, 5)}
@@ -355,7 +355,7 @@ def test_returned_arrays_are_the_callers_own():
 
 
 def test_a_deep_copy_flies_on_by_itself():
-    """Wrappers copy environments: a copy goes on as the original would, and neither disturbs the other."""
+    """Wrappers copy environments: a copy continues as the original would, and neither affects the other."""
     farm = parallel_env(SHORT)
     flown(farm, 4)
     twin = copy.deepcopy(farm)
@@ -378,7 +378,7 @@ def test_it_is_registered():
 
 
 def test_without_rendering_no_drawing_library_is_imported():
-    """Who trains does not pay for matplotlib."""
+    """Training does not import matplotlib."""
     code = (
         "import sys; from rollout.envs.parallel_env import parallel_env; import rollout.envs.vector;"
         "parallel_env().reset(seed=0); sys.exit('matplotlib' in sys.modules or 'pygame' in sys.modules)"

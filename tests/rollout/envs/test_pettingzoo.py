@@ -107,7 +107,7 @@ def test_an_episode_is_a_function_of_its_seeds():
     ],
 )
 def test_what_cannot_be_trained_is_said_in_one_sentence(config, text):
-    """Names that lead nowhere, arguments that do not fit and other action spaces are configuration errors."""
+    """Unknown names, wrong arguments and other action spaces are configuration errors."""
     with pytest.raises(ConfigError, match=text):
         PettingZooBatch(config, 1)
 
@@ -144,7 +144,7 @@ def test_numbers_alone_are_one_type():
 
 
 def test_environments_of_an_evaluation_are_closed():
-    """Whatever an environment holds outside this process is let go of after noise-free flights and evaluations."""
+    """Environments are closed after noise-free episodes and evaluations."""
     import toy_env  # noqa: PLC0415  # only importable inside the fixture
 
     config = run_config(relay())
@@ -159,7 +159,7 @@ def test_environments_with_a_choice_are_asked_for_boxes():
 
 
 def test_misuse_is_a_typed_error():
-    """Wrong shapes, numbers that are not finite, a step before the reset or behind the end."""
+    """Wrong shapes, numbers that are not finite, a step before the reset or after the end."""
     batch = PettingZooBatch(relay(), 2)
     with pytest.raises(SimulationError, match="before its reset"):
         batch.step(np.zeros((2, 6), np.float32))
@@ -183,7 +183,7 @@ def run_config(config, steps=4, environments=2):
 
 @pytest.mark.parametrize("steps", [1, 4, 5, 7, 23])
 def test_chunks_hold_whole_segments_wherever_episodes_end(steps):
-    """Cut anywhere, the rows are those of the episodes one after the other, each with its last observation."""
+    """However chunks are cut, the rows are those of the episodes in turn, each with its final observation."""
     config = run_config(relay('{"cut": true}'), steps, 3)
     collector = Collector(config, "w", 0)
     actors = TeamActors.initial(collector.team, 4, 0)

@@ -1,4 +1,4 @@
-"""The vector environment: zero copies, the same episodes as everywhere else, and Gymnasium's three ways to go on."""
+"""The vector environment: no copies, the same episodes as elsewhere, and Gymnasium's three autoreset modes."""
 
 from dataclasses import replace
 
@@ -195,7 +195,7 @@ def test_environments_out_of_step(mode):
 
 
 def test_actions_by_type_equal_a_row():
-    """Both forms of action fly the same."""
+    """Both forms of action give the same step."""
     one, other = FarmVectorEnv(COUNT, SHORT), FarmVectorEnv(COUNT, SHORT)
     for envs in (one, other):
         envs.reset(seed=0)

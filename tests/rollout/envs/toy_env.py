@@ -1,4 +1,4 @@
-"""A small PettingZoo environment whose every number can be foretold."""
+"""A small PettingZoo environment in which every number can be predicted."""
 
 from typing import ClassVar
 
@@ -79,7 +79,7 @@ def shy(**keywords):
 
 
 def broken():
-    """Raise what nobody foresees."""
+    """Raise an unexpected error."""
     raise RuntimeError("no licence")
 
 

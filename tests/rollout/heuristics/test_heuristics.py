@@ -172,7 +172,7 @@ def test_aim_never_costs_a_step():
 
 
 def test_who_waits_flies_at_the_cheapest_speed():
-    """The printed model is cheapest at 0.41 m/s; a waiting UAV flies to and fro at that speed and stays."""
+    """The printed model is cheapest at 0.41 m/s; a waiting UAV flies back and forth at that speed."""
     assert loiter_speed(SMALL) == pytest.approx(0.41, abs=0.02)
     assert loiter_speed(FarmConfig(energy=EnergyConfig(model="physical"))) == pytest.approx(1.0, abs=0.01)
     policy = policy_of("lawnmower", SMALL)
@@ -185,7 +185,7 @@ def test_who_waits_flies_at_the_cheapest_speed():
 
 @pytest.mark.parametrize("uavs", [1, 3, 4, 7, 20, 33, 64])
 def test_lawnmower_sweeps_every_plot_once(uavs):
-    """All monitors together pass every plot once in a round, one per step inside a lane of two."""
+    """All monitors together pass every plot once in a lap, one per step inside a lane of two."""
     config = FarmConfig(world=WorldConfig(monitoring_uavs=uavs))
     routes = monitoring_routes(config)
     assert len(routes) == uavs
@@ -211,7 +211,7 @@ def test_collection_lanes_pass_near_every_place(uavs):
 
 
 def test_greedy_targets_are_not_shared():
-    """Targets are apart, the first UAV gets the best one, and a target is kept while it is worth anything."""
+    """Targets are apart, the first UAV gets the best one, and a target is kept while its value is above 0."""
     generator = np.random.default_rng(1)
     centre = plot_centres(WorldConfig())
     steps = generator.uniform(1.0, 40.0, (5, 400))
@@ -226,7 +226,7 @@ def test_greedy_targets_are_not_shared():
 
 
 def test_greedy_stays_when_nothing_is_worth_a_flight():
-    """With every value at 0, and with one target for two UAVs, whoever gets none has none."""
+    """With every value at 0 no UAV has a target, and with one target for two UAVs one has none."""
     centre, steps = np.array([[15.0, 15.0], [25.0, 15.0]]), np.array([[1.0, 2.0], [9.0, 9.0]])
     nobody = np.array([-1, -1])
     assert best_targets(np.zeros(2), steps, centre, nobody, 1.0, 40.0).tolist() == [-1, -1]
@@ -248,7 +248,7 @@ def test_tours_visit_every_stop_once():
 
 
 def test_tours_of_many_stops_are_tried_less_often():
-    """Up to 128 places everything is tried, beyond them less and less, and once in any case."""
+    """Up to 128 places every start is tried, beyond that fewer and fewer, and at least one."""
     assert [tries(30, places) for places in (0, 25, 128, 256, 625, 10_000)] == [30, 30, 30, 3, 1, 1]
     assert tries(5, 225) == 5
 
@@ -274,7 +274,7 @@ def test_a_tour_visits_all_its_stops():
 
 @pytest.mark.parametrize("kind", [MONITORS, COLLECTORS])
 def test_hungarian_flies_alike_whether_ways_are_held_or_not(kind, monkeypatch):
-    """Fields with so many targets that the ways between them are computed anew each time get the same goals."""
+    """Goals are the same in fields with so many targets that flight times between them are computed each time."""
     now = state(SMALL, 7, 90)
     held = HungarianGroupPolicy(now, kind)
     monkeypatch.setattr(hungarian, "MOST_KNOWN", 3)
@@ -308,7 +308,7 @@ def test_a_chain_is_worth_its_discounted_visits():
 
 
 def test_centroid_relays_follow_those_they_serve():
-    """A relay's goal lies on the way to the centre of its UAVs; one that serves nobody stays."""
+    """A relay's goal is on the way to the centre of its UAVs; one that serves nobody stays."""
     config = FarmConfig(world=WorldConfig(communication_uavs=4, monitoring_uavs=1, collection_uavs=1))
     now = state(config)
     own, served = now.position[:4], now.position[4:]
@@ -321,7 +321,7 @@ def test_centroid_relays_follow_those_they_serve():
 
 
 def test_total_service_is_the_simulators():
-    """The relays' local search minimises the very D_c that the simulator computes, with its assignment."""
+    """The relays' local search minimises the same D_c that the simulator computes, with its assignment."""
     config = FarmConfig(world=WorldConfig(communication_uavs=3, monitoring_uavs=4, collection_uavs=3))
     relay = constants(config, cell_counts(config.world)).relay
     farms = begin(config, StaticPolicy(), [(farm, 1) for farm in range(8)])
@@ -341,7 +341,7 @@ def test_relays_bring_d_c_down(relays):
 
 
 def test_search_relays_wait_for_the_last_steps():
-    """Until its last steps the search goes nowhere; then its places are no worse than the centres."""
+    """Relays stay until the last steps; then the search finds places no worse than the centres."""
     config = FarmConfig(world=WorldConfig(steps=60))
     early, late = state(config, 3, 0), state(config, 3, 50)
     relays = SearchRelays(early)

@@ -1,4 +1,4 @@
-"""Where work can be done: boxes, reaches and lattices."""
+"""Places where UAVs can work: boxes, reaches and grids."""
 
 import tracemalloc
 
@@ -45,7 +45,7 @@ def test_radio_reach_is_where_the_chance_falls():
 
 
 def test_pairs_are_those_of_all_distances():
-    """Which places lie near which others, and how far apart, is what all distances say, in their order."""
+    """Pairs within a distance, and their distances, are those of the full distance matrix, in order."""
     random = np.random.default_rng(0)
     places, others = random.uniform(0.0, 100.0, (300, 2)), random.uniform(0.0, 100.0, (40, 2))
     others[7] = places[11]
@@ -58,7 +58,7 @@ def test_pairs_are_those_of_all_distances():
 
 
 def test_no_chance_is_missed_within_the_radio_range():
-    """Beyond the range of a chance all chances are at most that, and just within it one is more."""
+    """Beyond the range of a chance no chance is greater, and just within it one is."""
     far = radio_range(SMALL, 0.02)
     assert (packet_chances(SMALL, np.arange(far, 400.0, 0.1)) <= 0.02).all()
     assert packet_chances(SMALL, np.array([far - 0.25])) > 0.02

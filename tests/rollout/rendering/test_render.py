@@ -1,4 +1,4 @@
-"""Pictures and texts of the farm show what they say, at the places where it is."""
+"""Pictures and texts of the farm show its state at the right places."""
 
 import io
 import re
@@ -141,7 +141,7 @@ def test_sensors_have_the_colour_of_their_age():
 
 
 def test_links_run_from_relay_to_served():
-    """Dark dots lie on the way from the relay to both UAVs that it serves, and nowhere beside it."""
+    """Dark dots lead from the relay to both UAVs that it serves, and there are no others."""
     _, observer = observed()
     drawer, pixels = picture_of(observer)
     for served in (1, 2):

@@ -1,4 +1,4 @@
-"""The compiled assignment: the least cost, and the very choice of scipy."""
+"""The compiled assignment: the least cost, and the same choice as scipy."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_the_cost_is_that_of_scipy(rows, extra, ties, seed):
     seed=st.integers(0, 2**32 - 1),
 )
 def test_what_settles_is_the_only_best_assignment(relays, rows, room, ties, seed):
-    """From any start; with costs that repeat it says so wherever another assignment costs as little."""
+    """From any start; with repeated costs it reports wherever another assignment costs as little."""
     random = np.random.default_rng(seed)
     capacity = -(-rows // relays) + room
     cost = random.integers(0, ties, (rows, relays)).astype(np.float64) if ties else random.normal(size=(rows, relays))

@@ -1,4 +1,4 @@
-"""The batch: equal results in any company, its contract, and what a farm can pay at most."""
+"""The batch: results that do not depend on other environments, its contract, and the largest possible reward."""
 
 import copy
 import tracemalloc
@@ -73,7 +73,7 @@ def test_results_do_not_depend_on_the_number_of_threads(threads):
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_deep_copy_goes_on_as_the_original_would(threads):
-    """Both fly the same steps to the same end, and neither moves the other."""
+    """A copy takes the same steps to the same end, and neither changes the other."""
     batch = FarmBatch(SHORT, 3, threads)
     for e in range(3):
         batch.reset(e, e, 5)
@@ -213,7 +213,7 @@ def test_uavs_start_a_safe_distance_apart_in_their_plane():
 
 
 def test_the_supply_of_an_episode_bounds_what_is_credited():
-    """A fleet that serves all but when counters rise gets 6400 VDF units and, but for the last, 4000 of AoI."""
+    """UAVs that serve everything except when counters rise get 6400 units of VDF and, but for the last, 4000 of AoI."""
     everything = FarmConfig(
         radio=RadioConfig(sensor_power_dbm=90.0),
         camera=CameraConfig(image_distance=1000.0, plot_threshold=1.0),
@@ -235,7 +235,7 @@ def test_the_supply_of_an_episode_bounds_what_is_credited():
 
 
 def test_a_counter_that_is_served_while_it_rises_pays_nothing():
-    """Read literally, the recursion has delivery win over the rise, so permanent service never earns a unit."""
+    """Read literally, delivery takes precedence over the rise, so permanent service never earns a unit."""
     everything = FarmConfig(camera=CameraConfig(image_distance=1000.0, plot_threshold=1.0))
     batch = FarmBatch(everything, 1)
     batch.reset(0, 0, 0)
@@ -303,7 +303,7 @@ def test_impossible_actions_are_refused_and_change_nothing(action):
 
 
 def test_an_empty_batch_is_refused():
-    """There is no batch of none, and none that nobody steps."""
+    """A batch needs an environment and a thread."""
     with pytest.raises(SimulationError):
         FarmBatch(SHORT, 0)
     with pytest.raises(SimulationError):

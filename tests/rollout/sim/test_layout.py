@@ -81,7 +81,7 @@ def test_sensors_are_numbered_cell_by_cell():
 
 
 def test_layouts_cannot_be_written_to():
-    """They are shared by all who ask for the same farm."""
+    """All callers that ask for the same farm share them."""
     with pytest.raises(ValueError, match="read-only"):
         make_layout(FarmConfig(), 0).sensor_xy[0] = 0.0
 

@@ -58,7 +58,7 @@ def assert_equal(batch: FarmBatch, reference: ReferenceFarm) -> None:
 
 
 def actions(config: FarmConfig, steps: int, seed: int) -> np.ndarray:
-    """Random velocities that last for a while, so that UAVs get about and run into borders; some out of range."""
+    """Random velocities that last for a while, so that UAVs spread and reach borders; some out of range."""
     random = np.random.default_rng(seed)
     action = np.empty((steps, 2 * config.world.uavs), np.float32)
     for step in range(steps):

@@ -102,7 +102,7 @@ def test_episodes_are_summed_up_as_they_were_flown():
 
 
 def test_chunks_and_threads_change_nothing():
-    """Two chunks pay together what one of twice the length does, and two threads what one does."""
+    """Two chunks hold the rewards of one of twice the length, and two threads those of one."""
     whole, _ = flown(configured(0.995))
     threaded, _ = flown(configured(0.995, threads=2))
     assert np.array_equal(threaded.rows.reward, whole.rows.reward)
@@ -123,7 +123,7 @@ def test_elites_are_chosen_by_what_farms_pay():
 
 
 def test_other_environments_pay_what_they_pay():
-    """Nothing is known of what a PettingZoo environment's rewards are made of, so nothing is shaped."""
+    """The rewards of a PettingZoo environment have no known potential, so they are not shaped."""
     chunks = []
     for discount in (0.0, 0.9):
         config = replace(configured(discount), env=EnvConfig(name="tests.rollout.envs.toy_env:Relay"))
@@ -136,6 +136,6 @@ def test_other_environments_pay_what_they_pay():
 
 @pytest.mark.parametrize("discount", [-0.1, 1.1, float("nan")])
 def test_discounts_outside_0_to_1_are_refused(discount):
-    """A discount that is none is refused by name."""
+    """An impossible discount is refused by name."""
     with pytest.raises(ConfigError, match="potential_discount"):
         EiaSecConfig(potential_discount=discount)

@@ -1,4 +1,4 @@
-"""The sender packs what waits into one request, and lets go of exactly what the answer settles."""
+"""The sender packs what waits into one request, and drops exactly what the answer settles."""
 
 import queue
 import time
@@ -131,7 +131,7 @@ def test_a_request_holds_no_more_than_its_limits(monkeypatch):
 
 
 def test_a_full_spool_says_so(monkeypatch):
-    """What is under way counts, so that the worker makes nothing that the spool has no room for."""
+    """Chunks under way count, so the worker makes none for which the spool has no room."""
     with sending(monkeypatch, capacity=2) as (sender, wire, offer):
         offer(1, 2)
         assert sender.full
@@ -142,7 +142,7 @@ def test_a_full_spool_says_so(monkeypatch):
 
 
 def test_who_ends_does_not_wait_for_a_learner_that_is_not_there(monkeypatch):
-    """After MOST_UNTAKEN requests that nobody took the wait is over; without that it would last an hour."""
+    """The wait ends after MOST_UNTAKEN requests that nobody took; otherwise it would last an hour."""
     with sending(monkeypatch) as (sender, wire, offer):
         offer(1)
         for _ in range(module.MOST_UNTAKEN + 1):
@@ -163,7 +163,7 @@ def test_who_ends_waits_for_a_learner_that_comes_back(monkeypatch):
 
 @pytest.mark.parametrize("ending", [True, False])
 def test_who_hurries_asks_again_when_an_answer_was_lost(monkeypatch, ending):
-    """A request whose answer went down with a router is patient while the worker flies, and not when run or worker end.
+    """A request whose answer was lost waits while the worker collects, and is resent fast when run or worker end.
 
     The same request goes again and again, at longer and longer intervals, and an answer to any of them settles it.
     """
@@ -193,7 +193,7 @@ def test_who_hurries_asks_again_when_an_answer_was_lost(monkeypatch, ending):
 
 
 def test_a_refusal_is_not_silence(monkeypatch):
-    """A learner that refuses every request at once is there: it is not taken for one that may not be reached."""
+    """A learner that refuses every request at once is not mistaken for one that cannot be reached."""
     with sending(monkeypatch) as (sender, wire, offer):
         wire.refusals = module.MOST_UNTAKEN + 1
         offer(1)

@@ -1,4 +1,4 @@
-"""What the property tests draw: farms with every switch, where everything stands, and what is commanded.
+"""What the property tests draw: farms with every switch, positions, and commands.
 
 A drawn `Flight` is a recipe of a few numbers and words, so that a failing example prints as code that makes it again.
 """
@@ -238,7 +238,7 @@ class Flight:
         return np.array([self.config.world.field_x, self.config.world.field_y])
 
     def layout(self) -> Layout:
-        """Return where the sensors stand."""
+        """Return the positions of the sensors."""
         layout = make_layout(self.config, self.farm)
         if self.ground == "seeded":
             return layout

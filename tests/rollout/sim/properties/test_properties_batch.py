@@ -1,4 +1,4 @@
-"""Environments of a batch know nothing of each other, and nothing but the configuration's numbers is drawn."""
+"""Environments of a batch are independent, and only the configuration's numbers are drawn."""
 
 import typing
 from dataclasses import fields, replace
@@ -81,7 +81,7 @@ def test_a_batch_equals_its_environments_alone(company, random):
 @dose(15)
 @given(flights())
 def test_the_same_seeds_fly_the_same(flight):
-    """Twice the same flight is twice the same course, and no configuration compiles anything anew."""
+    """The same flight twice gives the same course, and no configuration triggers a new compilation."""
     first, again = fly(flight), fly(replace(flight))
     for name in (*STARTING, *STEPPING):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))

@@ -1,4 +1,4 @@
-"""AoI and VDF on any farm: their range, when they rise and fall, who is credited, and what there is to earn."""
+"""AoI and VDF on any farm: their range, when they rise and fall, who is credited, and the largest sum."""
 
 from typing import NamedTuple
 

@@ -175,7 +175,7 @@ class Pair:
         return clear
 
     def assert_images(self, motivated: np.ndarray) -> None:
-        """Compare all that both show; motivation only of those UAVs [n] whose last direction had an image."""
+        """Compare all results of both; motivation only of those UAVs [n] whose last direction had an image."""
         farm, image, see = self.farm, self.image, self.symmetry
         size = np.array([self.config.world.field_x, self.config.world.field_y])
         np.testing.assert_array_equal(image.position[0], see.places(farm.position[0], size))
@@ -233,7 +233,7 @@ class Pair:
         return row, compared
 
     def without_image(self) -> np.ndarray:
-        """Return which UAVs [n] stand in the middle of what decides their axes, which point on there as elsewhere."""
+        """Return which UAVs [n] are exactly in the middle of what decides their axes."""
         world = self.config.world
         span = np.tile([world.field_x, world.field_y], (world.uavs, 1))
         monitors = slice(world.communication_uavs, world.communication_uavs + world.monitoring_uavs)
