@@ -180,7 +180,9 @@ class Pilot:
         sender, message = Envelope.decode(attachment), ObservationMessage.decode(payload)
         if (sender.role, sender.name) != ("vehicle", vehicle):
             raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}.")
-        if (sender.incarnation, sender.sequence) <= held.mark:
+        # A start number from a clock that was ahead, or an invented one, shuts nobody out for longer than `age`.
+        waited = message.stamp > held.stamp + self._limits.age * 1e6
+        if (sender.incarnation, sender.sequence) <= held.mark and not waited:
             raise ProtocolError(f"observation {sender.sequence} is not newer than {held.mark[1]}.")
         if message.agent != self._names[held.agent]:
             raise SchemaError(f"it is for agent {message.agent[:64]!r}, not {self._names[held.agent]}.")

@@ -15,6 +15,8 @@ from common.transport.bus import Bus
 
 WAITING: Final = 4
 """Set-points that wait to be looked at; the oldest give way."""
+RELEASE_SECONDS: Final = 2.0
+"""Silence of a flight node after which one with a lower start number is obeyed, in case the first one's clock was ahead."""
 
 
 class VehicleLink:
@@ -45,7 +47,7 @@ class VehicleLink:
         self._setpoints = bus.subscribe(keys.SETPOINT.key(run, vehicle=vehicle), WAITING)
         self._vehicle, self._agent, self._fastest, self._clock = vehicle, agent, fastest, clock
         self._start, self._sequence = incarnation(), 0
-        self._mark = (0, 0)
+        self._mark, self._obeyed = (0, 0), float("-inf")
         self.refused = 0
 
     def observe(self, values: Float32) -> int:
@@ -69,12 +71,13 @@ class VehicleLink:
             except ProtocolError:
                 self.refused += 1
                 continue
-            self._mark = (sender.incarnation, sender.sequence)
+            self._mark, self._obeyed = (sender.incarnation, sender.sequence), time.monotonic()
             found.append(message)
         return found
 
     def _check(self, sender: Envelope, message: SetpointMessage) -> None:
-        if sender.role != "flight" or (sender.incarnation, sender.sequence) <= self._mark:
+        older = (sender.incarnation, sender.sequence) <= self._mark
+        if sender.role != "flight" or (older and time.monotonic() - self._obeyed < RELEASE_SECONDS):
             raise ProtocolError("the set-point is not newer, or not a flight node's.")
         if message.agent != self._agent or len(message.velocity) != 2:
             raise SchemaError("the set-point is for another agent.")

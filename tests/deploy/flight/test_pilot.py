@@ -124,6 +124,17 @@ def test_what_cannot_be_used_is_refused_and_the_vehicle_hovers(changes, reason):
     assert not pilot.decide(NOW)[UAV].hover
 
 
+def test_a_start_number_from_the_future_shuts_no_vehicle_out():
+    """A vehicle whose clock was ahead when it started before, or whose number was forged, flies again after `age`."""
+    pilot = make(age=1.0)
+    assert offer(pilot, 7, start=2**63 - 1)
+    assert not offer(pilot, 1, start=5)
+    later = NOW + 1.5
+    assert offer(pilot, 2, start=5, now=later, stamp=int(later * 1e6))
+    assert not pilot.decide(later)[UAV].hover
+    assert not offer(pilot, 1, start=5, now=later, stamp=int(later * 1e6))
+
+
 def test_bytes_that_are_no_observation_are_refused():
     """Junk, another kind of message, and an envelope of somebody else never raise, and never fly."""
     pilot = make()
@@ -186,9 +197,10 @@ def test_agents_must_exist_and_fly_one_vehicle_each():
 
 
 def test_the_report_is_bounded_declared_and_names_who_hovers():
-    """Its figures are those of `common.protocol.metrics`, at most ROWS vehicles one by one, hovering ones first."""
-    wide = dataclasses.replace(FarmConfig().world, communication_uavs=20, monitoring_uavs=20, collection_uavs=20)
-    team = farm_team(dataclasses.replace(FarmConfig(), world=wide))
+    """Its metrics are those of `common.protocol.metrics`, at most ROWS vehicles one by one, hovering ones first."""
+    farm = preset("study").farm
+    wide = dataclasses.replace(farm.world, communication_uavs=20, monitoring_uavs=20, collection_uavs=20)
+    team = farm_team(dataclasses.replace(farm, world=wide))
     actors = TeamActors.initial(team, 4, 0)
     pilot = Pilot(actors, {name: name for name in team.agent_names}, SPEED, Limits())
     for index in range(2, 60):

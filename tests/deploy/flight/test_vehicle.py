@@ -1,0 +1,56 @@
+"""A vehicle's link: which set-points it obeys."""
+
+import time
+
+import numpy as np
+import pytest
+
+from common.protocol import keys
+from common.protocol.messages import Envelope, SetpointMessage
+from common.transport.bus import Bus
+from common.transport.endpoint import free_endpoint
+from deploy.flight import vehicle
+from deploy.flight.vehicle import VehicleLink
+
+
+@pytest.fixture
+def both():
+    """A link that may fly 10 m/s along each axis, and what sends it one set-point and returns what it obeyed."""
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control") as bus, Bus.connect(endpoint, "control") as node:
+        link = VehicleLink(bus, "run", "uav", "monitoring_0", (10.0, 10.0))
+        publisher = node.publish(keys.SETPOINT.key("run", vehicle="uav"))
+
+        def send(start, sequence, velocity=(1.0, 2.0), *, agent="monitoring_0", hover=False, role="flight"):
+            refused, message = link.refused, SetpointMessage(agent, velocity, hover, "", 1, 1, sequence, 0.0)
+            deadline = time.monotonic() + 30.0
+            found = []
+            while not found and link.refused == refused:
+                assert time.monotonic() < deadline
+                publisher.put(message.encode(), Envelope(role, "main", start, sequence).encode())
+                time.sleep(0.02)
+                found = link.setpoints()
+            return bool(found)
+
+        link.observe(np.zeros(3, np.float32))
+        yield send
+
+
+def test_only_newer_set_points_of_the_own_agent_within_the_speed_are_obeyed(both):
+    """What is older, faster, for another agent, or no flight node's is refused and counted."""
+    assert both(5, 100)
+    assert not both(5, 99)
+    assert not both(4, 999)
+    assert not both(5, 1000, (11.0, 0.0))
+    assert not both(5, 1000, agent="monitoring_1")
+    assert not both(5, 1000, (1.0, 0.0), hover=True)
+    assert not both(5, 1000, role="rollout")
+    assert both(6, 1)
+
+
+def test_a_node_whose_clock_was_ahead_gives_way_when_it_is_silent(both, monkeypatch):
+    """A start number that nobody reaches any more is no lock-out: after a silence a lower one is obeyed."""
+    assert both(2**63 - 1, 1)
+    assert not both(5, 1)
+    monkeypatch.setattr(vehicle, "RELEASE_SECONDS", 0.0)
+    assert both(5, 2)
