@@ -16,7 +16,7 @@ from common.transport.bus import Bus
 WAITING: Final = 4
 """Set-points that wait to be looked at; the oldest give way."""
 RELEASE_SECONDS: Final = 2.0
-"""Silence of a flight node after which one with a lower start number is obeyed, in case the first one's clock was ahead."""
+"""Silence of a flight node after which one with a lower start number is obeyed: the first one's clock was ahead."""
 
 
 class VehicleLink:
