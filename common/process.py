@@ -1,6 +1,7 @@
 """What every process of a run shares: finding the learner, presence, metric messages, the log, and stopping."""
 
 import atexit
+import datetime
 import os
 import signal
 import socket
@@ -105,11 +106,18 @@ class Presence:
         self._token = bus.announce(keys.LIVE.key(run, role=role, name=name))
         self._publisher: Publisher = bus.publish(keys.METRIC.key(run, role=role, name=name))
         self._sender = (role, name, incarnation)
+        self._credentials, self._logged = bus.credentials, ""
         self._counter = 0
         self._started = time.monotonic()
 
     def report(self, values: dict[str, Any], version: int = 0) -> None:
         """Publish one metric message; whole numbers beyond LARGEST are clamped to it."""
+        alarm = self._credentials.expiry_alarm() if self._credentials is not None else ""
+        if alarm:
+            values = {**values, "alarms": [*values.get("alarms", ()), alarm]}
+        if alarm != self._logged:
+            self._logged = alarm
+            log(alarm)
         self._counter += 1
         uptime = time.monotonic() - self._started
         message = MetricMessage(self._counter, socket.gethostname(), os.getpid(), uptime, _clamped(values))
@@ -167,11 +175,16 @@ def fetch_configuration(
 
 
 def denial(bus: Bus, run: str, key: str) -> str | None:
-    """Return a sentence that says that the access list denies a key to this process, or None where it does not.
+    """Return why nobody serves a key for this process: its certificate has expired, or the access list denies the key.
 
     Every process with a certificate sees that a learner is alive. A request that the access list denies looks as if
     nobody served the key, so a living learner and no answer mean a denial.
+
+    Returns:
+        A sentence, or None if neither is the case.
     """
+    if bus.credentials is not None and bus.credentials.expires <= datetime.datetime.now(datetime.UTC):
+        return bus.credentials.expiry_alarm()
     if bus.credentials is None or not bus.living(keys.LIVE.pattern(run, role="learner")):
         return None
     return (

@@ -90,6 +90,19 @@ class Credentials:
                 f"the certificate in {self.folder} is that of {self.identity}, and this process is {wanted}."
             )
 
+    def expiry_alarm(self, now: datetime.datetime | None = None) -> str:
+        """Return a sentence when the certificate has expired or expires within SOON, else an empty text.
+
+        Links end when a certificate does, on either side, and Zenoh says nothing about it.
+        """
+        left = self.expires - (now or datetime.datetime.now(datetime.UTC))
+        if left >= SOON:
+            return ""
+        ends = (
+            "has expired, and its links with it" if left.total_seconds() <= 0 else f"expires on {self.expires:%Y-%m-%d}"
+        )
+        return f"the certificate of {self.identity} {ends}: renew it with eia-sec keys renew and restart the process."
+
     def __str__(self) -> str:
         return f"{self.identity} (certificate {self.certificate}, valid until {self.expires:%Y-%m-%d})"
 

@@ -1,12 +1,17 @@
 """What every process does alike: logs that a full disk does not stop, and reports that any sum fits into."""
 
+import datetime
 import io
 import sys
+from pathlib import Path
 
-from common.process import LARGEST, SEPARATOR, Presence, log
+import pytest
+
+from common.process import LARGEST, SEPARATOR, Presence, denial, log
 from common.protocol import keys
 from common.protocol.messages import MetricMessage
 from common.transport.bus import Bus
+from common.transport.credentials import Credentials, Identity
 from common.transport.endpoint import free_endpoint
 from tests.system.fleet import until
 
@@ -58,3 +63,32 @@ def test_a_sum_that_no_frame_holds_is_told_as_the_largest_one_does():
             "rate": 0.5,
             "on": True,
         }
+
+
+def expiring(seconds):
+    ends = datetime.datetime.now(datetime.UTC) + datetime.timedelta(seconds=seconds)
+    return Credentials(Path("keys/rollout.w"), Identity("rollout", "w"), ends)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [(-1, "has expired"), (86_400, "expires on"), (365 * 86_400, "")],
+    ids=["past", "soon", "later"],
+)
+def test_a_certificate_that_ends_is_an_alarm(seconds, words, capsys):
+    """Each report of the process says so, its log says so once, and a process that waits for a learner does."""
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control") as bus:
+        inbox = bus.subscribe(keys.METRIC.pattern("r"), 8)
+        bus.credentials = expiring(seconds)
+        presence = Presence(bus, "r", "rollout", "w", 1)
+        presence.report({"alarms": ["own"]})
+        presence.report({})
+        found = []
+        until(lambda: found.extend(inbox.drain()) or len(found) == 2, "two reports")
+        first, second = (MetricMessage.decode(sample.payload).values for sample in found)
+        assert (denial(bus, "r", "key") is not None) == (seconds < 0)
+    assert first["alarms"][0] == "own"
+    assert [words in text for text in first["alarms"][1:]] == [True] * bool(words)
+    assert len(second.get("alarms", [])) == bool(words)
+    assert capsys.readouterr().err.count("the certificate of rollout.w") == bool(words)
