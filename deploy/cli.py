@@ -1,4 +1,4 @@
-"""The console command `eia-sec`: one word for the process to start, the rest are its options."""
+"""The console command `eia-sec`: the first word names the subcommand, the rest are its options."""
 
 import gc
 import importlib
@@ -19,7 +19,7 @@ class Command:
     """One subcommand.
 
     Attributes:
-        module: the module whose `command(arguments)` does it; imported only when it is asked for.
+        module: the module whose `command(arguments)` runs it; imported only when needed.
         summary: one line for the overview.
     """
 
@@ -35,36 +35,32 @@ COMMANDS: Final = {
     "rollout": Command("deploy.commands.training.rollout", "start one rollout worker"),
     "elite": Command("deploy.commands.training.elite", "start the elite coordinator"),
     "router": Command(
-        "deploy.commands.training.router", "start a router, to which learner, workers and monitors connect"
+        "deploy.commands.training.router", "start a router that learner, workers and monitors connect to"
     ),
-    "evaluate": Command(
-        "deploy.commands.policies.evaluate", "fly a policy without noise on farms that training never saw"
-    ),
+    "evaluate": Command("deploy.commands.policies.evaluate", "evaluate a policy on farms that training never saw"),
     "replay": Command(
-        "deploy.commands.policies.replay", "film a policy against another on the same farm, and draw their paths"
+        "deploy.commands.policies.replay", "compare two policies on one farm: a film and their flight paths"
     ),
-    "farm": Command(
-        "deploy.commands.policies.farm", "draw, save or check farms: densities, and files of sensors' places"
-    ),
-    "reproduce": Command("experiments.studies.command", "do the paper's studies over again, with tables and pictures"),
-    "export": Command("deploy.commands.policies.export", "write a run's actors for use without this project"),
+    "farm": Command("deploy.commands.policies.farm", "draw, save or check farms and files of sensor positions"),
+    "reproduce": Command("experiments.studies.command", "redo the paper's studies, with tables and plots"),
+    "export": Command("deploy.commands.policies.export", "export a run's actors as ONNX or plain tensors"),
     "fly": Command("deploy.commands.policies.fly", "fly vehicles with trained actors: observations in, set-points out"),
-    "simulator": Command(
-        "deploy.commands.policies.simulator", "a simulated farm in the place of vehicles, for eia-sec fly"
+    "simulator": Command("deploy.commands.policies.simulator", "simulate the vehicles that eia-sec fly controls"),
+    "keys": Command("deploy.commands.fleet.keys", "make and renew the certificates that --tls needs"),
+    "audit": Command("deploy.commands.monitoring.audit", "check that every chunk of a run is accounted for"),
+    "up": Command("deploy.commands.fleet.up", "start the processes of a fleet file on its hosts, over SSH"),
+    "down": Command("deploy.commands.fleet.down", "stop a fleet, workers first"),
+    "status": Command("deploy.commands.fleet.status", "show the processes of a fleet and their state"),
+    "logs": Command("deploy.commands.fleet.logs", "show the logs of a fleet"),
+    "fleet": Command(
+        "deploy.commands.fleet.fleet", "check a fleet file, make keys, collect histories, render units and manifests"
     ),
-    "keys": Command("deploy.commands.fleet.keys", "certificates for --tls: an authority, and one for each process"),
-    "audit": Command(
-        "deploy.commands.monitoring.audit", "check that every chunk of a run is explained, from the histories"
+    "host": Command("deploy.commands.fleet.host", "internal: up, down, status and logs call it on each host"),
+    "alive": Command(
+        "deploy.commands.monitoring.alive", "probe one process of a run, for a supervisor or orchestrator"
     ),
-    "up": Command("deploy.commands.fleet.up", "start a fleet: the processes of fleet.toml, on its hosts, over SSH"),
-    "down": Command("deploy.commands.fleet.down", "end a fleet, workers first"),
-    "status": Command("deploy.commands.fleet.status", "show what runs on the hosts of a fleet"),
-    "logs": Command("deploy.commands.fleet.logs", "show what the processes of a fleet have written"),
-    "fleet": Command("deploy.commands.fleet.fleet", "check, keys, collect; render for systemd, Compose and Kubernetes"),
-    "host": Command("deploy.commands.fleet.host", "the far end of up, down, status and logs, called by them"),
-    "alive": Command("deploy.commands.monitoring.alive", "probe one process of a run, for whatever starts it again"),
-    "monitor": Command("deploy.commands.monitoring.monitor", "watch a run live from anywhere, read-only"),
-    "watch": Command("deploy.commands.monitoring.watch", "see one worker's farm live in the browser"),
+    "monitor": Command("deploy.commands.monitoring.monitor", "watch a run live in the terminal, read-only"),
+    "watch": Command("deploy.commands.monitoring.watch", "watch one worker's farm live in the browser"),
 }
 
 
@@ -81,7 +77,7 @@ def dispatch(arguments: list[str]) -> int:
         return 0 if arguments else 2
     command = COMMANDS.get(arguments[0])
     if command is None:
-        raise UsageError(f"there is no command {arguments[0]!r}; the commands are {', '.join(COMMANDS)}.")
+        raise UsageError(f"unknown command {arguments[0]!r}; the commands are {', '.join(COMMANDS)}.")
     # Before numpy is loaded: a process that starts as many compute threads as there are cores slows all the others.
     for variable, threads in thread_environment(1).items():
         os.environ.setdefault(variable, threads)
@@ -102,7 +98,7 @@ def _load(word: str, module: str) -> ModuleType:
 def main() -> None:
     """Entry point of the console script."""
     code = run_command(lambda: dispatch(sys.argv[1:]))
-    # Nobody looks for cycles among torch's many objects any more, which takes most of the time of ending a process.
+    # Without this, the garbage collector searches torch's objects for cycles, which takes most of the shutdown.
     gc.freeze()
     sys.exit(code)
 

@@ -1,4 +1,4 @@
-"""What a command tells the shell: 0 done, 1 failed, 2 a user's mistake, 130 interrupted."""
+"""Exit codes: 0 done, 1 failed, 2 a user's mistake, 130 interrupted."""
 
 import os
 import sys
@@ -19,9 +19,10 @@ PIPE_CLOSED: Final = 141
 
 
 def run_command(command: Callable[[], int | None]) -> int:
-    """Run a command and return its exit code; an expected error becomes one line on standard error.
+    """Run a command and return its exit code.
 
-    So does a disk that takes no more. Any other exception is a defect and passes through with its traceback.
+    An expected error and a full disk become one line on standard error. Any other exception is a defect and passes
+    through with its traceback.
 
     Args:
         command: does the work; returns an exit code, or None for success.
@@ -48,7 +49,7 @@ def run_command(command: Callable[[], int | None]) -> int:
 
 
 def _leave_output() -> None:
-    """Let the interpreter flush standard output into nothing at exit: it must not fail a second time."""
+    """Point standard output at /dev/null, so that the flush at exit does not fail a second time."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

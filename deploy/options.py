@@ -1,4 +1,4 @@
-"""How command lines become configurations: preset, file, farm file, options, each over the one before."""
+"""From a command line to a configuration: preset, file, farm file and options, each overriding the one before."""
 
 import contextlib
 import io
@@ -31,19 +31,19 @@ SHORT: Final = {"--env": "--env.name", "--algorithm": "--algorithm.name"}
 _REGISTRY: Final = ConstructorRegistry()
 
 
-NO_FARM: Final = "--farm-file brings sensors for the farm, and this run is about {}."
+NO_FARM: Final = "--farm-file needs the farm, and this run uses {}."
 
 
 @_REGISTRY.struct_rule
 def _hide_sites(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """Make no option of given places, of which there may be thousands; `--farm-file` brings them."""
+    """Make no option for sensor positions: there may be thousands, and `--farm-file` reads them."""
     return StructConstructorSpec(lambda: info.default, ()) if info.type == Sites else None
 
 
 def base_configuration(arguments: Sequence[str], default: str = "default") -> RunConfig:
     """Return the configuration of `--preset`, `--config`, `--algorithm` and `--farm-file`; other options act on it.
 
-    With `--resume` and neither of the first two it is that of the run directory.
+    With `--resume` and neither of the first two, it is the run directory's.
 
     Raises:
         ConfigError: for a preset or an algorithm that does not exist, or a file with a mistake.
@@ -62,15 +62,15 @@ def with_farm_file(config: RunConfig, path: Path) -> RunConfig:
 
 
 def require_env(config: RunConfig, named: str | None) -> None:
-    """Refuse a configuration from a run directory that is about an environment which the command line does not name.
+    """Refuse a run directory's configuration whose environment the command line does not name.
 
     Loading an environment runs its code, and a run directory may be somebody else's.
 
     Raises:
-        UsageError: it is about such an environment.
+        UsageError: the environment is neither the farm nor named.
     """
     if config.env.is_third_party and config.env.name != named:
-        raise UsageError(f"this run is about {config.env.name}, whose code is run only with --env {config.env.name}.")
+        raise UsageError(f"this run uses {config.env.name}; add --env {config.env.name} to run its code.")
 
 
 def _named_configuration(arguments: Sequence[str], default: str) -> RunConfig:
@@ -144,7 +144,7 @@ def _refuse_switched_off(config: RunConfig, arguments: Sequence[str]) -> None:
 
 
 def _spelt_out(kind: type[Any], arguments: Sequence[str]) -> list[str]:
-    """Return the arguments with SHORT options spelt out, for commands that take a whole configuration."""
+    """Return the arguments with SHORT options written out, for commands that take a whole configuration."""
     if "settings" not in get_type_hints(kind):
         return list(arguments)
     words = [word.partition("=") for word in arguments]
@@ -154,12 +154,12 @@ def _spelt_out(kind: type[Any], arguments: Sequence[str]) -> list[str]:
 
 
 def _sentence(box: str) -> str:
-    """Return tyro's complaint, which it draws in a box under a title and over a rule, as one line."""
+    """Return tyro's error message, which it draws in a box, as one line."""
     rows = [line.strip("│╭╮╰╯─ ") for line in box.splitlines()]
     lines = [line for line in rows if line.strip("-")]
-    reason = " ".join(itertools.takewhile(bool, rows[1:])) or "the command line cannot be used"
+    reason = " ".join(itertools.takewhile(bool, rows[1:])) or "invalid command line"
     close = next((line.split()[0] for line in lines[2:] if line.startswith("--")), None)
-    meant = f"; perhaps you meant {close}" if close and reason.startswith("Unrecognized") else ""
+    meant = f"; did you mean {close}" if close and reason.startswith("Unrecognized") else ""
     return reason.rstrip(".") + meant
 
 

@@ -1,15 +1,15 @@
-"""Standard output that survives a full disk: what cannot be written there is lost and counted, and ends nothing."""
+"""Standard output that survives a full disk: writes that fail are counted, and the command goes on."""
 
 import errno
 import sys
 from typing import Any, Final, TextIO, cast
 
 FULL: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG))
-"""What a disk says that takes no more."""
+"""Error numbers of a disk that takes no more."""
 
 
 class _Patient:
-    """A stream whose writes to a full disk are lost; everything else is the stream's own."""
+    """A stream that drops and counts writes to a full disk; everything else is the wrapped stream's."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -19,17 +19,17 @@ class _Patient:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write a text, after how many were lost before it; return how many characters were written."""
+        """Write a text, preceded by the number of lost writes; return the number of characters written."""
         try:
             if self.lost:
-                self._stream.write(f"({self.lost} writes before this one could not be written)\n")
+                self._stream.write(f"({self.lost} earlier writes failed: the disk was full)\n")
                 self.lost = 0
             return self._stream.write(text)
         except OSError as error:
             return self._lose(error)
 
     def flush(self) -> None:
-        """Hand on what was written."""
+        """Flush the stream."""
         try:
             self._stream.flush()
         except OSError as error:
@@ -43,5 +43,5 @@ class _Patient:
 
 
 def patient_output() -> TextIO:
-    """Return standard output for a process that others depend on."""
+    """Return standard output for a process that other processes depend on."""
     return cast(TextIO, _Patient(sys.stdout))

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from common.config import RunConfig
 from common.config.presets import PRESETS
 from common.transitions import Chunk
-from deploy.local.in_process import train_inprocess
+from deploy.local.in_process import train_in_process
 from deploy.reports.provenance import provenance
 from learner.trainer import Trainer
 
@@ -92,7 +92,7 @@ def train_form(name: str, seed: int, episodes: int) -> dict[str, Any]:
 
     started, diverged = time.monotonic(), False
     try:
-        train_inprocess(config, watch)
+        train_in_process(config, watch)
     except DivergedError:
         diverged = True
     return {"form": name, "seed": seed, "diverged": diverged, "seconds": time.monotonic() - started, "curve": curve}

@@ -1,1 +1,1 @@
-"""Trained actors that fly vehicles: observations in, velocity set-points out, over the same bus as the training."""
+"""Trained actors that fly vehicles: observations in, velocity set-points out, over the bus that training uses."""

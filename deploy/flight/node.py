@@ -12,23 +12,23 @@ from common.transport.bus import Bus
 from deploy.flight.pilot import Pilot
 
 WAITING: Final = 4
-"""Observations of one vehicle that wait for the next period; the oldest give way."""
+"""Observations of one vehicle that wait for the next period; the oldest are dropped."""
 REPORT_SECONDS: Final = 1.0
 LAST_HOVERS: Final = 3
-"""How often hover is commanded at the end: set-points are lossy."""
+"""Hover set-points at the end; several, because set-points may be lost."""
 LAST_PAUSE: Final = 0.1
-"""Longest pause after each of them, s; a period where that is shorter."""
+"""Longest pause after each of them, s; a period if that is shorter."""
 
 
 @dataclass(frozen=True)
 class NodeOptions:
-    """How a flight node works.
+    """Options of a flight node.
 
     Attributes:
         run: the run's name.
         name: the node's name.
         rate: periods per second.
-        seconds: after which it ends, or None.
+        seconds: time until it stops, or None.
     """
 
     run: str
@@ -38,16 +38,16 @@ class NodeOptions:
 
 
 class FlightNode:
-    """Takes in what has come, decides, sends; once in every period.
+    """Reads observations, decides and sends set-points, once per period.
 
     Args:
-        options: how it works.
-        pilot: who decides.
-        vehicles: whom it serves.
+        options: run, name and rate.
+        pilot: decides.
+        vehicles: names of the vehicles.
         bus: the control lane.
 
     Attributes:
-        overruns: periods that were left out because the one before took too long.
+        overruns: periods that were skipped because the one before took too long.
     """
 
     def __init__(self, options: NodeOptions, pilot: Pilot, vehicles: tuple[str, ...], bus: Bus) -> None:
@@ -61,7 +61,7 @@ class FlightNode:
         self.overruns = 0
 
     def run(self, stop: StopSignal) -> None:
-        """Work until told to stop; at the end every vehicle is told to hover."""
+        """Work until stopped; at the end every vehicle gets hover set-points."""
         period = 1.0 / self._options.rate
         begun = due = time.monotonic()
         seconds = self._options.seconds if self._options.seconds is not None else float("inf")
@@ -71,18 +71,18 @@ class FlightNode:
                 due += period
                 behind = time.monotonic() - due
                 if behind > 0:
-                    left_out = int(behind / period) + 1
-                    self.overruns += left_out
-                    due += left_out * period
+                    skipped = int(behind / period) + 1
+                    self.overruns += skipped
+                    due += skipped * period
                 stop.event.wait(max(0.0, due - time.monotonic()))
         finally:
             for _ in range(LAST_HOVERS):
-                self._send(self._pilot.hover("the flight node ends"))
-                time.sleep(min(period, LAST_PAUSE))  # what is put right before a session closes may never leave
+                self._send(self._pilot.hover("the flight node is stopping"))
+                time.sleep(min(period, LAST_PAUSE))  # a message right before the session closes may be lost
             self._report()
 
     def turn(self) -> None:
-        """Do one period's work."""
+        """Process one period."""
         for vehicle, incoming in self._incoming.items():
             for sample in incoming.drain():
                 self._pilot.offer(vehicle, sample.payload, sample.attachment, time.time())

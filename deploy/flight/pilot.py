@@ -1,10 +1,10 @@
-"""From observations of vehicles to set-points, with a watchdog; knows nothing of the network and keeps no clock.
+"""From vehicles' observations to set-points, with a watchdog; independent of network and clock.
 
-    pilot.offer(vehicle, payload, attachment, now)      # whatever has arrived since the last period
-    for vehicle, message in pilot.decide(now).items():  # once in each period
+    pilot.offer(vehicle, payload, attachment, now)      # everything that has arrived since the last period
+    for vehicle, message in pilot.decide(now).items():  # once per period
         ...                                             # send it
 
-The watchdog counts periods. A vehicle of which no usable observation came in the last `hold` periods is told to hover.
+The watchdog counts periods: a vehicle without a usable observation in the last `hold` periods gets a hover set-point.
 """
 
 import time
@@ -21,25 +21,25 @@ from common.protocol.messages import Envelope, ObservationMessage, SetpointMessa
 from common.team import Float32
 
 LARGEST: Final = 4.0
-"""Largest size of a number in an observation. Scaled as the actors know them they lie within about [-1, 1]; what is far
-beyond is in other units."""
+"""Largest absolute value in an observation. Scaled values lie within about [-1, 1]; far larger ones are in other
+units."""
 KEPT: Final = 1000
-"""Newest decisions whose latency is told."""
+"""Newest decisions that the reported latency covers."""
 ROWS: Final = 16
-"""Vehicles that a report tells one by one, those that hover first."""
+"""Most vehicles that a report lists one by one, hovering ones first."""
 REASONS: Final = 4
-"""Reasons to hover that alarms tell one by one."""
+"""Most reasons to hover that alarms list one by one."""
 REASON: Final = 160
 """Most characters of a reason."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What the watchdog goes by.
+    """Limits of the watchdog.
 
     Attributes:
-        hold: periods for which one observation serves, that in which it came included.
-        age: largest difference between an observation's stamp and this machine's clock, either way, s.
+        hold: periods for which an observation stays valid, including the one in which it arrived.
+        age: largest difference between an observation's time stamp and this machine's clock, s.
     """
 
     hold: int = 1
@@ -68,8 +68,8 @@ class Pilot:
         actors: the actors.
         agents: for each vehicle, the agent that flies it.
         speed: what an action of 1 means along x and along y, m/s.
-        limits: the watchdog's.
-        clock: seconds that only run forward, for latencies.
+        limits: limits of the watchdog.
+        clock: a monotonic clock for latencies, s.
 
     Attributes:
         period: periods begun.
@@ -77,7 +77,7 @@ class Pilot:
         hovers: set-points that command hover.
 
     Raises:
-        ConfigError: when an agent does not exist, or flies two vehicles.
+        ConfigError: an agent does not exist, or flies two vehicles.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Pilot:
         if strangers:
             raise ConfigError(f"there is no agent {strangers[0]!r}; the policy's are {', '.join(self._names)}.")
         if len(set(agents.values())) != len(agents):
-            raise ConfigError("two vehicles are flown by the same agent; each needs one of its own.")
+            raise ConfigError("two vehicles have the same agent; each needs its own.")
         numbers = {vehicle: self._names.index(agent) for vehicle, agent in agents.items()}
         self._vehicles = {vehicle: _Vehicle(number, places[number]) for vehicle, number in numbers.items()}
         self._row = np.zeros((1, actors.team.observation_size), np.float32)
@@ -105,10 +105,10 @@ class Pilot:
         self.period = self.decisions = self.hovers = 0
 
     def offer(self, vehicle: str, payload: bytes, attachment: bytes, now: float) -> bool:
-        """Take an observation in for the coming period; return whether it can be used.
+        """Take an observation for the coming period; return whether it is usable.
 
         Args:
-            vehicle: the vehicle's name in the key that it came on.
+            vehicle: the vehicle's name, from the message's key.
             payload: the observation's frame.
             attachment: the envelope's frame.
             now: seconds since 1970.
@@ -137,7 +137,7 @@ class Pilot:
         self.period += 1
         for held in self._vehicles.values():
             held.reason, held.complaint = self._objection(held, now), ""
-        # All actors decide on one row, as in training: the numbers are then those of the process that trained them.
+        # All actors decide on one row, as in training, so that the actions are bit-equal to those of training.
         flying = any(not held.reason for held in self._vehicles.values())
         action = (
             self._actors.environment_actions(self._row)[0].reshape(-1, 2) if flying else np.zeros((0, 2), np.float32)
@@ -145,14 +145,14 @@ class Pilot:
         return {vehicle: self._setpoint(held, action, now) for vehicle, held in self._vehicles.items()}
 
     def hover(self, reason: str) -> dict[str, SetpointMessage]:
-        """Begin a period in which every vehicle hovers, the last one for instance."""
+        """Begin a period in which every vehicle hovers, for example the last one."""
         self.period += 1
         for held in self._vehicles.values():
             held.reason = reason
         return {vehicle: self._hover(held) for vehicle, held in self._vehicles.items()}
 
     def report(self) -> dict[str, Any]:
-        """Return the metrics of `common.protocol.metrics` that are the pilot's."""
+        """Return the pilot's metrics, as `common.protocol.metrics` declares them."""
         worst = sorted(self._vehicles.items(), key=lambda item: (not item[1].reason, -item[1].hovers, item[0]))
         return {
             "periods": self.period,
@@ -205,7 +205,7 @@ class Pilot:
         return f"it is {age:.1f} s old" if age > 0 else f"it is {-age:.1f} s ahead of this machine's clock"
 
     def _objection(self, held: _Vehicle, now: float) -> str:
-        """Return why a vehicle has to hover in this period, or nothing."""
+        """Return why a vehicle has to hover in this period, or an empty text."""
         silent = self.period - held.taken
         if held.taken and silent < self._limits.hold and (objection := self._stale(held.stamp, now)) is None:
             return ""
@@ -225,7 +225,7 @@ class Pilot:
             held.reason = "the actor's output is not finite"
             return self._hover(held)
         self.decisions += 1
-        # In double precision, so that dividing by the speed gives the actor's very action back.
+        # Double precision, so that dividing by the speed recovers the actor's action exactly.
         velocity = tuple(float(part) * speed for part, speed in zip(share, self._speed, strict=True))
         latency = self._clock() - held.began
         self._latency.append(latency)
@@ -239,15 +239,15 @@ class Pilot:
         return SetpointMessage(self._names[held.agent], (0.0, 0.0), True, held.reason, 0, 0, self.period, 0.0)
 
     def _alarms(self) -> list[str]:
-        """Return one sentence for each reason to hover, of the commonest ones."""
-        found: dict[str, list[str]] = {}
+        """Return one sentence for each of the most common reasons to hover."""
+        vehicles_by: dict[str, list[str]] = {}
         for vehicle, held in self._vehicles.items():
             if held.reason:
-                found.setdefault(held.reason, []).append(vehicle)
-        common = sorted(found.items(), key=lambda item: -len(item[1]))[:REASONS]
-        told = [f"{_named(vehicles)}: {reason.rstrip('.')}." for reason, vehicles in common]
-        rest = sum(map(len, found.values())) - sum(len(vehicles) for _, vehicles in common)
-        return [*told, *([f"{rest} more hover for other reasons."] if rest else [])]
+                vehicles_by.setdefault(held.reason, []).append(vehicle)
+        common = sorted(vehicles_by.items(), key=lambda item: -len(item[1]))[:REASONS]
+        found = [f"{_named(vehicles)}: {reason.rstrip('.')}." for reason, vehicles in common]
+        rest = sum(map(len, vehicles_by.values())) - sum(len(vehicles) for _, vehicles in common)
+        return [*found, *([f"{rest} more hover for other reasons."] if rest else [])]
 
 
 def _named(vehicles: list[str]) -> str:
@@ -266,7 +266,7 @@ def _places(actors: TeamActors) -> list[slice]:
 
 
 def _spread(values: deque[float]) -> dict[str, float]:
-    """Return median, 99th percentile and maximum in ms; nothing before the first value."""
+    """Return median, 99th percentile and maximum in ms, or nothing without values."""
     if not values:
         return {}
     median, high = np.percentile(values, (50, 99))

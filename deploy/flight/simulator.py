@@ -1,4 +1,4 @@
-"""The simulator in the place of real vehicles: each UAV of a farm publishes what it sees and obeys its set-points."""
+"""Simulated vehicles: each UAV of a farm publishes its observations and obeys its set-points."""
 
 import time
 from collections.abc import Mapping
@@ -19,21 +19,21 @@ from rollout.evaluation import episode_seed
 from rollout.sim.batch import FarmBatch
 
 RESEND_SECONDS: Final = 0.5
-"""Time without an answer after which a vehicle publishes its observation once more: the path is lossy."""
+"""Time without an answer after which a vehicle publishes its observation again: messages may be lost."""
 LOOK_SECONDS: Final = 0.0005
-"""Pause between two looks for set-points."""
+"""Seconds between two checks for set-points."""
 
 
 @dataclass
 class Flight:
-    """What one simulated flight came to.
+    """The result of one simulated flight.
 
     Attributes:
-        summary: the episode's.
-        actions: [A] float32 of each step, as they came over the path.
+        summary: the episode's summary.
+        actions: [A] float32 of each step, as received.
         round_trips: seconds from publishing an observation to its set-point, for each vehicle and step.
-        hovers: set-points that commanded hover while the simulator waited; no simulated time passes in them.
-        resent: observations that were published once more.
+        hovers: hover set-points received while the simulator waited; no simulated time passes.
+        resent: observations that were published again.
     """
 
     summary: EpisodeSummary
@@ -44,15 +44,15 @@ class Flight:
 
 
 class SimulatedFleet:
-    """Flies one episode over the path.
+    """Flies one episode over the bus.
 
-    A step is made when every UAV has the set-point that answers its observation of that step, so that the course does
-    not depend on how fast the path is.
+    A step is taken when every UAV has the set-point that answers its observation of that step, so the result does not
+    depend on the speed of the network.
 
     Args:
         config: the farm.
         links: for each agent, its vehicle's link.
-        patience: seconds without any decision after which the flight is given up.
+        patience: seconds without a decision after which the flight fails.
     """
 
     def __init__(self, config: FarmConfig, links: Mapping[str, VehicleLink], patience: float = 30.0) -> None:
@@ -61,10 +61,10 @@ class SimulatedFleet:
         self._speed = np.array([config.world.speed_x_max, config.world.speed_y_max])
 
     def fly(self, farm: int, episode: int, stop: StopSignal, steps: int | None = None) -> Flight:
-        """Fly an evaluation episode, or its first steps; it ends early when told to stop.
+        """Fly an evaluation episode or its first steps; end early if stopped.
 
         Raises:
-            BusError: when no set-point comes for too long.
+            BusError: no set-point has arrived for too long.
         """
         farms = self._farms
         farms.reset(0, farm, episode_seed(farm, episode))
@@ -81,10 +81,10 @@ class SimulatedFleet:
         return flight
 
     def _decided(self, flight: Flight, stop: StopSignal) -> NDArray[np.float64] | None:
-        """Publish what everybody sees, and return the velocities [agents, 2] m/s that answer it, or None when told."""
+        """Publish all observations and return the answering velocities [agents, 2] in m/s, or None if stopped."""
         team = self._farms.team
         seen = dict(zip(team.agent_names, _each(self._farms.observation[0], team), strict=True))
-        began = told = time.monotonic()
+        began = resent = time.monotonic()
         first = {agent: self._links[agent].observe(values) for agent, values in seen.items()}
         found: dict[str, SetpointMessage] = {}
         while len(found) < len(seen):
@@ -99,9 +99,11 @@ class SimulatedFleet:
             now = time.monotonic()
             if now - began > self._patience:
                 missing = sorted(seen.keys() - found.keys())
-                raise BusError(f"no set-point for {', '.join(missing)} within {self._patience:.0f} s; does a node fly?")
-            if now - told > RESEND_SECONDS:
-                told = now
+                raise BusError(
+                    f"no set-point for {', '.join(missing)} within {self._patience:.0f} s; is a flight node running?"
+                )
+            if now - resent > RESEND_SECONDS:
+                resent = now
                 for agent in seen.keys() - found.keys():
                     self._links[agent].observe(seen[agent])
                     flight.resent += 1

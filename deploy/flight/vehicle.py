@@ -1,4 +1,4 @@
-"""A vehicle's end of the path: observations out, set-points in. The simulator uses it, and a bridge may."""
+"""A vehicle's side of the link: observations out, set-points in. For the simulator and for bridges to real vehicles."""
 
 import time
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from common.team import Float32
 from common.transport.bus import Bus
 
 WAITING: Final = 4
-"""Set-points that wait to be looked at; the oldest give way."""
+"""Set-points that wait to be read; the oldest are dropped."""
 RELEASE_SECONDS: Final = 2.0
 """Silence of a flight node after which one with a lower start number is obeyed: the first one's clock was ahead."""
 
@@ -27,11 +27,11 @@ class VehicleLink:
         run: the run's name.
         vehicle: the vehicle's name; with TLS that of its certificate.
         agent: the agent that flies it.
-        fastest: largest speed along x and along y that it obeys, m/s.
+        fastest: largest speed along x and y that it accepts, m/s.
         clock: seconds since 1970.
 
     Attributes:
-        refused: set-points that were not used: malformed, older, of another agent, or too fast.
+        refused: set-points that were not obeyed: malformed, old, for another agent, or too fast.
     """
 
     def __init__(
@@ -51,10 +51,10 @@ class VehicleLink:
         self.refused = 0
 
     def observe(self, values: Float32) -> int:
-        """Publish what the vehicle sees; return the observation's number.
+        """Publish an observation; return its number.
 
         Args:
-            values: [o] float32, scaled as the actor knows them.
+            values: [o] float32, scaled as in training.
         """
         self._sequence += 1
         message = ObservationMessage(self._agent, int(self._clock() * 1e6), np.ascontiguousarray(values, np.float32))
@@ -62,7 +62,7 @@ class VehicleLink:
         return self._sequence
 
     def setpoints(self) -> list[SetpointMessage]:
-        """Return the set-points that have come since the last call, oldest first; obey the last one."""
+        """Return the set-points since the last call, oldest first; the vehicle obeys the last one."""
         found = []
         for sample in self._setpoints.drain():
             try:
@@ -78,10 +78,10 @@ class VehicleLink:
     def _check(self, sender: Envelope, message: SetpointMessage) -> None:
         older = (sender.incarnation, sender.sequence) <= self._mark
         if sender.role != "flight" or (older and time.monotonic() - self._obeyed < RELEASE_SECONDS):
-            raise ProtocolError("the set-point is not newer, or not a flight node's.")
+            raise ProtocolError("the set-point is old, or not from a flight node.")
         if message.agent != self._agent or len(message.velocity) != 2:
             raise SchemaError("the set-point is for another agent.")
         if any(abs(part) > most for part, most in zip(message.velocity, self._fastest, strict=True)):
             raise SchemaError("the set-point is faster than this vehicle may fly.")
         if message.hover and any(message.velocity):
-            raise SchemaError("a hover has no velocity.")
+            raise SchemaError("a hover set-point must have velocity 0.")

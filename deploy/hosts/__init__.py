@@ -1,1 +1,1 @@
-"""A run on many hosts: its description, what follows from it for each host, and the two ends of an SSH connection."""
+"""A run on several hosts: the fleet file, the processes that follow from it, and both ends of the SSH connection."""

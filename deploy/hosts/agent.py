@@ -1,4 +1,4 @@
-"""The far end of `eia-sec up`, `down`, `status` and `logs`: what they do in one host's folder, on that host."""
+"""The remote end of `eia-sec up`, `down`, `status` and `logs`: their work in one host's folder, on that host."""
 
 import hashlib
 import os
@@ -19,13 +19,13 @@ from deploy.local import contained_files
 from deploy.local.run_directory import HISTORY, RunDirectory
 
 START_SECONDS: Final = 30.0
-"""Time that a keeper has to take a plan up."""
+"""Time that a keeper has to take up a plan."""
 KILL_SECONDS: Final = 5.0
 LEARNER: Final = "learner.learner"
 """The learner's name among the processes."""
 MAX_LINES: Final = 10_000
 LINE_BYTES: Final = 400
-"""Bytes that a line of a log is taken for; of longer ones fewer are shown."""
+"""Assumed bytes per line of a log; fewer lines are shown where they are longer."""
 
 
 def up(
@@ -36,18 +36,17 @@ def up(
     *,
     again: bool = True,
 ) -> dict[str, Any]:
-    """Write a plan and what its processes need, start a keeper when there is none, and wait until it has the plan.
+    """Write a plan and its files, start a keeper if there is none, and wait until it has taken up the plan.
 
     Args:
-        folder: the host's folder; made when it is missing.
+        folder: the host's folder; made if missing.
         processes: for each name, arguments and threads.
-        files: texts by their paths in the folder; readable by the owner alone.
+        files: texts by path in the folder; readable by the owner only.
         start: how to start the keeper, "detached" or "systemd".
-        again: whether to start what has ended as it should, too; False where the run is over.
+        again: whether to restart processes that have finished, too; False when the run is over.
 
     Returns:
-        What `status` returns, and whether the run is "over": its learner is of this host, came to the run's end, and is
-        left as it is.
+        What `status` returns, and "over": whether the learner runs on this host and has finished the run.
 
     Raises:
         HostError: a file cannot be written, or the keeper did not come up.
@@ -70,22 +69,22 @@ def up(
         if time.monotonic() > deadline:
             last = _tail(folder / LOG, 1)
             raise HostError(
-                f"the keeper of {folder} did not come up in {START_SECONDS:.0f} s{': ' if last else ''}{last}"
+                f"the keeper of {folder} did not start within {START_SECONDS:.0f} s{': ' if last else ''}{last}"
             )
-        # It may have ended between two looks, because the plan before was empty.
+        # It may have ended between two checks, because the previous plan was empty.
         _ensure_keeper(folder, start)
         time.sleep(0.1)
     return {**status(folder), "over": over}
 
 
 def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict[str, Any]:
-    """Take the processes of some roles out of the plan, and wait until they have ended.
+    """Remove the processes of some roles from the plan, and wait until they have stopped.
 
     Args:
         folder: the host's folder.
         roles: the roles.
         seconds: how long to wait.
-        kill: whether to kill those that have not ended then.
+        kill: whether to kill those that are still running then.
 
     Returns:
         "ended" and "left": names of processes.
@@ -112,7 +111,7 @@ def down(folder: Path, roles: Sequence[str], seconds: float, kill: bool) -> dict
 
 
 def status(folder: Path) -> dict[str, Any]:
-    """Return whether a keeper lives, the processes that it keeps, and what is wrong."""
+    """Return the keeper's process id, the state of its processes, and its alarms."""
     if not folder.is_dir():
         return {"keeper": 0, "processes": {}, "alarms": []}
     state = read_json(folder / STATE)
@@ -122,24 +121,24 @@ def status(folder: Path) -> dict[str, Any]:
 
 
 def logs(folder: Path, names: Sequence[str], lines: int) -> dict[str, str]:
-    """Return the last lines that processes (all of them when none is named) and the keeper have written."""
+    """Return the last lines of the logs of processes (of all if none is named) and the keeper."""
     return {name: _tail(path, max(1, min(lines, MAX_LINES))) for name, path in log_files(folder, names).items()}
 
 
 def log_files(folder: Path, names: Sequence[str]) -> dict[str, Path]:
-    """Return the logs of processes (all of them when none is named) and the keeper, by name."""
+    """Return the log files of processes (of all if none is named) and the keeper, by name."""
     found = {path.stem: path for path in sorted((folder / LOGS).glob("*.log"))} | {"keeper": folder / LOG}
     return {name: path for name, path in found.items() if not names or name in names}
 
 
 def _is_over(folder: Path, processes: Mapping[str, dict[str, Any]]) -> bool:
-    """Return whether the learner of this host is to run as it ran before, and came to the end of its run."""
+    """Return whether the plan starts the learner as before, and that learner has finished its run."""
     before, wanted = read_json(folder / PLAN).get("processes", {}).get(LEARNER), processes.get(LEARNER)
     return wanted is not None and wanted == before and RunDirectory(folder / "run").finished()
 
 
 def _ensure_keeper(folder: Path, start: str) -> None:
-    """Start a keeper unless one holds the folder's lock; of two that start at once one ends by itself."""
+    """Start a keeper unless one holds the folder's lock; of two that start at once, one exits."""
     if _has_keeper(folder):
         return
     command = [sys.executable, "-P", "-m", "deploy.cli", "host", "keep", "--folder", str(folder.resolve())]
@@ -159,7 +158,7 @@ def _ensure_keeper(folder: Path, start: str) -> None:
 def _start_unit(folder: Path, command: Sequence[str]) -> None:
     """Start the keeper as a transient unit of the user's systemd."""
     if shutil.which("systemd-run") is None:
-        raise HostError('there is no systemd-run on this host; write start = "detached" for it.')
+        raise HostError('this host has no systemd-run; set start = "detached" for it.')
     unit = f"eia-sec-{hashlib.sha256(str(folder.resolve()).encode()).hexdigest()[:12]}"
     log = f"--property=StandardError=append:{folder.resolve() / LOG}"
     passed = [f"--setenv={name}={value}" for name, value in os.environ.items() if name.startswith("PYTHON")]
@@ -178,7 +177,7 @@ def _has_keeper(folder: Path) -> bool:
 
 
 def _pids(folder: Path, roles: Sequence[str]) -> dict[str, int]:
-    """Return the process numbers of those that run, by name."""
+    """Return the process ids of the running processes of some roles, by name."""
     found = status(folder)["processes"]
     return {name: int(p["pid"]) for name, p in found.items() if p["pid"] and name.split(".")[0] in roles}
 

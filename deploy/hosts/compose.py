@@ -1,4 +1,4 @@
-"""A Compose file of a fleet: every process as a service on one Docker host."""
+"""A Compose file for a fleet: each process is a service on one Docker host."""
 
 from typing import Any, Final
 
@@ -10,14 +10,14 @@ from deploy.hosts.plan import SHARING, Places, Process, processes
 from deploy.local.run_directory import HISTORY
 
 SHARED: Final = "memory"
-"""The volume that stands in for /dev/shm in every container that hands transitions over in memory."""
+"""The volume that replaces /dev/shm in containers that share transitions through memory."""
 
 
 def compose(fleet: FleetSpec) -> dict[str, bytes]:
     """Return every file by its path: compose.yaml, config.toml, and a folder for each certificate.
 
     Raises:
-        ConfigError: without certificates, when nobody said that this is meant.
+        ConfigError: there are no certificates and `insecure` is not set.
         CredentialsError: a certificate is missing or cannot be used.
     """
     places = inside(fleet, fleet.listener[0])
@@ -68,10 +68,10 @@ def _service(fleet: FleetSpec, places: Places, process: Process) -> dict[str, An
 
 
 def _memory() -> dict[str, Any]:
-    """Return the shared volume: a tmpfs of its own, because one container's /dev/shm ends when that starts again.
+    """Return the shared volume: a separate tmpfs, because a container's own /dev/shm is gone when it restarts.
 
-    It has no size, so that it may grow as a host's own /dev/shm does: each session of Zenoh keeps 16 MiB there, and a
-    write beyond the end of a tmpfs kills a process.
+    It has no size limit, like a host's /dev/shm: each Zenoh session keeps 16 MiB there, and a write beyond the end of
+    a tmpfs kills the process.
     """
     options = {"type": "tmpfs", "device": "tmpfs", "o": "mode=1777,nosuid,nodev,noexec"}
     return {"driver": "local", "driver_opts": options}

@@ -1,4 +1,4 @@
-"""What Compose and Kubernetes share: where things lie inside a container, and the probe."""
+"""What Compose and Kubernetes share: paths inside a container, key files, the probe, and YAML."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -14,26 +14,26 @@ from deploy.hosts.plan import Places, Process
 from deploy.local.threads import thread_environment
 
 USER_ID: Final = 10_001
-"""The account in the image, see Dockerfile."""
+"""The user id in the image; see Dockerfile."""
 CONFIG: Final = "/config/config.toml"
 KEYS: Final = "/keys"
 RUN_DIR: Final = "/data/run"
 
 
 def inside(fleet: FleetSpec, host: str) -> Places:
-    """Return the places inside a container.
+    """Return the paths and endpoints inside a container.
 
     Args:
         fleet: the fleet.
-        host: name under which other containers reach the listener.
+        host: the name that other containers reach the listener by.
 
     Raises:
-        ConfigError: without certificates, when nobody said that this is meant: containers do not share a loopback.
+        ConfigError: there are no certificates and `insecure` is not set; containers do not share a loopback.
     """
     if fleet.keys is None and not fleet.network.insecure:
         raise ConfigError(
-            f"{fleet.path}: containers meet on a network that others may be on, too; name the folder of `eia-sec keys` "
-            "as network.keys, or say insecure = true if that is meant."
+            f"{fleet.path}: containers share a network that strangers may reach; set network.keys to the folder of "
+            "`eia-sec keys`, or set insecure = true if that is intended."
         )
     protocol, port = ("tls" if fleet.keys is not None else "tcp"), port_of(fleet)
     return Places(RUN_DIR, KEYS, CONFIG, f"{protocol}/{host}:{port}", f"{protocol}/0.0.0.0:{port}")
@@ -45,7 +45,7 @@ def port_of(fleet: FleetSpec) -> int:
 
 
 def probe(fleet: FleetSpec, places: Places, process: Process, name: str = "") -> list[str]:
-    """Return the command that asks for a process's liveliness token (of the router: whether it answers)."""
+    """Return the command that checks a process's liveliness token, or whether the router answers."""
     listens = process.role == fleet.listener[0]
     words = ["eia-sec", "alive", process.role, name or process.name, "--run", fleet.run, "--connect", places.endpoint]
     words += ["--tls", KEYS] if fleet.keys is not None else []
@@ -58,7 +58,7 @@ def environment(process: Process) -> dict[str, str]:
 
 
 def key_files(fleet: FleetSpec, identity: Identity) -> dict[str, bytes]:
-    """Return the checked files of one certificate, by name; empty without TLS."""
+    """Return the checked files of one certificate by name; none without TLS."""
     if fleet.keys is None:
         return {}
     folder = fleet.keys / str(identity)
@@ -68,10 +68,10 @@ def key_files(fleet: FleetSpec, identity: Identity) -> dict[str, bytes]:
 
 
 class _Dumper(yaml.SafeDumper):  # type: ignore[misc]  # PyYAML comes without types
-    """Writes texts of several lines as blocks, and nothing by reference."""
+    """Writes texts of several lines as blocks, and no aliases."""
 
     def ignore_aliases(self, data: Any) -> bool:
-        """Return that nothing is written by reference."""
+        """Return True: nothing is written as an alias."""
         return True
 
 
@@ -84,5 +84,5 @@ _Dumper.add_representer(str, _text)
 
 
 def as_yaml(documents: Sequence[Any]) -> str:
-    """Return documents as YAML, in the order in which their keys were given."""
+    """Return documents as YAML; keys keep their order."""
     return str(yaml.dump_all(documents, Dumper=_Dumper, sort_keys=False, width=120, explicit_start=len(documents) > 1))

@@ -3,7 +3,7 @@
     fleet = read(Path("fleet.toml"))
     fleet.hosts["farm-2"].workers
 
-Everything is checked while it is read, so that nothing is started by half.
+Everything is checked when it is read, so that no fleet is started halfway.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.options import base_configuration
 
 LOCAL: Final = "local"
-"""The host that is this machine, reached without SSH."""
+"""The name of this machine as a host; it is reached without SSH."""
 MAX_WORKERS: Final = 1024
 """Most workers of one host."""
 
@@ -41,44 +41,44 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Training:
-    """What is trained: the configuration that the learner gets."""
+    """The learner's configuration."""
 
     preset: str = "default"
-    """Preset to begin from."""
+    """The preset that other values override."""
     config: str = ""
-    """TOML file with values that replace the preset's; relative to the fleet file, like every path here."""
+    """TOML file whose values override the preset's; relative to the fleet file, like every path here."""
     farm_file: str = ""
-    """CSV or GeoJSON file with the sensors' places."""
+    """CSV or GeoJSON file with the sensor positions."""
     set: tuple[str, ...] = ()
-    """Single values, for instance "episodes = 400"; they come last."""
+    """Single values that override everything else, for example "episodes = 400"."""
 
 
 @dataclass(frozen=True)
 class Network:
-    """Where everybody meets."""
+    """How the processes reach one another."""
 
     endpoint: str = DEFAULT
-    """Where the others reach the router, or the learner when there is no router."""
+    """Where other processes reach the router, or the learner if there is no router."""
     listen: str = ""
-    """Where that process listens. Default: every address of its host, at the endpoint's port."""
+    """Where that process listens. Default: all addresses of its host, at the endpoint's port."""
     keys: str = ""
-    """Folder of `eia-sec keys`; links are TLS then."""
+    """Folder of `eia-sec keys`; turns TLS on."""
     names: tuple[str, ...] = ()
-    """Further names and addresses under which the listener is reached, for its certificate."""
+    """More names and addresses of the listener, for its certificate."""
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
     shared_memory: bool = False
-    """Transitions of workers on the learner's host (and the router's) go through that machine's memory."""
+    """Workers on the learner's host (and the router's) send transitions through shared memory."""
 
 
 @dataclass(frozen=True)
 class Router:
-    """The router; without this table the learner listens itself."""
+    """The router; without this table, the learner listens itself."""
 
     host: str = ""
     """Name of its host."""
     name: str = "main"
-    """Its name, for its certificate."""
+    """Its name, which its certificate carries."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Learner:
     host: str = ""
     """Name of its host."""
     gpus: int = 0
-    """Accelerators that its container asks for."""
+    """GPUs that its container requests."""
 
 
 @dataclass(frozen=True)
@@ -106,27 +106,27 @@ class Host:
     """One host."""
 
     host: str = ""
-    """"local" for this machine, else what `ssh` is given: HOST, USER@HOST. Default: the table's name."""
+    """"local" for this machine, else the destination for `ssh`: HOST or USER@HOST. Default: the table's name."""
     ssh: tuple[str, ...] = ()
-    """Options for `ssh`, for instance ["-p", "2222"]."""
+    """Options for `ssh`, for example ["-p", "2222"]."""
     folder: str = ""
-    """Folder on that host, relative to the home directory there (locally: to this file). Default: runs/RUN/NAME."""
+    """Folder on that host, relative to its home directory (locally: to this file). Default: runs/RUN/NAME."""
     command: str = "eia-sec"
-    """How eia-sec is called there, for instance ".venv/bin/eia-sec"."""
+    """The command that runs eia-sec there, for example ".venv/bin/eia-sec"."""
     start: Literal["detached", "systemd"] = "detached"
-    """detached: a session of its own; systemd: a transient unit of the user's systemd (needs lingering)."""
+    """detached: a separate session; systemd: a transient user unit (needs lingering)."""
     workers: int = 0
-    """Rollout workers."""
+    """Number of rollout workers."""
 
     @property
     def words(self) -> list[str]:
-        """Return the words of the command, by the shell's rules; raise ValueError for a quote that is left open."""
+        """Return the command's words by the shell's rules; raise ValueError for an unclosed quote."""
         return shlex.split(self.command)
 
 
 @dataclass(frozen=True)
 class Containers:
-    """What Compose and Kubernetes need besides."""
+    """What only Compose and Kubernetes need."""
 
     image: str = "eia-sec:latest"
     """The image, built from Dockerfile."""
@@ -138,11 +138,11 @@ class Containers:
 
 @dataclass(frozen=True)
 class FleetSpec:
-    """A whole fleet.
+    """A fleet: the hosts of a run, and the processes on each.
 
     Attributes:
         path: the file.
-        config: the configuration that the training table names, resolved.
+        config: the learner's configuration, resolved from the training table.
     """
 
     run: str = "farm"
@@ -176,7 +176,7 @@ def read(path: Path) -> FleetSpec:
     """Read a fleet file.
 
     Raises:
-        ConfigError: the file cannot be read, is not TOML, or says something impossible; the place is named.
+        ConfigError: the file cannot be read, is not TOML, or has an impossible value; the message names the key.
     """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -200,7 +200,7 @@ def _table(kind: type[T], table: dict[str, Any], place: str) -> T:
     where = f"in [{place}]" if place else "at the top"
     for key in table:
         if key not in known:
-            raise ConfigError(f"{where} there is no key {key!r}; the keys are {', '.join(known)}.")
+            raise ConfigError(f"{where} unknown key {key!r}; the keys are {', '.join(known)}.")
     return kind(**{key: _value(hints[key], value, f"{place}.{key}".lstrip(".")) for key, value in table.items()})
 
 
@@ -235,10 +235,10 @@ def _printable(text: str, place: str) -> str:
 
 
 def _complete(fleet: FleetSpec) -> FleetSpec:
-    """Return the fleet with defaults that depend on other values, after what concerns several tables was checked."""
+    """Check what concerns several tables, and return the fleet with defaults that depend on other values."""
     check_name(fleet.run, "run")
     if not fleet.hosts:
-        raise ConfigError("there is no host; write a section [hosts.NAME] for each.")
+        raise ConfigError("the file has no host; write a section [hosts.NAME] for each.")
     placed = {"router.host": fleet.router.host if fleet.router else None, "learner.host": fleet.learner.host}
     for place, name in (placed | {"coordinator.host": fleet.coordinator.host or fleet.learner.host}).items():
         if name is not None and name not in fleet.hosts:
@@ -251,7 +251,7 @@ def _complete(fleet: FleetSpec) -> FleetSpec:
     hosts = {name: _host(fleet.run, name, host) for name, host in fleet.hosts.items()}
     where = [(host.host, host.folder) for host in hosts.values()]
     if len(set(where)) < len(where):
-        raise ConfigError("two hosts have the same folder on the same machine; give each its own.")
+        raise ConfigError("two hosts use the same folder on the same machine; give each its own.")
     coordinator = replace(fleet.coordinator, host=fleet.coordinator.host or fleet.learner.host)
     return replace(fleet, hosts=hosts, coordinator=coordinator, network=_network(fleet.network))
 
@@ -259,13 +259,13 @@ def _complete(fleet: FleetSpec) -> FleetSpec:
 def _host(run: str, name: str, host: Host) -> Host:
     host = replace(host, host=host.host or name, folder=host.folder or f"runs/{run}/{name}")
     if not _DESTINATION.fullmatch(host.host):
-        raise ConfigError(f"hosts.{name}.host {host.host!r} is neither {LOCAL!r} nor HOST or USER@HOST.")
+        raise ConfigError(f"hosts.{name}.host {host.host!r} must be {LOCAL!r}, HOST or USER@HOST.")
     if not 0 <= host.workers <= MAX_WORKERS:
         raise ConfigError(f"hosts.{name}.workers must be 0 to {MAX_WORKERS}, not {host.workers}.")
     try:
         empty = not host.words
     except ValueError as error:
-        raise ConfigError(f"hosts.{name}.command {host.command!r} leaves a quote open.") from error
+        raise ConfigError(f"hosts.{name}.command {host.command!r} has an unclosed quote.") from error
     if empty:
         raise ConfigError(f"hosts.{name}.command is empty.")
     if not _PROGRAM.fullmatch(host.words[0]):
@@ -283,18 +283,18 @@ def _check_containers(containers: Containers) -> None:
 
 
 def _network(network: Network) -> Network:
-    """Return the network with its protocol and the place to listen at, which must not let strangers in."""
+    """Return the network with its protocol and listening address, which must not let strangers in."""
     protocol = "tls" if network.keys else "tcp"
     if network.endpoint.startswith("tls/") and not network.keys:
-        raise ConfigError("network.endpoint asks for TLS; name the folder of `eia-sec keys` as network.keys.")
+        raise ConfigError("network.endpoint needs TLS; set network.keys to the folder of `eia-sec keys`.")
     met = Endpoint.parse(re.sub(r"^tls/", "tcp/", network.endpoint))
     everywhere = "[::]" if met.host.startswith("[") else "0.0.0.0"
     default = str(met) if met.is_loopback else f"tcp/{everywhere}:{met.port}"
     listens = Endpoint.parse(re.sub(r"^tls/", "tcp/", network.listen or default))
     if not network.keys and not (listens.is_loopback or network.insecure):
         raise ConfigError(
-            f"listening on {listens} would let anybody who reaches it join the run; name the folder of `eia-sec keys` "
-            "as network.keys, or say insecure = true if that is meant."
+            f"listening on {listens} would let anybody who reaches it join the run; set network.keys to the folder "
+            "of `eia-sec keys`, or set insecure = true if that is intended."
         )
     return replace(
         network, endpoint=str(replace(met, protocol=protocol)), listen=str(replace(listens, protocol=protocol))
@@ -310,6 +310,6 @@ def _configuration(fleet: FleetSpec) -> RunConfig:
     for assignment in training.set:
         config = with_setting(config, assignment)
     farm = farm_of(config)
-    if farm is not None:  # other environments may be installed on the learner's host alone, which looks itself
+    if farm is not None:  # another environment may exist on the learner's host only, where it is checked
         require_frames(config, farm_environment(farm))
     return config

@@ -1,7 +1,7 @@
-"""The histories of all hosts in one folder: packed on each host, and unpacked here with nothing taken on trust.
+"""`eia-sec fleet collect`: histories packed on each host and unpacked into one folder here, without trusting the hosts.
 
-The archive is a plain compressed tar of regular files. A host gets to write what is its own to tell, and nothing else:
-its workers' histories, and the learner's files when the fleet file says that the learner is there.
+The archive is a compressed tar of regular files. A host may write its own files only: its workers' histories, and the
+learner's files if the fleet file places the learner there.
 """
 
 import gzip
@@ -22,24 +22,24 @@ from deploy.local import contained_files
 from deploy.local.run_directory import CONFIG, HISTORY, METRICS, POLICY
 
 OF_THE_LEARNER: Final = (f"{HISTORY}/learner.jsonl", CONFIG, METRICS, POLICY)
-"""What the learner's host tells besides its workers' histories."""
+"""Files that the learner's host sends besides its workers' histories."""
 MAX_ARCHIVE: Final = 2 * 1024**3
 """Largest archive of one host, bytes."""
 MAX_UNPACKED: Final = 8 * 1024**3
-"""Most that is unpacked of one host, bytes."""
+"""Most bytes that are unpacked from one host."""
 MAX_FILES: Final = 10_000
-"""Most files of one host."""
+"""Most files from one host."""
 PIECE: Final = 2**20
 
 
 @dataclass
 class Collected:
-    """What came of it.
+    """The result of a collection.
 
     Attributes:
-        files: how many there are.
-        left_out: "HOST NAME" of files that are not their host's to tell, as a learner's that has moved elsewhere.
-        failed: why hosts failed.
+        files: number of files written.
+        left_out: "HOST NAME" of files that do not belong to their host, for example of a learner that has moved.
+        failed: the reason for each host that failed.
     """
 
     files: int = 0
@@ -48,9 +48,9 @@ class Collected:
 
 
 def pack(folder: Path, out: IO[bytes]) -> None:
-    """Write an archive of the run in a host's folder: histories, metrics, configuration and policy, as far as there.
+    """Write an archive of a host's run: histories, metrics, configuration and policy, whichever exist.
 
-    Each file is read up to the size that it has when its turn comes: one that grows meanwhile does no harm.
+    A file that grows meanwhile is read up to the size that it had at the start.
     """
     run = folder / "run"
     with tarfile.open(fileobj=out, mode="w|gz", format=tarfile.USTAR_FORMAT) as archive:
@@ -63,7 +63,7 @@ def pack(folder: Path, out: IO[bytes]) -> None:
 
 
 def collect(fleet: FleetSpec, target: Path) -> Collected:
-    """Bring the histories of all hosts, and the learner's metrics and policy, into one folder, for `eia-sec audit`.
+    """Copy the histories of all hosts and the learner's metrics and policy into one folder, for `eia-sec audit`.
 
     Raises:
         ConfigError: the folder cannot be made.
@@ -90,7 +90,7 @@ def collect(fleet: FleetSpec, target: Path) -> Collected:
 
 
 def own_names(fleet: FleetSpec, host: str) -> Callable[[str], bool]:
-    """Return which files are a host's to tell."""
+    """Return a predicate for the file names that belong to a host."""
     workers = re.compile(rf"{HISTORY}/rollout-{re.escape(host)}-[0-9]+\.jsonl")
     learner = OF_THE_LEARNER if host == fleet.learner.host else ()
     return lambda name: name in learner or workers.fullmatch(name) is not None
@@ -102,13 +102,13 @@ def unpack(packed: IO[bytes], target: Path, own: Callable[[str], bool]) -> tuple
     Args:
         packed: the archive.
         target: the folder.
-        own: whether a name may be written.
+        own: whether the host may write a name.
 
     Returns:
-        How many files there are, and the names of those that were left out.
+        The number of files written, and the names of those left out.
 
     Raises:
-        HostError: it is no such archive, it is too large, names a file twice, or cannot be written.
+        HostError: the archive is malformed or too large, repeats a name, or cannot be written.
     """
     names: set[str] = set()
     left_out: list[str] = []
@@ -131,25 +131,25 @@ def unpack(packed: IO[bytes], target: Path, own: Callable[[str], bool]) -> tuple
                         _copy(source, entry.size, nowhere)
                 _take(source, -entry.size % tarfile.BLOCKSIZE)
     except (tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise HostError(f"what it sent is no whole archive: {error}.") from error
+        raise HostError(f"its archive is incomplete or malformed: {error}.") from error
     except OSError as error:
-        raise HostError(f"what it sent cannot be written: {error.strerror}.") from error
+        raise HostError(f"its files cannot be written: {error.strerror}.") from error
     return len(names) - len(left_out), left_out
 
 
 def _next(source: gzip.GzipFile) -> tarfile.TarInfo | None:
-    """Return the next header, None at the archive's end; only plain files have headers without a size of their own."""
+    """Return the next header, or None at the archive's end; regular files only, so that headers have a fixed size."""
     block = _take(source, tarfile.BLOCKSIZE)
     if not block.strip(b"\0"):
         return None
     entry = tarfile.TarInfo.frombuf(block, "utf-8", "surrogateescape")
     if entry.type not in (tarfile.REGTYPE, tarfile.AREGTYPE) or entry.size < 0:
-        raise HostError(f"it sent {entry.name!r}, which is no plain file.")
+        raise HostError(f"it sent {entry.name!r}, which is not a regular file.")
     return entry
 
 
 def _take(source: gzip.GzipFile, size: int) -> bytes:
-    """Return so many bytes, which are few; raise EOFError when there are not as many."""
+    """Return exactly `size` bytes; raise EOFError if there are fewer."""
     data = source.read(size)
     if len(data) < size:
         raise EOFError("it ends too early")
@@ -157,7 +157,7 @@ def _take(source: gzip.GzipFile, size: int) -> bytes:
 
 
 def _copy(source: gzip.GzipFile, size: int, file: IO[bytes]) -> None:
-    """Copy so many bytes into a file; raise EOFError when there are not as many."""
+    """Copy `size` bytes into a file; raise EOFError if there are fewer."""
     while size:
         piece = _take(source, min(PIECE, size))
         file.write(piece)

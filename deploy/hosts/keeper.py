@@ -1,16 +1,16 @@
-"""The process that keeps a host's share of a fleet running: it makes so what the plan in its folder says.
+"""The host supervisor: it keeps a host's processes running as the plan in the host's folder says.
 
 A host's folder holds
 
     plan.json     the processes that should run, written by `eia-sec up` and `eia-sec down`
-    state.json    those that do, with their process numbers, written here
-    keeper.lock   held while this process lives
-    keeper.log    what it says, and logs/ what each process says
+    state.json    the state of each process, written here
+    keeper.lock   held while the keeper runs
+    keeper.log    its log; logs/ holds one for each process
     config.toml   the learner's configuration
     keys/         a folder for each certificate
     run/          checkpoints, metrics and histories
 
-When this process dies its children end, as those of `eia-sec train` do.
+When the keeper dies, its processes stop, as those of `eia-sec train` do.
 """
 
 import fcntl
@@ -32,11 +32,11 @@ PLAN, STATE, LOCK, LOG, LOGS = "plan.json", "state.json", "keeper.lock", "keeper
 TICK_SECONDS: Final = 0.25
 LOCK_SECONDS: Final = 2.0
 FAREWELL_SECONDS: Final = 30.0
-"""Time that the processes of one role have to end when this process is told to."""
+"""Time that the processes of one role have to stop when the keeper stops."""
 
 
 def lock(folder: Path) -> IO[str] | None:
-    """Take the folder's lock; return None while a keeper has it. Closing the file gives it back."""
+    """Take the folder's lock, or return None if a keeper holds it. Closing the file releases it."""
     held = (folder / LOCK).open("a", encoding="utf-8")
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -47,7 +47,7 @@ def lock(folder: Path) -> IO[str] | None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Replace a file by one that holds a JSON value, whole or not at all."""
+    """Write a JSON value to a file atomically."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
@@ -59,7 +59,7 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file, an empty one when there is no file."""
+    """Return the JSON object in a file, or an empty one if there is no file."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -67,7 +67,7 @@ def read_json(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise HostError(f"{path} cannot be read: {error}") from error
     if not isinstance(found, dict):
-        raise HostError(f"{path} holds no JSON object.")
+        raise HostError(f"{path} does not hold a JSON object.")
     return found
 
 
@@ -77,7 +77,7 @@ def checked_names(processes: Mapping[str, dict[str, Any]]) -> dict[str, dict[str
 
 
 class Keeper:
-    """The loop that makes the plan so.
+    """The loop that starts and stops processes until they match the plan.
 
     Args:
         folder: the host's folder, which is the working directory of every process.
@@ -91,16 +91,16 @@ class Keeper:
         self._since: dict[str, tuple[int, float]] = {}
         self._issue = 0
         self._read_at = 0
-        self._told: dict[str, Any] = {}
-        self._complaints: dict[str, str] = {}
+        self._written: dict[str, Any] = {}
+        self._warned: dict[str, str] = {}
 
     def run(self, stop: StopSignal) -> None:
-        """Keep the processes of the plan running until it is empty or a signal comes."""
+        """Keep the plan's processes running until the plan is empty or a signal arrives."""
         while not stop:
             self._read()
             self._supervisor.watch()
-            self._turn()
-            self._tell()
+            self._apply()
+            self._write_state()
             if not (self._wanted or self._running()):
                 return
             stop.event.wait(TICK_SECONDS)
@@ -111,10 +111,10 @@ class Keeper:
             self._supervisor.stop(named, FAREWELL_SECONDS)
         self._supervisor.watch()
         self._wanted = {}
-        self._tell()
+        self._write_state()
 
     def _read(self) -> None:
-        """Take up the plan when it is a new one; while none can be read, the one before stands."""
+        """Take up a new plan; keep the previous one while the file cannot be read."""
         try:
             changed = (self._folder / PLAN).stat().st_mtime_ns
             if changed == self._read_at:
@@ -124,28 +124,28 @@ class Keeper:
         except (OSError, HostError, UsageError, KeyError, TypeError, ValueError) as error:
             if not self._issue:
                 raise HostError(f"{PLAN} cannot be read: {error!r}.") from error
-            self._complain(PLAN, f"{PLAN} cannot be read: {error!r}")
+            self._warn(PLAN, f"{PLAN} cannot be read: {error!r}")
             return
         self._issue, self._wanted, self._read_at = issue, wanted, changed
-        self._complaints.pop(PLAN, None)
+        self._warned.pop(PLAN, None)
         for name in self._wanted:
             child = self._supervisor.children.get(name)
-            # Whoever writes a plan has mended what was wrong, perhaps, and wants what has ended to run again.
+            # A new plan may mean that the user has fixed a problem, so processes that were given up are tried again.
             if child is not None and child.process is None and (child.given_up or (again and child.done)):
                 self._started.pop(name, None)
 
-    def _complain(self, file: str, text: str) -> None:
-        """Raise an alarm about a file, once while it is the same."""
-        if text != self._complaints.get(file):
-            self._complaints[file] = text
+    def _warn(self, file: str, text: str) -> None:
+        """Raise an alarm about a file unless it is the same as the last one."""
+        if text != self._warned.get(file):
+            self._warned[file] = text
             self._supervisor.alarm(text)
 
-    def _turn(self) -> None:
-        """End what the plan does not name as it runs, and start what is missing."""
+    def _apply(self) -> None:
+        """Stop processes that differ from the plan, and start those that are missing."""
         running = self._running()
         for name, process in list(self._started.items()):
             if self._wanted.get(name) != process:
-                log(f"keeper: ending {name}.")
+                log(f"keeper: stopping {name}.")
                 self._supervisor.dismiss(name)
                 del self._started[name]
         for name, process in self._wanted.items():
@@ -157,8 +157,8 @@ class Keeper:
     def _running(self) -> list[str]:
         return [name for name, child in self._supervisor.children.items() if _alive(child)]
 
-    def _tell(self) -> None:
-        """Write the state when it has changed; on a full disk that waits until there is room, and nothing ends."""
+    def _write_state(self) -> None:
+        """Write the state if it has changed; a full disk raises an alarm, and the processes go on."""
         children = {name: self._state(name, child) for name, child in self._supervisor.children.items()}
         kept = {name: state for name, state in children.items() if name in self._wanted or state["pid"]}
         state = {
@@ -167,22 +167,22 @@ class Keeper:
             "processes": kept,
             "alarms": self._supervisor.alarms[-10:],
         }
-        if state == self._told:
+        if state == self._written:
             return
         try:
             write_json(self._folder / STATE, state)
         except OSError as error:
-            self._complain(STATE, f"{STATE} cannot be written: {error.strerror}")
+            self._warn(STATE, f"{STATE} cannot be written: {error.strerror}")
         else:
-            self._told = state
-            self._complaints.pop(STATE, None)
+            self._written = state
+            self._warned.pop(STATE, None)
 
     def _state(self, name: str, child: Child) -> dict[str, Any]:
         pid = child.process.pid if child.process is not None and _alive(child) else 0
         if self._since.get(name, (-1, 0.0))[0] != pid:
             self._since[name] = (pid, time.time())
         if pid:
-            word = "running" if name in self._started else "ending"
+            word = "running" if name in self._started else "stopping"
         elif child.given_up:
             word = "given up"
         else:
@@ -195,12 +195,12 @@ def _alive(child: Child) -> bool:
 
 
 def keep(folder: Path) -> None:
-    """Run the keeper of a folder until there is nothing to keep; raise HostError when there is one already."""
+    """Run the keeper of a folder until its plan is empty; raise HostError if another one runs."""
     deadline = time.monotonic() + LOCK_SECONDS
-    # Whoever asks whether there is a keeper takes the lock for a moment.
+    # A status request holds the lock for a moment to see whether a keeper runs.
     while (held := lock(folder)) is None:
         if time.monotonic() > deadline:
-            raise HostError(f"{folder} has a keeper already.")
+            raise HostError(f"{folder} already has a keeper.")
         time.sleep(0.02)
     with held:
         os.chdir(folder)
@@ -210,10 +210,10 @@ def keep(folder: Path) -> None:
 
 
 def new_plan(processes: Mapping[str, dict[str, Any]], *, again: bool) -> dict[str, Any]:
-    """Return a plan's JSON, with a number by which its keeper tells that it has taken it up.
+    """Return a plan, with a number that its keeper repeats in the state once it has taken it up.
 
     Args:
         processes: what should run.
-        again: whether that includes what ran before and has ended as it should.
+        again: whether to restart processes that have finished.
     """
     return {"issue": time.time_ns(), "processes": dict(processes), "again": again}

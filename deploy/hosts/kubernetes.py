@@ -14,7 +14,7 @@ from deploy.hosts.plan import Places, Process, processes, worker
 
 _LABEL: Final = re.compile(r"[a-z]([-a-z0-9]{0,61}[a-z0-9])?")
 _POD: Final = "$(POD_NAME)"
-"""The pod's own name, which Kubernetes puts into arguments."""
+"""The pod's own name, which Kubernetes substitutes in arguments."""
 
 Object = dict[str, Any]
 
@@ -31,7 +31,7 @@ def kubernetes(fleet: FleetSpec) -> dict[str, str]:
         CredentialsError: a certificate is missing or cannot be used.
     """
     if fleet.network.shared_memory:
-        raise ConfigError(f"{fleet.path}: pods share no memory; leave network.shared_memory out for Kubernetes.")
+        raise ConfigError(f"{fleet.path}: pods do not share memory; remove network.shared_memory for Kubernetes.")
     places = inside(fleet, service_name(fleet, fleet.listener[0]))
     planned = [process for process in processes(fleet, places) if fleet.keys is not None or process.role != "rollout"]
     workloads = [(_name(fleet, process), process, 1) for process in planned]
@@ -42,7 +42,9 @@ def kubernetes(fleet: FleetSpec) -> dict[str, str]:
                 workloads.append((_label(f"{fleet.run}-rollout-{host}"), process, described.workers))
     names = [name for name, _, _ in workloads]
     if len(set(names)) < len(names):
-        raise ConfigError(f"{fleet.path}: names that differ only in case or signs become one in Kubernetes.")
+        raise ConfigError(
+            f"{fleet.path}: names that differ only in case or punctuation would be the same in Kubernetes."
+        )
     config = _object(
         "v1", "ConfigMap", _label(f"{fleet.run}-config"), fleet, data={"config.toml": to_toml(fleet.config)}
     )
@@ -147,7 +149,7 @@ def _pod(fleet: FleetSpec, places: Places, name: str, process: Process) -> Objec
 
 
 def _copier(fleet: FleetSpec) -> Object:
-    """Return what copies the keys: files of a Secret are open to a group, which a process here refuses."""
+    """Return the container that copies the keys: files of a Secret are group-readable, which our processes refuse."""
     command = f"cp /secret/* {containers.KEYS}/ && chmod 600 {containers.KEYS}/*"
     mounts = [{"name": "secret", "mountPath": "/secret"}, {"name": "keys", "mountPath": containers.KEYS}]
     return {
@@ -194,7 +196,7 @@ def _container(fleet: FleetSpec, places: Places, process: Process, mounts: list[
 
 
 def _probe(fleet: FleetSpec, places: Places, process: Process) -> list[str]:
-    """Return the probe's command; Kubernetes puts no names into it, so that a shell does where one is needed."""
+    """Return the probe's command; Kubernetes substitutes nothing in it, so a shell inserts the pod's name."""
     if process.name != _POD:
         return probe(fleet, places, process)
     return ["sh", "-c", " ".join(probe(fleet, places, process, '"$POD_NAME"'))]

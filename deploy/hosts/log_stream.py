@@ -1,4 +1,4 @@
-"""The far end of `eia-sec logs --follow`: what processes write, line by line, for as long as somebody listens."""
+"""The remote end of `eia-sec logs --follow`: new lines of the logs, for as long as the caller listens."""
 
 import json
 import select
@@ -10,19 +10,19 @@ from common.errors import HostError
 from deploy.hosts.agent import LINE_BYTES, log_files
 
 LOOK_SECONDS: Final = 0.25
-"""Pause between two looks at the files."""
+"""Seconds between two reads of the files."""
 MOST_READ: Final = 256 * 1024
-"""Bytes of one file that are read at a look; what is behind them waits in the file."""
+"""Most bytes that are read from one file at a time; the rest waits in the file."""
 MAX_REQUEST: Final = 64 * 1024
 """Longest request, bytes."""
 
 
 class Follower:
-    """Reads on in one file, from its last lines on; a file that was cut short is read from its beginning.
+    """Follows one file from its last lines on; a file that was truncated is read from its beginning.
 
     Args:
-        path: the file, which need not be there yet.
-        lines: how many of those that are there come first.
+        path: the file, which need not exist yet.
+        lines: number of existing lines that come first.
     """
 
     def __init__(self, path: Path, lines: int) -> None:
@@ -35,7 +35,7 @@ class Follower:
             self._before, self._lines = size - self._place, lines
 
     def more(self) -> list[str]:
-        """Return the whole lines that are new; a line longer than MOST_READ comes in pieces."""
+        """Return new complete lines; a line longer than MOST_READ comes in pieces."""
         try:
             with self._path.open("rb") as source:
                 if source.seek(0, 2) < self._place:
@@ -54,12 +54,12 @@ class Follower:
 
 
 class Following:
-    """Reads on in all logs of a host's folder; processes that are started later are followed, too.
+    """Follows all logs in a host's folder, including those of processes that start later.
 
     Args:
         folder: the host's folder.
-        names: processes to follow; empty for all and their keeper.
-        lines: how many lines of each come first.
+        names: processes to follow; empty for all and the keeper.
+        lines: number of existing lines of each that come first.
     """
 
     def __init__(self, folder: Path, names: Sequence[str], lines: int) -> None:
@@ -67,7 +67,7 @@ class Following:
         self._followers: dict[str, Follower] = {}
 
     def more(self) -> Iterator[tuple[str, str]]:
-        """Yield the name of a process and a new line of it."""
+        """Yield pairs of a process's name and a new line of its log."""
         for name, path in log_files(self._folder, self._names).items():
             if name not in self._followers:
                 self._followers[name] = Follower(path, self._lines)
@@ -75,28 +75,28 @@ class Following:
                 yield name, line
 
 
-def follow(folder: Path, asks: IO[bytes], tells: IO[bytes]) -> None:
-    """Write one JSON array [name, line] for each new line until the asking end is closed.
+def follow(folder: Path, requests: IO[bytes], answers: IO[bytes]) -> None:
+    """Write one JSON array [name, line] for each new line until the caller closes its end.
 
     Args:
         folder: the host's folder.
-        asks: one line with the request; it stays open for as long as somebody listens.
-        tells: where the lines go; while nobody reads there, nothing is read here either.
+        requests: one line with the request; it stays open while the caller listens.
+        answers: where the lines go; a caller that does not read stops the reading here.
 
     Raises:
-        HostError: the request is not readable.
+        HostError: the request is malformed.
     """
     try:
-        request: Any = json.loads(asks.readline(MAX_REQUEST))
+        request: Any = json.loads(requests.readline(MAX_REQUEST))
         following = Following(folder, [str(name) for name in request["names"]], int(request["lines"]))
     except (ValueError, KeyError, TypeError) as error:
         raise HostError(f"this version of eia-sec does not understand the request: {error!r}.") from error
     try:
         while True:
             for pair in following.more():
-                tells.write(json.dumps(pair).encode() + b"\n")
-            tells.flush()
-            if select.select([asks], [], [], LOOK_SECONDS)[0]:
+                answers.write(json.dumps(pair).encode() + b"\n")
+            answers.flush()
+            if select.select([requests], [], [], LOOK_SECONDS)[0]:
                 return
     except BrokenPipeError:
         return

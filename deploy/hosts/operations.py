@@ -1,4 +1,4 @@
-"""What `eia-sec up`, `down`, `status`, `logs` and `fleet` do with all hosts of a fleet."""
+"""The operations of `eia-sec up`, `down`, `status`, `logs` and `fleet` on all hosts of a fleet."""
 
 import hashlib
 import json
@@ -19,22 +19,22 @@ from deploy.hosts.remote import Link, everywhere, links
 from deploy.security import authority
 
 Failures = dict[str, str]
-"""For each host that failed, why."""
+"""The reason for each host that failed."""
 
 
 def up(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
-    """Start what does not run yet, restart what has changed, and end what the fleet file no longer names.
+    """Start processes that do not run, restart those that changed, and stop those the fleet file no longer names.
 
     Returns:
-        The state of each host that was reached, and why the others failed.
+        The state of each host that was reached, and the reason for each that failed.
 
     Raises:
-        CredentialsError: a certificate is missing or cannot be used; nothing was started then.
+        CredentialsError: a certificate is missing or cannot be used; nothing has been started.
     """
     requests = {name: request_of(fleet, name) for name in fleet.hosts}
     first = fleet.learner.host
     with links(fleet) as ways:
-        # The learner's host knows whether the run is over: workers that are started then would wait for nothing.
+        # The learner's host comes first, because it knows whether the run is over and workers are not needed.
         states, failed = everywhere({first: ways[first]}, lambda link: _state(link, "up", requests[link.name]))
         again = not any(state.get("over") for state in states.values())
         rest = {name: way for name, way in ways.items() if name != first}
@@ -44,7 +44,7 @@ def up(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
 
 
 def request_of(fleet: FleetSpec, host: str) -> dict[str, Any]:
-    """Return what a host is told: its processes, and the files that they need."""
+    """Return the request for a host: its processes and the files that they need."""
     files: dict[str, str] = {}
     found: dict[str, dict[str, Any]] = {}
     for process in processes(fleet, here(fleet)):
@@ -54,7 +54,7 @@ def request_of(fleet: FleetSpec, host: str) -> dict[str, Any]:
         if process.role == "learner":
             own["config.toml"] = to_toml(fleet.config)
         files |= own
-        # A changed certificate is a reason to start a process again, a changed list of members to start the listener.
+        # A changed certificate restarts its process, a changed list of members only the listener.
         needed = [item for item in sorted(own.items()) if process.role == fleet.listener[0] or MEMBERS not in item[0]]
         digest = hashlib.sha256(repr(needed).encode()).hexdigest()[:16]
         found[str(process.identity)] = {
@@ -74,15 +74,15 @@ def _key_files(keys: Path, process: Process) -> dict[str, str]:
 
 
 def down(fleet: FleetSpec, seconds: float, kill: bool) -> tuple[list[str], list[str], Failures]:
-    """End a fleet: all workers first, then the coordinator, the learner, the router.
+    """Stop a fleet: workers first, then the coordinator, the learner and the router.
 
     Args:
         fleet: the fleet.
-        seconds: how long to wait for each of the four.
-        kill: whether to kill what has not ended then.
+        seconds: how long to wait for each of these four.
+        kill: whether to kill what is still running then.
 
     Returns:
-        "HOST NAME" of what has ended, and of what has not, and why hosts failed.
+        "HOST NAME" of what has stopped and of what has not, and the reason for each host that failed.
     """
     ended: list[str] = []
     left: list[str] = []
@@ -103,13 +103,13 @@ def down(fleet: FleetSpec, seconds: float, kill: bool) -> tuple[list[str], list[
 
 
 def status(fleet: FleetSpec) -> tuple[dict[str, dict[str, Any]], Failures]:
-    """Return the state of each host that was reached, and why the others were not."""
+    """Return the state of each host that was reached, and the reason for each that was not."""
     with links(fleet) as ways:
         return everywhere(ways, partial(_state, verb="status", request={}))
 
 
 def logs(fleet: FleetSpec, names: Sequence[str], lines: int) -> tuple[dict[str, dict[str, str]], Failures]:
-    """Return the last lines of each process, by host and name, and why hosts failed."""
+    """Return the last log lines of each process by host and name, and the reason for each host that failed."""
 
     def ask(link: Link) -> dict[str, str]:
         return {name: str(text) for name, text in link.call("logs", {"names": list(names), "lines": lines}).items()}
@@ -148,33 +148,33 @@ def _texts(value: Any) -> list[str]:
 
 
 def follow(
-    fleet: FleetSpec, names: Sequence[str], lines: int, tell: Callable[[str, str, str], None], stop: StopSignal
+    fleet: FleetSpec, names: Sequence[str], lines: int, show: Callable[[str, str, str], None], stop: StopSignal
 ) -> Failures:
-    """Tell what processes write, the last lines first and then each new one, until somebody stops it.
+    """Show the last log lines of processes and then each new one, until stopped.
 
     Args:
         fleet: the fleet.
-        names: the processes; empty for all.
-        lines: how many of the lines that are there come first.
-        tell: gets host, process and line, from one thread for each host; and at once that a host is lost.
+        names: processes; empty for all.
+        lines: number of existing lines that come first.
+        show: called with host, process and line, from one thread per host; also when a host is lost.
         stop: ends it.
 
     Returns:
-        Why hosts failed; those that did not were followed until the end.
+        The reason for each host that failed.
     """
 
     def take(link: Link, line: bytes) -> None:
         try:
             name, text = json.loads(line)
         except (ValueError, TypeError) as error:
-            raise HostError(f"{link.name}: what it tells is no line of a log: {line[:80]!r}.") from error
-        tell(link.name, str(name), str(text))
+            raise HostError(f"{link.name}: it sent something that is not a log line: {line[:80]!r}.") from error
+        show(link.name, str(name), str(text))
 
     def stream(link: Link) -> None:
         try:
             link.stream("follow", {"names": list(names), "lines": lines}, partial(take, link), stop)
         except HostError as error:
-            tell(link.name, "(lost)", str(error))
+            show(link.name, "(lost)", str(error))
             raise
 
     with links(fleet) as ways:
@@ -182,7 +182,7 @@ def follow(
 
 
 def listener_names(fleet: FleetSpec) -> tuple[str, ...]:
-    """Return the names and addresses for which the listener's certificate is issued, containers' included."""
+    """Return the names and addresses for the listener's certificate, including those inside containers."""
     host = Endpoint.parse(fleet.network.endpoint.replace("tls/", "tcp/", 1)).host.strip("[]")
     role = fleet.listener[0]
     wanted = (host, *fleet.network.names, "localhost", "127.0.0.1", role, service_name(fleet, role))
@@ -195,16 +195,16 @@ def service_name(fleet: FleetSpec, role: str) -> str:
 
 
 def issue_keys(fleet: FleetSpec, days: int) -> list[Identity]:
-    """Make the certificates that a fleet lacks, the authority and those of operator, monitor and watcher included.
+    """Make the certificates that a fleet lacks, including the authority's, operator's, monitor's and watcher's.
 
     Returns:
-        Whom certificates were made for.
+        The identities that got a certificate.
 
     Raises:
-        CredentialsError: the fleet has no folder for keys, or one cannot be made.
+        CredentialsError: the fleet file names no folder for keys, or a certificate cannot be made.
     """
     if fleet.keys is None:
-        raise CredentialsError(f'{fleet.path} names no folder for keys; write keys = "keys" into [network].')
+        raise CredentialsError(f'{fleet.path} names no folder for keys; add keys = "keys" to [network].')
     if not (fleet.keys / authority.CA_KEY).exists():
         authority.create(fleet.keys)
     needed = [process.identity for process in processes(fleet, here(fleet))]
@@ -213,7 +213,7 @@ def issue_keys(fleet: FleetSpec, days: int) -> list[Identity]:
     lifetime = authority.lasting(days)
     for identity in needed:
         if not (fleet.keys / str(identity) / CERTIFICATE).exists():
-            # A learner behind a router listens nowhere, and its certificate must serve somewhere.
+            # A learner behind a router does not listen, but its certificate needs a host.
             elsewhere = ("localhost",) if identity.role in LISTENING else ()
             hosts = listener_names(fleet) if identity.role == fleet.listener[0] else elsewhere
             authority.issue(fleet.keys, identity, hosts, lifetime)

@@ -1,4 +1,4 @@
-"""The processes that a fleet file asks for, with their command lines; every way to start them begins here."""
+"""The processes of a fleet with their command lines; every way of starting them uses these."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -9,12 +9,12 @@ from deploy.hosts.fleet_file import FleetSpec
 from deploy.local.run_directory import HISTORY
 
 PATIENCE: Final = "86400"
-"""Seconds for which everybody waits for the listener: hosts come up in any order, and some much later."""
+"""Seconds that processes wait for the listener: hosts start in any order, some much later."""
 ORDER: Final = ("rollout", "elite", "learner", "router")
-"""Roles in the order in which they are stopped: workers deliver what they hold first."""
+"""Roles in the order in which they stop: workers first, so that they deliver their last chunks."""
 
 SHARING: Final = "--shared-memory"
-"""Option of those that hand transitions over in memory."""
+"""Option of processes that share transitions through memory."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Process:
     Attributes:
         role: router, learner, elite or rollout.
         name: its name inside the role.
-        host: the name of its host in the fleet file.
+        host: its host's name in the fleet file.
         arguments: what follows `eia-sec`.
         threads: its share of compute threads.
     """
@@ -37,19 +37,19 @@ class Process:
 
     @property
     def identity(self) -> Identity:
-        """Return role and name, which are its certificate's, too."""
+        """Return role and name, which its certificate carries, too."""
         return Identity(self.role, self.name)
 
 
 @dataclass(frozen=True)
 class Places:
-    """Where a process finds its things, in its own file system.
+    """Paths and endpoints as a process sees them.
 
     Attributes:
         run_dir: folder of the run: checkpoints, metrics and histories.
-        keys: folder with a folder for each certificate; "{identity}" in it stands for role and name.
+        keys: folder of the process's certificate; "{identity}" stands for role and name.
         config: file with the learner's configuration.
-        endpoint: where others reach the listener.
+        endpoint: where other processes reach the listener.
         listen: where the listener listens.
     """
 
@@ -61,12 +61,12 @@ class Places:
 
 
 def here(fleet: FleetSpec) -> Places:
-    """Return the places relative to a host's folder, as `eia-sec up` lays them out."""
+    """Return the paths relative to a host's folder, where `eia-sec up` puts the files."""
     return Places("run", "keys/{identity}", "config.toml", fleet.network.endpoint, fleet.network.listen)
 
 
 def processes(fleet: FleetSpec, places: Places) -> list[Process]:
-    """Return every process of a fleet, in the order in which they are named: listener first, workers last."""
+    """Return every process of a fleet: router, learner, coordinator, then workers."""
     found = []
     if fleet.router is not None:
         router = Identity("router", fleet.router.name)

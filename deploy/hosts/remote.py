@@ -1,4 +1,4 @@
-"""The near end: calls of `eia-sec host` on a host, over the system's SSH client or directly."""
+"""The local end: calls `eia-sec host` on a host, over the system's SSH client or directly."""
 
 import json
 import os
@@ -21,34 +21,34 @@ from deploy.hosts.fleet_file import LOCAL, FleetSpec, Host
 
 CONNECT_SECONDS: Final = 10
 CALL_SECONDS: Final = 90.0
-"""Longest that a call may take besides what it waits for on purpose."""
+"""Longest time for a call, besides the time that it is meant to wait."""
 MAX_ANSWER: Final = 256 * 1024**2
 """Longest answer to a call, bytes: the last lines of many logs."""
 MAX_SAID: Final = 1024**2
-"""Longest that a host writes about what went wrong, bytes."""
+"""Longest error output of a host, bytes."""
 MAX_LINE: Final = 4 * 1024**2
-"""Longest line of a host that tells line by line, bytes; a longer one ends it."""
+"""Longest line of a stream, bytes; a longer one ends the stream."""
 LOOK_SECONDS: Final = 0.2
-"""Longest until a stop is noticed."""
+"""Longest time until a stop is noticed."""
 END_SECONDS: Final = 5.0
-"""Time that a host has to notice that nobody listens any more."""
+"""Time that a host has to notice that the caller has gone."""
 SSH_FAILED: Final = 255
-"""What `ssh` itself exits with when there is no connection."""
+"""Exit code of `ssh` without a connection."""
 NOT_FOUND: Final = 127
 AT_ONCE: Final = 16
-"""Hosts that are talked to at the same time."""
+"""Most hosts that are called at the same time."""
 
 R = TypeVar("R")
 
 
 @dataclass(frozen=True)
 class Link:
-    """A way to one host.
+    """A connection to one host.
 
     Attributes:
         name: its name in the fleet file.
-        host: what the fleet file says of it.
-        base: folder to which a local host's folder is relative.
+        host: its table in the fleet file.
+        base: folder that a local host's folder is relative to.
         sockets: folder for SSH's shared connections.
     """
 
@@ -58,37 +58,37 @@ class Link:
     sockets: Path
 
     def call(self, verb: str, request: dict[str, Any], seconds: float = 0.0) -> dict[str, Any]:
-        """Have the host do something.
+        """Call a verb of `eia-sec host` and return its JSON answer.
 
         Args:
-            verb: what, see `deploy.commands.fleet.host`.
-            request: the particulars.
-            seconds: how long it may wait on purpose.
+            verb: see `deploy.commands.fleet.host`.
+            request: its arguments.
+            seconds: how long the host is meant to wait.
 
         Raises:
-            HostError: the host cannot be reached, has no eia-sec, or could not do it.
+            HostError: the host cannot be reached, has no eia-sec, or failed.
         """
         with self.fetch(verb, json.dumps(request).encode(), seconds) as answered:
             output = answered.read()
         try:
             answer = json.loads(output)
         except ValueError as error:
-            raise HostError(f"{self.name}: its answer is no JSON: {output[:80]!r}.") from error
+            raise HostError(f"{self.name}: its answer is not JSON: {output[:80]!r}.") from error
         if not isinstance(answer, dict):
-            raise HostError(f"{self.name}: its answer is no JSON object.")
+            raise HostError(f"{self.name}: its answer is not a JSON object.")
         return answer
 
     def fetch(self, verb: str, request: bytes = b"", seconds: float = 0.0, most: int = MAX_ANSWER) -> IO[bytes]:
-        """Have the host do something, and return a file with its answer, which is not held in memory.
+        """Call a verb of `eia-sec host` and return a file with its answer, which may not fit into memory.
 
         Args:
-            verb: what, see `deploy.commands.fleet.host`.
-            request: the particulars.
-            seconds: how long it may wait on purpose.
+            verb: see `deploy.commands.fleet.host`.
+            request: its arguments.
+            seconds: how long the host is meant to wait.
             most: longest answer, bytes.
 
         Raises:
-            HostError: the host cannot be reached, has no eia-sec, could not do it, or answers too much.
+            HostError: the host cannot be reached, has no eia-sec, failed, or answers too much.
         """
         command = self._command(verb)
         with ExitStack() as files:
@@ -130,21 +130,21 @@ class Link:
                 process.wait()
 
     def stream(self, verb: str, request: dict[str, Any], take: Callable[[bytes], None], stop: StopSignal) -> None:
-        """Have the host tell line by line until somebody stops it.
+        """Call a verb that answers line by line until stopped.
 
         Args:
-            verb: what, see `deploy.commands.fleet.host`.
-            request: the particulars.
-            take: gets each line.
+            verb: see `deploy.commands.fleet.host`.
+            request: its arguments.
+            take: called with each line.
             stop: ends it.
 
         Raises:
-            HostError: the host cannot be reached, or ended by itself.
+            HostError: the host cannot be reached, or the stream ended by itself.
         """
         command = self._command(verb)
         with tempfile.TemporaryFile() as said:
             try:
-                # In a session of its own, so that Ctrl-C reaches this process alone, which then ends that one.
+                # In a separate session, so that Ctrl-C reaches only this process, which then ends the other.
                 process = subprocess.Popen(
                     command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, start_new_session=True
                 )
@@ -163,7 +163,7 @@ class Link:
         far = ["host", verb, "--folder", folder]
         if self.host.host == LOCAL:
             return [sys.executable, "-P", "-m", "deploy.cli", *far]
-        # SSH hands one text to the far shell, so that every word is quoted for it; the request goes through a pipe.
+        # SSH passes one text to the remote shell, so every word is quoted; the request goes through a pipe.
         return [*self._ssh(), self.host.host, shlex.join([*self.host.words, *far])]
 
     def close(self) -> None:
@@ -195,14 +195,14 @@ class Link:
         if code == SSH_FAILED:
             return f"no connection: {said}"
         if code == NOT_FOUND:
-            return f"{self.host.command} is not there ({said}); say with command = ... how eia-sec is called."
+            return f"{self.host.command} was not found ({said}); set command = ... to the path of eia-sec on that host."
         return said
 
 
 def _listen(
     process: "subprocess.Popen[bytes]", request: bytes, take: Callable[[bytes], None], stop: StopSignal
 ) -> None:
-    """Send a request and hand on each line of the answer until it ends or somebody stops it."""
+    """Send a request and pass on each line of the answer until it ends or is stopped."""
     assert process.stdin is not None
     assert process.stdout is not None
     rest = b""
@@ -222,7 +222,7 @@ def _listen(
 
 
 def _end(process: "subprocess.Popen[bytes]") -> int:
-    """Close both ends of a process, which it notices, and kill it when it does not; return its exit code."""
+    """Close a process's pipes, kill it if it does not exit, and return its exit code."""
     for end in (process.stdin, process.stdout):
         with suppress(OSError):
             if end is not None:
@@ -236,7 +236,7 @@ def _end(process: "subprocess.Popen[bytes]") -> int:
 
 @contextmanager
 def links(fleet: FleetSpec) -> Iterator[dict[str, Link]]:
-    """Give a link to each host; shared connections are closed afterwards."""
+    """Yield a link to each host; shared connections are closed afterwards."""
     with tempfile.TemporaryDirectory(prefix="eia-") as sockets:
         found = {name: Link(name, host, fleet.folder, Path(sockets)) for name, host in fleet.hosts.items()}
         try:
@@ -249,10 +249,10 @@ def links(fleet: FleetSpec) -> Iterator[dict[str, Link]]:
 def everywhere(
     links: dict[str, Link], do: Callable[[Link], R], at_once: int = AT_ONCE
 ) -> tuple[dict[str, R], dict[str, str]]:
-    """Do something with every host, with many of them at the same time.
+    """Call a function for every host, for many of them at the same time.
 
     Returns:
-        What came of it, and why it failed, each by the host's name.
+        The results and the failures, by host name.
     """
     done: dict[str, R] = {}
     failed: dict[str, str] = {}

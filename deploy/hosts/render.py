@@ -1,4 +1,4 @@
-"""Files of a fleet for other ways of starting it, written into a folder."""
+"""`eia-sec fleet render`: the files that start a fleet with systemd, Compose or Kubernetes."""
 
 import os
 from collections.abc import Callable
@@ -14,14 +14,14 @@ from deploy.local import contained_files
 from deploy.local.run_directory import HISTORY
 
 _OPEN: Final = (".service", ".target")
-"""Endings of files that everybody may read; systemd wants to."""
+"""Suffixes of files that everybody may read, as systemd requires."""
 
 
 def render(fleet: FleetSpec, form: str, folder: Path) -> list[Path]:
     """Write the files of one form, systemd, compose or kubernetes; return their paths.
 
     Raises:
-        ConfigError: the fleet cannot be put into this form, or the folder cannot be written.
+        ConfigError: the form cannot express the fleet, or the folder cannot be written.
         CredentialsError: a certificate is missing or cannot be used.
     """
     files = FORMS[form](fleet)
@@ -30,7 +30,7 @@ def render(fleet: FleetSpec, form: str, folder: Path) -> list[Path]:
         for name, data in sorted(files.items()):
             written.append(contained_files.write(folder, name, data, 0o644 if name.endswith(_OPEN) else 0o600))
         if form == "compose":
-            # Docker would make them for itself, and nobody in a container could write into them.
+            # Docker would create them as root, and no container could write into them.
             (folder / "run" / HISTORY).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"{folder} cannot be written: {error.strerror}.") from error
@@ -38,7 +38,7 @@ def render(fleet: FleetSpec, form: str, folder: Path) -> list[Path]:
 
 
 def _compose(fleet: FleetSpec) -> dict[str, bytes]:
-    """Return Compose's files, and the account for which they are readable."""
+    """Return Compose's files, and .env with the user who may read them."""
     project = f"eia-sec-{fleet.run.lower().replace('.', '-')}"
     settings = f"COMPOSE_PROJECT_NAME={project}\nEIA_SEC_UID={os.getuid()}\nEIA_SEC_GID={os.getgid()}\n"
     return compose(fleet) | {".env": settings.encode()}

@@ -1,4 +1,4 @@
-"""Unit files of a fleet for systemd: a folder for each host, a unit for each process, a target for all of them."""
+"""systemd units for a fleet: a folder per host, a unit per process, and a target for all of them."""
 
 from pathlib import PurePosixPath
 from typing import Final
@@ -10,7 +10,7 @@ from deploy.hosts.plan import ORDER, Places, Process, processes
 from deploy.local.threads import thread_environment
 
 USER: Final = "eia-sec"
-"""The account that the processes run under."""
+"""The user that the processes run as."""
 
 _UNIT: Final = """[Unit]
 Description=EIA-SEC run {run}: {identity}
@@ -31,7 +31,7 @@ Environment=NUMBA_CACHE_DIR=/var/cache/eia-sec PYTHONUNBUFFERED=1
 ExecStart={command}
 Restart=on-failure
 RestartSec=5
-# Exit code 2 is a mistake in what it was told, which another start does not mend.
+# Exit code 2 is a mistake in the configuration, which a restart does not fix.
 RestartPreventExitStatus=2
 TimeoutStopSec=90
 UMask=0077
@@ -58,7 +58,7 @@ def units(fleet: FleetSpec) -> dict[str, str]:
     """Return every file by its path, HOST/NAME.
 
     Raises:
-        ConfigError: a host's command is neither absolute nor a bare name.
+        ConfigError: a host's command is neither an absolute path nor a bare name.
     """
     folder, settings = f"/var/lib/eia-sec/{fleet.run}", f"/etc/eia-sec/{fleet.run}"
     keys, config = f"{settings}/keys/{{identity}}", f"{settings}/config.toml"
@@ -87,9 +87,9 @@ def _unit(fleet: FleetSpec, process: Process, beside: list[Process]) -> str:
     command, words = fleet.hosts[process.host].command, fleet.hosts[process.host].words
     if "/" in words[0] and not PurePosixPath(words[0]).is_absolute():
         raise ConfigError(
-            f"hosts.{process.host}.command must begin with an absolute path for systemd, not {command!r}."
+            f"hosts.{process.host}.command must start with an absolute path for systemd, not {command!r}."
         )
-    # What is started first is stopped last: workers deliver before the learner ends.
+    # Units stop in reverse order of starting: workers deliver before the learner stops.
     before = [other for other in beside if ORDER.index(other.role) > ORDER.index(process.role)]
     return _UNIT.format(
         run=fleet.run,
@@ -104,6 +104,6 @@ def _unit(fleet: FleetSpec, process: Process, beside: list[Process]) -> str:
 
 
 def _word(word: str) -> str:
-    """Return a word as systemd reads it: specifiers and variables stay as they are written."""
+    """Return a word quoted for systemd, with specifiers and variables escaped."""
     word = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{word}"' if any(sign in word for sign in " \t'\";") else word

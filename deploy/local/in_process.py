@@ -1,7 +1,7 @@
-"""The same run inside one process, without Zenoh: the yardstick of `--lockstep`, and the quickest way to try a setting.
+"""Training inside one process, without Zenoh: the reference for `--lockstep`, and the quickest way to try a setting.
 
-One worker and the learner take turns as they do in lockstep, so the weights after N episodes are bit-equal to those
-of the distributed lockstep run.
+A collector and the trainer alternate as a worker and the learner do in lockstep, so the weights after N episodes are
+bit-equal to those of a distributed lockstep run.
 """
 
 from collections.abc import Callable
@@ -15,17 +15,17 @@ from learner.trainer import Trainer
 from rollout.worker.collector import Collector, run_noise_free_episodes
 
 WORKER = "0"
-"""Name of the one worker; the first worker of `eia-sec train` has the same."""
+"""Name of the worker; the first worker of `eia-sec train` has the same name."""
 
 
-def train_inprocess(
+def train_in_process(
     config: RunConfig, watch: Callable[[Trainer, Chunk], None] = lambda trainer, chunk: None
 ) -> Trainer:
     """Train until the run's episodes are done.
 
     Args:
         config: the run.
-        watch: called after each chunk's rounds, with the trainer and the chunk.
+        watch: called with the trainer and the chunk after each chunk's updates.
 
     Returns:
         The trainer with its final actors.

@@ -1,23 +1,23 @@
-"""What a process keeps of the memory that its large messages leave behind."""
+"""Allocator settings: freed memory of large messages is kept for the next ones."""
 
 import ctypes
 from typing import Final
 
 MMAP_BYTES: Final = 32 * 1024 * 1024
-"""Blocks from this size on are the kernel's own; the C library takes no larger value."""
+"""Larger blocks are mapped directly; the C library accepts no larger threshold."""
 TRIM_BYTES: Final = 16 * 1024 * 1024
-"""Free memory at a heap's end that is kept instead of being given back; threads that allocate much have heaps apart."""
+"""Free memory at the end of each heap that is kept; threads that allocate a lot have their own heaps."""
 _M_TRIM_THRESHOLD: Final = -1
 _M_MMAP_THRESHOLD: Final = -3
 
 
 def keep_freed_memory() -> bool:
-    """Have the C library keep up to TRIM_BYTES of each heap that become free, for blocks of up to MMAP_BYTES.
+    """Have the C library keep up to TRIM_BYTES of freed memory per heap, for blocks of up to MMAP_BYTES.
 
-    By itself it gives what a large message held back to the kernel, and takes it anew for the next one, page by page.
+    By default it returns a large message's memory to the kernel and faults it in again for the next one, page by page.
 
     Returns:
-        whether it does; only the GNU C library can.
+        Whether it worked; only the GNU C library supports it.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt

@@ -1,4 +1,4 @@
-"""The run directory: one configuration, one user at a time."""
+"""The run directory: one configuration, used by one process at a time."""
 
 import errno
 import fcntl
@@ -22,13 +22,13 @@ HISTORY = "history"
 
 
 def own_folder(run_dir: Path, name: str) -> Path:
-    """Return a folder inside a run directory, which somebody else may have made.
+    """Return a folder inside a run directory, which may come from somebody else.
 
     Raises:
         RunDirError: it is a symbolic link, which may lead anywhere.
     """
     if (run_dir / name).is_symlink():
-        raise RunDirError(f"{run_dir / name} is a symbolic link; name the folder that you mean with --out.")
+        raise RunDirError(f"{run_dir / name} is a symbolic link; name the output folder with --out.")
     return run_dir / name
 
 
@@ -46,8 +46,8 @@ class RunDirectory:
         A resumed run may change the settings of its processes, see `common.config.files.method_of`.
 
         Raises:
-            RunDirError: when the folder holds another configuration, holds a run that was not to be resumed, holds none
-                that could be, or is not for this user to read and write.
+            RunDirError: the folder holds another configuration, or a run although `resume` is False, or none although
+                it is True; or this user cannot read and write it.
         """
         try:
             self._prepare(config, resume=resume)
@@ -63,7 +63,7 @@ class RunDirectory:
             return
         if resume:
             raise RunDirError(f"{self.path} holds no run to resume.")
-        if self.path.exists() and (not self.path.is_dir() or any(self._strangers())):
+        if self.path.exists() and (not self.path.is_dir() or any(self._foreign_files())):
             raise RunDirError(f"{self.path} exists and is not a run directory; choose another --run-dir.")
         self.path.mkdir(parents=True, exist_ok=True)
         held.write_text(to_toml(config), encoding="utf-8")
@@ -110,7 +110,7 @@ class RunDirectory:
         """Return the configuration; options that an older version did not have keep that version's behaviour.
 
         Raises:
-            RunDirError: the folder holds none.
+            RunDirError: the folder has no configuration.
         """
         held = self.path / CONFIG
         if not held.exists():
@@ -118,7 +118,7 @@ class RunDirectory:
         return read_saved(held)
 
     def holds_run(self) -> bool:
-        """Return whether there is a configuration here."""
+        """Return whether the folder has a configuration."""
         return (self.path / CONFIG).exists()
 
     def finished(self) -> bool:
@@ -138,7 +138,7 @@ class RunDirectory:
             more = f" and {len(found) - 3} more" if len(found) > 3 else ""
             raise RunDirError(f"{self.path} belongs to another configuration: {'; '.join(found[:3])}{more}.")
 
-    def _strangers(self) -> list[Path]:
+    def _foreign_files(self) -> list[Path]:
         return [
             entry for entry in self.path.iterdir() if entry.name not in ("logs", HISTORY) and entry.suffix != ".lock"
         ]

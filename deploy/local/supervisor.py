@@ -1,4 +1,4 @@
-"""The child processes of one machine: started apart, watched, started again, and never left behind."""
+"""A supervisor of child processes: starts, watches and restarts them, and leaves none behind."""
 
 import os
 import signal
@@ -15,9 +15,9 @@ from deploy.exit_codes import USAGE
 from deploy.local.threads import thread_environment
 
 BACKOFF_SECONDS: Final = (0.5, 2.0, 5.0)
-"""Pauses before a child that died is started again; after the last one it stays down."""
+"""Pauses before each restart of a child that died; after the last one it is given up."""
 HEALTHY_SECONDS: Final = 60.0
-"""A child that lived this long may die again without its earlier deaths counting."""
+"""A child that ran this long before it died starts with a clean record."""
 TERMINATE_SECONDS: Final = 8.0
 KILL_SECONDS: Final = 2.0
 TAIL_LINES: Final = 5
@@ -29,11 +29,11 @@ class Child:
 
     Attributes:
         name: unique name, also of its log file.
-        arguments: what follows `eia-sec`.
+        arguments: the arguments of `eia-sec`.
         threads: its share of compute threads.
-        deaths: unexpected ends in a row.
-        done: whether it ended as it should.
-        given_up: whether it is no longer started again.
+        deaths: unexpected exits in a row.
+        done: whether it exited as intended.
+        given_up: whether it is not restarted any more.
         code: its last exit code.
     """
 
@@ -51,7 +51,7 @@ class Child:
 
 
 class Supervisor:
-    """Starts `eia-sec` subcommands as processes of their own sessions and keeps them alive.
+    """Starts `eia-sec` subcommands in sessions of their own and restarts those that die.
 
     Args:
         logs: folder for one log file per child.
@@ -68,14 +68,14 @@ class Supervisor:
     def start(
         self, name: str, arguments: Sequence[str], threads: int = 1, restart_arguments: Sequence[str] = ()
     ) -> Child:
-        """Start a child; `restart_arguments` are added when it is started again."""
+        """Start a child; `restart_arguments` are added at each restart."""
         child = Child(name, list(arguments), threads, restart_arguments=list(restart_arguments))
         self.children[name] = child
         self._spawn(child)
         return child
 
     def watch(self) -> None:
-        """Notice children that ended, and start again those that should not have."""
+        """Check for children that exited, and restart those that should run."""
         for child in self.children.values():
             if child.process is not None and child.process.poll() is not None:
                 self._ended(child, child.process.returncode)
@@ -84,14 +84,14 @@ class Supervisor:
                 self._spawn(child)
 
     def dismiss(self, name: str, number: int = signal.SIGTERM) -> None:
-        """Tell a child to end, and do not wait for it; it is not started again."""
+        """Send a child a signal without waiting for it to exit; it is not restarted."""
         child = self.children[name]
         child.again_at, child.done = None, True
         if child.process is not None and child.process.poll() is None:
             child.process.send_signal(number)
 
     def stop(self, names: Sequence[str] | None = None, seconds: float = TERMINATE_SECONDS) -> None:
-        """End children: SIGTERM first, SIGKILL for those that have not gone after some seconds."""
+        """Stop children: SIGTERM first, SIGKILL for those that still run after some seconds."""
         chosen = [self.children[name] for name in (self.children if names is None else names)]
         running = [child.process for child in chosen if child.process is not None and child.process.poll() is None]
         for child in chosen:
@@ -106,7 +106,7 @@ class Supervisor:
                 time.sleep(0.02)
 
     def tail(self, name: str) -> str:
-        """Return the last lines that a child wrote."""
+        """Return the last lines of a child's log."""
         try:
             lines = (self._logs / f"{name}.log").read_text(encoding="utf-8", errors="replace").splitlines()
         except OSError:
@@ -134,7 +134,7 @@ class Supervisor:
                     start_new_session=True,
                 )
         except OSError as error:
-            # No room for its log, or for one more process: there may be some when it is tried again.
+            # No room for its log or for one more process; there may be some at the next try.
             self._died(child, f"could not be started ({error.strerror})", [])
 
     def _ended(self, child: Child, code: int) -> None:
@@ -149,18 +149,18 @@ class Supervisor:
         self._died(child, f"ended with {reason}", lines, for_good=code == USAGE)
 
     def _died(self, child: Child, how: str, lines: Sequence[str], *, for_good: bool = False) -> None:
-        """Say how a child came to its end, and give it up or plan its next start."""
+        """Raise an alarm about a child that died, and give it up or schedule its restart."""
         said = f": {lines[-1]}" if lines else ""
         if for_good or child.deaths >= len(BACKOFF_SECONDS):
             child.given_up = True
-            self.alarm(f"{child.name} {how} and is not started again{said}", lines)
+            self.alarm(f"{child.name} {how} and is not restarted{said}", lines)
             return
         child.again_at = time.monotonic() + BACKOFF_SECONDS[child.deaths]
         child.deaths += 1
-        self.alarm(f"{child.name} {how}; it is started again{said}", lines)
+        self.alarm(f"{child.name} {how}; restarting it{said}", lines)
 
     def alarm(self, text: str, lines: Sequence[str] = ()) -> None:
-        """Keep an alarm of one line, and log it with all that a child wrote last."""
+        """Keep an alarm of one line, and log it with the last lines of a child."""
         self.alarms.append(text[:300])
         del self.alarms[:-50]
         log(SEPARATOR.join((text, *lines[:-1])))

@@ -1,10 +1,10 @@
-"""How many compute threads a process starts: its share, given to every library by its environment."""
+"""The number of compute threads of a process, set for every library through the environment."""
 
 
 def thread_environment(threads: int) -> dict[str, str]:
-    """Return the variables that give a process so many compute threads; they count before numpy is loaded.
+    """Return the environment variables for a number of compute threads; set them before numpy is imported.
 
-    OpenBLAS always has one: the learner's kernels share networks among numba's threads, each with products of its own.
+    OpenBLAS always gets one: the learner's kernels divide networks among numba's threads, each with its own products.
     """
     share = str(threads)
     names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")

@@ -1,1 +1,1 @@
-"""Watching a run: live state, alarms, the terminal view, the browser view and the audit."""
+"""Monitoring a run: live state, alarms, the terminal view, the browser view and the audit."""

@@ -20,7 +20,7 @@ from deploy.local.run_directory import HISTORY, METRICS
 MOST_CHUNKS: Final = 2**26
 """Most chunks in all histories; an audit holds each of them in memory."""
 NAMED: Final = 20
-"""Sentences that the command prints one by one; it counts the rest, and as JSON it prints all."""
+"""Findings that the command prints; it counts the rest, and --json prints all."""
 FATES: Final = ("accepted", "lost", "rejected", "in_flight")
 _ANSWERS: Final = {
     "acknowledged": ("accepted", ("accepted", "rolled back")),
@@ -36,7 +36,7 @@ Source = tuple[str, int]
 
 @dataclass
 class Audit:
-    """What an audit found.
+    """The result of an audit.
 
     Attributes:
         chunks: for each fate, chunks.
@@ -44,11 +44,11 @@ class Audit:
         lost_with: steps that were lost with the learner (acknowledged, not yet in a checkpoint), with a worker
             (produced, never delivered), or whose loss only the learner knows of.
         workers: for each worker, steps by fate.
-        duplicates: chunks that came again and were not counted again.
+        duplicates: chunks that arrived again and were not counted again.
         starts: starts of the learner.
-        unexplained: one sentence for each id (or range of ids), figure or line without explanation.
+        unexplained: one sentence for each id (or range of ids), number or line without explanation.
         doubled: one sentence for each id that was accepted twice.
-        damaged: lines of histories that cannot be read, each of them named.
+        damaged: unreadable lines of histories, each of them named.
         torn: last lines that were torn off when their process was killed or its disk was full, which is no defect.
         summed: chunks of which the learner's history holds totals alone.
         held: chunks that are held in memory, those of all histories together.
@@ -145,7 +145,7 @@ def audit(run_dir: Path) -> Audit:
     """
     folder = run_dir / HISTORY
     if not (folder / "learner.jsonl").is_file():
-        raise RunDirError(f"{run_dir} holds no {HISTORY}/learner.jsonl; is it a run directory?")
+        raise RunDirError(f"{run_dir} has no {HISTORY}/learner.jsonl; is it a run directory?")
     found = Audit()
     received = _learner(_records(folder / "learner.jsonl", found), found)
     sent: dict[Source, _Sent] = {}
@@ -156,13 +156,13 @@ def audit(run_dir: Path) -> Audit:
     for worker, incarnation in [*sent, *received]:
         newest[worker] = max(newest.get(worker, 0), incarnation)
     for source in sorted({*sent, *received}):
-        part = received[source] if source in received else _unheard(source, received, sent[source])
+        part = received[source] if source in received else _unnamed(source, received, sent[source])
         _compare(source, sent.get(source), part, source[1] < newest[source[0]], found)
-    _hold_against_ledger(run_dir / METRICS, found, whole=all(part.first == 1 for part in received.values()))
+    _compare_with_ledger(run_dir / METRICS, found, whole=all(part.first == 1 for part in received.values()))
     return found
 
 
-def _unheard(source: Source, received: dict[Source, _Received], sent: _Sent) -> _Received:
+def _unnamed(source: Source, received: dict[Source, _Received], sent: _Sent) -> _Received:
     """Return what the learner's history holds of a start that it does not name: nothing, or more than single lines."""
     worker, start = source
     later = [part for (w, s), part in received.items() if w == worker and s > start]
@@ -183,7 +183,7 @@ def _records(path: Path, found: Audit) -> list[Record]:
     for number, record in enumerate(records, start=1):
         if isinstance(record, Unreadable):
             found.damaged += 1
-            found.unexplained.append(f"line {number} of {path.name} cannot be read, and is not torn off.")
+            found.unexplained.append(f"line {number} of {path.name} is unreadable, and not a torn last line.")
     return records
 
 
@@ -328,7 +328,7 @@ def _without_worker(source: Source, received: _Received, found: Audit) -> None:
     expected = max(received.first, received.summed + 1)
     for number, (fate, steps) in sorted(received.fate.items()):
         if number > expected and number not in received.missing_before:
-            found.unexplained.append(f"{_name(source, expected)} to {number - 1} never came, and nobody says why.")
+            found.unexplained.append(f"{_name(source, expected)} to {number - 1} never arrived; no history says why.")
         expected = number + 1
         kind = {"accepted": "accepted", "refused": "rejected"}.get(fate, "lost")
         found.book(source[0], kind, steps)
@@ -340,8 +340,8 @@ def _without_worker(source: Source, received: _Received, found: Audit) -> None:
         found.lost_with["unknown"] += received.missing
 
 
-def _hold_against_ledger(metrics: Path, found: Audit, *, whole: bool) -> None:
-    """Hold the learner's last ledger against the histories, when its last start came to an orderly end.
+def _compare_with_ledger(metrics: Path, found: Audit, *, whole: bool) -> None:
+    """Compare the learner's last ledger with the histories, if its last start ended as intended.
 
     Args:
         metrics: the learner's records.

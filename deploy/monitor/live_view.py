@@ -15,14 +15,14 @@ from rich.text import Text
 
 from deploy.monitor.snapshot import Imitation, Ledger, Snapshot
 from deploy.monitor.sparkline import Sparkline
-from deploy.monitor.tables import EventTable, FleetTable, duration, number
+from deploy.monitor.tables import EventTable, ProcessTable, duration, number
 
 HEIGHT: Final = 30
-"""Lines that the view takes at most where nobody says how many there are."""
+"""Height of the view if the terminal's is unknown, lines."""
 MOST_ALARMS: Final = 8
-"""Most alarms that are shown, however high the terminal is."""
+"""Most alarms that are shown, whatever the terminal's height."""
 EVENTS_FROM: Final = 18
-"""Lines that must be left for imitation events to be listed; the processes come first."""
+"""Lines that must be left to list imitation events; the processes come first."""
 _STATE_STYLES: Final = {"training": "green", "draining": "yellow", "finished": "green"}
 
 
@@ -45,7 +45,7 @@ def render(snapshot: Snapshot, height: int = HEIGHT) -> RenderableType:
         _beside(learning, _flow(snapshot), (1, 1)),
         _beside(_ledger(snapshot.ledger), _imitation(snapshot.imitation), (3, 2)),
         *([_panel("imitation events", EventTable(events))] if events else []),
-        _panel(f"processes ({len(snapshot.processes)})", FleetTable(snapshot, max(2, height - used - 3))),
+        _panel(f"processes ({len(snapshot.processes)})", ProcessTable(snapshot, max(2, height - used - 3))),
     ]
     if alarms:
         parts.append(_alarms(snapshot.alarms, alarms))
@@ -53,9 +53,9 @@ def render(snapshot: Snapshot, height: int = HEIGHT) -> RenderableType:
 
 
 def summary(snapshot: Snapshot) -> str:
-    """Return the essence in one line of plain text."""
+    """Return a summary in one line of plain text."""
     if not snapshot.episodes_total:
-        waiting = f"{snapshot.state}: nothing heard of the learner yet"
+        waiting = f"{snapshot.state}: no report from the learner yet"
         return "; ".join(filter(None, (waiting, _alarm_count(len(snapshot.alarms)))))
     rewards = ", ".join(f"{series.name} {number(series.latest, series.digits)}" for series in snapshot.reward)
     parts = [
@@ -135,7 +135,7 @@ def _ledger(ledger: Ledger) -> Panel:
         grid.add_column(ratio=1, no_wrap=True)
         grid.add_column(justify="right", no_wrap=True)
     for pair in rows:
-        # A style stands for trouble, so it shows only on a count that is not zero.
+        # The style marks trouble, so it is used only for counts above zero.
         grid.add_row(
             *(Text(text, style if count else "") for name, count, style in pair for text in (name, f"{count:,}"))
         )

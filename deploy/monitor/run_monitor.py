@@ -43,7 +43,7 @@ class _TurnedAwayError(ProtocolError):
 
 
 class RunMonitor:
-    """Everything that one run's processes say of themselves.
+    """The live state of one run, from its processes' metrics and liveliness tokens.
 
     Args:
         bus: the control lane; only subscriptions are made on it.
@@ -60,7 +60,7 @@ class RunMonitor:
         self._malformed = self._turned_away = 0
 
     def update(self) -> None:
-        """Take in what has arrived."""
+        """Process the messages that have arrived."""
         now = time.monotonic()
         for sample in self._tokens.drain():
             try:
@@ -83,7 +83,7 @@ class RunMonitor:
             except UNREADABLE:
                 self._malformed += 1
         for name, seen in list(self._reports.items()):
-            # Whoever never had a token has no end but its silence.
+            # A process that never had a token is gone when it is silent.
             gone = now - seen.change if not seen.alive else 0.0 if seen.announced else now - seen.at
             if gone > GONE_SECONDS:
                 del self._reports[name]
@@ -117,7 +117,7 @@ class RunMonitor:
                     part.setdefault(kind, deque(maxlen=HISTORY)).append(float(value))
 
     def snapshot(self, alarms: tuple[str, ...] = ()) -> Snapshot:
-        """Return the present state for `deploy.monitor.live_view.render`, with the caller's alarms before its own."""
+        """Return the present state for `deploy.monitor.live_view.render`, with the caller's alarms first."""
         try:
             return self._snapshot(alarms)
         except UNREADABLE:
@@ -219,7 +219,7 @@ class RunMonitor:
         ledger = None
         if role == "rollout":
             known, others = ledgers.get(name[1]), ledgers.get(OTHERS, {})
-            # Beyond the rows that the learner tells there is the worker's own account, which knows of no loss.
+            # A worker that the learner does not list is shown by its own counts, which do not include losses.
             own = {**values, "lost": None if others.get("lost") else 0}
             ledger = ledger_of(known) if known else ledger_of(own) if values else None
         return ProcessRow(
@@ -242,7 +242,7 @@ class RunMonitor:
         found = [text[:MOST_TEXT] for text in learner.get("alarms", [])]
         elite = self._of("elite")
         if elite is not None and elite.values.get("failures"):
-            found.append(f"{elite.values['failures']} evaluations for imitation were not answered in time.")
+            found.append(f"{elite.values['failures']} evaluations for imitation events timed out.")
         others = [
             f"{role} {name}: {text}"[:MOST_TEXT]
             for (role, name), seen in self._reports.items()
@@ -253,7 +253,7 @@ class RunMonitor:
         found += [f"{len(others) - MOST_ALARMS} more alarms of other processes."] if len(others) > MOST_ALARMS else []
         ledger = learner.get("ledger", {})
         if ledger.get("lost"):
-            found.append(f"{ledger['lost']} environment steps are lost with processes that died.")
+            found.append(f"{ledger['lost']} environment steps were lost with processes that died.")
         if ledger.get("rejected") or learner.get("malformed"):
             found.append(
                 f"{ledger.get('refused', 0)} chunks were refused and {learner.get('malformed', 0)} requests dropped."
@@ -264,9 +264,9 @@ class RunMonitor:
             found.append(f"{ledger['unexplained']} environment steps are unexplained.")
         missed = sum(seen.missed for seen in self._reports.values())
         if missed:
-            found.append(f"{missed} metric messages were missed by this view.")
+            found.append(f"{missed} metric messages did not reach this view.")
         if self._malformed:
-            found.append(f"{self._malformed} metric messages could not be read.")
+            found.append(f"{self._malformed} metric messages were malformed.")
         return tuple(found)
 
 

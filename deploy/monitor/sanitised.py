@@ -1,4 +1,4 @@
-"""What others tell of themselves, made safe to add up and to draw: a view must not end over one odd figure."""
+"""Other processes' metrics, made safe to add up and draw: one odd value must not end a view."""
 
 import math
 from collections.abc import Mapping
@@ -8,33 +8,32 @@ from common.errors import SchemaError
 from common.text import printable
 
 LARGEST: Final = 1e15
-"""Numbers beyond it are none that a view shows."""
+"""Largest number that a view shows."""
 MOST_TEXT: Final = 400
-"""Most characters of a text."""
+"""Longest text, characters."""
 MOST_PARTS: Final = 16_384
-"""Most numbers, texts, maps and lists of one report."""
+"""Most numbers, texts, maps and lists in one report."""
 DEEPEST: Final = 6
-"""Maps and lists inside one another."""
+"""Deepest nesting of maps and lists."""
 NUMBERS: Final = frozenset(
     (
         *("decisions", "elapsed", "environment_steps", "episodes", "episodes_total", "event", "lag_versions", "queue"),
         *("spooled", "updates", "version", "waiting_seconds", "produced", "accepted", "rejected", "in_flight"),
     )
 )
-"""Figures of a process itself that are added up, subtracted or drawn."""
+"""Metrics that are added up, subtracted or drawn, and so must be numbers."""
 
 
 def metrics(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a process's figures: whole and finite numbers, texts that print, and lists and maps of them.
+    """Return a process's metrics: finite numbers, printable texts, and lists and maps of them.
 
-    Numbers that are not finite, which a training that diverges tells, and whatever is none of these are left out of
-    maps, and None in lists.
+    Everything else, for example the NaN of a training that diverges, is left out of maps and None in lists.
 
     Raises:
-        SchemaError: a figure that has to be a number is none, or there are too many.
+        SchemaError: a metric that must be a number is not, or there are too many.
     """
     if _parts(values, MOST_PARTS) < 0:
-        raise SchemaError(f"there are more than {MOST_PARTS} figures.")
+        raise SchemaError(f"a report has more than {MOST_PARTS} values.")
     found = {str(name): part for name, value in values.items() if (part := _metric(value, 0)) is not None}
     for name in NUMBERS & values.keys():
         if type(values[name]) not in (int, float):
@@ -43,12 +42,12 @@ def metrics(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def plain(text: str) -> str:
-    """Return a text without what a terminal would obey."""
+    """Return the beginning of a text, without control characters."""
     return printable(text[:MOST_TEXT])
 
 
 def _parts(value: Any, room: int) -> int:
-    """Return how much of the room is left when all parts are counted; below 0 as soon as there is none."""
+    """Return the room left after counting all parts; negative as soon as there is none."""
     room -= 1
     inner = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
     for part in inner:

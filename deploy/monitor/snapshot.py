@@ -1,6 +1,6 @@
-"""What is known of a run at one moment, for the live view and for `eia-sec monitor --json`.
+"""The state of a run at one moment, for the live view and `eia-sec monitor --json`.
 
-Everything is plain data. What is not known yet is None.
+Everything is plain data. Unknown values are None.
 """
 
 import math
@@ -8,19 +8,19 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Final
 
 SMOOTHING: Final = 20
-"""Newest values whose mean counts as a series' latest."""
+"""Number of newest values whose mean is a series' latest value."""
 QUIET_SECONDS: Final = 5.0
-"""Age of a process's last message from which on it is marked, s."""
+"""Age of a process's last message from which it is marked as quiet, s."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """One figure over time.
+    """One metric over time.
 
     Attributes:
-        name: what it is called in the view.
+        name: its label in the view.
         values: oldest first, one for each episode or report.
-        digits: decimals that are shown.
+        digits: number of decimals.
     """
 
     name: str
@@ -36,17 +36,17 @@ class Series:
 
 @dataclass(frozen=True)
 class Ledger:
-    """Where produced environment steps are: produced = accepted + lost + rejected + in flight, if all are explained.
+    """Where the produced environment steps are: produced = accepted + lost + rejected + in flight + unexplained.
 
     Attributes:
-        produced: environment steps that were flown.
-        accepted: environment steps that the learner has taken in.
+        produced: environment steps that were simulated.
+        accepted: environment steps that the learner has accepted.
         rejected: environment steps in chunks that it refused.
-        lost: environment steps that are declared lost; unknown where only a worker's own account is known.
-        in_flight: environment steps that were flown and have neither arrived nor been given up.
+        lost: environment steps that are declared lost; unknown if only a worker's own count is known.
+        in_flight: environment steps that were simulated and have neither arrived nor been given up.
         unexplained: environment steps by which that fails, and accepted ones that are neither in replay nor on the way
             to it; 0 but for a defect.
-        duplicates: chunks that came again and were not taken in.
+        duplicates: chunks that arrived again and were not accepted again.
     """
 
     produced: int = 0
@@ -96,24 +96,24 @@ class Imitation:
 
 @dataclass(frozen=True)
 class ProcessRow:
-    """One process of the fleet.
+    """One process of the run.
 
     Attributes:
         role: learner, elite, rollout or flight.
         name: its name inside the role.
         host: the machine's name.
-        pid: its process number.
+        pid: its process id.
         uptime: seconds since its start.
-        rate: environment steps, updates or decisions per second, whatever the role makes, over the last seconds.
-        version: parameter version that it holds.
-        behind: versions by which that is older than the learner's newest.
+        rate: environment steps, updates or decisions per second, depending on the role, over the last seconds.
+        version: its parameter version.
+        behind: how many versions it lags behind the learner.
         episodes: episodes that it finished.
-        queue: chunks that wait in it.
+        queue: chunks that wait in its queue.
         age: seconds since its last message.
-        alive: whether its liveliness token stands.
-        ledger: where the steps of a worker are, over all its starts.
-        trouble: whether it is gone, silent, far behind or slow; alarms that it tells of itself do not count.
-        left: whether it is known from the learner's ledger alone: a worker that was there before this view looked.
+        alive: whether it has a liveliness token.
+        ledger: a worker's steps, over all its starts.
+        trouble: whether it is gone, silent, far behind or slow; its own alarms do not count.
+        left: whether only the learner's ledger knows it: a worker that left before this view started.
     """
 
     role: str
@@ -134,13 +134,13 @@ class ProcessRow:
 
     @property
     def quiet(self) -> bool:
-        """Whether it is gone or has said nothing for QUIET_SECONDS; one that has left long ago is no news."""
+        """Whether it is gone or has been silent for QUIET_SECONDS; workers that left long ago do not count."""
         return not self.left and (not self.alive or self.age >= QUIET_SECONDS)
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Everything that the view shows, at one moment.
+    """Everything that a view shows, at one moment.
 
     Attributes:
         run: the run's name.
@@ -153,16 +153,16 @@ class Snapshot:
         freshness: AoI and VDF, units, or the length of episodes where there are none.
         steps: environment steps accepted.
         steps_rate: the same per second.
-        updates: update rounds done.
+        updates: number of updates.
         updates_rate: the same per second.
         staleness: parameter versions by which the newest chunks' policies were older than the learner's, running mean.
-        learner_wait: share of the time since its start in which the learner waits for data, 0..1.
-        worker_wait: mean share of time in which the workers wait for the learner, 0..1.
-        ledger: where the produced steps of the run are.
-        others: how many workers the learner sums in its account, and where their steps are.
+        learner_wait: share of its time that the learner waits for data, 0..1.
+        worker_wait: mean share of their time that workers wait for the learner, 0..1.
+        ledger: the run's steps.
+        others: the number of workers that the learner reports as a sum, and their steps.
         imitation: the elite imitation so far.
         processes: one row for each process.
-        alarms: sentences that somebody should read.
+        alarms: one sentence each.
     """
 
     run: str

@@ -1,4 +1,4 @@
-"""A series of figures as one line of bars, as wide as there is room for."""
+"""A series of numbers as one line of bars that fills its width."""
 
 import itertools
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The tables of the live view whose columns follow the width: the fleet with its ledger, and the imitation events."""
+"""Tables of the live view whose columns depend on the width: the processes with their ledgers, and imitation events."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from deploy.monitor.snapshot import ImitationRow, Ledger, ProcessRow, Snapshot
 NARROW: Final = 0
 MIDDLE: Final = 96
 WIDE: Final = 130
-"""Cells from which on a column is shown."""
+"""Widths in cells from which a column is shown."""
 _ROLE_STYLES: Final = {"learner": "magenta", "elite": "yellow", "rollout": "cyan", "flight": "green"}
 _LOSS: Final = "yellow"
 _TROUBLE: Final = "bold red"
@@ -28,7 +28,7 @@ class _Column:
 
 
 def duration(seconds: float | None) -> str:
-    """Return a time span as m:ss or h:mm:ss, or "-" when it is not known."""
+    """Return a time span as m:ss or h:mm:ss, or "-" if it is unknown."""
     if seconds is None:
         return "-"
     minutes, rest = divmod(max(0, round(seconds)), 60)
@@ -37,7 +37,7 @@ def duration(seconds: float | None) -> str:
 
 
 def number(value: float | None, digits: int = 0) -> str:
-    """Return a number with thousands' commas, or "-" when it is not known."""
+    """Return a number with thousands' commas, or "-" if it is unknown."""
     return "-" if value is None else f"{value:,.{digits}f}"
 
 
@@ -52,7 +52,7 @@ def short(value: int | None) -> str:
 
 
 def _count(value: int | None, style: str = "") -> Text:
-    # A style stands for trouble, so it shows only on a count that is not zero.
+    # The style marks trouble, so it is used only for counts above zero.
     return Text(short(value), style if value else "")
 
 
@@ -60,7 +60,7 @@ def _of(field: Callable[[Ledger], int | None], style: str = "") -> Callable[[Pro
     return lambda row: Text("") if row.ledger is None else _count(field(row.ledger), style)
 
 
-def _heard(row: ProcessRow) -> Text:
+def _seen(row: ProcessRow) -> Text:
     if row.left:
         return Text("left")
     return Text(f"{row.age:.0f} s" if row.alive else "gone", style=_TROUBLE if row.quiet else "")
@@ -72,7 +72,7 @@ _COLUMNS: Final = (
     _Column("host", NARROW, lambda row: Text(row.host), right=False),
     _Column("pid", WIDE, lambda row: str(row.pid or "-")),
     _Column("up", NARROW, lambda row: "-" if row.left else duration(row.uptime)),
-    _Column("heard", NARROW, _heard),
+    _Column("seen", NARROW, _seen),
     _Column("per s", NARROW, lambda row: number(row.rate)),
     _Column("version", WIDE, lambda row: short(row.version)),
     _Column("behind", NARROW, lambda row: short(row.behind)),
@@ -87,12 +87,12 @@ _COLUMNS: Final = (
     _Column("reject", NARROW, _of(lambda ledger: ledger.rejected, _LOSS)),
 )
 _ABBREVIATED: Final = {"flight": "in flight", "reject": "rejected"}
-"""Columns of a narrow table, which give way to those of the full name."""
+"""Abbreviated columns of a narrow table, and the columns that replace them in a wide one."""
 
 
 @dataclass(frozen=True)
-class FleetTable:
-    """The processes, as many columns as the width has room for.
+class ProcessTable:
+    """The processes, with as many columns as fit.
 
     Attributes:
         snapshot: what to show.
@@ -127,7 +127,7 @@ class FleetTable:
         yield table
 
     def parts(self) -> tuple[list[ProcessRow], list[ProcessRow]]:
-        """Return the rows that are shown one by one, and those that are summed."""
+        """Return the rows that are shown and those that are summed."""
         rows = list(self.snapshot.processes)
         if len(rows) <= self.rows:
             return rows, []

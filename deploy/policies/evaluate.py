@@ -1,4 +1,4 @@
-"""What `eia-sec evaluate` does: fly a policy without noise over farms and print what it came to."""
+"""`eia-sec evaluate`: fly a policy without noise on farms and print the result."""
 
 import json
 import sys
@@ -24,34 +24,34 @@ MAX_FARMS: Final = 100_000
 
 @dataclass(frozen=True)
 class EvaluateArguments:
-    """Fly a policy without noise over farms that are named by their seeds."""
+    """Fly a policy without noise on farms given by their seeds."""
 
     run_dir: Path | None = None
-    """A run's directory: its configuration and its newest policy."""
+    """Run directory: its configuration and its newest policy."""
     policy: str | None = None
     """static, random, lawnmower, greedy, tour, hungarian, horizon, trained, or a policy file; with --run-dir, instead
     of the run's policy. horizon+centroid, for instance, names the relays too (docs/reference/heuristics.md)."""
     farms: str = "1000:1020"
-    """Farm seeds A:B, from A to B - 1; for other environments scenario seeds."""
+    """Farm seeds A:B, from A to B - 1; scenario seeds in other environments."""
     episodes: int = 1
     """Episodes on each farm."""
     env: str | None = None
-    """Environment besides the farm, module:name; a run that is about one needs it, because loading it runs its code."""
+    """Environment other than the farm, module:name; needed for runs that use one, because loading it runs its code."""
     json: bool = False
     """Print JSON instead of a table."""
     config: Path | None = None
-    """TOML file whose values replace those of the run or of the default preset."""
+    """TOML file whose values override those of the run or the default preset."""
     farm_file: Path | None = None
-    """CSV or GeoJSON file with the sensors' places; the seeds then decide starts, packets and phases."""
+    """CSV or GeoJSON file with the sensor positions; the seeds then determine starts, packets and phases."""
     set: tuple[str, ...] = ()
-    """Single values, for instance farm.world.steps=100; they come last."""
+    """Single values that override everything else, for example farm.world.steps=100."""
 
 
 def main(arguments: EvaluateArguments) -> int:
-    """Evaluate and print; return the exit code.
+    """Evaluate a policy and print the result; return the exit code.
 
     Raises:
-        UsageError: something that was asked for does not exist or cannot be.
+        UsageError: something in the arguments does not exist or is impossible.
     """
     evaluation = run(arguments)
     if arguments.json:
@@ -62,10 +62,10 @@ def main(arguments: EvaluateArguments) -> int:
 
 
 def run(arguments: EvaluateArguments) -> Evaluation:
-    """Return the evaluation that the arguments ask for.
+    """Return the evaluation for the arguments.
 
     Raises:
-        UsageError: something that was asked for does not exist or cannot be.
+        UsageError: something in the arguments does not exist or is impossible.
     """
     farms = parse_farms(arguments.farms)
     if arguments.episodes < 1:
@@ -84,7 +84,7 @@ def policy_name(arguments: EvaluateArguments) -> str:
         raise PolicyError("nothing to evaluate: give --run-dir DIR or --policy NAME.")
     path = arguments.run_dir / POLICY
     if not path.is_file():
-        raise RunDirError(f"{arguments.run_dir} holds no {POLICY}: the run has not saved a policy yet.")
+        raise RunDirError(f"{arguments.run_dir} has no {POLICY}: the run has not saved a policy yet.")
     return str(path)
 
 
@@ -92,7 +92,7 @@ def parse_farms(text: str) -> range:
     """Return the farm seeds that A:B names.
 
     Raises:
-        UsageError: it is not A:B with 0 <= A < B, or names more farms than anybody would fly.
+        UsageError: it is not A:B with 0 <= A < B, or names more than MAX_FARMS farms.
     """
     first, colon, end = text.partition(":")
     if not (colon and first.strip().isdecimal() and end.strip().isdecimal()):
@@ -111,7 +111,7 @@ def configuration_of(arguments: EvaluateArguments) -> RunConfig:
     if arguments.run_dir is not None:
         path = arguments.run_dir / CONFIG
         if not path.is_file():
-            raise RunDirError(f"{arguments.run_dir} is no run directory: it holds no {CONFIG}.")
+            raise RunDirError(f"{arguments.run_dir} is not a run directory: it has no {CONFIG}.")
         config = RunDirectory(arguments.run_dir).configuration()
     if arguments.config is not None:
         config = from_toml(arguments.config, config)

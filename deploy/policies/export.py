@@ -1,4 +1,4 @@
-"""A policy's actors as files that need nothing of this project: ONNX, or plain tensors with a description."""
+"""A policy's actors as files that do not need this project: ONNX, or plain tensors with a description."""
 
 import json
 from collections.abc import Mapping
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 FORMAT: Final = "eia-sec actors 2"
 LAYERS: Final = ("w1", "b1", "w2", "b2", "w3", "b3")
 OPSET: Final = 13
-"""Operator set of the models; every onnxruntime since 2020 knows it."""
+"""Operator set of the models; every onnxruntime since 2020 supports it."""
 IR_VERSION: Final = 7
-"""File version that goes with it."""
+"""ONNX file version for this operator set."""
 
 
 def agent_names(actors: TeamActors) -> list[str]:
@@ -52,12 +52,12 @@ def kinds_of(actors: TeamActors) -> list[GroupSpec]:
 
 
 def description(config: RunConfig, actors: TeamActors, metadata: Mapping[str, str]) -> dict[str, Any]:
-    """Return what somebody needs to know to use the actors, as plain values.
+    """Return a description of the actors for their users, as plain values.
 
     Args:
         config: the run that trained them.
         actors: the actors.
-        metadata: where they come from, as the policy file says.
+        metadata: their origin, from the policy file.
     """
     kinds = kinds_of(actors)
     return {
@@ -92,7 +92,7 @@ def export_safetensors(folder: Path, config: RunConfig, actors: TeamActors, meta
     """Write actors.safetensors with tensors AGENT.w1 to AGENT.b3, and actors.json; return the files.
 
     Raises:
-        PolicyError: when a file cannot be written.
+        PolicyError: a file cannot be written.
     """
     text = json.dumps(description(config, actors, metadata), indent=2)
     tensors = {
@@ -110,15 +110,15 @@ def export_onnx(folder: Path, config: RunConfig, actors: TeamActors, metadata: M
     A model takes `observation` [batch, o] and returns `action` [batch, a], both float32; it holds the action adapters.
 
     Raises:
-        PolicyError: when the package onnx is missing or a file cannot be written.
+        PolicyError: the package onnx is missing, or a file cannot be written.
     """
-    told = description(config, actors, metadata)
+    described = description(config, actors, metadata)
     paths = []
     for name, layers, group in zip(agent_names(actors), agent_layers(actors), kinds_of(actors), strict=True):
-        shared = {key: value for key, value in told.items() if key != "agents"}
-        model = _model(name, layers, group, {**shared, **told["agents"][name]})
+        shared = {key: value for key, value in described.items() if key != "agents"}
+        model = _model(name, layers, group, {**shared, **described["agents"][name]})
         paths.append(_write(folder, f"{name}.onnx", model.SerializeToString()))
-    return [*paths, _describe(folder, json.dumps(told, indent=2))]
+    return [*paths, _describe(folder, json.dumps(described, indent=2))]
 
 
 def _describe(folder: Path, text: str) -> Path:
@@ -132,7 +132,7 @@ def _write(folder: Path, name: str, data: bytes) -> Path:
         raise PolicyError(f"{folder / name} cannot be written: {error.strerror}.") from error
 
 
-def _model(name: str, layers: Mapping[str, Float32], group: GroupSpec, told: Mapping[str, Any]) -> "ModelProto":
+def _model(name: str, layers: Mapping[str, Float32], group: GroupSpec, described: Mapping[str, Any]) -> "ModelProto":
     try:
         from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415 - an extra that few users need
     except ImportError:
@@ -157,6 +157,6 @@ def _model(name: str, layers: Mapping[str, Float32], group: GroupSpec, told: Map
     model = helper.make_model(
         graph, producer_name="eia-sec", opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION
     )
-    helper.set_model_props(model, {k: v if isinstance(v, str) else json.dumps(v) for k, v in told.items()})
+    helper.set_model_props(model, {k: v if isinstance(v, str) else json.dumps(v) for k, v in described.items()})
     checker.check_model(model, full_check=True)
     return model

@@ -1,4 +1,4 @@
-"""Flies two policies through the same episode and makes a film and pictures of it."""
+"""Two policies on the same episode, as a film and as plots of their paths."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -18,13 +18,13 @@ from rollout.sim.batch import FarmBatch
 
 @dataclass(frozen=True)
 class Contest:
-    """Two policies and the episode that both fly.
+    """Two policies, and the episode that both fly.
 
     Attributes:
         config: the farm.
-        policies: names or files, as `rollout.policies.policy_of` takes them.
-        names: what they are called in the pictures.
-        farm: the farm's seed.
+        policies: names or files; see `rollout.policies.policy_of`.
+        names: their labels in the film and plots.
+        farm: seed of the farm.
         episode: number of the episode on it, that of `eia-sec evaluate`.
     """
 
@@ -36,20 +36,20 @@ class Contest:
 
 
 def scenes_of(contest: Contest) -> Iterator[tuple[Scene, Scene]]:
-    """Yield both farms after the reset and after each step; nothing is kept but what a scene shows."""
+    """Yield both farms after the reset and after each step."""
     own, other = (_flight(contest, policy) for policy in contest.policies)
     yield from zip(own, other, strict=True)
 
 
-def film(contest: Contest, path: Path, rate: float, every: int, told: Callable[[int], None] = lambda _: None) -> None:
-    """Write a film of every so many steps; the last one is always shown.
+def film(contest: Contest, path: Path, rate: float, every: int, done: Callable[[int], None] = lambda _: None) -> None:
+    """Write a film with a frame every few steps, and one of the last step.
 
     Args:
-        contest: who flies where.
+        contest: the policies and the episode.
         path: the file, .mp4 or .gif.
-        rate: pictures a second.
-        every: steps between two pictures.
-        told: called with every step that is done.
+        rate: frames per second.
+        every: environment steps per frame.
+        done: called with the number of each step.
 
     Raises:
         PolicyError: a policy does not exist or does not fit the farm.
@@ -64,7 +64,7 @@ def film(contest: Contest, path: Path, rate: float, every: int, told: Callable[[
             picture.note(scenes)
             if scenes[0].step % every == 0 or scenes[0].step == last:
                 reel.add(picture.draw(scenes))
-            told(scenes[0].step)
+            done(scenes[0].step)
 
 
 def paper_pictures(contest: Contest, paths: list[Path]) -> None:

@@ -1,1 +1,1 @@
-"""What a run leaves behind: plots, tables, films and provenance."""
+"""Plots, tables, films and provenance of runs."""

@@ -1,4 +1,4 @@
-"""Evaluations side by side: a table for the terminal and one for a document."""
+"""Tables of several evaluations, for the terminal and for Markdown."""
 
 from collections.abc import Sequence
 
@@ -50,7 +50,7 @@ def _rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
 
 
 def _title(evaluations: Sequence[Evaluation]) -> str:
-    """Return over what the means were taken, when that is the same for all."""
+    """Return what the means are taken over, if that is the same for all."""
     conditions = {(evaluation.farms, evaluation.episodes) for evaluation in evaluations}
     if len(conditions) != 1:
         return "mean per episode"

@@ -1,4 +1,4 @@
-"""Pictures of farms as they are made: one farm, and every density side by side."""
+"""Plots of farms: a single one, and every density side by side."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +15,11 @@ from rollout.rendering.palette import SENSOR_MARKERS
 from rollout.sim.layout import GIVEN, Layout, make_layout
 
 DENSITIES: Final[tuple[Density, ...]] = ("uniform", "irregular", "clustered", "banded", "patchy")
-"""Every density that is one, in the order of the picture."""
+"""All densities, in the order of the plot."""
 SEEDS: Final = (0, 1, 2)
-"""Farms of each density in the picture."""
+"""Farm seeds of each density in the plot."""
 TYPE_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
-"""Okabe and Ito's; the marker differs as well."""
+"""Colours of Okabe and Ito; the markers differ as well."""
 
 
 def draw_farm(config: FarmConfig, seed: int, path: Path) -> None:
@@ -76,7 +76,7 @@ def _save(figure: Figure, path: Path) -> None:
 
 
 def _scatter(axes: Axes, layout: Layout, world: WorldConfig, size: float) -> None:
-    """Draw the sensors of each type with a colour and a marker of its own, in the field's bounds."""
+    """Draw the sensors within the field, with a colour and a marker for each type."""
     for kind, cycle in enumerate(world.sensor_cycles):
         chosen = layout.sensor_type == kind
         axes.scatter(

@@ -1,4 +1,4 @@
-"""Films: pictures go into ffmpeg's standard input one by one, so that none has to be kept."""
+"""Films: frames are piped to ffmpeg one by one, so none is kept in memory."""
 
 import importlib
 import os
@@ -18,39 +18,39 @@ GIF_WIDTH: Final = 960
 """Pixels; a GIF compresses little."""
 CODECS: Final = {
     ".mp4": ("-c:v", "libx264", "-crf", "23", "-preset", "medium", "-pix_fmt", "yuv420p", "-movflags", "+faststart"),
-    # A palette for each picture: one for the whole film would need the whole film first.
+    # A palette for each frame: one for the whole film would need all frames first.
     ".gif": (
         "-filter_complex",
         f"scale={GIF_WIDTH}:-2:flags=area,split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=none",
     ),
 }
-"""What ffmpeg is told, by the file's ending."""
+"""ffmpeg's arguments by file suffix."""
 
 
 def find_ffmpeg() -> str:
-    """Return the program: that of IMAGEIO_FFMPEG_EXE, of the package imageio-ffmpeg, or of the machine.
+    """Return the path of ffmpeg: from the package imageio-ffmpeg, IMAGEIO_FFMPEG_EXE, or PATH.
 
     Raises:
-        UsageError: there is none.
+        UsageError: it was not found.
     """
     try:
         return str(importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe())
     except (ImportError, RuntimeError):
         found = os.environ.get("IMAGEIO_FFMPEG_EXE") or shutil.which("ffmpeg")
     if found is None:
-        raise UsageError("films need ffmpeg: pip install 'eia-sec[replay]', or leave the film away with --film none.")
+        raise UsageError("films need ffmpeg: pip install 'eia-sec[replay]', or skip the film with --film none.")
     return found
 
 
 class Film:
     """A film that is being written; use it as a context manager.
 
-    It appears under its name when it is whole, and not at all when an error ends it.
+    The file appears when it is complete, and not at all after an error.
 
     Args:
         path: the file, .mp4 or .gif.
         size: width and height, pixels, both even.
-        rate: pictures a second.
+        rate: frames per second.
 
     Raises:
         UsageError: there is no ffmpeg, or the file cannot be written there.
@@ -61,7 +61,7 @@ class Film:
         self._part = path.with_name(f".{path.stem}.part{path.suffix}")
         self._rate = rate
         self._command = find_ffmpeg()
-        self._complaint: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  # it is closed with the film
+        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  # it is closed with the film
         self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Self:
@@ -69,13 +69,13 @@ class Film:
         command = [self._command, "-y", "-loglevel", "error", *raw, "-i", "-", *CODECS[self._path.suffix]]
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._process = subprocess.Popen([*command, str(self._part)], stdin=subprocess.PIPE, stderr=self._complaint)
+            self._process = subprocess.Popen([*command, str(self._part)], stdin=subprocess.PIPE, stderr=self._errors)
         except OSError as error:
             raise UsageError(f"{self._path} cannot be written: {error.strerror}.") from error
         return self
 
     def add(self, picture: NDArray[np.uint8]) -> None:
-        """Append a picture [H, W, 3]; waits while the encoder is behind.
+        """Append a frame [H, W, 3]; wait if the encoder is busy.
 
         Raises:
             EiaSecError: the encoder has given up.
@@ -103,11 +103,11 @@ class Film:
                 self._part.replace(self._path)
         finally:
             self._part.unlink(missing_ok=True)
-            self._complaint.close()
+            self._errors.close()
 
     def _reason(self) -> str:
         assert self._process is not None
         self._process.wait()
-        self._complaint.seek(0)
-        lines = self._complaint.read(4096).decode(errors="replace").strip().splitlines()
+        self._errors.seek(0)
+        lines = self._errors.read(4096).decode(errors="replace").strip().splitlines()
         return lines[-1] if lines else f"ffmpeg ended with {self._process.returncode}."

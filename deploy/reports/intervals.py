@@ -1,4 +1,4 @@
-"""Policies side by side, with the intervals in which their means lie, as a Markdown table."""
+"""A Markdown table of policies with confidence intervals of their means."""
 
 from typing import Any, Final
 
@@ -12,9 +12,9 @@ COLUMNS: Final = {
     "energy_j": "energy, kJ",
     "collisions": "collisions",
 }
-"""Fields of a score that are shown, and their headings."""
+"""Shown fields of a score and their headings."""
 DECIMALS: Final = {"aoi": 2, "vdf": 2, "energy_j": 1, "collisions": 2}
-"""Decimals that are shown, where there are any."""
+"""Number of decimals by field; others have none."""
 
 
 def interval_table(data: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""The pictures of a run: how it learned, and where its UAVs flew, alone or beside those of another policy.
+"""Plots of a run: learning curves, and the UAVs' paths, alone or beside those of another policy.
 
 Colours and marks are those of `rollout/rendering/palette.py`. Nothing here opens a window.
 """
@@ -30,9 +30,9 @@ PIECE_STEPS: Final = 25
 OLDEST: Final = 0.1
 """Opacity of a fading path where it begins."""
 CONTEST_DPI: Final = 220
-"""Finer than DPI, because maps side by side are small for all that they show."""
+"""Higher than DPI, because maps side by side are small."""
 SMALL: Final = 0.7
-"""Size of the marks and lines on such a map beside those on a map of its own."""
+"""Size of markers and lines on such a map, relative to a single map."""
 SMOOTH_SHARE: Final = 0.05
 """Width of the smoothing window as a share of the curve."""
 TEXT: Final[dict[str, Any]] = {"fontsize": 9}
@@ -67,7 +67,7 @@ def curves_figure(
     levels: Mapping[str, float] | None = None,
     episode_metrics: Sequence[EpisodeMetric] = (),
 ) -> Figure:
-    """Return the picture that `curves` saves."""
+    """Return the figure that `curves` saves."""
     records = [record for record in metrics if record.get("kind") == "episodes"]
     events = [int(record["episodes"]) for record in metrics if record.get("kind") == "imitation"]
     episodes = np.array([record["episodes"] for record in records], np.float64)
@@ -108,7 +108,7 @@ def trajectories(trajectory: Trajectory, path: Path) -> None:
 
 
 def trajectories_figure(trajectory: Trajectory) -> Figure:
-    """Return the picture that `trajectories` saves."""
+    """Return the figure that `trajectories` saves."""
     figure = Figure(figsize=(9.6, 7.2), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=(1.0, 0.26), height_ratios=(1.0, 0.04, 0.04))
     axes = figure.add_subplot(grid[:, 0])
@@ -129,14 +129,14 @@ def save_contest(trajectories: Mapping[str, Trajectory], path: Path) -> None:
 
 
 def contest_figure(trajectories: Mapping[str, Trajectory]) -> Figure:
-    """Return the picture that `save_contest` saves."""
+    """Return the figure that `save_contest` saves."""
     flown = list(trajectories.values())
     figure = Figure(figsize=(4.7 * len(flown), 6.6), layout="constrained")
     grid = figure.add_gridspec(2, 2 * len(flown), height_ratios=(1.0, 0.03))
     for column, (name, trajectory) in enumerate(trajectories.items()):
         axes = figure.add_subplot(grid[0, 2 * column : 2 * column + 2])
         scales = _map(axes, trajectory, fading=True, size=SMALL)
-        # In two lines the headline ends before the scale bar, also above a small map.
+        # A title of two lines ends before the scale bar, also above a small map.
         axes.set_title(f"{name}, {_headline(trajectory).replace(': ', chr(10), 1)}", loc="left", fontsize=9, pad=12)
     halves = (grid[1, : len(flown)], grid[1, len(flown) :])
     for artist, label, half in zip(scales, SCALE_LABELS, halves, strict=True):
@@ -155,7 +155,7 @@ def contest_figure(trajectories: Mapping[str, Trajectory]) -> Figure:
 
 
 def _map(axes: Axes, trajectory: Trajectory, *, fading: bool, size: float = 1.0) -> tuple[PathCollection, AxesImage]:
-    """Draw plots, sensors and paths, marks of such a size; return the artists that carry the scales of AoI and VDF."""
+    """Draw plots, sensors and paths with markers of a given size; return the artists with the AoI and VDF scales."""
     world = trajectory.config.world
     plots = axes.imshow(
         trajectory.final_vdf.T,
@@ -185,7 +185,7 @@ def _key(figure: Figure, grid: GridSpec, trajectory: Trajectory, scales: tuple[P
 
 
 def _curve(axes: Axes, x: Numbers, y: Numbers, colour: str, label: str, style: LineStyle, width: float = 1.5) -> None:
-    """Draw a curve faintly as it is and strongly as its moving mean."""
+    """Draw a curve faintly, and its moving mean on top."""
     axes.plot(x, y, color=colour, alpha=0.2, linewidth=0.8)
     marker = "o" if len(x) == 1 else ""
     axes.plot(x, smooth(y), color=colour, label=label, linestyle=style, linewidth=width, marker=marker)
@@ -202,7 +202,7 @@ def smooth(values: Numbers) -> Numbers:
 
 
 def _levels(axes: Axes, levels: Mapping[str, float]) -> None:
-    """Draw each level as a dashed line with its name at the right end, names moved apart where levels are close."""
+    """Draw each level as a dashed line with its name at the right end; names of close levels are moved apart."""
     if not levels:
         return
     low, high = axes.get_ylim()
@@ -234,7 +234,7 @@ def _events(axes: Axes, events: Sequence[int]) -> None:
 
 
 def _sensors(axes: Axes, trajectory: Trajectory, size: float) -> PathCollection:
-    """Draw the sensors, a marker for each type, and return the artist that carries the colour scale."""
+    """Draw the sensors, a marker for each type; return the artist with the colour scale."""
     artist: PathCollection | None = None
     for kind in range(len(trajectory.config.world.sensor_cycles)):
         chosen = trajectory.sensor_type == kind
@@ -256,7 +256,7 @@ def _sensors(axes: Axes, trajectory: Trajectory, size: float) -> PathCollection:
 
 
 def _paths(axes: Axes, trajectory: Trajectory, fading: bool, size: float) -> None:
-    """Draw every UAV's path with its start and end, and the links between relays and those they serve at the end."""
+    """Draw every UAV's path with start and end, and the final links between relays and the UAVs they serve."""
     ends = trajectory.position[-1]
     relays = trajectory.config.world.communication_uavs
     for served, relay in enumerate(trajectory.assignment):
@@ -277,7 +277,7 @@ def _paths(axes: Axes, trajectory: Trajectory, fading: bool, size: float) -> Non
 
 
 def _scale_bar(axes: Axes, field_x: float, top: float) -> None:
-    """Draw a bar of a round length over the right end of the map's upper edge."""
+    """Draw a scale bar above the map's upper right corner."""
     power = 10.0 ** np.floor(np.log10(field_x / 4))
     length = max(step * power for step in (1, 2, 5) if step * power <= field_x / 4)
     y = top + field_x * 0.015
@@ -294,12 +294,12 @@ def _headline(trajectory: Trajectory) -> str:
 
 
 def _fading() -> tuple[Line2D, ...]:
-    """Return the pieces of a line that grows stronger, as a fading path does."""
+    """Return the pieces of a line that fades in, like a path."""
     return tuple(Line2D([], [], color="0.2", alpha=alpha, linewidth=2.0) for alpha in (OLDEST, 0.35, 0.9))
 
 
 def _legend(trajectory: Trajectory) -> list[Line2D]:
-    """Return what the map's signs mean."""
+    """Return the legend's entries."""
     handles = [
         Line2D(
             [],

@@ -1,4 +1,4 @@
-"""Where a result comes from: command, commit and packages."""
+"""The provenance of a result: command, commit and package versions."""
 
 import platform
 import subprocess
@@ -9,27 +9,27 @@ from typing import Any, Final
 
 PACKAGES: Final = ("eclipse-zenoh", "torch", "numpy", "numba")
 LOCAL: Final = ("--venvs", "--pip-args", "--records")
-"""Options that only concern one machine, its paths and indexes."""
+"""Options that concern only one machine, such as paths."""
 
 
 def command(program: str, arguments: Sequence[str]) -> str:
-    """Return the command line that made a result, without the options in LOCAL."""
-    told = [program]
+    """Return the command line of a result without the options in LOCAL."""
+    words = [program]
     for place, argument in enumerate(arguments):
         value_of = arguments[place - 1] if place else ""
         if argument.partition("=")[0] not in LOCAL and value_of not in LOCAL:
-            told.append(argument)
-    return " ".join(told)
+            words.append(argument)
+    return " ".join(words)
 
 
 def commit() -> str:
-    """Return the commit of the present folder, -dirty behind it where files differ, or unknown."""
+    """Return the current folder's commit, with -dirty if files differ, or "unknown"."""
     asked = subprocess.run(["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False)
     return asked.stdout.strip() or "unknown"
 
 
 def made_by(program: str, arguments: Sequence[str]) -> dict[str, Any]:
-    """Return the command line, the commit and the versions that a result is made with."""
+    """Return command line, commit and package versions."""
     return {
         "command": command(program, arguments),
         "commit": commit(),
@@ -39,5 +39,5 @@ def made_by(program: str, arguments: Sequence[str]) -> dict[str, Any]:
 
 
 def provenance(module: str) -> dict[str, Any]:
-    """Return where the result of a module comes from that was started by `python -m`."""
+    """Return the provenance of a result of `python -m MODULE`."""
     return made_by(f"python -m {module}", sys.argv[1:])

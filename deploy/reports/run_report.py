@@ -1,4 +1,4 @@
-"""What a finished run leaves behind: curves.png, trajectories.png, evaluation.json and a table on unseen farms."""
+"""The report of a finished run: curves.png, trajectories.png, evaluation.json and a table on unseen farms."""
 
 import json
 from collections.abc import Sequence
@@ -20,13 +20,13 @@ TRAINED = "EIA-SEC (this run)"
 
 
 def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[str], console: Console) -> None:
-    """Evaluate the run's policy and every heuristic on farms that training never saw, and draw the pictures.
+    """Evaluate the run's policy and some heuristics on farms that training never saw, and draw plots.
 
     Args:
         directory: the run directory, which holds metrics.jsonl and policy.safetensors.
         config: the run.
-        command: the command line that made it, for the record.
-        console: where the table goes.
+        command: the command line of the run, for the record.
+        console: prints the table.
     """
     path = directory.path
     first = config.evaluation.first_farm
@@ -66,8 +66,8 @@ def evaluate_all(config: RunConfig, policy: Path, farms: Sequence[int]) -> list[
 def read_metrics(path: Path) -> list[dict[str, Any]]:
     """Return the records of metrics.jsonl.
 
-    A line that was cut by a crash is left out, and so are records of what came after the checkpoint from which the run
-    was resumed: it was lost and done again.
+    Lines that a crash cut are left out, and so are records after the checkpoint of a resume: that part of the run was
+    repeated.
     """
     records: list[dict[str, Any]] = []
     for line in path.read_text(encoding="utf-8").splitlines():

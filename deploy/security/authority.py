@@ -1,4 +1,4 @@
-"""The certificate authority of an installation: made once, kept offline, and asked for one certificate per process."""
+"""The certificate authority of an installation: created once, kept offline, issues one certificate per process."""
 
 import datetime
 import ipaddress
@@ -27,11 +27,11 @@ from common.transport.credentials import CA, CERTIFICATE, KEY, LISTENING, MEMBER
 CA_KEY: Final = "ca.key"
 CA_DAYS: Final = 3650
 BACKDATED: Final = datetime.timedelta(minutes=5)
-"""Certificates begin this long ago, for machines whose clocks are a little behind."""
+"""Certificates are valid from this long ago, for machines whose clocks are slightly behind."""
 
 
 def lasting(days: int) -> datetime.timedelta:
-    """Return how long a certificate of so many days is valid; raise ConfigError when its authority ends before."""
+    """Return the lifetime of a certificate; raise ConfigError if the authority's would end before."""
     within(1, CA_DAYS, days=days)
     return datetime.timedelta(days=days)
 
@@ -92,7 +92,7 @@ def issue(folder: Path, identity: Identity, hosts: Sequence[str], lifetime: date
     names = [_general_name(host) for host in hosts]
     target = folder / str(identity)
     if (target / CERTIFICATE).exists():
-        raise CredentialsError(f"{target} holds a certificate already; `eia-sec keys renew` replaces it.")
+        raise CredentialsError(f"{target} already has a certificate; `eia-sec keys renew` replaces it.")
     _make_folder(target)
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = issuer.certify(identity, key.public_key(), names, lifetime)
@@ -116,7 +116,7 @@ def renew(folder: Path, identity: Identity, lifetime: datetime.timedelta) -> Pat
 
 
 def revoke(folder: Path, identity: Identity) -> None:
-    """Strike a process from the list of members; raise CredentialsError when it is not on it."""
+    """Remove a process from the list of members; raise CredentialsError if it is not on it."""
     members = set(credentials.read_members(folder / MEMBERS))
     if identity not in members:
         raise CredentialsError(f"{identity} is not on the list of members of {folder}.")
@@ -154,7 +154,7 @@ class _Authority:
         names: list[x509.GeneralName],
         lifetime: datetime.timedelta,
     ) -> x509.Certificate:
-        """Sign a certificate; it serves only when it names hosts, so that a worker cannot pass for a learner."""
+        """Sign a certificate; only one that names hosts may listen, so that a worker cannot pose as a learner."""
         begin = _now()
         lifetime = min(lifetime, self._certificate.not_valid_after_utc - begin)
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, str(identity))])
@@ -196,7 +196,7 @@ def _general_name(host: str) -> x509.GeneralName:
         pass
     labels = host.split(".")
     if not host.isascii() or not all(label and label.replace("-", "").isalnum() for label in labels):
-        raise CredentialsError(f"{host!r} is neither a host name nor an address.")
+        raise CredentialsError(f"{host!r} is not a host name or address.")
     return x509.DNSName(host)
 
 
@@ -213,12 +213,12 @@ def _make_folder(folder: Path) -> None:
 
 
 def write_new(path: Path, data: bytes) -> None:
-    """Write a file that only its owner may read, whole or not at all; raise CredentialsError when there is one."""
+    """Write an owner-only file atomically; raise CredentialsError if it exists."""
     temporary = _write_beside(path, data)
     try:
         os.link(temporary, path)
     except FileExistsError as error:
-        raise CredentialsError(f"{path} is there already, and keys are never overwritten.") from error
+        raise CredentialsError(f"{path} already exists, and keys are never overwritten.") from error
     except OSError as error:
         raise CredentialsError(f"{path} cannot be written: {error.strerror}.") from error
     finally:
@@ -226,7 +226,7 @@ def write_new(path: Path, data: bytes) -> None:
 
 
 def replace(path: Path, data: bytes) -> None:
-    """Replace a file by one that only its owner may read, whole or not at all."""
+    """Replace a file atomically by an owner-only one."""
     os.replace(_write_beside(path, data), path)
 
 

@@ -1,6 +1,6 @@
 """Does one job of a study inside this process.
 
-Training runs without Zenoh: `deploy.local.in_process.train_inprocess` has the mathematics of the distributed run, bit
+Training runs without Zenoh: `deploy.local.in_process.train_in_process` has the mathematics of the distributed run, bit
 for bit (tests/system/test_lockstep.py), and needs one process where that needs three.
 """
 
@@ -24,7 +24,7 @@ from common.policy_file import save_policy
 from common.process import StopSignal, log
 from common.team import TeamSpec
 from common.transitions import Chunk, EpisodeSummary
-from deploy.local.in_process import train_inprocess
+from deploy.local.in_process import train_in_process
 from deploy.reports.provenance import commit
 from experiments.studies.jobs import POLICY_SUFFIX, Job, Records
 from experiments.studies.methods import MIXTURE
@@ -149,7 +149,7 @@ def train(
     log = _Log(config, farms_of(options["choice_farms"]), int(options["evaluations"]), report)
     diverged = False
     try:
-        trainer = train_inprocess(config, log.watch)
+        trainer = train_in_process(config, log.watch)
         log.note(trainer)
     except (_DivergedError, SchemaError) as error:
         # Actors that are not finite are refused as SchemaError; where no loss had grown, it is another fault.

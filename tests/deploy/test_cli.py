@@ -25,7 +25,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["sail"], "no command 'sail'"),
+        (["sail"], "unknown command 'sail'"),
         (["train", "--preset", "huge"], "no preset 'huge'"),
         (["train", "--sead", "1"], "--seed"),
         (["train", "--seed", "x"], "--seed"),
@@ -51,7 +51,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["fleet", "render", "swarm"], "'swarm'"),
         (["host", "fly"], "'fly'"),
         (["alive", "rollout"], "NAME"),
-        (["alive", "ox", "a"], "none of the roles"),
+        (["alive", "ox", "a"], "not a role; the roles are"),
         (["alive", "rollout", "a/b"], "name 'a/b'"),
         (["rollout", "--connect", "tcp/127.0.0.1:9", "--patience", "0"], "nobody answers"),
         (["rollout", "--run", "a/b"], "run 'a/b'"),

@@ -1,4 +1,4 @@
-"""What a command tells the shell."""
+"""Exit codes and error messages of commands."""
 
 import subprocess
 import sys

@@ -90,7 +90,7 @@ def test_check_says_what_is_in_a_file(here, capsys):
     assert "19 of 40 s, 13 of 50 s, 13 of 60 s" in said
     (here / "two.csv").write_text("x,y\n1,2\n3,4\n")
     assert dispatch(["farm", "check", "two.csv"]) == 0
-    assert "types: by the farm's seed" in capsys.readouterr().out
+    assert "sensor types: drawn from the farm's seed" in capsys.readouterr().out
 
 
 def test_both_examples_are_one_orchard(here):
@@ -154,7 +154,7 @@ def test_the_places_travel_in_the_configuration(here):
 def test_a_farm_file_is_for_the_farm(here):
     """A run about another environment has no use for sensors, and says so."""
     (here / "other.toml").write_text('[env]\nname = "mpe2:simple_spread_v3"\n')
-    with pytest.raises(ConfigError, match=r"this run is about mpe2:simple_spread_v3\.$"):
+    with pytest.raises(ConfigError, match=r"this run uses mpe2:simple_spread_v3\.$"):
         base_configuration(["--config", "other.toml", "--farm-file", "orchard.csv"])
 
 

@@ -34,7 +34,7 @@ def test_lines_on_a_full_disk_are_lost_and_counted(monkeypatch):
     console.print("three")
     disk.error = 0
     console.print("four")
-    assert disk.getvalue().splitlines() == ["one", "(2 writes before this one could not be written)", "four"]
+    assert disk.getvalue().splitlines() == ["one", "(2 earlier writes failed: the disk was full)", "four"]
     disk.error = errno.EIO
     with pytest.raises(OSError, match="refused"):
         console.print("five")

@@ -60,7 +60,7 @@ class OnHosts:
         return done.stdout + done.stderr
 
     def status(self) -> dict[str, dict[str, Any]]:
-        """Return every process that a keeper tells of, by its name."""
+        """Return every process in a keeper's state, by name."""
         hosts = json.loads(self.eia_sec("status", str(self.file), "--json", code=None))["hosts"]
         return {name: state for host in hosts.values() for name, state in host["processes"].items()}
 

@@ -57,9 +57,9 @@ def test_a_fleet_is_started_changed_and_ended(tmp_path: Path, folders: list[Path
     assert len(fleet.pids()) == 3
     ended = fleet.eia_sec("down", file).splitlines()
     assert ended == [
-        "two rollout.two-0 has ended.",
-        "one elite.coordinator has ended.",
-        "one learner.learner has ended.",
+        "two rollout.two-0 has stopped.",
+        "one elite.coordinator has stopped.",
+        "one learner.learner has stopped.",
     ]
     assert fleet.pids() == {}
     found = fleet.collected()
@@ -95,7 +95,7 @@ def test_who_does_not_end_is_named(tmp_path: Path, folders: list[Path]) -> None:
     os.kill(fleet.pids()["rollout.two-0"], signal.SIGSTOP)
     said = fleet.eia_sec("down", file, "--wait", "8", code=1)
     assert "two rollout.two-0 did not end within 8 s" in said
-    assert "two rollout.two-0 has ended." in fleet.eia_sec("down", file, "--kill", "--wait", "1")
+    assert "two rollout.two-0 has stopped." in fleet.eia_sec("down", file, "--kill", "--wait", "1")
     fleet.edit('config = "wanted.toml"', 'config = "wanted.toml"\nset = ["seed = 5"]')
     fleet.eia_sec("up", file)
     until(lambda: fleet.status()["learner.learner"]["state"] == "given up", "the learner's refusal")

@@ -70,7 +70,7 @@ def node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
 
 
 def test_decisions_over_the_path_are_those_in_one_process_bit_for_bit(node: Node) -> None:
-    """Every action of an episode flown over the path, and what the episode came to, equal those without a path."""
+    """An episode over the bus has the same actions and result as one without it."""
     with node.bus() as bus:
         links = {agent: VehicleLink(bus, RUN, agent, agent, FASTEST) for agent in TEAM.agent_names}
         flight = SimulatedFleet(FARM, links, SECONDS).fly(1003, 0, StopSignal())
@@ -129,22 +129,22 @@ def test_the_simulator_command_flies_over_the_path(node: Node) -> None:
 
 
 def test_the_node_publishes_its_latencies_and_ends_with_hover(node: Node) -> None:
-    """Its figures are the declared ones, latencies among them; on SIGTERM it commands hover and ends with code 0."""
-    told: list[MetricMessage] = []
+    """It reports the declared metrics, including latencies; on SIGTERM it commands hover and exits with code 0."""
+    reports: list[MetricMessage] = []
     with node.bus() as bus:
         metrics = bus.subscribe(keys.METRIC.key(RUN, role="flight", name="main"), 16)
         link = VehicleLink(bus, RUN, TEAM.agent_names[0], TEAM.agent_names[0], FASTEST)
         last: list[SetpointMessage] = []
 
-        def heard() -> bool:
-            told.extend(MetricMessage.decode(sample.payload) for sample in metrics.drain())
-            return bool(told and link.setpoints())
+        def both_arrived() -> bool:
+            reports.extend(MetricMessage.decode(sample.payload) for sample in metrics.drain())
+            return bool(reports and link.setpoints())
 
-        until(heard, "metrics and set-points")
+        until(both_arrived, "metrics and set-points")
         node.process.send_signal(signal.SIGTERM)
         until(lambda: last.extend(link.setpoints()) or (last and "ends" in last[-1].reason), "the last hover")
         assert node.process.wait(SECONDS) == 0
-    values = told[-1].values
+    values = reports[-1].values
     assert undeclared("flight", values) == []
     assert {metric.name.split("/")[0] for metric in METRICS["flight"]} == set(values)
     assert values["decisions"] > 0

@@ -13,7 +13,7 @@ DELAY = 0.02
 
 
 def on_hosts(folder: Path, cut: float) -> dict[str, Any]:
-    """Run the tiny farm on six hosts, one of which joins and one of which is cut off; return the figures."""
+    """Run the tiny farm on six hosts, one of which joins and one of which is cut off; return the results."""
     with laboratory(folder, len(ROLES), DELAY) as lab:
         if lab is None:
             pytest.skip("making network namespaces needs root and iproute2")
@@ -21,11 +21,11 @@ def on_hosts(folder: Path, cut: float) -> dict[str, Any]:
         return happen(fleet, cut) | finish(fleet)
 
 
-def check(figures: dict[str, Any]) -> None:
+def check(results: dict[str, Any]) -> None:
     """Nothing is unexplained, and every worker delivered."""
-    assert figures["ledger"]["unexplained"] == figures["ledger"]["counted_twice"] == 0, figures
-    assert set(figures["accepted_by_worker"]) == {"first-0", "second-0", "late-0"}
-    assert min(figures["accepted_by_worker"].values()) > 0
+    assert results["ledger"]["unexplained"] == results["ledger"]["counted_twice"] == 0, results
+    assert set(results["accepted_by_worker"]) == {"first-0", "second-0", "late-0"}
+    assert min(results["accepted_by_worker"].values()) > 0
 
 
 @pytest.mark.nightly
@@ -39,10 +39,10 @@ def test_six_hosts_train_while_one_joins_and_one_is_cut_off(tmp_path):
 @pytest.mark.timeout(1200)
 def test_a_long_cut_is_caught_up(tmp_path):
     """A host that is cut off for fifteen leases delivers nothing meanwhile, and is back within 30 seconds."""
-    figures = on_hosts(tmp_path, cut=60.0)
-    check(figures)
-    assert figures["chunks_while_cut_off"] == 0
-    assert figures["seconds_to_recover"] <= 30.0
+    results = on_hosts(tmp_path, cut=60.0)
+    check(results)
+    assert results["chunks_while_cut_off"] == 0
+    assert results["seconds_to_recover"] <= 30.0
 
 
 @pytest.mark.nightly

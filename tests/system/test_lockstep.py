@@ -5,7 +5,7 @@ from pathlib import Path
 
 from common.config.files import from_toml
 from common.policy_file import load_policy
-from deploy.local.in_process import train_inprocess
+from deploy.local.in_process import train_in_process
 from tests.system.fleet import TINY, Processes, configured
 
 
@@ -15,7 +15,7 @@ def test_lockstep_is_bit_equal_to_one_process(processes: Processes) -> None:
     processes.worker()
     processes.learner("--lockstep")
     assert processes.wait("learner") == 0
-    alone = train_inprocess(configured())
+    alone = train_in_process(configured())
     assert alone.events == 3
     (end,) = processes.records("end")
     assert end["state"] == "finished"
@@ -29,8 +29,8 @@ def test_lockstep_is_bit_equal_to_one_process(processes: Processes) -> None:
 def test_one_process_repeats_itself() -> None:
     """Equal seeds give equal weights, another seed gives others."""
     config = configured(TINY.replace("episodes = 8", "episodes = 2"))
-    first, second = (train_inprocess(config).actors().digest() for _ in range(2))
-    other = train_inprocess(from_toml("seed = 1", config)).actors().digest()
+    first, second = (train_in_process(config).actors().digest() for _ in range(2))
+    other = train_in_process(from_toml("seed = 1", config)).actors().digest()
     assert first == second != other
     assert len(bytes.fromhex(first)) == hashlib.sha256().digest_size
 

@@ -126,7 +126,7 @@ def test_over_a_real_ssh_server(tmp_path):
 
 
 def test_only_the_processes_that_are_named(tmp_path, fleet):
-    """Others are not told of, and a log that is not there yet is waited for."""
+    """Other logs are not shown, and a log that does not exist yet is awaited."""
     command = Command(fleet, "--process", "rollout.far-0", "keeper")
     command.expect("far rollout.far-0: first")
     (tmp_path / "here" / "keeper.log").write_text("kept\n")
@@ -147,7 +147,7 @@ def test_a_host_that_is_lost_is_named_and_the_others_go_on(tmp_path, fleet):
 
 
 def test_a_file_that_is_cut_short_is_read_again(tmp_path):
-    """After its lines were told, a shorter file is a new one; what has no end yet waits, unless it is very long."""
+    """A file that got shorter is a new one; an incomplete line waits, unless it is very long."""
     path = tmp_path / "log"
     follower = Follower(path, 5)
     assert follower.more() == []

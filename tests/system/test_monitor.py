@@ -1,4 +1,4 @@
-"""Watching a real run: the monitor's lines, a plain subscriber, and that every figure is declared."""
+"""Watching a real run: the monitor's lines, a plain subscriber, and that every metric is declared."""
 
 import json
 import signal
@@ -103,17 +103,17 @@ def test_the_monitor_ends_when_its_reader_goes(watched: Processes) -> None:
 
 def test_every_figure_of_a_run_is_declared(watched: Processes) -> None:
     """What each role reports is declared in `common.protocol.metrics`, and the reverse, but for rare names."""
-    told: dict[str, MetricMessage] = {}
+    reports: dict[str, MetricMessage] = {}
     with Bus.connect(watched.endpoint, "control", wait=10.0) as bus:
         subscription = bus.subscribe(keys.METRIC.pattern(RUN), 256)
 
         def everybody() -> bool:
             for sample in subscription.drain():
-                told[keys.parse(sample.key).variables["role"]] = MetricMessage.decode(sample.payload)
-            return set(told) == {"learner", "rollout", "elite"}
+                reports[keys.parse(sample.key).variables["role"]] = MetricMessage.decode(sample.payload)
+            return set(reports) == {"learner", "rollout", "elite"}
 
         until(everybody, "a message of each role")
-    for role, message in told.items():
+    for role, message in reports.items():
         assert undeclared(role, message.values) == []
         missing = {metric.name.split("/")[0] for metric in METRICS[role]} - set(message.values)
         assert missing == set()

@@ -156,7 +156,7 @@ def test_a_learner_that_is_killed_resumes(processes: Processes) -> None:
 
 
 def test_sigterm_drains_and_checkpoints(processes: Processes) -> None:
-    """A learner that is told to end writes a checkpoint and a policy and ends with code 0; so does a worker."""
+    """A learner that gets SIGTERM writes a checkpoint and a policy and exits with code 0; so does a worker."""
     processes.lengthen(100_000)
     learner = processes.learner()
     worker = processes.worker()
@@ -194,7 +194,7 @@ def test_a_drain_takes_in_what_a_worker_holds(processes: Processes) -> None:
 
 
 def test_the_learner_answers_commands(processes: Processes) -> None:
-    """It tells its configuration, drains when asked, and the epoch is that of its start."""
+    """It answers with its configuration, drains on request, and its epoch is that of its start."""
     processes.lengthen(100_000)
     processes.learner()
     answer = processes.configuration()

@@ -87,7 +87,7 @@ def test_a_study_that_is_stopped_goes_on(tmp_path: Path) -> None:
 
 
 def test_two_starts_do_not_share_the_records(tmp_path: Path) -> None:
-    """While one start has them, another is told so in one sentence."""
+    """While one process holds them, another one fails with one sentence."""
     arguments = ["reproduce", "inference", "--scale", "smoke", "--write", str(tmp_path), "--records", str(tmp_path)]
     first = subprocess.Popen(
         [sys.executable, "-m", "deploy.cli", *arguments], stdout=subprocess.DEVNULL, start_new_session=True

@@ -13,7 +13,7 @@ from common.transport.bus import Bus
 from common.transport.credentials import Identity
 from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.cli import dispatch
-from deploy.local.in_process import train_inprocess
+from deploy.local.in_process import train_in_process
 from deploy.monitor.audit import audit
 from deploy.security import authority
 from tests.system.fleet import RUN, TINY, Processes, configured, until
@@ -84,7 +84,7 @@ def test_a_router_changes_nothing(routed: Routed, issued: Path) -> None:
     routed.learner("--lockstep")
     assert routed.wait("learner") == 0, routed.log("router") + routed.log("learner")
     (end,) = routed.records("end")
-    assert end["digest"] == train_inprocess(configured()).actors().digest()
+    assert end["digest"] == train_in_process(configured()).actors().digest()
     assert routed.wait("rollout-0") == routed.wait("elite") == 0
     assert audit(routed.directory / "run").clean
     routed.running["router"].terminate()
@@ -99,7 +99,7 @@ def alive(capsys: pytest.CaptureFixture[str], routed: Routed, *arguments: str) -
 
 
 def test_a_killed_router_and_the_probe(routed: Routed, issued: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """When the router is killed and replaced everybody goes on; the probe tells who lives, and who is not to blame."""
+    """A killed and replaced router stops nobody; the probe says who is alive, and who is not to blame."""
     routed.keys = issued
     routed.config.write_text(LONG)
     worker, monitor = routed.tls("rollout.0"), routed.tls("monitor.m")
@@ -109,7 +109,7 @@ def test_a_killed_router_and_the_probe(routed: Routed, issued: Path, capsys: pyt
     assert alive(capsys, routed, "router", "main", *routed.tls("router.main"), "--patience", "0")[0] == 1
     routed.router()
     code, said = alive(capsys, routed, "rollout", "0", *worker, "--patience", "60", "--blame")
-    assert (code, "no learner of run test lives" in said) == (0, True)
+    assert (code, "none of run test is alive" in said) == (0, True)
     routed.learner()
     routed.worker()
     until(lambda: alive(capsys, routed, "rollout", "0", *worker)[0] == 0, "a token", 90.0)

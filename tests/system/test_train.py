@@ -34,10 +34,10 @@ class Training:
         self.output = directory / "output.txt"
         self.process: subprocess.Popen[bytes] | None = None
 
-    def start(self, *options: str, told: bool = True) -> None:
-        """Start it, told what to train or not."""
+    def start(self, *options: str, configured: bool = True) -> None:
+        """Start it, with or without the configuration file."""
         command = [sys.executable, "-m", "deploy.cli", "train", "--run-dir", str(self.run_dir)]
-        command += ["--config", str(self.config), *options] if told else options
+        command += ["--config", str(self.config), *options] if configured else options
         with self.output.open("ab") as output:
             self.process = subprocess.Popen(command, stdout=output, stderr=output)
 
@@ -125,7 +125,7 @@ def test_a_run_of_an_older_version_goes_on_as_it_was(training: Training) -> None
     assert len(kept) == len(lines) - 2
     held.write_text("".join(kept), encoding="utf-8")
     before = training.episodes()
-    training.start("--no-report", "--resume", told=False)
+    training.start("--no-report", "--resume", configured=False)
     until(lambda: training.episodes() > before + 2 or training.process.poll() is not None, "going on")
     training.process.send_signal(signal.SIGTERM)
     assert training.wait(30.0) == 0, training.output.read_text()
@@ -174,7 +174,7 @@ def test_a_worker_that_dies_is_started_again(training: Training) -> None:
     until(lambda: training.episodes() >= 2, "training")
     worker = next(child for child in training.children() if "rollout" in child.cmdline())
     os.kill(worker.pid, signal.SIGKILL)
-    until(lambda: "rollout-0 ended with signal 9; it is started again" in training.output.read_text(), "the notice")
+    until(lambda: "rollout-0 ended with signal 9; restarting it" in training.output.read_text(), "the notice")
     before = training.episodes()
     until(lambda: training.episodes() > before + WAITING, "more than what waits at the learner")
     assert training.process is not None

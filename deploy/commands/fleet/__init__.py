@@ -1,1 +1,1 @@
-"""Commands for runs on many hosts."""
+"""Commands for runs on several hosts."""

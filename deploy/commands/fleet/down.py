@@ -1,4 +1,4 @@
-"""`eia-sec down fleet.toml`: the end of a fleet, workers first."""
+"""`eia-sec down fleet.toml`: stop a fleet, workers first."""
 
 import sys
 from collections.abc import Sequence
@@ -18,23 +18,23 @@ from deploy.options import parse
 
 @dataclass(frozen=True)
 class DownArguments:
-    """End a fleet: workers deliver what they hold, the learner writes a checkpoint; `eia-sec up` goes on from there."""
+    """Stop a fleet. Workers deliver their last chunks and the learner writes a checkpoint; `eia-sec up` resumes."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FLEET")] = Path("fleet.toml")
     """The fleet file."""
     wait: float = 60.0
-    """Seconds to wait for workers, then for the coordinator, the learner and the router."""
+    """Seconds to wait for the workers, then for the coordinator, the learner and the router in turn."""
     kill: bool = False
-    """Kill what has not ended then; what it held is lost, and the audit says so."""
+    """Kill processes that are still running then; the steps they hold are lost, and the audit says so."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """End; return 0 when everything has ended, 1 when something has not or a host was not reached."""
+    """Stop; return 0 if everything has stopped, 1 if something runs or a host was not reached."""
     options = parse(DownArguments, arguments, "down")
     within(0.0, 86_400.0, wait=options.wait)
     ended, left, failed = operations.down(read(options.file), options.wait, options.kill)
-    lines = [f"{name} has ended." for name in ended]
-    lines += [f"{name} did not end within {options.wait:g} s; --kill ends it." for name in left]
+    lines = [f"{name} has stopped." for name in ended]
+    lines += [f"{name} is still running after {options.wait:g} s; --kill stops it." for name in left]
     lines += list(failed.values())
     sys.stdout.write("".join(f"{printable_lines(line)}\n" for line in lines or ["nothing was running."]))
     return FAILED if left or failed else DONE

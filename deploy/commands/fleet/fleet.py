@@ -1,4 +1,4 @@
-"""`eia-sec fleet`: a fleet file checked, its keys, its histories, and what other ways of starting it need."""
+"""`eia-sec fleet`: check a fleet file, make its keys, collect its histories, render units and manifests."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ File = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FLEET")]
 
 @dataclass(frozen=True)
 class CheckArguments:
-    """Read a fleet file, and print every command line that follows from it."""
+    """Check a fleet file and print the command line of every process."""
 
     file: File = Path("fleet.toml")
     """The fleet file."""
@@ -30,39 +30,39 @@ class CheckArguments:
 
 @dataclass(frozen=True)
 class KeysArguments:
-    """Make the certificates that a fleet lacks, and the authority when there is none."""
+    """Make the certificates that a fleet lacks, and the authority if there is none."""
 
     file: File = Path("fleet.toml")
     """The fleet file."""
     days: int = 365
-    """Days until they end."""
+    """Days until they expire."""
 
 
 @dataclass(frozen=True)
 class CollectArguments:
-    """Bring the histories of all hosts and the learner's metrics and policy into one folder, for `eia-sec audit`."""
+    """Copy the histories of all hosts and the learner's metrics and policy into one folder, for `eia-sec audit`."""
 
     file: File = Path("fleet.toml")
     """The fleet file."""
     out: Path = Path("collected")
-    """The folder."""
+    """Output folder."""
 
 
 @dataclass(frozen=True)
 class RenderArguments:
-    """Write what another way of starting the same fleet needs; every file is replaced."""
+    """Write the files that start the same fleet with systemd, Compose or Kubernetes; existing files are replaced."""
 
     form: Annotated[tyro.conf.Positional[Literal["systemd", "compose", "kubernetes"]], tyro.conf.arg(metavar="FORM")]
     """systemd, compose or kubernetes."""
     file: File = Path("fleet.toml")
     """The fleet file."""
     out: Path = Path("rendered")
-    """Folder for the files; those with keys are readable by their owner alone."""
+    """Output folder; files with keys are readable by their owner only."""
 
 
 @dataclass(frozen=True)
 class FleetArguments:
-    """A fleet file: checked, its keys made, its histories collected, its files for other ways of starting written."""
+    """Check a fleet file, make its keys, collect its histories, or render units and manifests."""
 
     task: Annotated[
         Annotated[CheckArguments, tyro.conf.subcommand("check")]
@@ -74,7 +74,7 @@ class FleetArguments:
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Do what the subcommand says; return 0, or 1 when a host was not reached."""
+    """Run the subcommand; return 0, or 1 if a host was not reached."""
     task = parse(FleetArguments, arguments, "fleet").task
     console = Console(highlight=False, soft_wrap=True, markup=False)
     fleet = read(task.file)
@@ -84,17 +84,17 @@ def command(arguments: Sequence[str]) -> int:
         return DONE
     if isinstance(task, KeysArguments):
         made = operations.issue_keys(fleet, task.days)
-        names = ", ".join(map(str, made)) or "nothing: every certificate is there"
-        console.print(f"written into {fleet.keys}: {names}")
+        names = ", ".join(map(str, made)) or "nothing, every certificate exists"
+        console.print(f"written to {fleet.keys}: {names}")
         return DONE
     if isinstance(task, RenderArguments):
         for path in render(fleet, task.form, task.out):
             console.print(f"written: {path}")
         return DONE
     found = collect(fleet, task.out)
-    console.print(f"{found.files} files in {task.out}; eia-sec audit {task.out}")
+    console.print(f"{found.files} files in {task.out}; check them with: eia-sec audit {task.out}")
     for name in found.left_out:
-        console.print(f"left out, because it is not that host's to tell: {printable(name)}")
+        console.print(f"skipped, because it does not belong to that host: {printable(name)}")
     for sentence in found.failed.values():
         console.print(printable_lines(sentence))
     return FAILED if found.failed else DONE

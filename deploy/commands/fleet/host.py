@@ -1,4 +1,4 @@
-"""`eia-sec host`: the far end of `eia-sec up`, which calls it over SSH; people have no need to."""
+"""`eia-sec host`: the remote end of `eia-sec up`, `down`, `status` and `logs`, which call it over SSH."""
 
 import json
 import sys
@@ -18,24 +18,24 @@ from deploy.hosts.log_stream import follow
 from deploy.options import parse
 
 MAX_REQUEST = 64 * 1024 * 1024
-"""Longest request that is read, bytes; a farm of many sensors is the largest thing in one."""
+"""Longest request, bytes; the largest part of one is a farm of many sensors."""
 
 
 @dataclass(frozen=True)
 class HostArguments:
-    """Act in the folder of one host; what to do comes as JSON on standard input, the answer goes to standard output."""
+    """Act in one host's folder. The request is JSON on standard input, the answer JSON on standard output."""
 
     verb: Annotated[
         tyro.conf.Positional[Literal["up", "down", "status", "logs", "follow", "collect", "keep"]],
         tyro.conf.arg(metavar="VERB"),
     ]
-    """up, down, status, logs, follow, collect, or keep, which is the process that stays."""
+    """up, down, status, logs, follow, collect, or keep, which stays and supervises the processes."""
     folder: Path = Path()
     """The host's folder."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Do what the verb says; return 0."""
+    """Do what the verb asks for; return 0."""
     options = parse(HostArguments, arguments, "host")
     folder = options.folder.expanduser()
     if options.verb == "keep":
@@ -63,7 +63,7 @@ def _request() -> dict[str, Any]:
     except ValueError:
         found = None
     if not isinstance(found, dict):
-        raise HostError("the request on standard input is no JSON object.")
+        raise HostError("the request on standard input is not a JSON object.")
     return found
 
 

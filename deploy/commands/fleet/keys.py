@@ -1,4 +1,4 @@
-"""`eia-sec keys`: the certificate authority of an installation, and a certificate for each of its processes."""
+"""`eia-sec keys`: an installation's certificate authority, and a certificate for each process."""
 
 import datetime
 from collections.abc import Sequence
@@ -29,38 +29,38 @@ class _InFolder:
 
 @dataclass(frozen=True)
 class InitArguments(_InFolder):
-    """Make a certificate authority; its key, ca.key, signs everything else and belongs on no training machine."""
+    """Make a certificate authority. Its key, ca.key, signs everything else; keep it off the training machines."""
 
 
 @dataclass(frozen=True)
 class IssueArguments(_InFolder):
-    """Make the key and the certificate of one process and let it in."""
+    """Make the key and certificate of one process and add it to the members."""
 
     role: Role = ""
     """learner, router, rollout, elite, operator or monitor."""
     name: Name = ""
-    """The process's name: that of `--name` for a worker, "learner" for the learner."""
+    """The process's name: a worker's `--name`, "learner" for the learner."""
     host: tuple[str, ...] = ()
-    """Names and addresses under which a learner or router listens."""
+    """Names and addresses that a learner or router listens on."""
     days: int = 365
-    """Days until the certificate ends."""
+    """Days until the certificate expires."""
 
 
 @dataclass(frozen=True)
 class RenewArguments(_InFolder):
-    """Replace the key and the certificate of one process; name and hosts stay."""
+    """Replace the key and certificate of one process; name and hosts stay the same."""
 
     role: Role = ""
     """The process's role."""
     name: Name = ""
     """The process's name."""
     days: int = 365
-    """Days until the new certificate ends."""
+    """Days until the new certificate expires."""
 
 
 @dataclass(frozen=True)
 class RevokeArguments(_InFolder):
-    """Strike one process from the list of members, which listeners read when they start."""
+    """Remove one process from the members, a list that listeners read when they start."""
 
     role: Role = ""
     """The process's role."""
@@ -70,15 +70,15 @@ class RevokeArguments(_InFolder):
 
 @dataclass(frozen=True)
 class ShowArguments:
-    """List certificates and when they end."""
+    """List certificates and when they expire."""
 
     dir: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")] = Path("keys")
-    """Folder of the authority, or of one process."""
+    """Folder of the authority or of one process."""
 
 
 @dataclass(frozen=True)
 class KeysArguments:
-    """Certificates for `--tls`: an authority, and a key and a certificate for each process."""
+    """Make, renew, revoke and list the certificates that `--tls` needs."""
 
     task: Annotated[
         Annotated[InitArguments, tyro.conf.subcommand("init")]
@@ -91,23 +91,23 @@ class KeysArguments:
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Do what the subcommand says; return 0."""
+    """Run the subcommand; return 0."""
     task = parse(KeysArguments, arguments, "keys").task
     console = Console(highlight=False, soft_wrap=True, markup=False)
     if isinstance(task, InitArguments):
         authority.create(task.dir)
-        console.print(f"written: {task.dir / CA} and {task.dir / authority.CA_KEY}; keep the latter to yourself.")
+        console.print(f"written: {task.dir / CA} and {task.dir / authority.CA_KEY}; keep the latter secret.")
         _show(task.dir, console)
     elif isinstance(task, IssueArguments):
         target = authority.issue(task.dir, _identity(task.role, task.name), task.host, authority.lasting(task.days))
-        _tell(target, console)
+        _report(target, console)
         _remind(task.dir, console)
     elif isinstance(task, RenewArguments):
-        _tell(authority.renew(task.dir, _identity(task.role, task.name), authority.lasting(task.days)), console)
+        _report(authority.renew(task.dir, _identity(task.role, task.name), authority.lasting(task.days)), console)
     elif isinstance(task, RevokeArguments):
         identity = _identity(task.role, task.name)
         authority.revoke(task.dir, identity)
-        console.print(f"{identity} is struck from the list.")
+        console.print(f"{identity} is no longer a member.")
         _remind(task.dir, console)
     else:
         _show(task.dir, console)
@@ -116,31 +116,31 @@ def command(arguments: Sequence[str]) -> int:
 
 def _identity(role: str, name: str) -> Identity:
     if role not in ROLES or not name:
-        raise CredentialsError(f"say ROLE and NAME; the roles are {', '.join(ROLES)}.")
+        raise CredentialsError(f"give ROLE and NAME; the roles are {', '.join(ROLES)}.")
     if role == "learner" and name != "learner":
-        raise CredentialsError("the learner's name is learner: eia-sec keys issue learner learner --host HOST.")
+        raise CredentialsError("the learner is always named learner: eia-sec keys issue learner learner --host HOST.")
     return Identity.parse(f"{role}.{name}")
 
 
-def _tell(target: Path, console: Console) -> None:
+def _report(target: Path, console: Console) -> None:
     loaded = credentials.load(target)
     console.print(f"written: {loaded.identity} in {target}, valid until {loaded.expires:%Y-%m-%d}.")
 
 
 def _remind(folder: Path, console: Console) -> None:
-    """Say which listeners have to read the list of members again."""
+    """Print which listeners need the new list of members."""
     listening = sorted(path.name for role in LISTENING for path in folder.glob(f"{role}.*"))
     if listening:
-        console.print(f"{MEMBERS} is new: copy it to {', '.join(listening)} and start that again to take effect.")
+        console.print(f"{MEMBERS} has changed: copy it to {', '.join(listening)} and restart for it to take effect.")
 
 
 def _show(folder: Path, console: Console) -> None:
     paths = [path for path in (folder / CA, folder / CERTIFICATE) if path.exists()]
     paths += sorted(folder.glob(f"*/{CERTIFICATE}"))
     if not paths:
-        raise CredentialsError(f"{folder} holds no certificate.")
+        raise CredentialsError(f"{folder} has no certificate.")
     members = set(credentials.read_members(folder / MEMBERS)) if (folder / MEMBERS).exists() else None
-    table = Table("certificate", "ends", "left", "serves", "let in", box=None)
+    table = Table("certificate", "expires", "left", "serves", "member", box=None)
     for path in paths:
         table.add_row(*_row(path, members))
     console.print(table)

@@ -1,4 +1,4 @@
-"""`eia-sec logs fleet.toml`: what the processes of a fleet have written."""
+"""`eia-sec logs fleet.toml`: the logs of a fleet's processes."""
 
 import sys
 import threading
@@ -21,20 +21,20 @@ from deploy.options import parse
 
 @dataclass(frozen=True)
 class LogsArguments:
-    """Show the last lines of each process's log, and of the keepers' that start them."""
+    """Show the last lines of each process's log, and of each host's keeper, which supervises them."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FLEET")] = Path("fleet.toml")
     """The fleet file."""
     process: tuple[str, ...] = ()
-    """Processes to show, for instance learner.learner, rollout.farm-2-0 or keeper. Default: all."""
+    """Processes to show, for example learner.learner, rollout.farm-2-0 or keeper. Default: all."""
     lines: int = 20
-    """Lines of each."""
+    """Lines of each log."""
     follow: bool = False
-    """Go on with what they write from now on, each line with host and process before it, until Ctrl-C."""
+    """Keep printing new lines, each with host and process in front, until Ctrl-C."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Show; return 0, or 1 when a host was not reached."""
+    """Show the logs; return 0, or 1 if a host was not reached."""
     options = parse(LogsArguments, arguments, "logs")
     within(1, MAX_LINES, lines=options.lines)
     if options.follow:
@@ -49,7 +49,7 @@ def command(arguments: Sequence[str]) -> int:
 def _follow(options: LogsArguments) -> int:
     lock, stop = threading.Lock(), StopSignal()
 
-    def tell(host: str, name: str, line: str) -> None:
+    def show(host: str, name: str, line: str) -> None:
         with lock:
             try:
                 sys.stdout.write(f"{printable_lines(f'{host} {name}: {line}')}\n")
@@ -58,7 +58,7 @@ def _follow(options: LogsArguments) -> int:
                 stop.event.set()
 
     stop.install()
-    failed = operations.follow(read(options.file), options.process, options.lines, tell, stop)
+    failed = operations.follow(read(options.file), options.process, options.lines, show, stop)
     return _failed(failed)
 
 

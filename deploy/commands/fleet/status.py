@@ -1,4 +1,4 @@
-"""`eia-sec status fleet.toml`: what runs on the hosts of a fleet."""
+"""`eia-sec status fleet.toml`: the text that it prints, and where it comes from."""
 
 import json
 import sys
@@ -22,7 +22,7 @@ from deploy.options import parse
 
 @dataclass(frozen=True)
 class StatusArguments:
-    """Show every process that a fleet file names: its state, process number, age and deaths in a row."""
+    """Show each process of a fleet: state, process id, age, and how often in a row it has died."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FLEET")] = Path("fleet.toml")
     """The fleet file."""
@@ -31,7 +31,7 @@ class StatusArguments:
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Show; return 0 when everything runs (or has finished), 1 otherwise."""
+    """Show the state; return 0 if every process is running or has finished, 1 otherwise."""
     options = parse(StatusArguments, arguments, "status")
     fleet = read(options.file)
     states, failed = operations.status(fleet)
@@ -45,7 +45,7 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def show(fleet: FleetSpec, states: Mapping[str, dict[str, Any]], failed: Mapping[str, str]) -> None:
-    """Print a table of every process that is named or runs, then what is wrong."""
+    """Print a table of all processes, named or running, then alarms and failed hosts."""
     table = Table("host", "process", "state", "pid", "since", "deaths", box=None)
     rows: dict[tuple[str, str], dict[str, Any]] = {
         (process.host, str(process.identity)): {} for process in processes(fleet, here(fleet))

@@ -1,4 +1,4 @@
-"""`eia-sec up fleet.toml`: every process of a fleet, on its hosts."""
+"""`eia-sec up fleet.toml`: start every process of a fleet on its host."""
 
 import sys
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ from deploy.options import parse
 
 @dataclass(frozen=True)
 class UpArguments:
-    """Start what a fleet file names and does not run yet; restart what has changed, end what it no longer names."""
+    """Start a fleet's missing processes, restart those that changed, and stop those that the file no longer names."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FLEET")] = Path("fleet.toml")
     """The fleet file; deploy/fleet.toml explains every key."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Start; return 0 when every host has taken its part up, 1 when one has not."""
+    """Start the fleet; return 0 if every host has taken up its plan, 1 if not."""
     options = parse(UpArguments, arguments, "up")
     fleet = read(options.file)
     states, failed = operations.up(fleet)

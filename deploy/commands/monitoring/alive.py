@@ -1,4 +1,4 @@
-"""`eia-sec alive ROLE NAME`: whether a process of a run lives, by its liveliness token; a probe for orchestrators."""
+"""`eia-sec alive ROLE NAME`: a probe for orchestrators, which checks a process's liveliness token."""
 
 import sys
 from collections.abc import Sequence
@@ -17,12 +17,12 @@ from deploy.exit_codes import DONE, FAILED
 from deploy.options import parse
 
 LIVING: Final = ("learner", "rollout", "elite", "router")
-"""Roles that can be asked for. A router has no token: it lives when it answers."""
+"""Roles that can be probed. A router has no token: it is alive when it answers."""
 
 
 @dataclass(frozen=True)
 class AliveArguments:
-    """Say whether a process lives: exit code 0 when it does, 1 when not."""
+    """Check whether a process is alive: exit code 0 if it is, 1 if not."""
 
     role: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROLE")]
     """learner, rollout, elite or router."""
@@ -33,36 +33,36 @@ class AliveArguments:
     connect: str = DEFAULT
     """Endpoint where the learner or a router listens."""
     tls: Path | None = None
-    """Folder with a certificate: the process's own, or that of a monitor."""
+    """Folder with a certificate: the process's own or a monitor's."""
     patience: float = 5.0
-    """Seconds to wait for somebody to listen at the endpoint."""
+    """Seconds to wait for a listener at the endpoint."""
     blame: bool = False
-    """Exit with 1 only when starting the process again could help: not while nobody answers at the endpoint, which is
-    another process's, nor, for a worker or coordinator, while no learner lives, for which they wait without a token."""
+    """Exit with 1 only if restarting this process could help. Exit with 0 if the endpoint does not answer, and for a
+    worker or coordinator also if no learner is alive, because it has no token while it waits for one."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Print one line; return 0 when the process lives (or is not to blame), 1 when it does not."""
+    """Print one line; return 0 if the process is alive (or not to blame), 1 otherwise."""
     options = parse(AliveArguments, arguments, "alive")
     if options.role not in LIVING:
-        raise UsageError(f"{options.role!r} is none of the roles {', '.join(LIVING)}.")
+        raise UsageError(f"{options.role!r} is not a role; the roles are {', '.join(LIVING)}.")
     key = keys.LIVE.key(check_name(options.run, "run"), role=options.role, name=options.name)
     endpoint = Endpoint.parse(options.connect, options.tls)
     who = f"{options.role} {options.name} of run {options.run}"
     try:
         with Bus.connect(endpoint, "control", options.patience) as bus:
             if options.role == "router" or bus.living(key):
-                return _tell(f"{who} lives.", DONE)
+                return _report(f"{who} is alive.", DONE)
             waiting = options.role != "learner" and not bus.living(keys.LIVE.pattern(options.run, role="learner"))
     except CredentialsError:
         raise
     except EndpointError as error:
-        return _tell(f"{who}: {error}", DONE if options.blame else FAILED)
+        return _report(f"{who}: {error}", DONE if options.blame else FAILED)
     if options.blame and waiting:
-        return _tell(f"no learner of run {options.run} lives, for which {who} waits.", DONE)
-    return _tell(f"{who} shows no sign of life at {endpoint}.", FAILED)
+        return _report(f"{who} is waiting for a learner, and none of run {options.run} is alive.", DONE)
+    return _report(f"{who} is not alive at {endpoint}.", FAILED)
 
 
-def _tell(text: str, code: int) -> int:
+def _report(text: str, code: int) -> int:
     sys.stdout.write(text + "\n")
     return code

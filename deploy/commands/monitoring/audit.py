@@ -1,4 +1,4 @@
-"""`eia-sec audit RUN_DIR`: whether every chunk of a run is explained, from the histories of its processes."""
+"""`eia-sec audit RUN_DIR`: check from the processes' histories that every chunk is accounted for."""
 
 import json
 import sys
@@ -16,16 +16,16 @@ from deploy.options import parse
 
 @dataclass(frozen=True)
 class AuditArguments:
-    """Check that every chunk of a run is explained and none was counted twice."""
+    """Check that every chunk of a run is accounted for and none was counted twice."""
 
     run_dir: tyro.conf.Positional[Path]
-    """Folder of the run; histories of workers on other hosts belong into its folder history/."""
+    """Run directory; copy histories of workers on other hosts into its folder history/."""
     json: bool = False
     """Print one JSON object instead of the table."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Audit; return 0 when everything is explained, 1 when something is not."""
+    """Audit; return 0 if everything is accounted for, 1 if not."""
     options = parse(AuditArguments, arguments, "audit")
     found = audit(options.run_dir)
     if options.json:
@@ -49,12 +49,12 @@ def _show(found: Audit) -> None:
     lost = ", ".join(f"{steps:,} with a {who}" for who, steps in sorted(found.lost_with.items())) or "none"
     console.print(f"lost: {lost}; {found.duplicates:,} duplicate chunks; {found.starts} starts of the learner")
     if found.damaged:
-        console.print(f"{found.damaged} lines of the histories cannot be read")
+        console.print(f"{found.damaged} lines of the histories are unreadable")
     if found.torn:
-        console.print(f"{found.torn} histories end with a torn line, as a killed process leaves it", highlight=False)
+        console.print(f"{found.torn} histories end with a torn line, which a killed process leaves", highlight=False)
     named = found.named()
     for sentence in named[:NAMED]:
         console.print(sentence, highlight=False, soft_wrap=True)
     if len(named) > NAMED:
-        console.print(f"and {len(named) - NAMED} more, which --json names", highlight=False)
+        console.print(f"and {len(named) - NAMED} more; --json lists them", highlight=False)
     console.print(f"unexplained: {len(found.unexplained)}, counted twice: {len(found.doubled)}", highlight=False)

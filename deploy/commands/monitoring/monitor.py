@@ -1,4 +1,4 @@
-"""`eia-sec monitor`: a plain Zenoh subscriber that shows a run live, read-only."""
+"""`eia-sec monitor`: a plain Zenoh subscriber that shows a run live and publishes nothing."""
 
 import json
 import sys
@@ -24,26 +24,26 @@ from deploy.options import parse
 
 @dataclass(frozen=True)
 class MonitorArguments:
-    """Watch a run live; nothing is ever published."""
+    """Watch a run live; the monitor only subscribes."""
 
     run: str = "farm"
     """Name of the run."""
     connect: str = DEFAULT
     """Endpoint where the learner or a router listens."""
     tls: Path | None = None
-    """Folder with a monitor's certificate, made by `eia-sec keys issue monitor NAME`; the link is TLS then."""
+    """Folder with a monitor's certificate (`eia-sec keys issue monitor NAME`); turns TLS on."""
     patience: float = 10.0
-    """Seconds to wait for somebody to listen at the endpoint."""
+    """Seconds to wait for a listener at the endpoint."""
     json: bool = False
-    """Print one JSON object per refresh instead of the view."""
+    """Print one JSON object per refresh instead of the live view."""
     refresh: float = 1.0
     """Seconds between two refreshes."""
     seconds: float | None = None
-    """Stop after this time. Default: watch until interrupted."""
+    """Seconds until it stops. Default: run until interrupted."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Watch until interrupted or the time is over; return 0."""
+    """Watch until interrupted or the time is up; return 0."""
     options = parse(MonitorArguments, arguments, "monitor")
     check_name(options.run, "run")
     within(0.05, 3600.0, refresh=options.refresh)
@@ -56,7 +56,7 @@ def command(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _show(options: MonitorArguments, fleet: RunMonitor, stop: StopSignal, bus: Bus) -> None:
+def _show(options: MonitorArguments, monitor: RunMonitor, stop: StopSignal, bus: Bus) -> None:
     console = Console()
     deadline = time.monotonic() + (options.seconds if options.seconds is not None else float("inf"))
     plain = options.json or not console.is_terminal
@@ -66,10 +66,10 @@ def _show(options: MonitorArguments, fleet: RunMonitor, stop: StopSignal, bus: B
     try:
         while not stop and time.monotonic() < deadline:
             stop.event.wait(options.refresh)
-            fleet.update()
-            silent = bus.credentials is not None and not fleet.learner_values()
+            monitor.update()
+            silent = bus.credentials is not None and not monitor.learner_values()
             denied = denial(bus, options.run, keys.METRIC.pattern(options.run)) if silent else None
-            snapshot = fleet.snapshot((denied,) if denied else ())
+            snapshot = monitor.snapshot((denied,) if denied else ())
             if live is not None:
                 live.update(render(snapshot, console.height), refresh=True)
             elif options.json:

@@ -1,4 +1,4 @@
-"""`eia-sec watch`: a worker's farm, live in the browser."""
+"""`eia-sec watch`: one worker's farm, live in the browser."""
 
 import logging
 import sys
@@ -25,26 +25,26 @@ TICK_SECONDS: Final = 0.04
 
 @dataclass(frozen=True)
 class WatchArguments:
-    """Watch one worker's farm in the browser; the worker publishes it only while somebody looks."""
+    """Watch one worker's farm in the browser; the worker publishes it only while a page is open."""
 
     run: str = "farm"
     """Name of the run."""
     connect: str = DEFAULT
     """Endpoint where the learner or a router listens."""
     worker: str | None = None
-    """Name of the worker. Default: the first that lives."""
+    """Name of the worker. Default: the first one that is alive."""
     host: str = "127.0.0.1"
-    """Address that the page is served on."""
+    """Address to serve the page on."""
     port: int = 8347
-    """Port that the page is served on; 0 for any that is free."""
+    """Port to serve the page on; 0 for any free one."""
     insecure: bool = False
-    """Serve the page on an address that other machines reach: anybody there can look."""
+    """Serve the page on an address that other machines reach; anybody there can watch."""
     open: bool = False
     """Open the page in this machine's browser."""
     tls: Path | None = None
-    """Folder with a watcher's certificate, made by `eia-sec keys issue watcher NAME`; the link is TLS then."""
+    """Folder with a watcher's certificate (`eia-sec keys issue watcher NAME`); turns TLS on."""
     patience: float = 10.0
-    """Seconds to wait for somebody to listen at the endpoint."""
+    """Seconds to wait for a listener at the endpoint."""
 
 
 def command(arguments: Sequence[str]) -> int:
@@ -56,9 +56,9 @@ def command(arguments: Sequence[str]) -> int:
     within(0, 65_535, port=options.port)
     if not (options.insecure or Endpoint("tcp", options.host, 1).is_loopback):
         raise EndpointError(
-            f"a page on {options.host} could be looked at by anybody who reaches it; add --insecure if that is meant."
+            f"anybody who reaches {options.host} could watch the page; add --insecure if that is intended."
         )
-    logging.getLogger("websockets").setLevel(logging.CRITICAL)  # a browser that goes away is nothing to log
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)  # browsers that disconnect are not worth a log line
     stop = StopSignal()
     stop.install()
     endpoint, hub = Endpoint.parse(options.connect, options.tls), Hub()

@@ -1,1 +1,1 @@
-"""Commands that use a trained policy or a farm."""
+"""Commands that use a policy or a farm."""

@@ -7,5 +7,5 @@ from deploy.policies.evaluate import EvaluateArguments, main
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Evaluate and print; return the exit code."""
+    """Evaluate a policy and print the result; return the exit code."""
     return main(parse(EvaluateArguments, arguments, "evaluate"))

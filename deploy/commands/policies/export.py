@@ -1,4 +1,4 @@
-"""`eia-sec export`: a run's actors for use without this project."""
+"""`eia-sec export`: a run's actors as ONNX models or plain tensors."""
 
 import sys
 from collections.abc import Sequence
@@ -21,20 +21,20 @@ class ExportArguments:
     """Write a run's actors as files that need nothing of this project; see docs/how-to/export.md."""
 
     run_dir: Path
-    """The run's directory."""
+    """Run directory."""
     format: Literal["onnx", "safetensors"] = "onnx"
-    """onnx: one model for each agent; safetensors: one file with the layers of all agents."""
+    """onnx: one model per agent; safetensors: one file with the layers of all agents."""
     out: Path | None = None
-    """Folder for the files. Default: export in the run's directory."""
+    """Output folder. Default: export/ in the run directory."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Write the files and print their names; return the exit code."""
+    """Write the files and print their names; return 0."""
     options = parse(ExportArguments, arguments, "export")
     config = RunDirectory(options.run_dir).configuration()
     path = options.run_dir / POLICY
     if not path.is_file():
-        raise RunDirError(f"{options.run_dir} holds no {POLICY}: the run has not saved a policy yet.")
+        raise RunDirError(f"{options.run_dir} has no {POLICY}: the run has not saved a policy yet.")
     actors, metadata = load_policy(path)
     written = FORMATS[options.format](options.out or own_folder(options.run_dir, "export"), config, actors, metadata)
     sys.stdout.write("".join(f"{file}\n" for file in written))

@@ -1,4 +1,4 @@
-"""`eia-sec farm`: farms as pictures and as files."""
+"""`eia-sec farm`: draw, save and check farms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,16 +23,16 @@ from rollout.farm_files import read_farm, write_farm
 
 @dataclass(frozen=True)
 class Source:
-    """Which farm."""
+    """Options that choose a farm."""
 
     seed: int = 0
     """The farm's seed."""
     density: Density | None = None
-    """How sensors are spread. Default: as the configuration says."""
+    """Distribution of the sensors. Default: the configuration's."""
     config: Path | None = None
-    """TOML file whose values replace the default preset's, a run's config.toml for instance."""
+    """TOML file whose values override the default preset's, for example a run's config.toml."""
     set: tuple[str, ...] = ()
-    """Single values, for instance farm.world.sensors=100; they come last."""
+    """Single values that override everything else, for example farm.world.sensors=100."""
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class ShowArguments(Source):
     """Draw a farm."""
 
     farm_file: Path | None = None
-    """CSV or GeoJSON file with the sensors' places."""
+    """CSV or GeoJSON file with the sensor positions."""
     out: Path = Path("farm.png")
-    """The picture, PNG."""
+    """Output file, PNG."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class SaveArguments(Source):
     """Write a farm as CSV or GeoJSON."""
 
     out: Path = Path("farm.csv")
-    """The file; its ending, .csv or .geojson, says the format."""
+    """Output file; the suffix, .csv or .geojson, selects the format."""
     longitude: float = 0.0
     """Longitude of the field's south-west corner, degrees; GeoJSON only."""
     latitude: float = 0.0
@@ -59,7 +59,7 @@ class SaveArguments(Source):
 
 @dataclass(frozen=True)
 class CheckArguments:
-    """Read a farm file and say what is in it."""
+    """Read a farm file and describe it."""
 
     file: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
     """CSV or GeoJSON file."""
@@ -67,7 +67,7 @@ class CheckArguments:
 
 @dataclass(frozen=True)
 class FarmArguments:
-    """Farms as pictures and as files."""
+    """Draw, save or check farms."""
 
     task: Annotated[
         Annotated[ShowArguments, tyro.conf.subcommand("show")]
@@ -93,7 +93,7 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def _farm(source: Source, farm_file: Path | None) -> FarmConfig:
-    """Return the farm that the options name."""
+    """Return the farm that the options choose."""
     within(0, 2**63 - 1, seed=source.seed)
     config = PRESETS["default"] if source.config is None else from_toml(source.config, PRESETS["default"])
     if farm_file is not None:
@@ -106,18 +106,16 @@ def _farm(source: Source, farm_file: Path | None) -> FarmConfig:
 
 
 def _check(path: Path, console: Console) -> None:
-    """Print what a farm file holds."""
+    """Print a description of a farm file."""
     given = read_farm(path)
     marks = given.survey.marks
     console.print(f"{path}: {len(given.xy)} sensors on {given.field_x:g} m x {given.field_y:g} m")
     if len(given.xy) > 1:
         near = cKDTree(np.array(given.xy)).query(given.xy, k=2)[0][:, 1]
-        console.print(
-            f"nearest neighbours: {near.min():.3g} m to {near.max():.3g} m, {np.median(near):.3g} m as a rule"
-        )
+        console.print(f"nearest neighbours: {near.min():.3g} m to {near.max():.3g} m, median {np.median(near):.3g} m")
     if marks:
         unit = " s" if given.survey.mark == "cycle" else ""
         counts = ", ".join(f"{marks.count(mark)} of {mark}{unit}" for mark in sorted(set(marks)))
         console.print(f"{given.survey.mark}s: {counts}")
     else:
-        console.print("types: by the farm's seed")
+        console.print("sensor types: drawn from the farm's seed")

@@ -1,4 +1,4 @@
-"""`eia-sec fly`: trained actors as a node that turns vehicles' observations into velocity set-points."""
+"""`eia-sec fly`: a node that turns vehicles' observations into velocity set-points with trained actors."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,39 +27,39 @@ class FlyArguments:
     """Fly vehicles with trained actors: observations in, velocity set-points out (docs/how-to/vehicles.md)."""
 
     policy: str | None = None
-    """Policy file, or trained for the one that ships. Default: that of --run-dir."""
+    """Policy file, or "trained" for the one that ships. Default: the policy of --run-dir."""
     run_dir: Path | None = None
-    """A run's directory: its configuration, and its policy unless another is named."""
+    """Run directory: its configuration, and its policy unless --policy names another."""
     config: Path | None = None
-    """TOML file with the farm that the policy was trained for; speeds and the team follow from it."""
+    """TOML file with the farm that the policy was trained for; it determines speeds and the team."""
     run: str = "farm"
-    """Name under which vehicles and this node meet."""
+    """Name of the run that vehicles and this node share."""
     connect: str | None = None
     """Endpoint of a router or of a listening learner."""
     listen: str | None = None
-    """Endpoint to listen on instead, so that vehicles connect to this node. Default: tcp/127.0.0.1:7447."""
+    """Endpoint to listen on, if vehicles connect to this node directly. Default: tcp/127.0.0.1:7447."""
     tls: Path | None = None
-    """Folder with the node's certificate, made by `eia-sec keys issue flight NAME --host HOST`; links are TLS then."""
+    """Folder with the node's certificate (`eia-sec keys issue flight NAME --host HOST`); turns TLS on."""
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
     name: str = "main"
     """Name of this node."""
     vehicle: tuple[str, ...] = ()
-    """Vehicles to fly, NAME=AGENT, uav-7=monitoring_0 for instance. Default: every agent, under its own name."""
+    """Vehicles to fly as NAME=AGENT, for example uav-7=monitoring_0. Default: every agent under its own name."""
     rate: float = 10.0
-    """Set-points per second and vehicle."""
+    """Set-points per second for each vehicle."""
     hold: int = 1
-    """Periods for which one observation serves; without a newer one the vehicle is then told to hover."""
+    """Periods for which an observation stays valid; after that the vehicle gets a hover set-point."""
     max_age: float = 1.0
-    """Seconds by which an observation's stamp and this machine's clock may differ."""
+    """Largest difference between an observation's time stamp and this machine's clock, seconds."""
     patience: float = 10.0
-    """Seconds to wait for somebody to listen at the endpoint."""
+    """Seconds to wait for a listener at the endpoint."""
     seconds: float | None = None
-    """Stop after this time. Default: fly until interrupted."""
+    """Seconds until it stops. Default: fly until interrupted."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Fly until interrupted or the time is over; return 0."""
+    """Fly until interrupted or the time is up; return 0."""
     options = parse(FlyArguments, arguments, "fly")
     check_name(options.run, "run")
     check_name(options.name, "name")
@@ -88,7 +88,7 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def make_pilot(options: FlyArguments) -> tuple[Pilot, tuple[str, ...]]:
-    """Return the pilot that the options ask for, and the vehicles that it flies.
+    """Return the pilot and the names of the vehicles that it flies.
 
     Raises:
         UsageError: when policy, farm and vehicles do not fit together.
@@ -104,15 +104,15 @@ def make_pilot(options: FlyArguments) -> tuple[Pilot, tuple[str, ...]]:
 
 
 def farm_of(run_dir: Path | None, config: Path | None) -> FarmConfig:
-    """Return the farm of a run directory with a file's values over it, else the default's.
+    """Return the farm of a run directory or the default preset, with a file's values over it.
 
     Raises:
-        UsageError: when there is none, or it is about another environment.
+        UsageError: the directory is not a run's, or the configuration is not about the farm.
     """
     found = PRESETS["default"]
     if run_dir is not None:
         if not (run_dir / CONFIG).is_file():
-            raise RunDirError(f"{run_dir} is no run directory: it holds no {CONFIG}.")
+            raise RunDirError(f"{run_dir} is not a run directory: it has no {CONFIG}.")
         found = RunDirectory(run_dir).configuration()
     if config is not None:
         found = from_toml(config, found)
@@ -125,6 +125,6 @@ def vehicles_of(pairs: Sequence[str]) -> dict[str, str]:
     for pair in pairs:
         vehicle, equals, agent = pair.partition("=")
         if not equals or not agent or vehicle in found:
-            raise UsageError(f"--vehicle takes NAME=AGENT, each name once, not {pair!r}.")
+            raise UsageError(f"--vehicle takes NAME=AGENT with each name once, not {pair!r}.")
         found[check_name(vehicle, "vehicle")] = agent
     return found

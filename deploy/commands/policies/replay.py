@@ -1,4 +1,4 @@
-"""`eia-sec replay`: a policy against another on the same episode, as a film and as pictures."""
+"""`eia-sec replay`: two policies on the same episode, as a film and as plots of their paths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,48 +20,48 @@ from deploy.policies.replay import Contest, film, paper_pictures
 from deploy.reports.film import find_ffmpeg
 
 FOLDER: Final = "replay"
-"""Folder for what is made, in the run's directory or in the present one."""
+"""Output folder in the run directory or the current directory."""
 
 
 @dataclass(frozen=True)
 class ReplayArguments:
-    """Film a policy against another on the same episode, and draw the paths of both."""
+    """Film two policies on the same episode and draw the paths of both."""
 
     run_dir: tyro.conf.Positional[Path | None] = None
-    """A run's directory: its configuration and its newest policy."""
+    """Run directory: its configuration and its newest policy."""
     policy: str | None = None
-    """A policy's name or file, as eia-sec evaluate takes them; instead of the run's policy, or of a run directory."""
+    """Policy name or file, as in eia-sec evaluate; replaces the run's policy."""
     against: str = "lawnmower"
     """The other policy: static, random, lawnmower, greedy, tour, hungarian, horizon, trained, or a policy file.
-    Both fly the run's farm, so actors must see as the run's do: "trained" goes with runs of the default preset."""
+    Both fly the run's farm, so a policy file must match its observations: "trained" fits the default preset."""
     farm: int = 1000
-    """The farm's seed; training uses 0 to 19, results are about 1000 and on."""
+    """Farm seed; training uses 0 to 19, evaluation 1000 and above."""
     episode: int = 0
-    """Number of the episode on it, the same as that of eia-sec evaluate."""
+    """Number of the episode on that farm, as in eia-sec evaluate."""
     film: Literal["mp4", "gif", "none"] = "mp4"
-    """What to make beside the pictures."""
+    """Format of the film, or none."""
     rate: float = 25.0
-    """Pictures a second."""
+    """Frames per second."""
     every: int | None = None
-    """Steps between two pictures. Default: 1 for mp4, 4 for gif, whose rate is then a quarter, too."""
+    """Environment steps per frame. Default: 1 for mp4; 4 for gif, at a quarter of the rate."""
     out: Path | None = None
-    """Folder for the files. Default: replay in the run's directory, or in the present one."""
+    """Output folder. Default: replay/ in the run directory or the current directory."""
     config: Path | None = None
-    """TOML file whose values replace those of the run or of the default preset."""
+    """TOML file whose values override those of the run or the default preset."""
     farm_file: Path | None = None
-    """CSV or GeoJSON file with the sensors' places."""
+    """CSV or GeoJSON file with the sensor positions."""
     set: tuple[str, ...] = ()
-    """Single values, for instance farm.world.steps=100; they come last."""
+    """Single values that override everything else, for example farm.world.steps=100."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Make the film and the pictures and print their names; return 0."""
+    """Write the film and the plots and print their names; return 0."""
     options = parse(ReplayArguments, arguments, "replay")
     within(0, 2**63 - 1, farm=options.farm, episode=options.episode)
     every = options.every if options.every is not None else 4 if options.film == "gif" else 1
     within(1, 10_000, every=every)
     if not 0.1 <= options.rate <= 240.0:
-        raise UsageError(f"--rate must be 0.1 to 240 pictures a second, not {options.rate:g}.")
+        raise UsageError(f"--rate must be 0.1 to 240 frames per second, not {options.rate:g}.")
     contest = _contest(options)
     base = (options.out or own_folder(options.run_dir or Path(), FOLDER)) / f"farm-{options.farm}"
     console = Console(highlight=False, soft_wrap=True, markup=False)
@@ -80,9 +80,9 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def _contest(options: ReplayArguments) -> Contest:
-    """Return who flies where; raise UsageError when something that was named does not exist."""
+    """Return the policies and the episode; raise UsageError if a named thing does not exist."""
     if options.run_dir is None and options.policy is None:
-        raise UsageError("nothing to replay: give a run's directory or --policy NAME.")
+        raise UsageError("nothing to replay: give a run directory or --policy NAME.")
     wanted = EvaluateArguments(
         run_dir=options.run_dir,
         policy=options.policy,
@@ -98,14 +98,14 @@ def _contest(options: ReplayArguments) -> Contest:
 
 
 def _apart(one: str, other: str, path: str, other_path: str) -> tuple[str, str]:
-    """Return names of two policies that differ: by their folders where they are called alike, else by a number."""
+    """Return distinct names for two policies: equal names get their folder in front, or a number behind."""
     if one == other:
         one, other = (f"{Path(place).resolve().parent.name}/{one}" for place in (path, other_path))
     return (one, other) if one != other else (f"{one} (1)", f"{other} (2)")
 
 
 def _called(name: str) -> str:
-    """Return what a policy is called in a picture."""
+    """Return a policy's name for a plot."""
     if name == "trained":
         return "EIA-SEC (shipped policy)"
     return Path(name).stem if Path(name).suffix else name

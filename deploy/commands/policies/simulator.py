@@ -25,34 +25,34 @@ from deploy.options import parse
 
 @dataclass(frozen=True)
 class SimulatorArguments:
-    """Let a farm's UAVs publish what they see and obey the set-points of a flight node, for one episode."""
+    """Simulate vehicles for one episode: a farm's UAVs publish observations and obey a flight node's set-points."""
 
     run_dir: Path | None = None
-    """A run's directory, for its farm."""
+    """Run directory whose farm to use."""
     config: Path | None = None
-    """TOML file with the farm. Default: the default preset's."""
+    """TOML file with the farm. Default: that of the default preset."""
     farm: int = 1000
     """Seed of the farm."""
     episode: int = 0
-    """Which of its evaluation episodes; the same ones that `eia-sec evaluate` flies."""
+    """Number of the evaluation episode, as in `eia-sec evaluate`."""
     steps: int | None = None
     """Steps to fly. Default: the whole episode."""
     run: str = "farm"
-    """Name under which vehicles and node meet."""
+    """Name of the run that vehicles and flight node share."""
     connect: str = DEFAULT
     """Endpoint where the flight node, a learner or a router listens."""
     tls: Path | None = None
-    """Folder of `eia-sec keys`; each vehicle takes its own certificate, vehicle.NAME, from there."""
+    """Folder of `eia-sec keys` with a certificate vehicle.NAME for each vehicle; turns TLS on."""
     vehicle: tuple[str, ...] = ()
-    """Names of the vehicles, NAME=AGENT, one for every agent. Default: the agents' own."""
+    """Vehicles as NAME=AGENT, one for each agent. Default: the agents' own names."""
     patience: float = 30.0
-    """Seconds to wait for somebody to listen, and for a set-point, before giving up."""
+    """Seconds to wait for a listener and for each set-point."""
     json: bool = False
-    """Print one JSON object instead of sentences."""
+    """Print one JSON object instead of a sentence."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Fly one episode over the path; return 0."""
+    """Fly one episode; return 0."""
     options = parse(SimulatorArguments, arguments, "simulator")
     check_name(options.run, "run")
     within(0, 2**62, farm=options.farm, episode=options.episode)
@@ -64,14 +64,14 @@ def command(arguments: Sequence[str]) -> int:
         links = _links(options, farm, opened, stop)
         flight = SimulatedFleet(farm, links, options.patience).fly(options.farm, options.episode, stop, options.steps)
         refused = sum(link.refused for link in links.values())
-    _show(figures(flight, refused), options.json)
+    _show(metrics(flight, refused), options.json)
     return 0
 
 
 def _links(
     options: SimulatorArguments, farm: FarmConfig, opened: ExitStack, stop: StopSignal
 ) -> dict[str, VehicleLink]:
-    """Return each agent's link: one session for all of them, or with TLS one for each certificate."""
+    """Return each agent's link: one session for all, or with TLS one per certificate."""
     fastest = farm.world.speed_x_max, farm.world.speed_y_max
     named = {agent: vehicle for vehicle, agent in vehicles_of(options.vehicle).items()}
     shared: Bus | None = None
@@ -86,8 +86,8 @@ def _links(
     return links
 
 
-def figures(flight: Flight, refused: int) -> dict[str, Any]:
-    """Return what a flight came to, as plain numbers."""
+def metrics(flight: Flight, refused: int) -> dict[str, Any]:
+    """Return the metrics of a flight as plain numbers."""
     trips = 1e3 * np.array(flight.round_trips or [0.0])
     return {
         "steps": flight.summary.steps,

@@ -12,7 +12,7 @@ from elite.service import CoordinatorOptions, serve
 
 @dataclass(frozen=True)
 class EliteArguments:
-    """Start the elite coordinator; the learner tells it the configuration."""
+    """Start the elite coordinator; it takes the configuration from the learner."""
 
     run: str = "farm"
     """Name of the run."""
@@ -21,13 +21,13 @@ class EliteArguments:
     name: str = "coordinator"
     """Name of the coordinator."""
     tls: Path | None = None
-    """Folder with the coordinator's certificate, made by `eia-sec keys issue elite NAME`; links are TLS then."""
+    """Folder with the coordinator's certificate (`eia-sec keys issue elite NAME`); turns TLS on."""
     patience: float = 60.0
-    """Seconds to wait for somebody to listen at the endpoint."""
+    """Seconds to wait for a listener at the endpoint."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Run the coordinator until the run is finished or a signal comes; return 0."""
+    """Run the coordinator until the run finishes or a signal arrives; return 0."""
     options = parse(EliteArguments, arguments, "elite")
     check_name(options.run, "run")
     check_name(options.name, "name")

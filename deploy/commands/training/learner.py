@@ -1,4 +1,4 @@
-"""`eia-sec learner`: the learner alone, listening itself or behind a router."""
+"""`eia-sec learner`: the learner alone, listening itself or connected to a router."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -23,41 +23,41 @@ class LearnerArguments:
     """Start the learner alone."""
 
     run: str = "farm"
-    """Name of the run; workers and coordinator give the same."""
+    """Name of the run; workers and the coordinator use the same."""
     listen: str | None = None
-    """Endpoint to listen on (control lane; the bulk lane takes the next port). Default: tcp/127.0.0.1:7447."""
+    """Endpoint to listen on (control lane; the bulk lane uses the next port). Default: tcp/127.0.0.1:7447."""
     connect: str | None = None
-    """Endpoint of a router, instead of listening."""
+    """Endpoint of a router to connect to instead of listening."""
     tls: Path | None = None
-    """Folder with the learner's certificate, made by `eia-sec keys issue learner learner`; links are TLS then."""
+    """Folder with the learner's certificate (`eia-sec keys issue learner learner`); turns TLS on."""
     shared_memory: bool = False
-    """Take transitions through this machine's memory from workers that do so, too; from others they come as always."""
+    """Take transitions through shared memory from workers on this machine that do the same."""
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
     preset: str = "default"
     """Configuration to begin from: default, quick, study or paper."""
     config: Path | None = None
-    """TOML file with values that replace the preset's; what it leaves out is the preset's."""
+    """TOML file whose values override the preset's."""
     farm_file: Path | None = None
-    """CSV or GeoJSON file with the sensors' places; workers get them with the configuration."""
+    """CSV or GeoJSON file with the sensor positions; workers get them with the configuration."""
     run_dir: Path | None = None
-    """Folder for checkpoints, metrics and the policy; without it nothing is kept."""
+    """Folder for checkpoints, metrics and the policy. Default: nothing is saved."""
     resume: bool = False
-    """Go on from the newest whole checkpoint in the folder."""
+    """Resume from the newest intact checkpoint in the run directory."""
     resume_if_any: bool = False
-    """As --resume when the folder holds a run already, else begin one; for whatever starts it again unattended."""
+    """Resume if the run directory holds a run, else start one; for a supervisor that restarts the learner."""
     patience: float = 60.0
     """Seconds to wait for a router."""
     lockstep: bool = False
-    """Take turns with exactly one worker, so that the outcome is bit-equal to a run inside one process."""
+    """Alternate strictly with one worker: the result is bit-equal to training in a single process."""
     await_elite: bool = False
-    """An imitation event that is a whole cycle late holds new experience, for 20 s at most, even before a coordinator
-    has come; for whatever starts one, too."""
+    """Hold new experience for up to 20 s when an imitation event is a full cycle late, even before a coordinator
+    has joined; for launchers that start one."""
     settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Run the learner until it is done; return 0."""
+    """Run the learner until the run ends; return 0."""
     defaults = LearnerArguments(settings=base_configuration(arguments))
     options = parse(LearnerArguments, arguments, "learner", defaults)
     if options.listen and options.connect:
@@ -68,14 +68,14 @@ def command(arguments: Sequence[str]) -> int:
     if options.resume_if_any and options.run_dir is not None:
         resume = RunDirectory(options.run_dir).holds_run()
     if resume and options.lockstep:
-        raise UsageError("a lockstep run cannot be resumed: its one worker begins again with its first episode.")
+        raise UsageError("a lockstep run cannot be resumed: its worker would restart with its first episode.")
     where = options.connect or options.listen or DEFAULT
     endpoint = Endpoint.parse(where, options.tls, shared_memory=options.shared_memory)
     if endpoint.credentials is not None:
         endpoint.credentials.require("learner")
     if not options.connect:
         endpoint.require_private(options.insecure)
-    usable_device(options.settings.learner.device)  # a mistake to tell before anything is made, as the next one
+    usable_device(options.settings.learner.device)  # fail before any file is written, as the next line does
     environment = environment_spec(options.settings)
     if options.run_dir is not None:
         directory = RunDirectory(options.run_dir)

@@ -1,4 +1,4 @@
-"""`eia-sec rollout`: one worker, which may join or leave a run at any time."""
+"""`eia-sec rollout`: one rollout worker, which may join or leave a run at any time."""
 
 import os
 import socket
@@ -14,28 +14,28 @@ from rollout.worker.service import WorkerOptions, serve
 
 @dataclass(frozen=True)
 class RolloutArguments:
-    """Start one rollout worker; the learner tells it the configuration."""
+    """Start one rollout worker; it takes the configuration from the learner."""
 
     run: str = "farm"
     """Name of the run."""
     connect: str = DEFAULT
     """Endpoint where the learner or a router listens."""
     name: str | None = None
-    """Name of the worker, unique in the run. Default: that of the certificate, else host name and process number."""
+    """Name of the worker, unique in the run. Default: the certificate's name, else host name and process id."""
     tls: Path | None = None
-    """Folder with the worker's certificate, made by `eia-sec keys issue rollout NAME`; links are TLS then."""
+    """Folder with the worker's certificate (`eia-sec keys issue rollout NAME`); turns TLS on."""
     shared_memory: bool = False
-    """Send transitions through this machine's memory when the learner (and the router) does so, too, and is here."""
+    """Send transitions through shared memory if the learner (and the router) is on this machine and does the same."""
     patience: float = 60.0
-    """Seconds to wait for somebody to listen at the endpoint."""
+    """Seconds to wait for a listener at the endpoint."""
     env: str | None = None
-    """Environment besides the farm that this worker may load, module:name; the learner's run must be about it."""
+    """Environment other than the farm, module:name, that this worker may load; the run must use it."""
     history: Path | None = None
-    """File for the worker's own account of its chunks, which eia-sec audit reads."""
+    """File for the worker's history of its chunks, which eia-sec audit reads."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Run the worker until the run is finished or a signal comes; return 0."""
+    """Run the worker until the run finishes or a signal arrives; return 0."""
     options = parse(RolloutArguments, arguments, "rollout")
     endpoint = Endpoint.parse(options.connect, options.tls, shared_memory=options.shared_memory)
     name = options.name or f"{socket.gethostname()[:40]}-{os.getpid()}"

@@ -1,4 +1,4 @@
-"""`eia-sec router`: a Zenoh router in a process of its own, with the run's access list when links are TLS."""
+"""`eia-sec router`: a Zenoh router in its own process, with the access list when TLS is on."""
 
 import sys
 import time
@@ -22,24 +22,24 @@ ALARM_SECONDS: Final = 60.0
 
 @dataclass(frozen=True)
 class RouterArguments:
-    """Start a router; learner, coordinator, workers and monitors connect to it, of any number of runs."""
+    """Start a router that the learner, coordinator, workers and monitors of any number of runs connect to."""
 
     listen: str = DEFAULT
-    """Endpoint to listen on (control lane; the bulk lane takes the next port)."""
+    """Endpoint to listen on (control lane; the bulk lane uses the next port)."""
     tls: Path | None = None
-    """Folder with the router's certificate, made by `eia-sec keys issue router NAME`; links are TLS then."""
+    """Folder with the router's certificate (`eia-sec keys issue router NAME`); turns TLS on."""
     shared_memory: bool = False
-    """Pass transitions through this machine's memory between those that do so, too; for others they go as always."""
+    """Pass transitions through shared memory between processes on this machine that do the same."""
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
     print_config: bool = False
-    """Print the configuration as JSON5, for Zenoh's own router (zenohd), and start nothing."""
+    """Print the configuration as JSON5 for Zenoh's own router (zenohd) and exit."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Route until a signal comes; return 0."""
+    """Route until a signal arrives; return 0."""
     options = parse(RouterArguments, arguments, "router")
-    # Whoever reads the printed configuration may do so in another folder.
+    # The printed configuration may be used in another folder.
     folder = options.tls.resolve() if options.tls is not None else None
     endpoint = Endpoint.parse(options.listen, folder, shared_memory=options.shared_memory)
     endpoint.require_private(options.insecure)
@@ -53,7 +53,7 @@ def command(arguments: Sequence[str]) -> int:
     with Bus.route(endpoint):
         log(f"router: listening on {endpoint} and the port after it, {_admitted(endpoint)}.")
         _watch(endpoint, stop)
-        log("router: told to stop.")
+        log("router: stopping.")
     return DONE
 
 
@@ -70,5 +70,5 @@ def _watch(endpoint: Endpoint, stop: StopSignal) -> None:
 
 def _admitted(endpoint: Endpoint) -> str:
     if endpoint.credentials is None:
-        return "for everybody who reaches it"
+        return "open to everybody who reaches it"
     return f"for {len(endpoint.credentials.members)} certificates"

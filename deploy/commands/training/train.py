@@ -1,4 +1,4 @@
-"""`eia-sec train`: every process of a run on this machine, a live view, and the results at the end."""
+"""`eia-sec train`: all processes of a run on this machine, with a live view and a report at the end."""
 
 import time
 from collections.abc import Sequence
@@ -32,52 +32,52 @@ from rollout.envs.registry import environment_spec
 
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
-"""Pause between two lines where there is no terminal."""
+"""Seconds between two lines of output without a terminal."""
 DRAIN_SECONDS = 8.0
 JOIN_SECONDS = 300.0
-"""Time that workers and coordinator wait for the learner to listen."""
+"""Seconds that workers and coordinator wait for the learner to listen."""
 RUN = "train"
 LEARNER, COORDINATOR, OPERATOR = "learner.learner", "elite.coordinator", "operator.train"
-"""Certificates that `--tls` needs, besides rollout.0, rollout.1, ..."""
+"""Certificates that `--tls` needs besides rollout.0, rollout.1, ..."""
 
 
 @dataclass(frozen=True)
 class TrainArguments:
-    """Train on this machine: learner, elite coordinator and workers as processes of their own, over loopback."""
+    """Train on this machine: learner, elite coordinator and workers run as separate processes over loopback."""
 
     preset: str = "default"
     """Configuration to begin from: default, quick, study or paper."""
     config: Path | None = None
-    """TOML file with values that replace the preset's; what it leaves out is the preset's."""
+    """TOML file whose values override the preset's."""
     farm_file: Path | None = None
-    """CSV or GeoJSON file with the sensors' places; the run keeps them in its configuration."""
+    """CSV or GeoJSON file with the sensor positions; they become part of the run's configuration."""
     workers: int = 1
-    """Rollout workers."""
+    """Number of rollout workers."""
     run_dir: Path | None = None
-    """Folder of the run. Default: runs/ with preset and time."""
+    """Run directory. Default: runs/PRESET-TIME."""
     resume: bool = False
-    """Go on from the newest whole checkpoint in the folder."""
+    """Resume from the newest intact checkpoint in the run directory."""
     lockstep: bool = False
-    """One worker and the learner take turns; the weights are bit-equal to those of a run inside one process."""
+    """Alternate strictly with one worker: the weights are bit-equal to training in a single process."""
     endpoint: str | None = None
     """Loopback endpoint of the learner. Default: free ports."""
     tls: Path | None = None
-    """Folder of `eia-sec keys`; each process takes its own certificate from there, and links are TLS."""
+    """Folder of `eia-sec keys` with a certificate for each process; turns TLS on."""
     shared_memory: bool = False
-    """Transitions go through this machine's memory instead of a TCP connection."""
+    """Send transitions through shared memory instead of TCP."""
     report: bool = True
-    """Evaluate against the heuristics and draw the pictures at the end."""
+    """Evaluate against the heuristics and draw plots at the end."""
     settings: Annotated[RunConfig, tyro.conf.arg(name="")] = field(default_factory=RunConfig)
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Train; return 0 when the run is finished or was stopped by the user, 1 when it failed."""
+    """Train; return 0 when the run finished or the user stopped it, 1 when it failed."""
     options = parse(TrainArguments, arguments, "train", TrainArguments(settings=base_configuration(arguments)))
     if options.lockstep and options.resume:
-        raise ConfigError("a lockstep run cannot be resumed: its one worker begins again with its first episode.")
+        raise ConfigError("a lockstep run cannot be resumed: its worker would restart with its first episode.")
     within(1, 1024, workers=options.workers)
     if options.lockstep and options.workers != 1:
-        raise ConfigError("--lockstep takes turns with exactly one worker; leave --workers at 1.")
+        raise ConfigError("--lockstep needs exactly one worker; leave --workers at 1.")
     environment_spec(options.settings)  # refuses an environment that cannot be trained before anything is made
     _require_device(options.settings.learner.device)
     endpoint = _endpoint(options)
@@ -88,7 +88,7 @@ def command(arguments: Sequence[str]) -> int:
     directory.lock("train.lock")
     directory.adopt(options.settings)
     console = Console(file=patient_output())
-    console.print(f"run directory {directory.path}; watch from elsewhere with:", highlight=False)
+    console.print(f"run directory: {directory.path}; to watch it from another terminal:", highlight=False)
     own = "" if options.tls is None else f" --tls {options.tls / 'monitor.NAME'}"
     console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}{own}", highlight=False)
     _Training(options, directory, endpoint, console).run()
@@ -98,20 +98,20 @@ def command(arguments: Sequence[str]) -> int:
     elif not finished:
         more = f" --workers {options.workers}" if options.workers != 1 else ""
         more += f" --env {options.settings.env.name}" if options.settings.env.is_third_party else ""
-        console.print(f"stopped; go on with: eia-sec train --run-dir {directory.path} --resume{more}", highlight=False)
+        console.print(f"stopped; resume with: eia-sec train --run-dir {directory.path} --resume{more}", highlight=False)
     return 0
 
 
 def _require_device(name: str) -> None:
-    """Raise ConfigError unless the learner's device is there, before anything is made."""
+    """Raise ConfigError unless the learner's device exists, before any file is written."""
     if name != "cpu":
-        from learner.networks.device import usable_device  # noqa: PLC0415  (torch loads for seconds, and only this needs it)
+        from learner.networks.device import usable_device  # noqa: PLC0415  (importing torch takes seconds, and only this needs it)
 
         usable_device(name)
 
 
 def _endpoint(options: TrainArguments) -> Endpoint:
-    """Return where the learner listens, with the operator's certificate; raise when a process has none."""
+    """Return where the learner listens, with the operator's certificate; raise when a certificate is missing."""
     where = options.endpoint or str(free_endpoint())
     if options.tls is None:
         return Endpoint.parse(where)
@@ -127,10 +127,10 @@ class _Training:
         self._options, self._directory, self._endpoint, self._console = options, directory, endpoint, console
         self._stop = StopSignal()
         self._supervisor = Supervisor(directory.path / "logs")
-        self._told = 0.0
+        self._printed = 0.0
 
     def run(self) -> None:
-        """Train until the learner is done or the user stops it; all processes are gone afterwards."""
+        """Train until the learner is done or the user stops it; no process is left afterwards."""
         self._stop.install()
         try:
             self._start()
@@ -144,17 +144,17 @@ class _Training:
         finally:
             self._supervisor.stop()
             self._stop.uninstall()
-        self._complain()
+        self._raise_failure()
 
-    def _complain(self) -> None:
-        """Raise what the learner ended with, when it ended for good before the run was over."""
+    def _raise_failure(self) -> None:
+        """Raise the learner's error if it ended for good before the run was over."""
         learner = self._supervisor.children["learner"]
         if not learner.given_up:
             return
         last = self._supervisor.tail("learner")
         if learner.code == USAGE:
             raise UsageError(last.splitlines()[-1].removeprefix("eia-sec: "))
-        raise EiaSecError(f"the learner did not survive; its last lines were:\n{last}")
+        raise EiaSecError(f"the learner failed; its last lines were:\n{last}")
 
     def _start(self) -> None:
         options, where = self._options, str(self._endpoint)
@@ -179,11 +179,11 @@ class _Training:
         return [] if folder is None else ["--tls", str(folder / process)]
 
     def _connect(self) -> Bus | None:
-        """Return a session with the learner, or None when it has ended or the user stops before there is one."""
+        """Return a session with the learner, or None if it ends or the user stops first."""
         learner = self._supervisor.children["learner"]
         deadline = time.monotonic() + 60.0
         while True:
-            # Once more after a stop: a learner that has just begun to listen is asked to drain.
+            # One more try after a stop: a learner that has just begun to listen can still be asked to drain.
             stopping = bool(self._stop)
             waiting = (lambda: True) if stopping else (lambda: not self._stop)
             try:
@@ -193,7 +193,7 @@ class _Training:
                 if learner.done or stopping:
                     return None
                 if learner.given_up or time.monotonic() > deadline:
-                    self._complain()
+                    self._raise_failure()
                     raise EndpointError("the learner did not start in time.") from None
 
     def _watch(self, monitor: RunMonitor) -> None:
@@ -201,8 +201,8 @@ class _Training:
         if not self._console.is_terminal:
             while not (self._stop or learner.done or learner.given_up):
                 self._tick(monitor)
-                if time.monotonic() - self._told >= PLAIN_SECONDS:
-                    self._told = time.monotonic()
+                if time.monotonic() - self._printed >= PLAIN_SECONDS:
+                    self._printed = time.monotonic()
                     self._console.print(summary(monitor.snapshot()), highlight=False, markup=False, soft_wrap=True)
             return
         with Live(console=self._console, auto_refresh=False, transient=False) as live:
@@ -215,14 +215,14 @@ class _Training:
         self._supervisor.watch()
         children = self._supervisor.children
         if all(child.given_up for name, child in children.items() if name.startswith("rollout-")):
-            raise EiaSecError(f"no worker survived; the last lines of one were:\n{self._supervisor.tail('rollout-0')}")
+            raise EiaSecError(f"all workers failed; the last lines of one were:\n{self._supervisor.tail('rollout-0')}")
         if self._options.lockstep and children["elite"].given_up:
-            raise EiaSecError(f"the coordinator did not survive; it said:\n{self._supervisor.tail('elite')}")
+            raise EiaSecError(f"the coordinator failed; its last lines were:\n{self._supervisor.tail('elite')}")
         monitor.update()
         self._stop.event.wait(REFRESH_SECONDS)
 
     def _drain(self, bus: Bus) -> None:
-        self._console.print("draining; a checkpoint is being written ...", highlight=False)
+        self._console.print("draining; the learner is writing a checkpoint ...", highlight=False)
         learner = self._supervisor.children["learner"]
         try:
             bus.ask(keys.COMMAND.key(RUN, verb="drain"), CommandMessage("train").encode(), timeout=3.0)

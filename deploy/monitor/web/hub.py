@@ -1,4 +1,4 @@
-"""Between the source and the browsers: the recent past for those who come later, and a bounded queue for each."""
+"""Between the source and the browsers: recent frames for newcomers, and a bounded queue for each browser."""
 
 import threading
 from collections import deque
@@ -7,18 +7,18 @@ from typing import Final
 from deploy.monitor.web.packets import Packet
 
 HISTORY_FRAMES: Final = 2048
-"""Frames that are kept for browsers that come later; the page keeps as many."""
+"""Most frames that are kept for browsers that connect later; the page keeps as many."""
 HISTORY_BYTES: Final = 64 * 2**20
-"""Bytes that they may take."""
+"""Most bytes of these frames."""
 QUEUE_BYTES: Final = 16 * 2**20
-"""Bytes that may wait for a browser which is slow; then the oldest frames are dropped. One packet always may."""
+"""Most bytes that wait for a slow browser; then the oldest frames are dropped. One packet is always allowed."""
 
 
 class Seat:
-    """What waits for one browser.
+    """The queue of one browser.
 
     Attributes:
-        dropped: frames that this browser was too slow for.
+        dropped: frames that were dropped because this browser was slow.
     """
 
     def __init__(self, packets: list[Packet]) -> None:
@@ -28,7 +28,7 @@ class Seat:
         self.dropped = 0
 
     def put(self, packet: Packet) -> None:
-        """Let a packet wait; drop the oldest ones when there are too many."""
+        """Add a packet; drop the oldest frames when the queue is full."""
         with self._changed:
             self._waiting.append(packet)
             self._bytes += len(packet.data)
@@ -40,7 +40,7 @@ class Seat:
             self._changed.notify()
 
     def take(self, seconds: float) -> Packet | None:
-        """Return the next packet, or None when none comes in that time."""
+        """Return the next packet, or None if none arrives in that time."""
         with self._changed:
             if not self._waiting and not self._changed.wait(seconds):
                 return None
@@ -50,7 +50,7 @@ class Seat:
 
 
 class Hub:
-    """Hands packets to every browser; from the source's thread to those of the connections."""
+    """Passes packets from the source's thread to the threads of all connections."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -61,12 +61,12 @@ class Hub:
 
     @property
     def seats(self) -> int:
-        """Return how many browsers look."""
+        """Return the number of connected browsers."""
         with self._lock:
             return len(self._seats)
 
     def enter(self, most: int) -> Seat | None:
-        """Return a seat with everything that a browser needs to begin, or None when there are `most` already."""
+        """Return a queue with all that a new browser needs, or None if there are `most` browsers already."""
         with self._lock:
             if len(self._seats) >= most:
                 return None
@@ -75,19 +75,19 @@ class Hub:
             return seat
 
     def leave(self, seat: Seat) -> None:
-        """Give a seat back."""
+        """Remove a browser's queue."""
         with self._lock:
             self._seats.discard(seat)
 
     def begin(self, scene: Packet) -> None:
-        """Begin anew with another worker or farm; what was kept of the one before is forgotten."""
+        """Start over with another worker or farm; the recent frames of the previous one are dropped."""
         with self._lock:
             self._scene = scene
             self._history.clear()
-            self._hand_out(scene)
+            self._send(scene)
 
     def show(self, frames: Packet) -> None:
-        """Hand out frames, and keep them for browsers that come later."""
+        """Send frames to all browsers, and keep them for browsers that connect later."""
         with self._lock:
             self._history.append(frames)
             while len(self._history) > 1 and (
@@ -95,14 +95,14 @@ class Hub:
                 or sum(len(packet.data) for packet in self._history) > HISTORY_BYTES
             ):
                 self._history.popleft()
-            self._hand_out(frames)
+            self._send(frames)
 
-    def tell(self, state: Packet) -> None:
-        """Hand out how things stand."""
+    def report(self, state: Packet) -> None:
+        """Send the state to all browsers."""
         with self._lock:
             self._state = state
-            self._hand_out(state)
+            self._send(state)
 
-    def _hand_out(self, packet: Packet) -> None:
+    def _send(self, packet: Packet) -> None:
         for seat in self._seats:
             seat.put(packet)

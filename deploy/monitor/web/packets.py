@@ -1,4 +1,4 @@
-"""What goes to the browser: binary packets of one JSON header and the arrays that it lists.
+"""Packets for the browser: a JSON header and the arrays that it lists.
 
     header bytes u32 little-endian | header, padded with spaces to a multiple of four | arrays
 
@@ -34,7 +34,7 @@ class Packet:
 
     Attributes:
         data: its bytes.
-        frames: frames in it; 0 for what is no picture.
+        frames: number of frames in it; 0 for other packets.
     """
 
     data: bytes
@@ -46,7 +46,7 @@ def pack(kind: str, fields: Mapping[str, Any], arrays: Mapping[str, Array], fram
 
     Args:
         kind: scene, frames or state.
-        fields: what else stands in the header.
+        fields: more fields of the header.
         arrays: float32 and uint8 arrays by name.
         frames: frames in it.
     """
@@ -95,7 +95,7 @@ def frames(message: ViewMessage, layout: Layout, version: int) -> Packet:
     """Return frames of an episode, with the sensors of its farm."""
     fields = {
         "farm": message.farm,
-        # Seeds have up to 63 bits, of which a number of the browser's keeps 53.
+        # Seeds have up to 63 bits, but numbers in the browser keep 53.
         "episode": str(message.episode),
         "first": message.first,
         "skipped": message.skipped,

@@ -1,7 +1,7 @@
-"""The small web server of `eia-sec watch`: the page's files, and one WebSocket for each browser.
+"""The web server of `eia-sec watch`: the page's files, and one WebSocket per browser.
 
-Only this machine reaches it unless somebody asks for more. A browser that shows another site may well run on this
-machine, so requests whose Host is not one of ours, and WebSockets that another site's page opens, are refused.
+By default only this machine reaches it. Its browsers also show other sites, so requests with a foreign Host and
+WebSockets that another site's page opens are refused.
 """
 
 import http
@@ -24,14 +24,14 @@ FILES: Final = {
     "/watch.css": ("watch.css", "text/css"),
     **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in ("main", "stream", "past", "field", "charts")},
 }
-"""What may be asked for, and of which type it is."""
+"""The paths that are served, with file and content type."""
 STREAM: Final = "/stream"
 MAX_BROWSERS: Final = 16
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 SECONDS: Final = 3.0
-"""Time that a browser has to say what it wants, or to say farewell."""
+"""Time that a browser has to open or close a connection."""
 LOOK_SECONDS: Final = 0.5
-"""Pause between two looks whether a browser for which there is nothing to send is still there."""
+"""Seconds between two checks whether an idle browser is still there."""
 POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:"
 
 
@@ -39,10 +39,10 @@ class WebServer:
     """Serves the page; use it as a context manager.
 
     Args:
-        hub: what browsers get.
+        hub: the source of packets.
         host: address to listen on.
         port: port to listen on; 0 for any that is free.
-        strangers: whether requests by other names than those of this machine's loopback are answered.
+        strangers: whether requests with other Host names than this machine's loopback are answered.
 
     Attributes:
         port: the port that it listens on.
@@ -113,19 +113,19 @@ class WebServer:
         return found
 
     def _feed(self, connection: ServerConnection) -> None:
-        """Send one browser what there is, until it goes."""
+        """Send packets to one browser until it disconnects."""
         seat = self._hub.enter(MAX_BROWSERS)
         if seat is None:
             return
         try:
-            told = 0
+            reported = 0
             while connection.close_code is None:
                 packet = seat.take(LOOK_SECONDS)
                 if packet is not None:
                     connection.send(packet.data)
-                if seat.dropped != told:
-                    told = seat.dropped
-                    connection.send(f'{{"dropped": {told}}}')
+                if seat.dropped != reported:
+                    reported = seat.dropped
+                    connection.send(f'{{"dropped": {reported}}}')
         except ConnectionClosed:
             return
         finally:

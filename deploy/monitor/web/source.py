@@ -1,4 +1,4 @@
-"""The Zenoh side of `eia-sec watch`: asks a worker to be shown its farm, and checks what comes."""
+"""The Zenoh side of `eia-sec watch`: subscribes to a worker's farm and checks the messages."""
 
 import os
 import time
@@ -17,28 +17,28 @@ from deploy.monitor.web.hub import Hub
 from rollout.sim.layout import make_layout
 
 CAPACITY: Final = 128
-"""Messages that may wait; a worker sends some thirty for an episode, all at once if it flies fast."""
+"""Most messages that wait; a worker sends about thirty per episode, all at once if it is fast."""
 RENEWALS: Final = 4
-"""Requests in the time of one lease."""
+"""Requests per lease."""
 ANSWER_SECONDS: Final = 2.0
 STATE_SECONDS: Final = 1.0
-"""Time between two packets that say how things stand."""
+"""Seconds between two state packets."""
 
 
 class Source:
-    """Watches one worker on behalf of all browsers.
+    """Watches one worker for all browsers.
 
     Args:
         bus: the control lane.
         run: the run's name.
-        worker: the worker's name, or None for the first that lives.
-        hub: where packets go.
+        worker: the worker's name, or None for the first that is alive.
+        hub: receives the packets.
 
     Attributes:
-        worker: who is watched, or would be, or None.
+        worker: name of the worker that is or would be watched, or None.
         lost: messages that did not arrive.
-        malformed: messages that were not what the protocol declares.
-        skipped: steps that the worker flew and did not show, as it says.
+        malformed: messages that the protocol does not allow.
+        skipped: steps that the worker reports as simulated but not shown.
     """
 
     def __init__(self, bus: Bus, run: str, worker: str | None, hub: Hub) -> None:
@@ -51,17 +51,17 @@ class Source:
         self._farm = FarmConfig()
         self._parts = 0
         self._lease = 0.0
-        self._asked = self._told = float("-inf")
+        self._asked = self._reported = float("-inf")
         self._newest = (0, 0)
         self._sentence = ""
         self.worker: str | None = None
         self.lost = self.malformed = self.skipped = 0
 
     def tend(self, wanted: bool) -> None:
-        """Do what is due: choose a worker, ask again before the lease ends, hand on what has come.
+        """Choose a worker, renew the lease in time, and pass on the messages that have arrived.
 
         Args:
-            wanted: whether anybody looks; if not, the worker is told so once.
+            wanted: whether a browser is connected; if not, the worker's lease is ended.
         """
         self._look_around()
         now = time.monotonic()
@@ -75,11 +75,11 @@ class Source:
         if self._views is not None:
             for sample in self._views.drain():
                 self._take(sample)
-        if now - self._told >= STATE_SECONDS:
-            self._tell(now)
+        if now - self._reported >= STATE_SECONDS:
+            self._report(now)
 
     def leave(self) -> None:
-        """Tell the worker that nobody looks any more; its lease would end by itself."""
+        """End the lease early, because no browser is connected."""
         if self.worker is not None and self._lease:
             self._lease = 0.0
             self._asked = float("-inf")
@@ -95,7 +95,7 @@ class Source:
             (self._living.add if sample.present else self._living.discard)(name)
 
     def _choose(self) -> None:
-        """Stay with a worker that lives, else take the one that was named or the first."""
+        """Keep a worker that is alive, else take the named one or the first."""
         if self.worker in self._living:
             return
         name = self._wanted or min(self._living, default=None)
@@ -125,7 +125,7 @@ class Source:
             self._sentence = f"Worker {worker}: {error}"
 
     def _agree(self, worker: str, terms: WatchTerms) -> None:
-        """Take the worker's answer; a farm that was not known begins the picture anew."""
+        """Take the worker's answer; a new farm starts the picture over."""
         if not (0.5 <= terms.lease_seconds <= 3600.0 and 0.0 < terms.steps_per_second <= 1e4):
             raise SchemaError("the terms of watching are out of range.")
         if len(terms.part_names) > MAX_PARTS or any(len(name) > 32 for name in terms.part_names):
@@ -157,8 +157,8 @@ class Source:
         self.skipped = message.skipped
         self._hub.show(packets.frames(message, layout, envelope.version))
 
-    def _tell(self, now: float) -> None:
-        self._told = now
+    def _report(self, now: float) -> None:
+        self._reported = now
         missed = self._views.missed if self._views is not None else 0
         counts = {"lost": self.lost + missed, "malformed": self.malformed, "skipped": self.skipped}
-        self._hub.tell(packets.state(self._sentence, counts))
+        self._hub.report(packets.state(self._sentence, counts))

@@ -47,17 +47,17 @@ def test_the_example_names_every_key_and_its_default():
     for line in EXAMPLE.read_text().splitlines():
         if line.startswith("["):
             place = line[1 : line.index("]")]
-        told = re.match(r'(\w+) = .*default: ("[^"]*"|\d+|true|false)', line)
-        if told and place in sections:
-            assert getattr(sections[place][0](), told[1]) == tomllib.loads(f"x = {told[2]}")["x"], line
+        stated = re.match(r'(\w+) = .*default: ("[^"]*"|\d+|true|false)', line)
+        if stated and place in sections:
+            assert getattr(sections[place][0](), stated[1]) == tomllib.loads(f"x = {stated[2]}")["x"], line
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_every_preset_is_named_where_one_is_chosen(preset):
-    """Both commands that take one, and the fleet file, tell which there are."""
+    """Both commands that take one, and the fleet file, list all of them."""
     (line,) = [line for line in EXAMPLE.read_text().splitlines() if line.startswith("preset =")]
-    told = [field_docs(TrainArguments)["preset"], field_docs(LearnerArguments)["preset"], line.partition("#")[2]]
-    assert all(re.search(rf"\b{preset}\b", text.partition("; default")[0]) for text in told)
+    stated = [field_docs(TrainArguments)["preset"], field_docs(LearnerArguments)["preset"], line.partition("#")[2]]
+    assert all(re.search(rf"\b{preset}\b", text.partition("; default")[0]) for text in stated)
 
 
 def test_the_example_becomes_command_lines():
@@ -89,8 +89,8 @@ def test_shared_memory_is_for_those_that_move_transitions(tmp_path):
     """Router, learner and workers get the option; the coordinator has nothing to do with transitions."""
     text = SMALL + '[router]\nhost = "a"\n[network]\nshared_memory = true\n'
     fleet = read(written(tmp_path, text))
-    told = {process.role for process in processes(fleet, here(fleet)) if "--shared-memory" in process.arguments}
-    assert told == {"router", "learner", "rollout"}
+    stated = {process.role for process in processes(fleet, here(fleet)) if "--shared-memory" in process.arguments}
+    assert stated == {"router", "learner", "rollout"}
     assert not any("--shared-memory" in process.arguments for process in processes(read(EXAMPLE), here(read(EXAMPLE))))
 
 
@@ -109,7 +109,7 @@ def test_training_is_resolved(tmp_path):
         ("run =", "not valid TOML"),
         ("run = " + "[" * 5000, "not valid TOML"),
         ("run = 1" + "0" * 5000, "not valid TOML"),
-        (SMALL + 'command = "/srv/it\'s/eia-sec"\n', "hosts.a.command .* leaves a quote open"),
+        (SMALL + 'command = "/srv/it\'s/eia-sec"\n', "hosts.a.command .* has an unclosed quote"),
         (SMALL + 'command = " "\n', "hosts.a.command is empty"),
         (SMALL + 'command = "+eia-sec"\n', "does not begin with a program's name or path"),
         (SMALL + "command = \"eia-sec 'a\\nUser=root'\"\n", "hosts.a.command .* holds a line end"),
@@ -120,9 +120,9 @@ def test_training_is_resolved(tmp_path):
         (SMALL + '[containers]\nimage = "${HOME}"\n', "containers.image .* is not of the form"),
         (SMALL + '[containers]\nstorage = "10Gi}"\n', "containers.storage .* is not of the form of 10Gi"),
         (SMALL + '[containers]\nstorage_class = "A b"\n', "containers.storage_class"),
-        ("", "there is no host"),
-        (SMALL + "[trainer]\n", "at the top there is no key 'trainer'"),
-        (SMALL + "worker = 2\n", r"in \[hosts.a\] there is no key 'worker'; the keys are host, ssh"),
+        ("", "the file has no host"),
+        (SMALL + "[trainer]\n", "unknown key 'trainer' at the top"),
+        (SMALL + "worker = 2\n", r"unknown key 'worker' in \[hosts.a\]; the keys are host, ssh"),
         (SMALL.replace("= 1", '= "1"'), "hosts.a.workers must be a whole number, not '1'"),
         (SMALL.replace("= 1", "= true"), "hosts.a.workers must be a whole number"),
         (SMALL.replace("= 1", "= 5000"), "hosts.a.workers must be 0 to 1024"),
@@ -130,12 +130,12 @@ def test_training_is_resolved(tmp_path):
         (SMALL.replace('= "a"', '= "b"'), "learner.host must be one of the hosts a, not 'b'"),
         (SMALL + '[router]\nhost = "c"\n', "router.host"),
         (SMALL + '[hosts."a b"]\n', "'a b' must be"),
-        (SMALL + '[hosts.b]\nhost = "-oProxyCommand=x"\n', "neither 'local' nor HOST"),
+        (SMALL + '[hosts.b]\nhost = "-oProxyCommand=x"\n', "must be 'local', HOST or USER@HOST"),
         (SMALL + '[hosts.b]\nssh = "-p 22"\n', "hosts.b.ssh must be a list of texts"),
         (SMALL + '[hosts.b]\nstart = "cron"\n', "must be 'detached' or 'systemd', not 'cron'"),
-        (SMALL + '[hosts.b]\nhost = "local"\nfolder = "runs/farm/a"\n', "two hosts have the same folder"),
+        (SMALL + '[hosts.b]\nhost = "local"\nfolder = "runs/farm/a"\n', "two hosts use the same folder"),
         ("hosts = 3\n", r"must be a section \[hosts\]"),
-        (SMALL + '[network]\nendpoint = "tls/farm:7447"\n', "network.endpoint asks for TLS"),
+        (SMALL + '[network]\nendpoint = "tls/farm:7447"\n', "network.endpoint needs TLS"),
         (SMALL + '[network]\nendpoint = "tcp/farm:7447"\n', "insecure = true"),
         (SMALL + '[network]\nendpoint = "farm"\n', "not an endpoint"),
         (SMALL + '[training]\npreset = "huge"\n', "no preset 'huge'"),
@@ -145,7 +145,7 @@ def test_training_is_resolved(tmp_path):
     ],
 )
 def test_mistakes_name_the_place(tmp_path, text, said):
-    """Whatever is wrong is told in one sentence with the file and the place, before anything is started."""
+    """Every mistake is reported in one sentence with the file and the place, before anything starts."""
     path = written(tmp_path, text)
     with pytest.raises(ConfigError, match=said) as refusal:
         read(path)
@@ -186,7 +186,7 @@ def test_keys_are_made_for_everybody_once(tmp_path):
 
 
 def test_a_new_member_restarts_the_router_alone(tmp_path):
-    """One more worker changes what the router is told, because it holds the list of members, and nobody else."""
+    """One more worker changes only the router's request, because the router holds the list of members."""
     text = SMALL + '[router]\nhost = "a"\n[network]\nkeys = "k"\n'
     before = read(written(tmp_path, text))
     operations.issue_keys(before, 30)

@@ -1,4 +1,4 @@
-"""Histories of all hosts in one folder: what is a host's to tell comes, and nothing else is written or held."""
+"""Collected histories: each host's own files are written, and nothing else."""
 
 import gzip
 import io
@@ -64,7 +64,7 @@ def test_what_is_packed_comes_out(tmp_path):
 
 
 def test_a_host_tells_of_its_own_workers_and_the_learners_host_of_the_learner(tmp_path):
-    """Others' files are left out and named: where the learner once was, nothing can overwrite what it tells now."""
+    """Others' files are left out and named: where the learner once was, nothing can overwrite its present files."""
     names = ("history/learner.jsonl", "metrics.jsonl", "history/rollout-one-0.jsonl", "history/rollout-one-1-0.jsonl")
     data = archive(*((name, name.encode()) for name in names))
     assert brought(tmp_path, data, "one-1") == ({names[3]: names[3].encode()}, list(names[:3]))
@@ -95,14 +95,14 @@ LONG.pax_headers = {"comment": "x" * 100_000}
 @pytest.mark.parametrize(
     ("data", "said"),
     [
-        (archive(link_to("/etc/passwd")), "no plain file"),
-        (archive(LONG, format=tarfile.PAX_FORMAT), "no plain file"),
+        (archive(link_to("/etc/passwd")), "not a regular file"),
+        (archive(LONG, format=tarfile.PAX_FORMAT), "not a regular file"),
         (archive(("config.toml", b"1"), ("config.toml", b"2")), "twice"),
-        (archive(("config.toml", bytes(5000)))[:-30], "no whole archive"),
-        (gzip.compress(gzip.decompress(archive(("config.toml", bytes(5000))))[:3000]), "no whole archive"),
-        (gzip.compress(b"x" * 512), "no whole archive"),
-        (b"ssh banner", "no whole archive"),
-        (b"", "no whole archive"),
+        (archive(("config.toml", bytes(5000)))[:-30], "incomplete or malformed"),
+        (gzip.compress(gzip.decompress(archive(("config.toml", bytes(5000))))[:3000]), "incomplete or malformed"),
+        (gzip.compress(b"x" * 512), "incomplete or malformed"),
+        (b"ssh banner", "incomplete or malformed"),
+        (b"", "incomplete or malformed"),
     ],
 )
 def test_what_is_no_archive_of_ours_is_refused(tmp_path, data, said):
@@ -129,7 +129,7 @@ def one_host(tmp_path):
 
 
 def test_a_target_that_cannot_be_written_is_one_sentence(tmp_path):
-    """A file where the folder should be is the user's mistake; a full disk is told with the host."""
+    """A file where the folder should be is the user's mistake; a full disk is reported with the host."""
     fleet = tmp_path / "fleet.toml"
     fleet.write_text(
         'run = "test"\n[network]\nendpoint = "tcp/127.0.0.1:7447"\n[learner]\nhost = "one"\n'
@@ -216,12 +216,12 @@ def test_a_host_that_does_not_answer_is_given_up(monkeypatch):
         host_that(monkeypatch, "time.sleep(600)").fetch("status")
 
 
-def test_what_a_host_says_is_told(monkeypatch):
+def test_what_a_host_answers_is_passed_on(monkeypatch):
     """The answer of one that works, the last line of one that fails."""
     assert host_that(monkeypatch, "sys.stdout.write(sys.stdin.read().upper())").call("up", {"a": 1}) == {"A": 1}
     with pytest.raises(HostError, match="far: no room"):
         host_that(monkeypatch, "sys.stderr.write('first\\neia-sec: no room'); sys.exit(1)").call("up", {})
-    with pytest.raises(HostError, match="no JSON object"):
+    with pytest.raises(HostError, match="not a JSON object"):
         host_that(monkeypatch, "print([])").call("up", {})
 
 

@@ -39,12 +39,12 @@ def turn(kept, times=1):
     for _ in range(times):
         kept._read()
         kept._supervisor.watch()
-        kept._turn()
-        kept._tell()
+        kept._apply()
+        kept._write_state()
 
 
 def states(folder):
-    """Return what the keeper tells of each process."""
+    """Return each process's state by the keeper's file."""
     return {name: state["state"] for name, state in json.loads((folder / STATE).read_text())["processes"].items()}
 
 
@@ -102,7 +102,7 @@ def test_a_plan_that_cannot_be_read_leaves_the_one_before(kept, tmp_path):
 
 @pytest.mark.parametrize("again", [True, False])
 def test_up_starts_again_what_ended_as_it_should(kept, tmp_path, again):
-    """A worker that somebody told to end runs after the next plan that asks for it, but not where the run is over."""
+    """A worker that somebody stopped runs again after the next plan, unless the run is over."""
     plan(tmp_path, a=f"open({str(tmp_path / 'starts')!r}, 'a').write('x')")
     turn(kept)
     until_state(kept, tmp_path, "rollout.a", "finished")
@@ -127,7 +127,7 @@ def test_no_room_for_a_process_is_tried_again(kept, tmp_path, monkeypatch):
     monkeypatch.setattr(supervisor.subprocess, "Popen", real)
     until_state(kept, tmp_path, "rollout.a", "running")
     alarms = json.loads((tmp_path / STATE).read_text())["alarms"]
-    assert alarms == ["rollout.a could not be started (Resource temporarily unavailable); it is started again"]
+    assert alarms == ["rollout.a could not be started (Resource temporarily unavailable); restarting it"]
 
 
 def test_a_keeper_that_ends_starts_nothing_more(kept, tmp_path, monkeypatch):

@@ -283,18 +283,18 @@ def sharing(fleet: FleetSpec) -> FleetSpec:
 
 
 def test_containers_that_share_memory_have_the_same_shm(fleet, tmp_path):
-    """Whoever is told to share memory finds the same tmpfs, not one from the disk, at /dev/shm; nobody else does."""
+    """Processes that share memory mount the same tmpfs at /dev/shm; no other process does."""
     render(sharing(fleet), "compose", tmp_path / "out")
     document = yaml.safe_load((tmp_path / "out" / "compose.yaml").read_text())
     check_compose(document)
-    told = {name for name, service in document["services"].items() if "--shared-memory" in service["command"]}
-    assert told == set(document["services"]) - {"elite"}
+    mounting = {name for name, service in document["services"].items() if "--shared-memory" in service["command"]}
+    assert mounting == set(document["services"]) - {"elite"}
     mounts = {
         name: [volume["source"] for volume in service["volumes"] if isinstance(volume, dict)]
         for name, service in document["services"].items()
     }
     (volume,) = document["volumes"]
-    assert mounts == {name: [volume] if name in told else [] for name in document["services"]}
+    assert mounts == {name: [volume] if name in mounting else [] for name in document["services"]}
     targets = [v["target"] for s in document["services"].values() for v in s["volumes"] if isinstance(v, dict)]
     assert set(targets) == {"/dev/shm"}
     assert document["volumes"][volume]["driver_opts"]["type"] == "tmpfs"
@@ -310,7 +310,7 @@ def test_without_the_option_nothing_is_shared(fleet, tmp_path):
 
 def test_pods_do_not_share_memory(fleet, tmp_path):
     """A fleet whose transitions go through memory is refused for Kubernetes, before anything is written."""
-    with pytest.raises(ConfigError, match=r"pods share no memory; leave network\.shared_memory out"):
+    with pytest.raises(ConfigError, match=r"pods do not share memory; remove network\.shared_memory"):
         render(sharing(fleet), "kubernetes", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -360,8 +360,8 @@ def test_image_without_cuda_is_without_cuda(tmp_path, variant, index, cuda, code
     )
     assert done.returncode == code, done.stderr
     assert ("TORCH_INDEX" in done.stderr) == (code != 0)
-    told = tmp_path / "asked"
-    assert asked == (told.read_text().strip() if told.exists() else "")
+    record = tmp_path / "asked"
+    assert asked == (record.read_text().strip() if record.exists() else "")
 
 
 def test_dockerfile_has_no_lint():

@@ -25,7 +25,7 @@ with open(log, "ab") as output:
 
 @pytest.fixture
 def systemd_run(tmp_path, monkeypatch):
-    """A `systemd-run` that is found first, and where it writes what it was told."""
+    """A fake `systemd-run`, and the file in which it records its arguments."""
     tools, said = tmp_path / "tools", tmp_path / "said"
     tools.mkdir()
     program = tools / "systemd-run"
@@ -71,7 +71,7 @@ def test_a_keeper_is_a_unit_of_its_own(systemd_run, tmp_path):
 
 
 def test_why_a_unit_did_not_start_is_said(systemd_run, tmp_path):
-    """Without a session's bus `systemd-run --user` fails, and its reason is told."""
+    """Without a session's bus `systemd-run --user` fails, and its error is reported."""
     systemd_run[0].write_text("#!/bin/sh\necho 'Failed to connect to bus' >&2\nexit 1\n")
     with pytest.raises(EiaSecError, match="did not start the keeper: Failed to connect to bus"):
         agent.up(tmp_path / "host", {}, {}, "systemd")
@@ -80,5 +80,5 @@ def test_why_a_unit_did_not_start_is_said(systemd_run, tmp_path):
 def test_a_host_without_systemd_says_so(tmp_path, monkeypatch):
     """The sentence names what to write instead."""
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(EiaSecError, match='write start = "detached"'):
+    with pytest.raises(EiaSecError, match='set start = "detached"'):
         agent.up(tmp_path / "host", {}, {}, "systemd")

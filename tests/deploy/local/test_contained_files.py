@@ -46,7 +46,7 @@ def test_a_file_is_whole_or_not_there(tmp_path):
 
 
 def test_permissions_are_those_asked_for(tmp_path):
-    """A file for its owner alone lies in a folder for its owner alone."""
+    """An owner-only file gets an owner-only folder."""
     path = write(tmp_path, "keys/key.pem", b"x")
     assert (path.stat().st_mode & 0o777, path.parent.stat().st_mode & 0o077) == (0o600, 0)
     assert write(tmp_path, "open.service", b"x", 0o644).stat().st_mode & 0o777 == 0o644

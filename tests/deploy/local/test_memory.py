@@ -23,7 +23,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 def page_faults(how):
     done = subprocess.run([sys.executable, "-c", FAULTS, how], check=False, capture_output=True, text=True)
     if done.returncode == 3:
-        pytest.skip("this C library cannot be told what to keep")
+        pytest.skip("this C library has no such setting")
     done.check_returncode()
     return int(done.stdout)
 

@@ -14,7 +14,7 @@ from deploy.local.run_directory import LAST_LINE_BYTES, RunDirectory
 
 
 def hold(path: Path, line: Connection) -> None:
-    """Lock a run directory as a learner does, in a process of its own, until told to end."""
+    """Lock a run directory as a learner does, in a separate process, until stopped."""
     directory = RunDirectory(path)
     try:
         directory.lock("learner.lock", directory=True)

@@ -33,23 +33,23 @@ def watch(family, child, seconds=120.0):
 
 
 def test_a_child_that_always_dies_is_given_up_after_the_last_pause(children):
-    """It is started again after each pause, each time with its exit code and what it said, and then no more."""
+    """It is restarted after each pause, each time with exit code and last line in an alarm, and then given up."""
     child = children.start("probe", FAILING)
     starts = watch(children, child)
     assert len(starts) == 1 + len(PAUSES)
     assert [b - a >= pause for a, b, pause in zip(starts, starts[1:], PAUSES, strict=False)] == [True] * len(PAUSES)
     assert len(children.alarms) == len(starts)
     assert all("probe ended with exit code 1" in alarm and "learner" in alarm for alarm in children.alarms)
-    assert [("is started again" in alarm) for alarm in children.alarms] == [True] * len(PAUSES) + [False]
-    assert "is not started again" in children.alarms[-1]
+    assert [("restarting it" in alarm) for alarm in children.alarms] == [True] * len(PAUSES) + [False]
+    assert "is not restarted" in children.alarms[-1]
 
 
 def test_a_mistake_is_not_tried_again(children):
-    """A child that ends because it was told something wrong is given up at once, with its sentence."""
+    """A child that exits over a usage error is given up at once, with its message."""
     child = children.start("typo", ["nonsense"])
     assert len(watch(children, child)) == 1
     assert "exit code 2" in children.alarms[0]
-    assert "there is no command 'nonsense'" in children.alarms[0]
+    assert "unknown command 'nonsense'" in children.alarms[0]
 
 
 def test_the_log_shows_all_that_a_dead_child_wrote_last(children, tmp_path, capsys):
@@ -57,9 +57,9 @@ def test_the_log_shows_all_that_a_dead_child_wrote_last(children, tmp_path, caps
     child = children.start("typo", ["nonsense"])
     (tmp_path / "typo.log").write_text("first\nsecond\n", encoding="utf-8")
     watch(children, child)
-    told = "".join(capsys.readouterr())
-    assert "| first" in told
-    assert "| second" in told
+    printed = "".join(capsys.readouterr())
+    assert "| first" in printed
+    assert "| second" in printed
     assert "first" not in children.alarms[0]
 
 

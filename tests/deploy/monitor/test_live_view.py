@@ -12,7 +12,7 @@ from deploy.monitor.alarms import BEHIND_VERSIONS, examine
 from deploy.monitor.live_view import MOST_ALARMS, render, summary
 from deploy.monitor.snapshot import Imitation, ImitationRow, Ledger, ProcessRow, Series, Snapshot, record
 from deploy.monitor.sparkline import bars, buckets
-from deploy.monitor.tables import FleetTable, duration, short
+from deploy.monitor.tables import ProcessTable, duration, short
 
 
 def worker(index: int, **changes) -> ProcessRow:
@@ -69,7 +69,7 @@ SNAPSHOT = Snapshot(
         ProcessRow("learner", "learner", "barn", 4199, 1512.0, 1003.0, 3021, 812, 2, 0.3),
         *(worker(index) for index in range(3)),
     ),
-    alarms=("worker-2 has not been heard of for 7 s.",),
+    alarms=("worker-2 has been silent for 7 s.",),
 )
 
 
@@ -87,16 +87,16 @@ def line_with(text: str, lines: list[str]) -> str:
 
 @pytest.mark.parametrize("width", [80, 100, 140])
 def test_every_figure_is_shown_at_every_width(width):
-    """All figures stand whole in the view at 80, 100 and 140 columns, and no line is wider than the console."""
+    """All numbers are shown whole at 80, 100 and 140 columns, and no line is wider than the console."""
     lines = drawn(SNAPSHOT, width)
     text = "\n".join(lines)
-    figures = ["farm-7", "training", "25:12 elapsed, 35:33 left", "812 of 2,000 episodes", "420.5", "-12.5", "1,250.0"]
-    figures += ["960.0", "1.23", "0.57", "406,000", "1,201/s", "203,000", "1,003/s", "0.50", "1.7", "2%", "41%"]
-    figures += ["406,480", "3 duplicate chunks", "120", "140", "220", "6, rate 0.00313", "episode 1,270", "c 2 m 0 d 3"]
-    figures += ["worker-0", "barn", "1:05", "600", "480", "worker-2 has not been heard of for 7 s."]
-    figures += ["52,000"] if width >= 100 else []
-    figures += ["4199", "3,019", "406", "52,480"] if width >= 140 else []
-    assert [figure for figure in figures if figure not in text] == []
+    texts = ["farm-7", "training", "25:12 elapsed, 35:33 left", "812 of 2,000 episodes", "420.5", "-12.5", "1,250.0"]
+    texts += ["960.0", "1.23", "0.57", "406,000", "1,201/s", "203,000", "1,003/s", "0.50", "1.7", "2%", "41%"]
+    texts += ["406,480", "3 duplicate chunks", "120", "140", "220", "6, rate 0.00313", "episode 1,270", "c 2 m 0 d 3"]
+    texts += ["worker-0", "barn", "1:05", "600", "480", "worker-2 has been silent for 7 s."]
+    texts += ["52,000"] if width >= 100 else []
+    texts += ["4199", "3,019", "406", "52,480"] if width >= 140 else []
+    assert [shown for shown in texts if shown not in text] == []
     assert max(map(len, lines)) <= width
 
 
@@ -138,7 +138,7 @@ def test_processes_in_trouble_come_first_and_the_others_are_summed():
     rows[17] = worker(17, alive=False)
     rows[19] = worker(19, age=7.4)
     rows[11] = worker(11, trouble=True, ledger=Ledger(produced=10, accepted=4, lost=6))
-    table = FleetTable(dataclasses.replace(SNAPSHOT, processes=tuple(rows)), 6)
+    table = ProcessTable(dataclasses.replace(SNAPSHOT, processes=tuple(rows)), 6)
     shown, hidden = table.parts()
     assert [row.name for row in shown] == ["worker-11", "worker-17", "worker-19", "worker-0", "worker-1"]
     assert len(hidden) == 15
@@ -162,9 +162,9 @@ def test_every_kind_of_trouble_is_named():
     assert [row.name for row in found if row.trouble] == ["worker-1", "worker-2", "worker-3", "worker-4"]
     assert sentences == [
         "rollout worker-1 is gone.",
-        "rollout worker-2 has said nothing for 7 s.",
+        "rollout worker-2 has been silent for 7 s.",
         "rollout worker-3 is behind: its actors are 20 versions old.",
-        "rollout worker-4 makes 40 steps/s, the middle worker 600.",
+        "rollout worker-4 produces 40 steps/s, the median worker 600.",
     ]
     gone = [dataclasses.replace(row, alive=False) for row in rows]
     assert examine(gone, training=True)[1] == [
@@ -185,7 +185,7 @@ def test_a_worker_that_left_before_is_in_the_ledger_and_no_alarm():
     rows, sentences = examine([left, worker(0)], training=True)
     assert sentences == []
     assert not any(row.trouble for row in rows)
-    table = FleetTable(dataclasses.replace(SNAPSHOT, processes=(*rows, worker(1), worker(2))), 3)
+    table = ProcessTable(dataclasses.replace(SNAPSHOT, processes=(*rows, worker(1), worker(2))), 3)
     assert [row.name for row in table.parts()[1]] == ["worker-2", "old"]
     shown = line_with("old", drawn(dataclasses.replace(SNAPSHOT, processes=rows), 140))
     assert shown.split()[1:7] == ["rollout", "old", "-", "-", "-", "left"]
@@ -253,7 +253,7 @@ def test_summary_is_the_essence_in_one_line():
         "training: episode 812 of 2,000; reward mean 420.5, communication -12.5, monitoring 1,250.0, "
         "collection 960.0; 1,201 steps/s; 1,003 updates/s; 35:33 left; 1 alarm"
     )
-    assert summary(Snapshot("new")) == "starting: nothing heard of the learner yet"
+    assert summary(Snapshot("new")) == "starting: no report from the learner yet"
 
 
 def test_latest_is_the_mean_of_the_newest_values():

@@ -35,8 +35,8 @@ def monitor():
         yield RunMonitor(bus, "r")
 
 
-def tell(monitor, role, values, name="x", counter=1):
-    """Have a process tell its figures, as if its message had just come; return whether the view took it."""
+def report(monitor, role, values, name="x", counter=1):
+    """Report metrics as a process, as if the message had just arrived; return whether the view accepted it."""
     try:
         message = MetricMessage(counter, "host", 1, float(counter), values)
         monitor._take((role, name), Envelope(role, name, 1, counter, 1), message, time.monotonic())
@@ -77,10 +77,10 @@ def drawn(monitor):
     ],
 )
 @pytest.mark.parametrize("role", ["rollout", "elite", "learner"])
-def test_figures_that_are_none_cost_their_own_sender_alone(monitor, odd, role):
+def test_malformed_metrics_affect_only_their_sender(monitor, odd, role):
     """Such a message counts as unreadable, and whatever else is known is shown."""
-    assert tell(monitor, "learner", {**SOUND, "alarms": ["no checkpoint"]}, "learner")
-    assert not tell(monitor, role, odd)
+    assert report(monitor, "learner", {**SOUND, "alarms": ["no checkpoint"]}, "learner")
+    assert not report(monitor, role, odd)
     shown = drawn(monitor)
     assert "10 of 72 episodes" in shown
     assert "no checkpoint" in shown
@@ -89,7 +89,7 @@ def test_figures_that_are_none_cost_their_own_sender_alone(monitor, odd, role):
 def test_what_is_kept_of_a_process_is_small(monitor):
     """Of earlier reports only counters are kept, and of many alarms the first are shown and the others counted."""
     for counter in range(1, 100):
-        assert tell(
+        assert report(
             monitor, "rollout", {"environment_steps": counter, "alarms": ["a"] * 30, "x": [0] * 1000}, counter=counter
         )
     seen = monitor._reports["rollout", "x"]
@@ -119,11 +119,11 @@ def test_what_is_kept_of_a_process_is_small(monitor):
         {"waits": {"data": "long"}},
     ],
 )
-def test_odd_figures_of_the_learner_end_no_view(monitor, odd):
+def test_odd_metrics_of_the_learner_end_no_view(monitor, odd):
     """They are left out or make the view do without this message; nothing is obeyed as markup or by the terminal."""
-    tell(monitor, "learner", SOUND | odd, "learner")
+    report(monitor, "learner", SOUND | odd, "learner")
     assert "\x1b" not in drawn(monitor)
-    tell(monitor, "learner", SOUND, "learner", counter=2)
+    report(monitor, "learner", SOUND, "learner", counter=2)
     assert "10 of 72 episodes" in drawn(monitor)
 
 
@@ -131,21 +131,21 @@ def test_rows_and_curves_are_bounded(monitor, monkeypatch):
     """Names without end take no memory without end: further ones are turned away, and there is room for the learner."""
     monkeypatch.setattr(deploy.monitor.run_monitor, "MOST_ROWS", 3)
     monkeypatch.setattr(deploy.monitor.run_monitor, "MOST_CURVES", 2)
-    assert [tell(monitor, "rollout", {}, str(index)) for index in range(5)] == [True] * 3 + [False] * 2
-    assert not tell(monitor, "learner", SOUND, "other")
-    assert tell(monitor, "learner", SOUND, "learner")
-    assert [tell(monitor, "elite", {}, str(index)) for index in range(6)] == [True] * 4 + [False] * 2
+    assert [report(monitor, "rollout", {}, str(index)) for index in range(5)] == [True] * 3 + [False] * 2
+    assert not report(monitor, "learner", SOUND, "other")
+    assert report(monitor, "learner", SOUND, "learner")
+    assert [report(monitor, "elite", {}, str(index)) for index in range(6)] == [True] * 4 + [False] * 2
     assert "10 of 72 episodes" in drawn(monitor)
     many = {"curves": {"reward": {str(index): 1.0 for index in range(9)}}}
     monitor._reports.clear()
-    assert not tell(monitor, "learner", many, "learner")
+    assert not report(monitor, "learner", many, "learner")
     assert len(monitor.snapshot().reward) == 2
 
 
 def test_rows_that_only_the_learner_knows_are_bounded(monitor, monkeypatch):
     """However many workers a ledger names, a view has MOST_ROWS rows and says how many are missing."""
     monkeypatch.setattr(deploy.monitor.run_monitor, "MOST_ROWS", 3)
-    tell(monitor, "learner", {**SOUND, "ledgers": {f"w{index}": {} for index in range(9)}}, "learner")
+    report(monitor, "learner", {**SOUND, "ledgers": {f"w{index}": {} for index in range(9)}}, "learner")
     snapshot = monitor.snapshot()
     assert len(snapshot.processes) == 3
     assert "7 workers that have left are not shown: a view has 3 rows." in snapshot.alarms
@@ -177,7 +177,7 @@ def test_processes_without_end_are_counted(monkeypatch):
 
 def test_a_process_without_a_token_goes_when_it_has_long_been_silent(monitor, monkeypatch):
     """Metrics alone make a row, for as long as they come."""
-    tell(monitor, "rollout", {})
+    report(monitor, "rollout", {})
     monitor.update()
     assert len(monitor.snapshot().processes) == 1
     monkeypatch.setattr(deploy.monitor.run_monitor, "GONE_SECONDS", 0.0)
@@ -185,7 +185,7 @@ def test_a_process_without_a_token_goes_when_it_has_long_been_silent(monitor, mo
     assert monitor.snapshot().processes == ()
 
 
-def test_what_is_left_of_figures():
+def test_what_is_left_of_metrics():
     """Numbers that are finite and no larger than any of ours, texts that print, maps and lists; of bytes nothing."""
     deep = {"a": {"b": {"c": {"d": {"e": {"f": {"g": {"h": 1}}}}}}}}
     values = {"x": 1, "y": 2.5, "on": True, "nan": float("nan"), "big": 10**16, "bytes": b"x", "none": None}

@@ -61,10 +61,10 @@ def test_onnx_models_act_as_the_policy_does(run, capsys):
     """In onnxruntime every agent's model returns the actors's actions, for one observation and for many."""
     directory, actors, rows = run
     assert dispatch(["export", "--run-dir", str(directory)]) == 0
-    told = capsys.readouterr().out.split()
+    printed = capsys.readouterr().out.split()
     for name, (observation, action) in by_agent(actors, rows).items():
         path = directory / "export" / f"{name}.onnx"
-        assert str(path) in told
+        assert str(path) in printed
         model = onnxruntime.InferenceSession(path)
         assert np.abs(action).max() > 0.3
         for part in (slice(0, 50), slice(7, 8)):

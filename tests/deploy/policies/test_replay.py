@@ -47,7 +47,7 @@ def decoded(ffmpeg: str, path: Path, width: int, height: int) -> np.ndarray:
 
 
 def test_both_fly_the_episode_that_an_evaluation_flies():
-    """Both begin in the same places, and end with the rewards that `evaluate` tells of the same farm and episode."""
+    """Both start in the same places and end with the rewards that `evaluate` reports for the same farm and episode."""
     scenes = list(scenes_of(BOTH))
     assert [scene.step for scene, _ in scenes] == list(range(WORLD.steps + 1))
     np.testing.assert_array_equal(scenes[0][0].position, scenes[0][1].position)
@@ -74,7 +74,7 @@ def test_the_picture_shows_each_farm_on_its_own_side():
 
 
 def test_a_film_holds_the_pictures_in_order(tmp_path, ffmpeg):
-    """What is read back from the file are the pictures that were added, and nothing else lies in the folder."""
+    """The file holds exactly the frames that were added, and the folder holds nothing else."""
     path = tmp_path / "new" / "film.mp4"
     levels = (0, 128, 255)
     with Film(path, (64, 48), 10.0) as reel:
@@ -166,7 +166,7 @@ def test_a_run_is_replayed_with_its_own_policy(tmp_path, ffmpeg, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "a run's directory or --policy"),
+        ([], "a run directory or --policy"),
         (["nowhere"], "run directory"),
         (["--policy", "best"], "no policy 'best'"),
         (["--policy", "static", "--against", "best", "--film", "none"], "no policy 'best'"),

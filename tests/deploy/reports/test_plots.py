@@ -178,7 +178,7 @@ def test_markdown_table_has_one_line_a_policy():
 
 
 def test_other_environments_have_their_own_columns():
-    """Types by their names, small rewards with decimals, and the length of episodes where there are no figures."""
+    """Types by their names, small rewards with decimals, and the length of episodes where there are no farm metrics."""
     runners = TeamSpec((GroupSpec("runner", 1, 2, 2), GroupSpec("chaser", 1, 2, 2)))
     score = Score(-1.234, {"runner": -1.0, "chaser": -2.5}, 25.0, {})
     text = comparison_markdown(

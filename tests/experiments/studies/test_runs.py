@@ -13,7 +13,7 @@ from common.errors import SchemaError, SimulationError, UsageError
 from common.farm import farm_team
 from common.policy_file import load_policy
 from common.process import StopSignal
-from deploy.local.in_process import train_inprocess
+from deploy.local.in_process import train_in_process
 from experiments.studies.analysis.claims import CLAIMS
 from experiments.studies.analysis.statistics import interquartile_mean
 from experiments.studies.bench import Bench
@@ -53,7 +53,7 @@ def plan(bench, study, write, reports):
 
 def test_a_run_is_that_of_one_process(bench, trained):
     """Actors, counters and evaluation are those of the trainer that the lockstep test holds the processes to."""
-    alone = train_inprocess(trained.config)
+    alone = train_in_process(trained.config)
     actors, metadata = load_policy(bench.records.path(trained, POLICY_SUFFIX))
     assert actors.digest() == alone.actors().digest()
     assert metadata["job"] == trained.digest
@@ -83,7 +83,7 @@ def test_a_run_takes_no_more_than_its_budget(bench, trained):
 def test_a_curve_is_made_of_the_finished_episodes(bench, trained):
     """Its points count episodes up to the last, and the mean of all of them is that of the episodes."""
     seen = []
-    train_inprocess(trained.config, lambda trainer, chunk: seen.extend(chunk.episodes))
+    train_in_process(trained.config, lambda trainer, chunk: seen.extend(chunk.episodes))
     result = bench.records.result(trained)
     curve = result["curve"]
     assert curve["episodes"][-1] == len(seen) == result["episodes"]
@@ -124,7 +124,7 @@ def newest_actors(config):
             raise EndedError
 
     with contextlib.suppress(EndedError, SchemaError):
-        train_inprocess(config, watch)
+        train_in_process(config, watch)
     return found[-1]
 
 

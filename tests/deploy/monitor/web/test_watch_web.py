@@ -1,4 +1,4 @@
-"""What lies between a worker and the browser: source, hub and web server."""
+"""From a worker to the browser: source, hub and web server."""
 
 import http.client
 import json
@@ -48,7 +48,7 @@ def test_a_browser_that_comes_late_gets_the_recent_past(monkeypatch):
     hub.begin(pack("scene", {}, {}))
     for number in range(8):
         hub.show(Packet(pack("frames", {"number": number}, {}).data, 10))
-    hub.tell(pack("state", {}, {}))
+    hub.report(pack("state", {}, {}))
     found = kinds(hub.enter(1))
     assert [entry["kind"] for entry in found] == ["scene", "frames", "frames", "frames", "state"]
     assert [entry["number"] for entry in found[1:4]] == [5, 6, 7]
