@@ -19,7 +19,7 @@ from scipy.stats import bootstrap
 
 from common.config.presets import PRESETS
 from common.seeds import stream
-from deploy.policies.evaluate import parse_farms
+from deploy.commands.policies.evaluate import parse_farms
 from deploy.reports.intervals import COLUMNS, interval_table, ranked
 from deploy.reports.provenance import provenance
 from rollout.evaluation import Evaluation, Score, evaluate

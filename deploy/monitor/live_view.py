@@ -105,7 +105,7 @@ def _learning(snapshot: Snapshot) -> Panel:
     for series in snapshot.freshness:
         grid.add_row(series.name, number(series.latest, series.digits), Sparkline(series.values, "blue", 120))
     waiting = Text("No episode has ended yet.", style="dim")
-    title = " and ".join(["reward per agent", *(series.name for series in snapshot.freshness)])
+    title = ", ".join(["reward per agent", *(series.name for series in snapshot.freshness)])
     return _panel(title, grid if grid.row_count else waiting)
 
 

@@ -15,10 +15,10 @@ from common.config import FarmConfig, RunConfig
 from common.config.files import differences, from_toml, to_toml
 from common.errors import ConfigError
 from deploy.cli import dispatch
+from deploy.commands.policies.evaluate import EvaluateArguments, run
 from deploy.commands.training.learner import LearnerArguments
 from deploy.local.run_directory import RunDirectory
 from deploy.options import base_configuration, parse
-from deploy.policies.evaluate import EvaluateArguments, run
 from rollout.farm_files import read_farm
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import make_layout

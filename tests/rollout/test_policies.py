@@ -9,7 +9,7 @@ from common.config import ControlConfig, FarmConfig, ObservationConfig
 from common.errors import PolicyError
 from common.farm import farm_team
 from common.policy_file import save_policy
-from deploy.policies.evaluate import EvaluateArguments
+from deploy.commands.policies.evaluate import EvaluateArguments
 from docs.tools.configuration_tables import field_docs
 from rollout import policies
 from rollout.heuristics.registry import HEURISTICS, RELAYS, TASKS

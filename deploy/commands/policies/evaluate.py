@@ -1,11 +1,121 @@
-"""`eia-sec evaluate`: the options of `deploy.policies.evaluate` on the command line."""
+"""`eia-sec evaluate`: fly a policy without noise on farms and print the result."""
 
+import json
+import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
 
-from deploy.options import parse
-from deploy.policies.evaluate import EvaluateArguments, main
+from rich.console import Console
+
+from common.config import RunConfig
+from common.config.files import from_toml, with_setting
+from common.config.presets import PRESETS
+from common.errors import PolicyError, RunDirError, UsageError
+from deploy.exit_codes import DONE
+from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
+from deploy.options import parse, require_env, with_farm_file
+from deploy.reports.comparison_tables import comparison_table
+from rollout.evaluation import Evaluation, evaluate_run
+from rollout.policies import run_policy
+
+MAX_FARMS: Final = 100_000
+
+
+@dataclass(frozen=True)
+class EvaluateArguments:
+    """Fly a policy without noise on farms given by their seeds."""
+
+    run_dir: Path | None = None
+    """Run directory: its configuration and its newest policy."""
+    policy: str | None = None
+    """static, random, lawnmower, greedy, tour, hungarian, horizon, trained, or a policy file; with --run-dir, instead
+    of the run's policy. horizon+centroid, for instance, names the relays too (docs/reference/heuristics.md)."""
+    farms: str = "1000:1020"
+    """Farm seeds A:B, from A to B - 1; scenario seeds in other environments."""
+    episodes: int = 1
+    """Episodes on each farm."""
+    env: str | None = None
+    """Environment other than the farm, module:name; needed for runs that use one, because loading it runs its code."""
+    json: bool = False
+    """Print JSON instead of a table."""
+    config: Path | None = None
+    """TOML file whose values override those of the run or the default preset."""
+    farm_file: Path | None = None
+    """CSV or GeoJSON file with the sensor positions; the seeds then determine starts, packets and phases."""
+    set: tuple[str, ...] = ()
+    """Single values that override everything else, for example farm.world.steps=100."""
 
 
 def command(arguments: Sequence[str]) -> int:
-    """Evaluate a policy and print the result; return the exit code."""
-    return main(parse(EvaluateArguments, arguments, "evaluate"))
+    """Evaluate a policy and print the result; return 0."""
+    options = parse(EvaluateArguments, arguments, "evaluate")
+    evaluation = run(options)
+    if options.json:
+        sys.stdout.write(json.dumps(evaluation.to_dict(), indent=2) + "\n")
+    else:
+        Console(markup=False).print(comparison_table([evaluation]))
+    return DONE
+
+
+def run(arguments: EvaluateArguments) -> Evaluation:
+    """Return the evaluation for the arguments.
+
+    Raises:
+        UsageError: something in the arguments does not exist or is impossible.
+    """
+    farms = parse_farms(arguments.farms)
+    if arguments.episodes < 1:
+        raise UsageError(f"--episodes must be 1 or more, not {arguments.episodes}.")
+    config = configuration_of(arguments)
+    name = policy_name(arguments)
+    shown = arguments.run_dir.name if arguments.run_dir and not arguments.policy else name
+    return evaluate_run(config, run_policy(name, config), farms, arguments.episodes, name=shown)
+
+
+def policy_name(arguments: EvaluateArguments) -> str:
+    """Return the policy's name or the path of its file."""
+    if arguments.policy is not None:
+        return arguments.policy
+    if arguments.run_dir is None:
+        raise PolicyError("nothing to evaluate: give --run-dir DIR or --policy NAME.")
+    path = arguments.run_dir / POLICY
+    if not path.is_file():
+        raise RunDirError(f"{arguments.run_dir} has no {POLICY}: the run has not saved a policy yet.")
+    return str(path)
+
+
+def parse_farms(text: str) -> range:
+    """Return the farm seeds that A:B names.
+
+    Raises:
+        UsageError: it is not A:B with 0 <= A < B, or names more than MAX_FARMS farms.
+    """
+    first, colon, end = text.partition(":")
+    if not (colon and first.strip().isdecimal() and end.strip().isdecimal()):
+        raise UsageError(f"--farms must be A:B with whole numbers, 1000:1020 for instance, not {text!r}.")
+    farms = range(int(first), int(end))
+    if not farms:
+        raise UsageError(f"--farms {text} names no farm: B must be larger than A.")
+    if farms.stop - farms.start > MAX_FARMS or farms.stop > 2**63:
+        raise UsageError(f"--farms {text} is out of range: at most {MAX_FARMS:,} farms, seeds below 2^63.")
+    return farms
+
+
+def configuration_of(arguments: EvaluateArguments) -> RunConfig:
+    """Return the run's or the default configuration with the file's and the single values in it."""
+    config = PRESETS["default"]
+    if arguments.run_dir is not None:
+        path = arguments.run_dir / CONFIG
+        if not path.is_file():
+            raise RunDirError(f"{arguments.run_dir} is not a run directory: it has no {CONFIG}.")
+        config = RunDirectory(arguments.run_dir).configuration()
+    if arguments.config is not None:
+        config = from_toml(arguments.config, config)
+    require_env(config, arguments.env)
+    if arguments.env is not None:
+        config = replace(config, env=replace(config.env, name=arguments.env))
+    for assignment in arguments.set:
+        config = with_setting(config, assignment)
+    return with_farm_file(config, arguments.farm_file) if arguments.farm_file is not None else config

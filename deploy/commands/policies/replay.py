@@ -12,10 +12,10 @@ from rich.progress import Progress
 from common.config.checks import within
 from common.errors import UsageError
 from common.farm import require_farm
+from deploy.commands.policies.evaluate import EvaluateArguments, configuration_of, policy_name
 from deploy.exit_codes import DONE
 from deploy.local.run_directory import own_folder
 from deploy.options import parse
-from deploy.policies.evaluate import EvaluateArguments, configuration_of, policy_name
 from deploy.policies.replay import Contest, film, paper_pictures
 from deploy.reports.film import find_ffmpeg
 

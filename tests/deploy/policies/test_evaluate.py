@@ -8,10 +8,10 @@ from common.config.presets import PRESETS, SAVED
 from common.errors import ConfigError, PolicyError, RunDirError, UsageError
 from common.farm import farm_team
 from common.policy_file import save_policy
+from deploy.commands.policies.evaluate import EvaluateArguments, command, parse_farms, run
 from deploy.commands.policies.fly import farm_of
 from deploy.local.run_directory import RunDirectory
 from deploy.options import base_configuration
-from deploy.policies.evaluate import EvaluateArguments, main, parse_farms, run
 
 SMALL = (
     "farm.world.steps=20",
@@ -36,7 +36,7 @@ def run_dir(tmp_path):
 
 def test_json_is_printed_and_nothing_else(capsys):
     """With --json standard output is one JSON document for the farms that were asked for."""
-    assert main(EvaluateArguments(policy="random", farms="5:7", json=True, set=SMALL)) == 0
+    assert command(["--policy", "random", "--farms", "5:7", "--json", "--set", *SMALL]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["policy"] == "random"
     assert printed["farms"] == [5, 6]
@@ -44,7 +44,7 @@ def test_json_is_printed_and_nothing_else(capsys):
 
 def test_a_table_is_printed_for_people(capsys):
     """Without --json a table names the policy."""
-    assert main(EvaluateArguments(policy="static", farms="5:6", set=SMALL)) == 0
+    assert command(["--policy", "static", "--farms", "5:6", "--set", *SMALL]) == 0
     assert "static" in capsys.readouterr().out
 
 
