@@ -54,10 +54,10 @@ def test_what_an_ended_worker_held_is_lost(tmp_path):
         ([("accepted", 1, 2, 10)], [made(3), ("acknowledged", 1, 3, 10)], "chunk a/1/3 was answered"),
         ([("accepted", 1, 4, 10)], [made(3), ("acknowledged", 1, 3, 10)], "chunk a/1/4 was accepted"),
         ([("accepted", 1, 3, 20)], [made(3)], "chunk a/1/1 has 10 steps"),
-        ([("accepted", 1, 2, 10), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never came"),
-        ([("accepted", 5, 6, 10)], None, "chunk a/1/1 to 4 never came"),
-        ([Resume({"a": (1, 4)}), ("accepted", 5, 6, 10)], None, "chunk a/1/4 to 4 never came"),
-        ([("accepted", 1, 2, 10), Resume({"a": (1, 5)}), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never came"),
+        ([("accepted", 1, 2, 10), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never arrived"),
+        ([("accepted", 5, 6, 10)], None, "chunk a/1/1 to 4 never arrived"),
+        ([Resume({"a": (1, 4)}), ("accepted", 5, 6, 10)], None, "chunk a/1/4 to 4 never arrived"),
+        ([("accepted", 1, 2, 10), Resume({"a": (1, 5)}), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never arrived"),
         (
             [("refused", 1, 1, 0)],
             [made(1), ("acknowledged", 1, 1, 10)],
@@ -143,7 +143,7 @@ def test_a_damaged_line_is_named_also_after_its_process_came_back(tmp_path, name
     write(tmp_path, [("accepted", 1, 2, 10), ("missing", 3, 3, 0)], [made(2), ("acknowledged", 1, 2, 10)])
     path = tmp_path / "history" / f"{name}.jsonl"
     assert damage(path, 1) == 3
-    said = f"line 1 of {name}.jsonl cannot be read, and is not torn off."
+    said = f"line 1 of {name}.jsonl is unreadable, and not a torn last line."
     for _ in range(2):
         found = audit(tmp_path)
         assert (found.named(), found.clean, found.damaged, found.torn) == ([said], False, 1, 0)

@@ -174,7 +174,7 @@ def test_every_kind_of_trouble_is_named():
     assert sentences == []
     assert not any(row.trouble for row in rows)
     still = [worker(index, rate=0.0) for index in range(2)]
-    assert examine(still, training=True)[1] == ["rollout worker-0 and rollout worker-1 have stopped flying."]
+    assert examine(still, training=True)[1] == ["rollout worker-0 and rollout worker-1 produce no steps."]
     assert examine(still, training=False)[1] == []
     assert examine([worker(index, rate=0.0, uptime=5.0) for index in range(2)], training=True)[1] == []
 
