@@ -200,7 +200,7 @@ def _table(kind: type[T], table: dict[str, Any], place: str) -> T:
     where = f"in [{place}]" if place else "at the top"
     for key in table:
         if key not in known:
-            raise ConfigError(f"{where} unknown key {key!r}; the keys are {', '.join(known)}.")
+            raise ConfigError(f"unknown key {key!r} {where}; the keys are {', '.join(known)}.")
     return kind(**{key: _value(hints[key], value, f"{place}.{key}".lstrip(".")) for key, value in table.items()})
 
 

@@ -57,7 +57,7 @@ def test_what_an_ended_worker_held_is_lost(tmp_path):
         ([("accepted", 1, 2, 10), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never arrived"),
         ([("accepted", 5, 6, 10)], None, "chunk a/1/1 to 4 never arrived"),
         ([Resume({"a": (1, 4)}), ("accepted", 5, 6, 10)], None, "chunk a/1/4 to 4 never arrived"),
-        ([("accepted", 1, 2, 10), Resume({"a": (1, 5)}), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never arrived"),
+        ([("accepted", 1, 2, 10), Resume({"a": (1, 5)}), ("accepted", 5, 5, 10)], None, "a/1/3 to 4 never arrived"),
         (
             [("refused", 1, 1, 0)],
             [made(1), ("acknowledged", 1, 1, 10)],
