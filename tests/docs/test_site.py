@@ -9,6 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(path.relative_to(ROOT).as_posix() for path in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+CODE_FOLDERS = ("common", "rollout", "learner", "elite", "deploy", "experiments", "benchmarks", "tests", "docs")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 CODE = re.compile(r"^```.*?^```|`[^`\n]*`", re.MULTILINE | re.DOTALL)
 
@@ -36,6 +37,24 @@ def anchors(page: Path) -> set[str]:
 def test_relative_links_lead_somewhere(page):
     """Every relative link of README, docs and results names a file, and every anchor a heading."""
     assert broken_links(ROOT / page) == []
+
+
+def missing_files(text: str, tracked: set[str]) -> list[str]:
+    """Return the source files that a page names in backticks and that do not exist, by their whole path or its end."""
+    named = [name for name in re.findall(r"`([\w/.-]+\.py)`", text) if not name.endswith("/NAME.py")]
+    return [name for name in named if not any(path == name or path.endswith(f"/{name}") for path in tracked)]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if not page.startswith("docs/results/")])
+def test_named_source_files_exist(page):
+    """A page names no module that was moved or removed."""
+    tracked = {path.relative_to(ROOT).as_posix() for folder in CODE_FOLDERS for path in (ROOT / folder).rglob("*.py")}
+    assert missing_files((ROOT / page).read_text(encoding="utf-8"), tracked) == []
+
+
+def test_a_missing_file_is_found():
+    """A file is known by its path or by the end of it, and anything else is missing."""
+    assert missing_files("`a/b.py` `b.py` `c.py` `x/b.py` `a/NAME.py`", {"a/b.py"}) == ["c.py", "x/b.py"]
 
 
 def test_a_broken_link_is_found(tmp_path):
