@@ -1,6 +1,6 @@
 """Where a larger run saturates: measured rates of single parts in a small model.
 
-    python -m docs.tools.capacity [--workers 50] [--round-ms 1.2] [--link-gbit 10] ...
+    python -m docs.tools.capacity [--workers 50] [--update-ms 1.2] [--link-gbit 10] ...
 
 prints the table for a plan; `python -m docs.tools.results` writes the one for the defaults into
 docs/explanation/capacity.md. The model has no queues and no contention: each part has a rate at which it is busy all
@@ -48,7 +48,7 @@ class Plan:
     """Rollout workers."""
     worker_rate: float | None = None
     """Environment steps a second that one worker flies. Default: as measured."""
-    round_ms: float | None = None
+    update_ms: float | None = None
     """Milliseconds of one update of all agents. Default: as measured on one core."""
     updates_per_step: float = PRESETS["default"].replay.updates_per_step
     """Updates per environment step, `replay.updates_per_step`."""
@@ -77,7 +77,7 @@ class Plan:
         within(1, 10_000, chunk_steps=self.chunk_steps)
         numbers = {
             "worker_rate": self.worker_rate,
-            "round_ms": self.round_ms,
+            "update_ms": self.update_ms,
             "updates_per_step": self.updates_per_step,
             "publish_seconds": self.publish_seconds,
             "link_gbit": self.link_gbit,
@@ -92,13 +92,13 @@ class Measured:
 
     Attributes:
         worker_rate: environment steps a second of one worker, the learner beside it on the same two cores.
-        round_ms: one update of twelve agents on one core, ms.
+        update_ms: one update of twelve agents on one core, ms.
         intake: for each transport, environment steps and bytes a second at each chunk size.
         origins: command and commit of each source.
     """
 
     worker_rate: float
-    round_ms: float
+    update_ms: float
     intake: Mapping[str, Mapping[str, Mapping[str, float]]]
     origins: tuple[tuple[str, str], ...]
 
@@ -110,10 +110,10 @@ class Measured:
             if source.get("team") != present:
                 raise ConfigError(f"`{source['command']}` was measured with another team; run it again.")
         wanted = {"algorithm": "eia-sec", "width": RunConfig().algorithm.hidden, "agents": 12, "threads": 1}
-        rounds = [line["ms"] for line in growth["agents"] if wanted.items() <= line.items()]
+        updates = [line["ms"] for line in growth["agents"] if wanted.items() <= line.items()]
         return cls(
             worker_rate=workers["environment_steps_per_second"]["one_worker"],
-            round_ms=rounds[0],
+            update_ms=updates[0],
             intake=intake["transports"],
             origins=tuple((source["command"], source["commit"]) for source in (intake, growth, workers)),
         )
@@ -146,10 +146,10 @@ def saturation(plan: Plan, measured: Measured) -> dict[str, float]:
     """Return, for each part, the environment steps a second of the whole run at which it is busy all the time."""
     config = PRESETS["default"]
     size = measured.step_bytes() * plan.steps
-    round_ms = plan.round_ms or measured.round_ms
+    update_ms = plan.update_ms or measured.update_ms
     published = parameter_bytes(config, farm_team(config.farm)) / plan.publish_seconds
     link = plan.link_gbit * 1e9 / 8.0
-    rates = {"training": 1000.0 / round_ms / plan.updates_per_step}
+    rates = {"training": 1000.0 / update_ms / plan.updates_per_step}
     rates |= {f"intake, {name}": measured.intake_rate(transport, size) for name, transport in DIRECT.items()}
     rates["intake through a router"] = measured.intake_rate(ROUTED, size)
     rates["link, transitions in"] = link / measured.step_bytes()

@@ -38,12 +38,12 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any]) -> str:
     learned |= {_compared(name): method for name, method in study["methods"].items()}
     rows = [(name, "learned", method["mean_reward"], method["figures"]) for name, method in learned.items()]
     for name, policy in seeds["references"]["policies"].items():
-        figures = {figure: [value] * 3 for figure, value in policy["figures"].items()}
-        rows.append((name, "heuristic", [policy["mean_reward"]] * 3, figures))
+        freshness = {name: [policy["figures"][name]] * 3 for name in ("aoi", "vdf")}
+        rows.append((name, "heuristic", [policy["mean_reward"]] * 3, freshness))
     rows.sort(key=lambda row: -row[2][0])
     lines = ["| policy | | reward per agent | AoI | VDF |", "|---|---|---:|---:|---:|"]
-    for name, kind, reward, figures in rows:
-        lines.append(f"| {name} | {kind} | {shown(reward)} | {figures['aoi'][0]:.2f} | {figures['vdf'][0]:.2f} |")
+    for name, kind, reward, freshness in rows:
+        lines.append(f"| {name} | {kind} | {shown(reward)} | {freshness['aoi'][0]:.2f} | {freshness['vdf'][0]:.2f} |")
     level = round(own["mean_reward"][2])
     ahead = [name for name, kind, reward, _ in rows if kind == "heuristic" and round(reward[0]) > level]
     verdict = f"{len(ahead)} of {len(seeds['references']['policies'])} heuristics score higher: {', '.join(ahead)}."
@@ -77,8 +77,13 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
     ]
     for name, method in methods:
         better = study["improvement"].get(name)
-        figures = [shown(method["figures"][figure], 2) for figure in ("aoi", "vdf")]
-        cells = [shown(method["reward"]), shown(method["normalised"], 2), *figures, shown(better, 2) if better else ""]
+        freshness = [shown(method["figures"][name], 2) for name in ("aoi", "vdf")]
+        cells = [
+            shown(method["reward"]),
+            shown(method["normalised"], 2),
+            *freshness,
+            shown(better, 2) if better else "",
+        ]
         rows.append(" | ".join(["", f"**{name}**" if name == first else name, *cells, ""]).strip())
     return [*rows, ""]
 
@@ -112,7 +117,7 @@ def default_block(run: dict[str, Any], study: dict[str, Any], flown: dict[str, A
     """
     farms, own = run["evaluations"][0]["farms"], seeds["methods"][DEFAULT_PRESET]
     chosen = " but on which the preset's settings were chosen" if farms[0] < FIRST_REPORTED else ""
-    aoi, vdf = (shown(own["figures"][figure], 2) for figure in ("aoi", "vdf"))
+    aoi, vdf = (shown(own["figures"][name], 2) for name in ("aoi", "vdf"))
     first = f"""The run whose policy ships, without noise on farms {farms[0]}..{farms[-1]}, which training never saw (it
         uses 0..19){chosen}; one seed:"""
     origin = f"""Made by `{run["command"]}` (seed {run["seed"]}, commit {run["commit"]}), which is what

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-FIGURES = Path("docs/results/reliability")
-Figures = dict[str, Any]
+FOLDER = Path("docs/results/reliability")
+Numbers = dict[str, Any]
 
 
 def seconds(spread: dict[str, float]) -> str:
@@ -18,19 +18,19 @@ def seconds(spread: dict[str, float]) -> str:
     return f"{spread['median']:.1f} s, at most {spread['most']:.1f} s"
 
 
-def explained(figures: Figures) -> str:
+def explained(f: Numbers) -> str:
     """Return what the audit found, as words."""
-    doubled = figures.get("doubled", 0)
-    return f"unexplained {figures['unexplained']}" + (f", doubled {doubled}" if doubled else "")
+    doubled = f.get("doubled", 0)
+    return f"unexplained {f['unexplained']}" + (f", doubled {doubled}" if doubled else "")
 
 
-def lost(figures: Figures) -> str:
+def lost(f: Numbers) -> str:
     """Return how many chunks were declared lost, as words."""
-    count = figures["lost_chunks"]
+    count = f["lost_chunks"]
     return f"{count or 'no'} chunk{'' if count == 1 else 's'} lost"
 
 
-def killed_workers(f: Figures) -> str:
+def killed_workers(f: Numbers) -> str:
     """Describe kills of workers."""
     return (
         f"{f['kills']} kills among {f['workers']} workers with spools of one chunk: {lost(f)}, "
@@ -39,7 +39,7 @@ def killed_workers(f: Figures) -> str:
     )
 
 
-def killed_learner(f: Figures) -> str:
+def killed_learner(f: Numbers) -> str:
     """Describe kills of the learner."""
     return (
         f"{f['kills']} kills, {f['inside_a_checkpoint_write']} of them during a checkpoint write: chunks arrive again "
@@ -49,7 +49,7 @@ def killed_learner(f: Figures) -> str:
     )
 
 
-def killed_coordinator(f: Figures) -> str:
+def killed_coordinator(f: Numbers) -> str:
     """Describe kills of the coordinator."""
     order = "all in order" if f["in_order"] else "not in order"
     return (
@@ -58,7 +58,7 @@ def killed_coordinator(f: Figures) -> str:
     )
 
 
-def killed_router(f: Figures) -> str:
+def killed_router(f: Numbers) -> str:
     """Describe kills of the router."""
     return (
         f"{f['kills']} kills, {f['outage_seconds']:.0f} s without a router each: chunks arrive again after "
@@ -67,7 +67,7 @@ def killed_router(f: Figures) -> str:
     )
 
 
-def frozen_learner(f: Figures) -> str:
+def frozen_learner(f: Numbers) -> str:
     """Describe how workers fared while the learner stood still."""
     rows = [
         f"{row['seconds']:.0f} s: back in {row['seconds_to_recover']:.1f} s, worker {row['worker_grew_mib']:+.1f} MiB"
@@ -76,7 +76,7 @@ def frozen_learner(f: Figures) -> str:
     return "; ".join([*rows, explained(f)])
 
 
-def replaced_learner(f: Figures) -> str:
+def replaced_learner(f: Numbers) -> str:
     """Describe what became of a learner that thawed too late."""
     falls = f["falls_of_the_epoch"]
     applied = (
@@ -87,7 +87,7 @@ def replaced_learner(f: Figures) -> str:
     return f"it exits with code {f['old_learner_exit_code']}; {applied}; {lost(f)}; {explained(f)}"
 
 
-def partitions(f: Figures) -> str:
+def partitions(f: Numbers) -> str:
     """Describe how workers fared while they were cut off."""
     names = {"link": "link down", "both": "both ways", "to_learner": "to the learner", "to_worker": "to the worker"}
     rows = []
@@ -102,7 +102,7 @@ def partitions(f: Figures) -> str:
     return "; ".join([*rows, f"worker at most {grown:+.1f} MiB", lost(f), explained(f)])
 
 
-def bad_links(f: Figures) -> str:
+def bad_links(f: Numbers) -> str:
     """Describe how chunks travel on slow, narrow and stalled links."""
     rates = ", ".join(f"{name} {rate:.1f}" for name, rate in f["chunks_per_second"].items())
     return (
@@ -111,7 +111,7 @@ def bad_links(f: Figures) -> str:
     )
 
 
-def bad_road(f: Figures) -> str:
+def bad_road(f: Numbers) -> str:
     """Describe delivery over a bad channel."""
     return (
         f"{f['chunks']:,} chunks in {f['sendings']:,} sendings ({f['duplicated']:,} duplicated, {f['reordered']:,} "
@@ -122,7 +122,7 @@ def bad_road(f: Figures) -> str:
     )
 
 
-def bad_proxy(f: Figures) -> str:
+def bad_proxy(f: Numbers) -> str:
     """Describe delivery through a bad proxy between real processes."""
     return (
         f"{f['accepted_chunks']:,} chunks of two workers ({f['duplicated']:,} requests duplicated, {f['reordered']:,} "
@@ -133,12 +133,12 @@ def bad_proxy(f: Figures) -> str:
     )
 
 
-def mutated_frames(f: Figures) -> str:
+def mutated_frames(f: Numbers) -> str:
     """Describe the decoding of mutated frames."""
     return f"{f['frames']:,} frames, {f['messages']:,} still messages; memory {f['grown_mib']:+.1f} MiB"
 
 
-def flood(f: Figures) -> str:
+def flood(f: Numbers) -> str:
     """Describe what the others kept during a flood."""
     return (
         f"{f['junk_requests']:,} requests of 128 KiB: the others keep {f['share_kept']:.0%} of their rate; the "
@@ -146,7 +146,7 @@ def flood(f: Figures) -> str:
     )
 
 
-def hostile_chunks(f: Figures) -> str:
+def hostile_chunks(f: Numbers) -> str:
     """Describe requests with one invalid field each."""
     return (
         f"{f['kinds']:,} kinds in {f['requests']:,} requests, {f['answered']:,} of them answered; the honest worker "
@@ -155,17 +155,17 @@ def hostile_chunks(f: Figures) -> str:
     )
 
 
-def full_disk(f: Figures) -> str:
+def full_disk(f: Numbers) -> str:
     """Describe a full disk."""
     return f"{f['alarms']} alarms; a new checkpoint {f['seconds_to_recover']:.1f} s after space was freed"
 
 
-def stops(f: Figures) -> str:
+def stops(f: Numbers) -> str:
     """Describe how stops went."""
     return f"{f['stops']} stops: ended after {seconds(f['seconds_to_end'])}"
 
 
-def soak(f: Figures) -> str:
+def soak(f: Numbers) -> str:
     """Describe what grew."""
     rows = [
         f"{name} {row['mib_per_hour']:+.1f} MiB an hour ({row['mib']:.0f} MiB), threads {row['threads'][0]} to "
@@ -182,19 +182,19 @@ class Row:
     Attributes:
         fault: what is done, at full dose.
         holds: what must hold.
-        told: puts its figures into words; its name is that of the file of figures.
+        describe: describes its numbers; the file of numbers has the name of this function.
         test: where the small dose is.
     """
 
     fault: str
     holds: str
-    told: Callable[[Figures], str]
+    describe: Callable[[Numbers], str]
     test: str
 
     @property
-    def figures(self) -> str:
-        """Name of the file of figures."""
-        return self.told.__name__
+    def source(self) -> str:
+        """Name of the file of numbers, without its ending."""
+        return self.describe.__name__
 
 
 ROWS = (
@@ -241,14 +241,14 @@ ROWS = (
 
 def faults(root: Path) -> str:
     """Return the table for the numbers in a repository."""
-    folder = root / FIGURES
+    folder = root / FOLDER
     lines = ["| fault | must hold | measured | commit | small version in |", "|---|---|---|---|---|"]
     for row in ROWS:
-        path = folder / f"{row.figures}.json"
+        path = folder / f"{row.source}.json"
         measured, commit = "not run at full scale yet", "-"
         if path.exists():
-            figures = json.loads(path.read_text(encoding="utf-8"))
-            measured, commit = row.told(figures), figures["commit"]
+            found = json.loads(path.read_text(encoding="utf-8"))
+            measured, commit = row.describe(found), found["commit"]
         cells = [row.fault, row.holds, measured, commit, f"`tests/faults/{row.test}`"]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"

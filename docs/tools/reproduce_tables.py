@@ -23,7 +23,7 @@ COVERAGE: Final = RESULTS / "coverage.json"
 
 
 def comparison(root: Path) -> str:
-    """Return the comparison with the paper that the results in a repository allow."""
+    """Return the comparison with the paper, from the results in a repository."""
     held = {name: full(read_json(root / RESULTS / name / "results.json")) for name in CLAIMS}
     groups: dict[str, list[Row]] = {name: claims(held[name]) for name, claims in CLAIMS.items()}
     groups["training"] = training(held["training"], held["ablation"])
@@ -36,13 +36,13 @@ def comparison(root: Path) -> str:
 
 
 def beaten(root: Path) -> str:
-    """Return the targets of the project beside what the results in a repository came to."""
+    """Return the targets of the project beside the results in a repository."""
     study = full(read_json(root / RESULTS / "default" / "results.json"))
     return targets.block(read_json(root / HEURISTICS), study, read_json(root / REACH))
 
 
 def counted(root: Path) -> str:
-    """Return how often the statistics are right."""
+    """Return how often the statistics are right, where the truth is known."""
     return coverage.block(read_json(root / COVERAGE))
 
 

@@ -28,14 +28,16 @@ def test_the_time_of_a_chunk_is_a_line_through_two_sizes():
 
 
 def test_each_part_saturates_where_its_arithmetic_says():
-    """Training at rounds a second over rounds a step, links at bytes, workers at their number."""
+    """Training at updates a second over updates a step, links at bytes, workers at their number."""
     plan = Plan(workers=3, updates_per_step=0.1, link_gbit=0.8)
     found = capacity.saturation(plan, MEASURED)
     assert found["training"] == pytest.approx(2_000.0)
     assert found["link, transitions in"] == pytest.approx(1e8 / 1000.0)
     assert found["workers"] == pytest.approx(30_000.0)
     assert found["intake, TCP"] == pytest.approx(160 / 1.16e-3)
-    assert capacity.saturation(Plan(round_ms=2.5, updates_per_step=0.1), MEASURED)["training"] == pytest.approx(4_000.0)
+    assert capacity.saturation(Plan(update_ms=2.5, updates_per_step=0.1), MEASURED)["training"] == pytest.approx(
+        4_000.0
+    )
     slow = capacity.saturation(Plan(publish_seconds=1.0), MEASURED)["link, parameters out"]
     fast = capacity.saturation(Plan(publish_seconds=0.5), MEASURED)["link, parameters out"]
     assert slow == pytest.approx(2 * fast)
@@ -62,13 +64,13 @@ def command(*arguments: str) -> "subprocess.CompletedProcess[str]":
 
 
 def test_the_command_prints_a_plan_of_the_committed_results():
-    """Options change the table; the figures are those of the results."""
+    """Options change the table; the numbers are those of the results."""
     printed = command("--workers", "50", "--updates-per-step", "0.01")
     measured = Measured.of(*(json.loads(Path(source).read_text()) for source in capacity.SOURCES))
     assert printed.stdout.splitlines() == capacity.table(Plan(workers=50, updates_per_step=0.01), measured)
 
 
-@pytest.mark.parametrize(("option", "value"), [("--workers", "0"), ("--link-gbit", "-1"), ("--round-ms", "nan")])
+@pytest.mark.parametrize(("option", "value"), [("--workers", "0"), ("--link-gbit", "-1"), ("--update-ms", "nan")])
 def test_an_impossible_plan_is_one_sentence(option, value):
     """A value that cannot be ends with exit code 2."""
     done = command(option, value)
@@ -81,8 +83,8 @@ def test_the_page_shows_every_distance():
     assert all(f" {ms:,.0f} |" in text for ms in ROUND_TRIPS)
 
 
-def test_figures_of_another_team_are_refused():
-    """Bytes of a step and times of a round follow from the team; a result that is older than it is named."""
+def test_measurements_of_another_team_are_refused():
+    """Bytes of a step and times of an update follow from the team; a result that is older than it is named."""
     sources = [json.loads((ROOT / source).read_text()) for source in capacity.SOURCES]
     assert Measured.of(*sources).step_bytes() > 0
     for number, source in enumerate(sources):
