@@ -21,7 +21,7 @@ from common.config.presets import PRESETS
 from common.farm import COLLECTION, MONITORING, farm_team
 from common.team import Float32
 from deploy.reports.provenance import provenance
-from experiments.reporting import farm_range, write_results
+from experiments.reporting import farm_range, filled, write_results
 from rollout.evaluation import episode_seed
 from rollout.heuristics import lawnmower
 from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy, FarmState
@@ -30,6 +30,7 @@ from rollout.heuristics.relays import CentroidRelays
 from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
 
+TEMPLATE: Final = Path(__file__).with_suffix(".md")
 AHEAD: Final = 16
 """Steps that the search looks ahead, to the end of the episode."""
 KINDS: Final = {MONITORING: MONITORS, COLLECTION: COLLECTORS}
@@ -115,20 +116,7 @@ def page(data: dict[str, Any]) -> str:
         + " |"
         for found in data["results"]
     ]
-    return "\n".join(
-        [
-            "# A search in the place of learned UAVs",
-            "",
-            f"`{data['command']}`, commit {data['commit']}: mean reward of one UAV on farms",
-            f"{data['farms'][0]}..{data['farms'][-1]}, one episode each. So many of a type search {AHEAD} steps ahead",
-            "and know of each other's plans; the others of the team are flown by the policy that ships.",
-            "",
-            "| type | searching | each that searches | each other of the type | all of the type |",
-            "|---|---:|---:|---:|---:|",
-            *rows,
-            "",
-        ]
-    )
+    return filled(TEMPLATE, data, ahead=AHEAD, rows="\n".join(rows))
 
 
 def main() -> None:

@@ -23,3 +23,16 @@ def write_results(data: dict[str, Any], page: Callable[[dict[str, Any]], str], f
         (folder / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
         (folder / "README.md").write_text(page(data), encoding="utf-8")
     sys.stdout.write(json.dumps(data) + "\n")
+
+
+def filled(template: Path, data: dict[str, Any], **values: Any) -> str:
+    """Return a page from its Markdown template.
+
+    Args:
+        template: the file; names in braces are filled in.
+        data: the results, whose command, commit and farms every template may name ({first} and {last} are farms).
+        values: what else the template names.
+    """
+    farms = data["farms"]
+    origin = {"command": data["command"], "commit": data["commit"], "first": farms[0], "last": farms[-1]}
+    return template.read_text(encoding="utf-8").format(**origin, **values)

@@ -14,7 +14,7 @@ from typing import Any, Final
 from common.config import FarmConfig
 from common.config.presets import preset
 from deploy.reports.provenance import provenance
-from experiments.reporting import farm_range, write_results
+from experiments.reporting import farm_range, filled, write_results
 from rollout.evaluation import evaluate
 from rollout.heuristics import horizon
 from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
@@ -22,6 +22,7 @@ from rollout.heuristics.horizon import Effort, HorizonGroupPolicy
 from rollout.heuristics.relays import SearchRelays
 from rollout.policies import policy_of
 
+TEMPLATE: Final = Path(__file__).with_suffix(".md")
 WIDE: Final = Effort(width=256, last_width=256, same=8)
 FAR: Final = Effort(horizon=40, width=512, last_horizon=40, last_width=512, same=8, discount=0.99)
 FORMS: Final = {
@@ -55,21 +56,7 @@ def page(data: dict[str, Any]) -> str:
         for found in data["results"]
     ]
     first, most = data["results"][0]["reward"], max(found["reward"] for found in data["results"])
-    return "\n".join(
-        [
-            "# What a harder search gives",
-            "",
-            f"`{data['command']}`, commit {data['commit']}: `horizon` on farms",
-            f"{data['farms'][0]}..{data['farms'][-1]}, one episode each, as it flies and with more effort.",
-            "",
-            "| horizon | reward per agent | communication | monitoring | data collection | AoI | VDF |",
-            "|---|---:|---:|---:|---:|---:|---:|",
-            *rows,
-            "",
-            f"The most is {most / first:.3f} times what it earns as it flies.",
-            "",
-        ]
-    )
+    return filled(TEMPLATE, data, rows="\n".join(rows), ratio=most / first)
 
 
 def main() -> None:

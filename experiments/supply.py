@@ -18,11 +18,12 @@ from common.config import FarmConfig
 from common.config.presets import PRESETS
 from common.errors import ConfigError
 from deploy.reports.provenance import provenance
-from experiments.reporting import farm_range, write_results
+from experiments.reporting import farm_range, filled, write_results
 from rollout.evaluation import episode_seed
 from rollout.policies import Policy, policy_of
 from rollout.sim.batch import FarmBatch
 
+TEMPLATE: Final = Path(__file__).with_suffix(".md")
 POLICIES: Final = ("trained", "lawnmower", "greedy", "hungarian", "tour", "horizon")
 PLOTS: Final = "VDF of plots"
 KINDS: Final = (PLOTS, "AoI of sensors")
@@ -100,28 +101,21 @@ def mean(config: FarmConfig, name: str, farms: range) -> dict[str, Any]:
 
 def page(data: dict[str, Any]) -> str:
     """Return the results as a page."""
-    parts = [
-        "# Where the supply goes",
-        "",
-        f"`{data['command']}`, commit {data['commit']}: farms {data['farms'][0]}..{data['farms'][-1]},",
-        "one episode each; units of all UAVs together, means over the farms. *Lost to service*: the counter was set",
-        "back in the step in which it was to rise. *Lost at the cap*: nobody came for so long that the counter rose no",
-        "further; in brackets how much of that at the plots along the field's border.",
-    ]
+    tables: list[str] = []
     for kind in KINDS:
-        parts += [
+        tables += [
             "",
             f"## {kind}",
             "",
             "| policy | supply | paid | left at the end | lost to service | lost at the cap |",
         ]
-        parts.append("|---|---:|---:|---:|---:|---:|")
+        tables.append("|---|---:|---:|---:|---:|---:|")
         for found in data["results"]:
             own = found[kind]
             border = f" ({own['border']:.0f})" if kind == PLOTS else ""
             numbers = " | ".join(f"{own[column]:,.0f}" for column in ("supply", "paid", "left", "service", "cap"))
-            parts.append(f"| {found['policy']} | {numbers}{border} |")
-    return "\n".join([*parts, ""])
+            tables.append(f"| {found['policy']} | {numbers}{border} |")
+    return filled(TEMPLATE, data, tables="\n".join(tables))
 
 
 def main() -> None:
