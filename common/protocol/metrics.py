@@ -26,6 +26,10 @@ class Metric:
 
 _STEPS: Final = "environment steps"
 _STATE: Final = Metric("state", "", "starting, training, draining or finished")
+_ADMISSION: Final = (
+    Metric("descriptors", "", "open file descriptors of a process that listens; an alarm from half of the limit on"),
+    Metric("waiting_connections", "", "closed by the peer before they were accepted; each delays new members by 0.1 s"),
+)
 _ALARMS: Final = Metric("alarms", "", "list of sentences that need a person's attention")
 
 
@@ -68,12 +72,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("malformed_by/*", "requests", "invalid requests by worker: the worst eight, and the sum of the others"),
         Metric("turned_away", "requests", "refused unread because their worker is blocked"),
         Metric("uncounted_episodes", "episodes", "not counted because this learner has not seen all their steps"),
-        Metric(
-            "descriptors", "", "open file descriptors of a process that listens; an alarm from half of the limit on"
-        ),
-        Metric(
-            "waiting_connections", "", "closed by the peer before they were accepted; each delays new members by 0.1 s"
-        ),
+        *_ADMISSION,
         Metric("elapsed", "s", "time since the run began, without pauses between its starts"),
         Metric(
             "waits/*",
@@ -170,6 +169,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("vehicles/*/hovers", "set-points", "that command it to hover"),
         Metric("vehicles/*/refused", "observations", "not used"),
         Metric("vehicles/*/reason", "", "why it hovers now, or empty"),
+        *_ADMISSION,
         _ALARMS,
     ),
 }

@@ -8,7 +8,9 @@ from typing import Final
 from common.process import Presence, StopSignal, incarnation
 from common.protocol import keys
 from common.protocol.messages import Envelope, SetpointMessage
+from common.transport.admission import admission
 from common.transport.bus import Bus
+from common.transport.endpoint import Endpoint
 from deploy.flight.pilot import Pilot
 
 WAITING: Final = 4
@@ -29,12 +31,14 @@ class NodeOptions:
         name: the node's name.
         rate: periods per second.
         seconds: time until it stops, or None.
+        listens: where vehicles connect to it, or None when it is connected to a router or a learner itself.
     """
 
     run: str
     name: str = "main"
     rate: float = 10.0
     seconds: float | None = None
+    listens: Endpoint | None = None
 
 
 class FlightNode:
@@ -98,4 +102,7 @@ class FlightNode:
     def _report(self) -> None:
         self._reported = time.monotonic()
         values = {"period_seconds": 1.0 / self._options.rate, "overruns": self.overruns, **self._pilot.report()}
+        if self._options.listens is not None:
+            crowd = admission(self._options.listens)
+            values |= {**crowd.metrics(), "alarms": [*values["alarms"], *crowd.alarms()]}
         self._presence.report(values)

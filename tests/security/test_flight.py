@@ -17,7 +17,7 @@ from deploy.flight.vehicle import VehicleLink
 
 RUN, AGENT, SPEED = "run", "communication_0", (10.0, 10.0)
 TEAM = farm_team(FarmConfig())
-SEEN = np.zeros(TEAM.groups[0].observation_size, np.float32)
+SEEN = np.ones(TEAM.groups[0].observation_size, np.float32)
 SECONDS = 30.0
 
 

@@ -81,7 +81,9 @@ def command(arguments: Sequence[str]) -> int:
         if options.connect
         else Bus.listen(endpoint, "control")
     ) as bus:
-        node = FlightNode(NodeOptions(options.run, options.name, options.rate, options.seconds), pilot, agents, bus)
+        listens = None if options.connect else endpoint
+        how = NodeOptions(options.run, options.name, options.rate, options.seconds, listens)
+        node = FlightNode(how, pilot, agents, bus)
         log(f"flying {len(agents)} vehicles of run {options.run} at {options.rate:g} set-points a second.")
         node.run(stop)
     return 0
