@@ -56,7 +56,7 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any]) -> str:
 
 
 def _compared(name: str) -> str:
-    return f"{name}, as compared with the others" if name == EIA_SEC.name else name
+    return f"{name}, preset `study`" if name == EIA_SEC.name else name
 
 
 def _methods_rows(study: dict[str, Any]) -> list[str]:
