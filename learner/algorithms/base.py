@@ -23,7 +23,7 @@ from common.config import OffPolicyConfig
 from common.team import TeamSpec
 from learner.algorithms.actors import Actors
 from learner.algorithms.critics import Critics, QValues
-from learner.networks.inputs import Inputs, action_views, by_agent
+from learner.networks.inputs import Inputs, action_layout, action_views
 from learner.networks.optimiser import Adam
 
 C = TypeVar("C", bound=OffPolicyConfig)
@@ -118,6 +118,7 @@ class Algorithm(ABC, Generic[C]):
         )
         self._action_gradient = like.new_zeros(config.batch * team.action_size)
         self._action_gradient_views = action_views(team, config.batch, self._action_gradient)
+        self._action_layout = action_layout(team)
         self._team_action_gradient = like.new_zeros(config.batch, team.action_size)
         self._build_critics(seed)
 
@@ -218,9 +219,7 @@ class Algorithm(ABC, Generic[C]):
         rows = self._team_action_gradient.zero_()
         shared = [rows.expand(group.count, *rows.shape) for group in self.team.groups]
         self.critics.action_gradient(q, upstream, shared)
-        for view, part in zip(
-            self._action_gradient_views, by_agent(self.team, rows, self.team.action_slices()), strict=True
-        ):
+        for view, part in zip(self._action_gradient_views, self._action_layout.by_agent(rows), strict=True):
             view.copy_(part)
         return gradient
 

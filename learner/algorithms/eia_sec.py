@@ -88,14 +88,15 @@ class EiaSec(Algorithm[EiaSecConfig]):
 
         # 6. Actor loss, actor step, target actors
         policy = self.actors.policy_actions(inputs)
-        objective, member_std, loss_by_actions = self._actor_loss(inputs, policy.actions)
+        local, members, loss_by_actions = self._actor_loss(inputs, policy.actions)
         self.actors.step(policy, loss_by_actions)
 
         if not diagnostics:
             return None
+        objective = self._mixture(local.values[0], members.values) if members else local.values[0]
         return self.measured(td_error, objective, target)._replace(
             q_value=q_value,
-            member_std=member_std,
+            member_std=members.values.std(dim=0, correction=0) if members else None,
             member_loss=member_loss,
             member_gradient_norm=self._member_gradient_norms(),
         )
@@ -146,12 +147,11 @@ class EiaSec(Algorithm[EiaSecConfig]):
             self._copy_to_members()
         self.target_phi.lerp_(self.phi, rate)
 
-    def _actor_loss(self, inputs: Inputs, actions: Tensor) -> tuple[Tensor, Tensor | None, Tensor]:
+    def _actor_loss(self, inputs: Inputs, actions: Tensor) -> tuple[QValues, QValues | None, Tensor]:
         """Differentiate the loss of step 6 by the actors' actions.
 
         Returns:
-            what the actors maximise [agents, B]; the standard deviation of the members there [agents, B], or None where
-            the objective leaves them out; the gradient in the action layout.
+            Q_i of these actions; Q_s,k, or None where the objective leaves them out; the gradient in the action layout.
         """
         config, change = self.config, inputs.action_change(actions)
         mixture = self.ensemble is not None and config.actor_objective == "mixture"
@@ -162,12 +162,12 @@ class EiaSec(Algorithm[EiaSecConfig]):
             local, torch.full_like(local.values, -share / config.batch), self._action_gradient_views
         )
         if not (mixture and self.ensemble):
-            return local.values[0], None, gradient
+            return local, None, gradient
         members = self.ensemble.q_values(self.members, inputs, change)
         member_share = (share - 1.0) / (config.batch * config.ensemble_members)
         loss_by_members = torch.full_like(members.values, member_share)
         self.ensemble.action_gradient(members, loss_by_members, self._action_gradient_views)
-        return self._mixture(local.values[0], members.values), members.values.std(dim=0, correction=0), gradient
+        return local, members, gradient
 
     def _proportional_copy(self) -> list[tuple[Tensor, Tensor]]:
         """Return, for each type, the factors of step 4 on local critics [k_s, n_v] and on members [k_s]."""

@@ -16,6 +16,7 @@ all joint critics are initialised in that order.
 The *action layout* holds the actions of all agents type by type, agent by agent, row by row: [sum n_v * B * a_v].
 """
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -57,10 +58,33 @@ def action_views(team: TeamSpec, batch: int, flat: Tensor) -> list[Tensor]:
     return [part.view(shape) for part, shape in zip(parts, shapes, strict=True)]
 
 
-def by_agent(team: TeamSpec, rows: Tensor, slices: Sequence[slice]) -> list[Tensor]:
-    """Return, for each type, rows [B, all] as a view [n_v, B, size]."""
-    parts = zip(team.groups, slices, strict=True)
-    return [torch.unflatten(rows[:, part], 1, (group.count, -1)).transpose(0, 1) for group, part in parts]
+class RowLayout:
+    """Where the numbers of every agent stand in a row of the whole team.
+
+    Args:
+        sizes: for each type the number of its agents and the size of one agent's part.
+    """
+
+    def __init__(self, sizes: Sequence[tuple[int, int]]) -> None:
+        starts = itertools.accumulate((count * size for count, size in sizes), initial=0)
+        self._parts = [(start, count, size) for start, (count, size) in zip(starts, sizes, strict=False)]
+
+    def by_agent(self, rows: Tensor) -> list[Tensor]:
+        """Return, for each type, rows [B, all], whose last stride is 1, as a view [n_v, B, size]."""
+        batch, step, offset = rows.shape[0], rows.stride(0), rows.storage_offset()
+        return [
+            rows.as_strided((count, batch, size), (size, step, 1), offset + start) for start, count, size in self._parts
+        ]
+
+
+def observation_layout(team: TeamSpec) -> RowLayout:
+    """Return the layout of rows of observations."""
+    return RowLayout([(group.count, group.observation_size) for group in team.groups])
+
+
+def action_layout(team: TeamSpec) -> RowLayout:
+    """Return the layout of rows of actions."""
+    return RowLayout([(group.count, group.action_size) for group in team.groups])
 
 
 class Inputs:
@@ -80,7 +104,7 @@ class Inputs:
     """
 
     def __init__(self, team: TeamSpec, batch: int, joint: bool, like: Tensor, *, pooled: bool = False) -> None:
-        self._team, self._joint, groups = team, joint, team.groups
+        self._team, self._batch, self._joint, groups = team, batch, joint, team.groups
         width, actions = 1 + team.observation_size + team.action_size, batch * team.action_size
         actor = [g.count * batch * (1 + g.observation_size) for g in groups]
         local = [g.count * batch * (1 + g.observation_size + g.action_size) for g in groups]
@@ -98,29 +122,33 @@ class Inputs:
         else:
             self.critic = [p.view(g.count, batch, -1) for p, g in zip(pieces[kinds:], groups, strict=True)]
             self.pooled = [x.flatten(0, 1) for x in self.critic]
-        self._critic_actions = self._action_columns()
+        self._observations, self._actions = observation_layout(team), action_layout(team)
+        self._actor_observations = [x[:, :, 1:] for x in self.actor]
+        self._split_critic_columns()
         self._batch_action, self._change = like.new_zeros(actions), like.new_zeros(actions)
         self._batch_action_views = action_views(team, batch, self._batch_action)
         self._change_views = action_views(team, batch, self._change)
 
-    def _action_columns(self) -> list[Tensor]:
-        """Return, for each type, where its actions stand in the critics' inputs: [n_v, B, a_v]."""
+    def _split_critic_columns(self) -> None:
+        """Take the critics' inputs apart into observations and actions, the latter [n_v, B, a_v] for each type."""
         if self._joint:
-            return by_agent(self._team, self._row[:, 1 + self._team.observation_size :], self._team.action_slices())
-        return [x[:, :, 1 + g.observation_size :] for x, g in zip(self.critic, self._team.groups, strict=True)]
+            row, actions = self._row[:, 1:], self._row[:, 1 + self._team.observation_size :]
+            self._critic_observations = [row[:, : self._team.observation_size]]
+            self._critic_actions = self._actions.by_agent(actions)
+            return
+        sizes = [group.observation_size for group in self._team.groups]
+        self._critic_observations = [x[:, :, 1 : 1 + o] for x, o in zip(self.critic, sizes, strict=True)]
+        self._critic_actions = [x[:, :, 1 + o :] for x, o in zip(self.critic, sizes, strict=True)]
 
     def fill(self, observation: Tensor, action: Tensor | None = None) -> "Inputs":
         """Copy a batch of observations [B, O], and of actions [B, A] where given; return these inputs."""
-        rows = by_agent(self._team, observation, self._team.observation_slices())
-        for x, part in zip(self.actor, rows, strict=True):
-            x[:, :, 1:].copy_(part)
-        if self._joint:
-            self._row[:, 1 : 1 + self._team.observation_size].copy_(observation)
-        else:
-            for x, part in zip(self.critic, rows, strict=True):
-                x[:, :, 1 : 1 + part.shape[2]].copy_(part)
+        rows = self._observations.by_agent(observation)
+        for x, part in zip(self._actor_observations, rows, strict=True):
+            x.copy_(part)
+        for x, part in zip(self._critic_observations, [observation] if self._joint else rows, strict=True):
+            x.copy_(part)
         if action is not None:
-            parts = by_agent(self._team, action, self._team.action_slices())
+            parts = self._actions.by_agent(action)
             for own, x, part in zip(self._batch_action_views, self._critic_actions, parts, strict=True):
                 own.copy_(part)
                 x.copy_(part)
@@ -129,7 +157,7 @@ class Inputs:
 
     def with_actions(self, action: Tensor) -> "Inputs":
         """Replace the actions that critics see by others, given in the action layout; return these inputs."""
-        views = action_views(self._team, self.actor[0].shape[1], action)
+        views = action_views(self._team, self._batch, action)
         for x, part in zip(self._critic_actions, views, strict=True):
             x.copy_(part)
         self._fill_pooled()

@@ -15,7 +15,7 @@ import copy
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -197,8 +197,7 @@ def _joined(blocks: list[Block]) -> list[Block]:
     return result
 
 
-@dataclass(frozen=True)
-class Forward:
+class Forward(NamedTuple):
     """One forward pass of a `Pass`, which its gradients take.
 
     Attributes:
