@@ -1,6 +1,5 @@
 """The page that a study writes beside its data: README.md with its tables, pictures and where each run comes from."""
 
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
@@ -11,6 +10,7 @@ from experiments.studies.analysis.evidence import early_farms, mean_unrest
 from experiments.studies.analysis.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
 from experiments.studies.analysis.statistics import BAND, LEVEL, TAIL
 from experiments.studies.methods import ABLATIONS, PEERS
+from experiments.studies.pages.notes import filled, note
 from experiments.studies.pages.plots import caption
 from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
 
@@ -18,21 +18,13 @@ Results = Mapping[str, Any]
 Cells = Sequence[str]
 
 KINDS: Final = (COMMUNICATION, MONITORING, COLLECTION)
-WIDTH: Final = 118
-"""Characters of a line of prose."""
-SMOKE_NOTE: Final = "This is the smoke scale: it shows that everything works, and its numbers mean nothing.\n"
-EARLY_NOTE: Final = (
-    f"These numbers include farms {FIRST_FARM}..{FIRST_REPORTED - 1}, on which the preset was chosen "
-    "(docs/explanation/method.md). "
-    "The study was kept without\nits runs' values on each farm, so they cannot be taken out; a run of today leaves them"
-    " out.\n"
-)
 
 
 def page(title: str, data: Results, pictures: Sequence[str]) -> str:
     """Return the whole page of a study."""
     made = f"`{data['command']}`, commit {data['commit']}.\n"
-    notes = [SMOKE_NOTE if data["scale"] == "smoke" else "", EARLY_NOTE if early_farms(data) else ""]
+    notes = [note("smoke")] if data["scale"] == "smoke" else [""]
+    notes.append(note("early_farms", first=FIRST_FARM, last=FIRST_REPORTED - 1) if early_farms(data) else "")
     parts = [f"# {title}\n", made, *notes, SECTIONS[data["study"]](data)]
     parts += [f"![{name.removesuffix('.png')}]({name})\n\n{caption(name)}\n" for name in pictures]
     if "choice" in data:
@@ -61,7 +53,7 @@ def headline(data: Results) -> str:
 
 def beyond(data: Results) -> str:
     """Return what the default preset came to beside EIA-SEC as it is compared with other methods."""
-    return headline(data) + "\n" + _UNEQUAL
+    return headline(data) + "\n" + note("unequal")
 
 
 def members(data: Results) -> str:
@@ -85,7 +77,7 @@ def teams(data: Results) -> str:
         rows.append([name, paper[0], *ours, known, paper[1], *_time_cells(team["time"]), str(len(team["runs"]))])
     head = ("UAVs", "paper: reward", "reward", "normalised", "best heuristic", "paper: ms")
     text = table([*head, "decide, ms", "separate, ms", "simulate, ms", "seeds"], rows)
-    return "\n".join([text, _legend(data), _TIMES])
+    return "\n".join([text, _legend(data), note("times")])
 
 
 def inference(data: Results) -> str:
@@ -100,7 +92,12 @@ def inference(data: Results) -> str:
         for name, times in data["methods"].items()
     ]
     return "\n".join(
-        [table(("EIA-SEC, UAVs", *head), sizes), table(("12 UAVs, method", *head), methods), _TIMES, _UNTRAINED]
+        [
+            table(("EIA-SEC, UAVs", *head), sizes),
+            table(("12 UAVs, method", *head), methods),
+            note("times"),
+            note("untrained"),
+        ]
     )
 
 
@@ -118,9 +115,7 @@ def flights(data: Results) -> str:
             rows.append([farm, name, *numbers, *got, *paths])
     head = ("farm", "policy", "reward", "AoI", "VDF", "VDF units collected", "AoI units collected")
     return (
-        table([*head, "communication paths", "monitoring paths", "data collection paths"], rows)
-        + "\nPaths: share of the field's 100 cells that the type's UAVs were over, and order of their headings, 1 when "
-        "all\nsteps have one heading, 0 when they are spread evenly.\n"
+        table([*head, "communication paths", "monitoring paths", "data collection paths"], rows) + "\n" + note("paths")
     )
 
 
@@ -152,8 +147,8 @@ def choices(data: Results) -> str:
         "bold one are in force. Every method has the same candidates and the same seed, and trials of "
         f"{_lengths(data)}."
     )
-    text += _BEYOND if data["study"] == "default" else ""
-    return f"{table(['method', *names], rows)}\n{textwrap.fill(text, WIDTH)}\n{made}"
+    text += " " + note("default_apart") if data["study"] == "default" else ""
+    return "\n".join([table(["method", *names], rows), filled(text) + made])
 
 
 def _lengths(data: Results) -> str:
@@ -195,8 +190,7 @@ def versions(data: Results) -> str:
     if len(set().union(*groups.values())) < 2:
         return ""
     text = "; ".join(f"{name}: {', '.join(sorted(commits))}" for name, commits in groups.items() if commits)
-    note = "The records are of several commits, and what differs between them may have its share in the numbers."
-    return "\n" + _filled(f"{note} {text[0].upper()}{text[1:]}.")
+    return "\n" + note("commits", groups=f"{text[0].upper()}{text[1:]}")
 
 
 def _groups(data: Results) -> dict[str, Results]:
@@ -220,42 +214,11 @@ def table(head: Cells, rows: Sequence[Cells]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
-_TIMES: Final = (
-    "Times for all UAVs together at each time step, one thread: the median of the seeds' medians, in brackets the\n"
-    "least and the largest of these, and behind the semicolon the largest of the seeds' 95 % quantiles. *Decide*:\n"
-    "from observations to actions with all actors stacked, as this project flies them. *Separate*: the same by one\n"
-    "torch network after another. *Simulate*: the simulator's step with assignment, rewards and all observations.\n"
-    "Other work on the machine is in them. They compare within a page: `scalability` and `inference` share timings\n"
-    "that one machine made, and otherwise differ by machine, commit and what else ran.\n"
-)
-_BEYOND: Final = " The default preset stands outside of this: docs/explanation/method.md says how it was found."
-_UNEQUAL: Final = (
-    "The two are not equally tuned, and their budgets differ: fewer episodes and more updates for each step in\n"
-    "the default preset; times and steps stand below. Its seed 0 has the configuration of the policy that ships.\n"
-)
-_UNTRAINED: Final = (
-    "The actors are untrained: what an actor computes does not depend on its weights, and flying needs no critic.\n"
-)
-
-
-def _filled(text: str) -> str:
-    return textwrap.fill(text, WIDTH, break_on_hyphens=False, break_long_words=False) + "\n"
-
-
 def _legend(data: Results) -> str:
-    parts = (
-        "Reward per agent, noise-free on unseen farms: interquartile mean over seeds and farms "
-        f"({_statistic(data)} for a policy that learns nothing). In brackets {LEVEL:.0%} of a bootstrap over the "
-        "seeds; the farms are fixed. Of few seeds that is right less often than its name says "
-        "(docs/explanation/reproduce.md, Statistics). Normalised: 0 is random, 1 the best heuristic."
-    )
+    text = note("legend", statistic=_statistic(data), level=f"{LEVEL:.0%}")
     if "improvement" in data:
-        parts += (
-            f" Converged: episode from which on the smoothed training curve stays within {BAND:.0%} of its final "
-            f"value, median of the seeds. Unrest: spread of the training reward over the last {TAIL:.0%}; over farms: "
-            "spread of the final reward over unseen farms."
-        )
-    return _filled(parts)
+        text += note("converged", band=f"{BAND:.0%}", tail=f"{TAIL:.0%}")
+    return filled(" ".join(text.split()))
 
 
 def _statistic(data: Results) -> str:

@@ -1,6 +1,7 @@
 """The pages that are written from committed results are up to date, and say what the results are made from."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from docs.tools.reproduce_tables import BLOCKS, RESULTS, SHOWN, comparison, written
 from experiments.studies.analysis.targets import block as targets_block
 from experiments.studies.analysis.verdicts import NOT_RUN
+from experiments.studies.pages.notes import TEMPLATE, note
 from experiments.studies.pages.tables import versions
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -140,3 +142,15 @@ def test_a_repository_without_results_says_so(name, tmp_path):
     """A block whose results are missing says that they are, and shows no number."""
     text = BLOCKS[name](tmp_path)
     assert any(word in text for word in (NOT_RUN, "not measured", "has not been counted"))
+
+
+def test_every_note_has_its_values_and_a_missing_one_is_an_error():
+    """A page never shows a brace that nobody filled in."""
+    values = {"first": 1, "last": 2, "statistic": "x", "level": "95%", "band": "5%", "tail": "10%", "groups": "A: b"}
+    names = re.findall(r"^## (\w+)$", TEMPLATE.read_text(encoding="utf-8"), re.MULTILINE)
+    assert len(names) >= 8
+    assert not any("{" in note(name, **values) for name in names)
+    with pytest.raises(KeyError):
+        note("nothing")
+    with pytest.raises(KeyError):
+        note("legend")
