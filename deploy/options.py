@@ -1,4 +1,4 @@
-"""From a command line to a configuration: preset, file, farm file and options, each overriding the one before."""
+"""From a command line to a configuration: preset, file, algorithm, farm file, options; the later ones win."""
 
 import contextlib
 import io
@@ -26,7 +26,7 @@ from rollout.farm_files import read_farm
 T = TypeVar("T")
 
 SHORT: Final = {"--env": "--env.name", "--algorithm": "--algorithm.name"}
-"""Options by a shorter name."""
+"""Short names of options."""
 
 _REGISTRY: Final = ConstructorRegistry()
 

@@ -1,6 +1,6 @@
-"""Small range checks that turn an impossible value into one sentence.
+"""Range checks that refuse an impossible value in one sentence.
 
-Every check is one chain of comparisons, which is false for what is not a number and holds integers of any size.
+Each check is one chain of comparisons: false for NaN, and right for integers of any size.
 """
 
 import math

@@ -1,20 +1,20 @@
-"""How an actor's output becomes a velocity."""
+"""How an actor's output becomes a velocity command."""
 
 from dataclasses import dataclass
 from typing import Literal
 
 Control = Literal["velocity", "lattice"]
-"""velocity: the output is the velocity, as printed; lattice: it names one of nine places to fly to."""
+"""velocity: the output is the velocity, as printed; lattice: it selects one of nine points to fly to."""
 
 
 @dataclass(frozen=True)
 class ControlConfig:
-    """What the actors of each type command; heuristics and other users of the farm command velocities (ours)."""
+    """What the actors of each type command; heuristics and direct users of the farm command velocities (ours)."""
 
     communication: Control = "velocity"
-    """The communication UAVs' output: the velocity, or back, on or neither along x and y on a lattice whose places are
-    one step apart (ours)."""
+    """Output of the communication UAVs' actors: a velocity, or one of nine points on a lattice: one step back, none or
+    one on along x and y (ours)."""
     monitoring: Control = "lattice"
-    """The monitoring UAVs' (ours)."""
+    """The same for the monitoring UAVs (ours)."""
     collection: Control = "velocity"
-    """The data collection UAVs' (ours)."""
+    """The same for the data collection UAVs (ours)."""

@@ -1,4 +1,4 @@
-"""Which environment a run is about: the farm, or any PettingZoo parallel environment."""
+"""The environment of a run: the farm, or any PettingZoo parallel environment."""
 
 import json
 from dataclasses import dataclass
@@ -15,16 +15,17 @@ MOST_EPISODE_STEPS: Final = 100_000
 
 @dataclass(frozen=True)
 class EnvConfig:
-    """The environment; every field but the name is for PettingZoo environments."""
+    """The environment; all options but `name` are for PettingZoo environments."""
 
     name: str = FARM
-    """farm, or module:name of a PettingZoo parallel environment: mpe2:simple_spread_v3, or a callable of one's own."""
+    """farm, or module:name of a PettingZoo parallel environment or of a callable that returns one, for instance
+    mpe2:simple_spread_v3."""
     arguments: str = "{}"
-    """Keyword arguments of the environment, a JSON object, for instance {"N": 3}."""
+    """Keyword arguments of the environment as a JSON object, for instance {"N": 3}."""
     types: str = ""
-    """Which agents form a type, prefix=type with commas between; empty takes each name without its number."""
+    """Types of agents by name, prefix=type separated by commas; empty: each name without its number."""
     steps: int = 0
-    """Steps after which an episode is truncated; 0 leaves it to the environment."""
+    """Steps after which an episode is truncated; 0 leaves truncation to the environment."""
 
     def __post_init__(self) -> None:
         """Refuse names and arguments that cannot be read."""

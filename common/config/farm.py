@@ -1,7 +1,6 @@
 """The farm: every constant of the paper's system model, with its symbol and unit.
 
-Values without a mark are the paper's (Tables 1 and 2). A docstring that ends in "(ours)" marks a constant that
-the paper does not give.
+A docstring that ends in "(ours)" marks a constant that the paper does not give; all others are from its Tables 1 and 2.
 """
 
 import math
@@ -14,7 +13,7 @@ from common.config.sites import MAX_SENSORS, Sites, check_sites
 from common.errors import ConfigError
 
 Density = Literal["irregular", "uniform", "clustered", "banded", "patchy", "mixed"]
-"""How sensors are spread over a field."""
+"""How the sensors are distributed over the field."""
 
 
 @dataclass(frozen=True)
@@ -44,13 +43,13 @@ class WorldConfig:
     sensors: int = 400
     """Number of wireless sensors, n_WS (1 to 10,000)."""
     sensor_spacing: float = 10.0
-    """Least distance between two sensors that are thrown, m (ours)."""
+    """Smallest distance between two sampled sensors, m (ours)."""
     density: Density = "irregular"
-    """Where sensors are dense: hills, everywhere alike, islands, crop rows, parts left empty, or by the farm (ours)."""
+    """Distribution of the sensors: hills, uniform, clusters, crop rows, empty parts, or one of these by seed (ours)."""
     sites: Sites = ()
-    """Given places of the sensors instead, [x, y] in m or [x, y, type]; `--farm-file` fills it; no option (ours)."""
+    """Measured positions of the sensors instead, each [x, y] in m or [x, y, type]; `--farm-file` sets them (ours)."""
     sensor_cycles: tuple[int, ...] = (40, 50, 60)
-    """AoI update cycle T_UA of each sensor type, s; their number is I_type."""
+    """AoI update cycle T_UA of each sensor type, s; there are I_type of them."""
     plots_x: int = 20
     """Number of plots along x, n_px (1 to 256)."""
     plots_y: int = 20
@@ -68,12 +67,12 @@ class WorldConfig:
     start_levels: Literal["zero", "random"] = "zero"
     """AoI and VDF at the start of an episode: all 0, or uniform over 0..max (ours)."""
     cycle_phase: Literal["zero", "random"] = "zero"
-    """Whether every counter rises at multiples of its cycle (W18), or at a random phase of its own."""
+    """Whether all counters rise at multiples of their cycle (W18), or each at its own random phase."""
     collision_distance: float = 2.0
-    """Two UAVs of one plane closer than this count as a collision in the report, m (ours)."""
+    """Distance below which two UAVs at the same height are reported as a collision, m (ours)."""
 
     def __post_init__(self) -> None:
-        """Refuse counts, sizes and cycles that no farm can have."""
+        """Refuse impossible counts, sizes and cycles."""
         within(
             1,
             64,
@@ -112,7 +111,7 @@ class WorldConfig:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """What full speed covers in a step, as a share of the field's width and of its depth."""
+        """Distance at full speed in one step, as shares of the field's width and depth."""
         return self.speed_x_max * self.step_seconds / self.field_x, self.speed_y_max * self.step_seconds / self.field_y
 
     @property
@@ -152,10 +151,10 @@ class RadioConfig:
     q_function: Literal["approximate", "exact"] = "approximate"
     """Q(x) as 0.5 exp(-x^2 / 2), or exact (W15)."""
     delivery: Literal["bernoulli", "expected"] = "bernoulli"
-    """Packets succeed at random with 1 - PLR, or every packet delivers that share of itself (W17)."""
+    """Whether a packet succeeds at random with probability 1 - PLR, or delivers its expected share 1 - PLR (W17)."""
 
     def __post_init__(self) -> None:
-        """Refuse links that no physics allows."""
+        """Refuse impossible radio constants."""
         finite(sensor_power_dbm=self.sensor_power_dbm, sensor_gain_dbi=self.sensor_gain_dbi)
         positive(
             carrier_mhz=self.carrier_mhz,
@@ -182,7 +181,7 @@ class CameraConfig:
     grid_y: int = 5
     """Grid cells of a plot along y, n_gy (ours)."""
     plot_threshold: float = 0.75
-    """Least share of acceptable cells for a plot to succeed, Q_th (ours)."""
+    """Smallest share of acceptable cells with which the image of a plot succeeds, Q_th (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse grids without cells and thresholds outside 0..1."""
@@ -235,7 +234,7 @@ class EnergyConfig:
     """Extra communication power of a data collection UAV, P_ec, dBm."""
 
     def __post_init__(self) -> None:
-        """Refuse bodies without mass, air or rotors."""
+        """Refuse UAVs without mass, air or rotors."""
         positive(
             mass=self.mass,
             gravity=self.gravity,
@@ -260,16 +259,16 @@ class EnergyConfig:
 
 @dataclass(frozen=True)
 class RelayConfig:
-    """Service quality D_c and the assignment of UAVs to relays."""
+    """Service quality D_c of the relays (communication UAVs), and the assignment of UAVs to them."""
 
     weight_centroid: float = 0.5
-    """Weight epsilon_1 of D_cg, the distance to the centroid of those served."""
+    """Weight epsilon_1 of D_cg, the distance to the centroid of the served UAVs."""
     weight_farthest: float = 0.2
-    """Weight epsilon_2 of D_cf, the distance to the farthest served."""
+    """Weight epsilon_2 of D_cf, the distance to the farthest served UAV."""
     weight_relays: float = 0.3
     """Weight epsilon_3 of D_cc, the distance to the centroid of all relays."""
     capacity: int = 0
-    """UAVs that one relay serves at most; 0 means ceil((n_m + n_d) / n_c) (ours)."""
+    """Most UAVs that one relay serves; 0 means ceil((n_m + n_d) / n_c) (ours)."""
     cost_distance: float = 1.0
     """Weight of the distance, over the field's diagonal, in the assignment cost (W3)."""
     cost_link: float = 1.0
@@ -304,7 +303,7 @@ class RelayConfig:
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weights alpha_1 to alpha_10 and the readings of the reward's terms."""
+    """Weights alpha_1 to alpha_10 of the reward, and how its printed terms are read."""
 
     positioning: float = 1.0
     """alpha_1, weight of the relay's change in D_c, 1/m."""
@@ -327,11 +326,11 @@ class RewardConfig:
     collection_motivation: float = 0.2
     """alpha_10, weight of the AoI motivation M_D."""
     positioning_sign: Literal["corrected", "printed"] = "corrected"
-    """-alpha_1 dD_c pays for closing in; printed pays for flying away (W1)."""
+    """corrected: -alpha_1 dD_c rewards a relay for closing in; printed: the sign that rewards flying away (W1)."""
     risk: Literal["closing", "printed"] = "closing"
-    """SR = max(0, d(t-1) - d(t)) under d_safety, or the printed d(t) - d(t-1) (W8)."""
+    """closing: SR = max(0, d(t-1) - d(t)) below d_safety; printed: d(t) - d(t-1) (W8)."""
     nearest: Literal["plane", "any"] = "plane"
-    """Whether the nearest UAV is looked for in the same plane or in all (W10)."""
+    """Whether the nearest UAV is one at the same height, or at any height (W10)."""
 
     def __post_init__(self) -> None:
         """Refuse weights that are not numbers."""
@@ -356,22 +355,22 @@ class ObservationConfig:
     sensors: int = 10
     """Sensors that a data collection UAV sees, n (ours)."""
     choice: Literal["waiting", "nearest"] = "waiting"
-    """Which n: the nearest that hold data (AoI of 1 or more), empty ones behind them, or simply the nearest (ours)."""
+    """waiting: the nearest that hold data (AoI of 1 or more), then empty ones; nearest: simply the nearest (ours)."""
     form: Literal["default", "printed"] = "default"
     """default: AoI and relative (dx, dy) of each observed sensor; printed: AoI only (W24)."""
     window: int = 5
-    """Plots along each side of the square whose VDF a monitoring UAV sees, odd; the paper's is 3."""
+    """Side of the square of plots whose VDF a monitoring UAV sees, in plots; odd; the paper's is 3."""
     lattice: bool = True
-    """Whether a monitoring UAV sees where in its plot it is, as the offset to the middle over half a plot (ours)."""
+    """Whether a monitoring UAV sees its offset from the centre of its plot, over half a plot (ours)."""
     mirrored: bool = True
-    """Whether an actor sees and steers along axes that make its place, a monitor's in its plot, positive (ours)."""
+    """Whether an actor acts along axes on which its position (a monitor's in its plot) is positive (ours)."""
     identity: bool = True
-    """Whether an agent sees which of its type it is, one of n_v, so that equal actors can share the work (ours)."""
+    """Whether an agent sees its index in its type, 1 of n_v, so that equal actors can divide the work (ours)."""
     clock: bool = True
-    """Whether an agent sees the share of the episode that is over (ours)."""
+    """Whether an agent sees the elapsed share of the episode (ours)."""
 
     def __post_init__(self) -> None:
-        """Refuse to observe no sensor, and a window without a middle."""
+        """Refuse to observe no sensor, and a window without a centre."""
         within(1, 256, sensors=self.sensors)
         within(1, 31, window=self.window)
         if self.window % 2 == 0:

@@ -25,14 +25,14 @@ from common.errors import ConfigError
 _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
 
 Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], ...]
-"""What a field that is not a section holds."""
+"""The value of an option."""
 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
 _WORD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.:/+-]*")
-"""What needs no quotes on a command line."""
+"""A text that needs no quotes on a command line."""
 
 _LONG: Final = 8
-"""A list with more entries than this is not shown whole in a sentence."""
+"""Longest list that a message shows whole."""
 
 
 def flatten(config: Any) -> dict[str, Value]:
@@ -64,11 +64,11 @@ def to_toml(config: RunConfig) -> str:
 
 
 def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
-    """Return the base with the values of a TOML text or file.
+    """Return the base with the values of a TOML text or file in it.
 
     Args:
         source: TOML text, or the path of a file that holds it.
-        base: what the source leaves out.
+        base: the values of keys that the source leaves out.
 
     Raises:
         ConfigError: the file cannot be read, is not TOML, names a key that is unknown or has no effect with the
@@ -122,10 +122,9 @@ def digest(config: RunConfig) -> str:
 
 
 def method_of(config: RunConfig) -> RunConfig:
-    """Return the configuration without what a run may change when it is resumed.
+    """Return the configuration without the sections that a resumed run may change: `learner` and `evaluation`.
 
-    That is how the learner's process works, and how its policy is evaluated at the end: threads, device, how often
-    checkpoints are written and how many stay. They change a run's speed, and rounding, and not what is trained.
+    They change a run's speed, its rounding and its final evaluation, but not what is trained.
     """
     return dataclasses.replace(config, learner=LearnerConfig(), evaluation=EvaluationConfig())
 
@@ -238,7 +237,7 @@ def _convert(key: str, value: Any, wanted: Any) -> Value:
 
 
 def _sites(key: str, value: Any) -> Sites:
-    """Return a TOML list of places, whole numbers as numbers; what the places mean is checked by their section."""
+    """Return a TOML list of positions as floats; WorldConfig checks their values."""
     if not isinstance(value, list) or len(value) > MAX_SENSORS:
         raise ConfigError(f"{key} must be a list of at most {MAX_SENSORS} places, not {_show(value)}.")
     for site in value:
@@ -250,7 +249,7 @@ def _sites(key: str, value: Any) -> Sites:
 
 
 def _brief(value: Value) -> str:
-    """Return a value for a sentence."""
+    """Return a value for a message."""
     return f"a list of {len(value)}" if isinstance(value, tuple) and len(value) > _LONG else format_value(value)
 
 

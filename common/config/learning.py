@@ -9,29 +9,29 @@ from common.errors import ConfigError
 
 @dataclass(frozen=True)
 class EliteConfig:
-    """Elite imitation: when, how strongly, and how agents are scored."""
+    """Elite imitation: its schedule, its strength, and how agents are scored."""
 
     enabled: bool = True
-    """Whether elites are imitated, in an algorithm that has imitation."""
+    """Whether agents imitate elites."""
     rate: float = 0.1
-    """First update coefficient, vartheta*."""
+    """Update coefficient of the first event, vartheta*."""
     cycle: int = 10
-    """First mimicry cycle factor delta*, episodes."""
+    """First mimicry cycle delta*, episodes."""
     rate_decay: float = 0.5
     """Factor on vartheta after each event; the paper prints 1/2."""
     cycle_growth: float = 2.0
     """Factor on delta after each event; the paper prints 2."""
     rule: Literal["cycle_divides_episode", "printed"] = "cycle_divides_episode"
-    """An event falls due when delta divides lambda, or as printed when lambda divides delta (A1)."""
+    """Whether an event is due when delta divides the episode lambda, or, as printed, when lambda divides delta (A1)."""
     weight_mean: float = 1.0
     """beta_1, weight of the mean step reward in omega (ours)."""
     weight_variance: float = -0.1
     """beta_2, weight of the variance of the scaled step rewards in omega (ours)."""
     farms: int = 4
-    """Noise-free evaluation episodes of one event, each on another training farm (ours)."""
+    """Noise-free evaluation episodes of one event, each on a different training farm (ours)."""
 
     def __post_init__(self) -> None:
-        """Refuse schedules that never come or never end."""
+        """Refuse impossible schedules and scores."""
         within(0.0, 1.0, rate=self.rate, rate_decay=self.rate_decay)
         within(1, 1_000_000, cycle=self.cycle)
         within(1, 256, farms=self.farms)
@@ -42,22 +42,22 @@ class EliteConfig:
 
 @dataclass(frozen=True)
 class ReplayConfig:
-    """The replay buffer and the balance of production and consumption."""
+    """The replay buffer, and the balance between collecting transitions and updating."""
 
     capacity: int = 65_536
     """Rows of the replay buffer; one row is one environment step of all agents, D = 2^16."""
     warmup_steps: int = 10_000
     """Environment steps before the first update; actions are uniform until then (ours)."""
     updates_per_step: float = 0.5
-    """Update rounds per environment step of one farm; the paper's ratio is 1."""
+    """Updates per environment step of one farm; the paper's ratio is 1."""
     slack_steps: int = 4_000
-    """Environment steps by which production may lead consumption before producers wait (ours)."""
+    """Environment steps by which workers may lead the updates before they wait (ours)."""
     intake_chunks: int = 16
-    """Chunks that the learner's intake queue holds at most (ours)."""
+    """Most chunks in the learner's intake queue (ours)."""
     max_age_versions: int = 0
-    """Parameter versions by which a row may be older than the newest and still be drawn; 0 for any (ours)."""
+    """Largest age of a row that is still sampled, in parameter versions; 0 for no limit (ours)."""
     max_lag_versions: int = 0
-    """Parameter versions by which the policy that flew a chunk may lag behind when it arrives; 0 for any (ours)."""
+    """Largest lag of an arriving chunk's policy, in parameter versions; 0 for no limit (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse buffers that cannot hold a batch."""
@@ -71,7 +71,7 @@ class ReplayConfig:
         within(1, 100_000_000, slack_steps=self.slack_steps)
         within(1, 65_536, intake_chunks=self.intake_chunks)
         if self.warmup_steps > self.capacity * 100:
-            raise ConfigError("warmup_steps is far beyond what the replay buffer can hold.")
+            raise ConfigError("warmup_steps is more than 100 times the capacity of the replay buffer.")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""One run: the farm, the method, the processes and their budget."""
+"""One run: environment, algorithm, processes and budget."""
 
 import re
 from dataclasses import dataclass, field
@@ -16,22 +16,22 @@ _DEVICE: Final = re.compile(r"cpu|cuda(:(0|[1-9]\d{0,2}))?")
 
 @dataclass(frozen=True)
 class RolloutConfig:
-    """What one worker process does."""
+    """A worker process, which simulates environments and sends chunks of transitions."""
 
     environments: int = 8
-    """Simulated farms of one worker, stepped as one batch."""
+    """Environments of one worker, stepped as one batch."""
     chunk_steps: int = 20
-    """Steps of every environment in one chunk of transitions."""
+    """Steps of each environment in one chunk of transitions."""
     spool_chunks: int = 8
-    """Chunks that a worker holds unacknowledged before it stops simulating."""
+    """Unacknowledged chunks that a worker holds before it stops simulating."""
     train_farms: int = 20
-    """Training farms: integer seeds 0 .. train_farms - 1 (W26); other environments take them as scenario seeds."""
+    """Number of training farms, with the seeds 0 to train_farms - 1 (W26); scenario seeds in other environments."""
     threads: int = 1
     """Compute threads of one worker."""
     max_lag_versions: int = 0
-    """Parameter versions by which a worker's actors may lag behind the newest before it stops simulating; 0 for any."""
+    """Largest lag of a worker's actors, in parameter versions, before it stops simulating; 0 for no limit."""
     max_silence_seconds: float = 0.0
-    """Seconds without word from the learner after which a worker stops simulating; 0 for any time."""
+    """Time without a message from the learner after which a worker stops simulating, s; 0 for no limit."""
 
     def __post_init__(self) -> None:
         """Refuse empty batches and chunks."""
@@ -53,21 +53,21 @@ class RolloutConfig:
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """What the learner process does beside the method itself."""
+    """The learner process; nothing here changes what is learned."""
 
     threads: int = 1
     """Compute threads of the learner."""
     device: str = "cpu"
-    """Where the engine computes: cpu, cuda, or cuda:1 for the second accelerator."""
+    """Device of the networks: cpu, cuda, or cuda:1 for the second accelerator."""
     publish_seconds: float = 0.5
-    """Least time between two published parameter versions, s."""
+    """Shortest time between two published parameter versions, s."""
     checkpoint_seconds: float = 60.0
     """Time between two checkpoints, s."""
     keep_checkpoints: int = 2
-    """Newest checkpoints that are kept."""
+    """Number of newest checkpoints that are kept."""
 
     def __post_init__(self) -> None:
-        """Refuse times that never come, and what is no device."""
+        """Refuse impossible times and devices."""
         within(1, 256, threads=self.threads)
         if not _DEVICE.fullmatch(self.device):
             raise ConfigError(f"device must be cpu, cuda or cuda:NUMBER, not {self.device!r}.")
@@ -80,7 +80,7 @@ class EvaluationConfig:
     """The noise-free evaluation at the end of a run."""
 
     first_farm: int = 1000
-    """First farm seed of the evaluation; training never sees it."""
+    """Seed of the first evaluation farm; training never sees these farms."""
     farms: int = 20
     """Number of evaluation farms."""
     episodes: int = 1
@@ -94,12 +94,12 @@ class EvaluationConfig:
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Everything that decides a run's outcome."""
+    """Everything that determines a run's outcome."""
 
     seed: int = 0
-    """Seed of the run: initial weights, batches, farms' order and noise all follow from it."""
+    """Seed of the run; initial weights, batches, the order of farms and all noise follow from it."""
     episodes: int = 400
-    """Training episodes lambda_max, counted over all environments of all workers."""
+    """Training episodes lambda_max, in total over all environments of all workers."""
     env: EnvConfig = field(default_factory=EnvConfig)
     farm: FarmConfig = field(default_factory=FarmConfig)
     algorithm: AlgorithmConfig = field(default_factory=EiaSecConfig)

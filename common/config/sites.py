@@ -1,28 +1,28 @@
-"""Given places of the sensors: how they stand in a configuration, and what is refused."""
+"""Measured positions of sensors: their form in a configuration, and their checks."""
 
 from typing import Final
 
 from common.errors import ConfigError
 
 Sites = tuple[tuple[float, ...], ...]
-"""One (x, y) in m, or one (x, y, type), for each sensor; empty when the sensors are thrown."""
+"""One (x, y) in m, or one (x, y, type), for each sensor; empty when the sensors are sampled."""
 
 MAX_SENSORS: Final = 10_000
 """Most sensors of a farm."""
 
 
 def check_sites(sites: Sites, sensors: int, field_x: float, field_y: float, types: int) -> None:
-    """Refuse places that a farm cannot have.
+    """Refuse positions that a farm cannot have.
 
     Args:
-        sites: the places; empty ones are not looked at.
-        sensors: number of sensors that there should be.
+        sites: the positions; none are always fine.
+        sensors: the expected number of sensors.
         field_x: width of the field, m.
         field_y: depth of the field, m.
         types: number of sensor types.
 
     Raises:
-        ConfigError: another number of places, one outside the field or without a type of its own, or two equal ones.
+        ConfigError: their number is wrong, one lies outside the field or has an unknown type, or two are equal.
     """
     if not sites:
         return
