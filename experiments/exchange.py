@@ -5,7 +5,7 @@
 Of one type some UAVs are flown by the search of `horizon`, 16 steps ahead without a sweep, the others by the policy
 that ships. Searches know of each other's plans, and nothing of what the learned UAVs are about to do. Where one search
 earns more than the learned UAV did and the others lose as much, it takes from them; what a type earns all together
-tells whether anything was gained.
+states whether anything was gained.
 """
 
 import argparse

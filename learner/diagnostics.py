@@ -198,18 +198,18 @@ class RunningDiagnostics:
     def by_type(self) -> dict[str, float]:
         """Return NAME/TYPE: means over the type's agents; without diagnostics that the algorithm does not report."""
         parts = list(zip(self._team.groups, self._team.agent_slices(), strict=True))
-        return {f"{name}/{group.name}": float(row[part].mean()) for name, row in self._told() for group, part in parts}
+        return {f"{name}/{group.name}": float(row[part].mean()) for name, row in self._rows() for group, part in parts}
 
     def by_agent(self) -> dict[str, float]:
         """Return NAME/AGENT for each agent, named by its type and its number inside the type; likewise."""
         agents = [f"{group.name}-{index}" for group in self._team.groups for index in range(group.count)]
         return {
             f"{name}/{agent}": value
-            for name, row in self._told()
+            for name, row in self._rows()
             for agent, value in zip(agents, row.tolist(), strict=True)
         }
 
-    def _told(self) -> list[tuple[str, Tensor]]:
+    def _rows(self) -> list[tuple[str, Tensor]]:
         names = [name for name in NAMES if name in self.means]
         if not names:
             return []

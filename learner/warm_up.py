@@ -1,4 +1,4 @@
-"""Updates of a run that is thrown away, so that what they call is compiled before anybody waits for the learner.
+"""Updates of a run that is discarded, so that what they call is compiled before anybody waits for the learner.
 
 With an empty cache the compiler takes some ten seconds, during which a process answers nobody.
 """

@@ -36,9 +36,9 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any]) -> str:
     size, own = seeds["sizes"], seeds["methods"][DEFAULT_PRESET]
     learned = {"**EIA-SEC, default preset**": own}
     learned |= {_compared(name): method for name, method in study["methods"].items()}
-    rows = [(name, "learned", method["mean_reward"], method["figures"]) for name, method in learned.items()]
+    rows = [(name, "learned", method["mean_reward"], method["metrics"]) for name, method in learned.items()]
     for name, policy in seeds["references"]["policies"].items():
-        freshness = {name: [policy["figures"][name]] * 3 for name in ("aoi", "vdf")}
+        freshness = {name: [policy["metrics"][name]] * 3 for name in ("aoi", "vdf")}
         rows.append((name, "heuristic", [policy["mean_reward"]] * 3, freshness))
     rows.sort(key=lambda row: -row[2][0])
     lines = ["| policy | | reward per agent | AoI | VDF |", "|---|---|---:|---:|---:|"]
@@ -77,7 +77,7 @@ def _methods_rows(study: dict[str, Any]) -> list[str]:
     ]
     for name, method in methods:
         better = study["improvement"].get(name)
-        freshness = [shown(method["figures"][name], 2) for name in ("aoi", "vdf")]
+        freshness = [shown(method["metrics"][name], 2) for name in ("aoi", "vdf")]
         cells = [
             shown(method["reward"]),
             shown(method["normalised"], 2),
@@ -117,7 +117,7 @@ def default_block(run: dict[str, Any], study: dict[str, Any], flown: dict[str, A
     """
     farms, own = run["evaluations"][0]["farms"], seeds["methods"][DEFAULT_PRESET]
     chosen = " but on which the preset's settings were chosen" if farms[0] < FIRST_REPORTED else ""
-    aoi, vdf = (shown(own["figures"][name], 2) for name in ("aoi", "vdf"))
+    aoi, vdf = (shown(own["metrics"][name], 2) for name in ("aoi", "vdf"))
     first = f"""The run whose policy ships, without noise on farms {farms[0]}..{farms[-1]}, which training never saw (it
         uses 0..19){chosen}; one seed:"""
     origin = f"""Made by `{run["command"]}` (seed {run["seed"]}, commit {run["commit"]}), which is what

@@ -1,6 +1,6 @@
 """The table of faults in docs/explanation/reliability.md, from the numbers in docs/results/reliability.
 
-EIA_SEC_FIGURES=docs/results/reliability python -m pytest -m nightly tests/faults     # the full doses, about an hour
+EIA_SEC_RESULTS=docs/results/reliability python -m pytest -m nightly tests/faults     # the full doses, about an hour
 """
 
 import json

@@ -133,7 +133,7 @@ class Bench:
         first, farms = int(evaluation["first_farm"]), self.scale.reported
         part = slice(farms.start - first, farms.stop - first)
         assert len(evaluation["reward"][part]) == len(farms), "asked of other farms than those of the scale"
-        sections = ("types", "figures")
+        sections = ("types", "metrics")
         return {"reward": evaluation["reward"][part]} | {
             section: {name: values[part] for name, values in evaluation[section].items()} for section in sections
         }

@@ -260,7 +260,7 @@ def compact(evaluation: Evaluation) -> dict[str, Any]:
         "farms": len(evaluation.farms),
         "reward": [round(score.reward, DIGITS) for score in scores],
         "types": {name: [round(score.types[name], DIGITS) for score in scores] for name in scores[0].types},
-        "figures": {name: [round(score.metrics[name], DIGITS) for score in scores] for name in scores[0].metrics},
+        "metrics": {name: [round(score.metrics[name], DIGITS) for score in scores] for name in scores[0].metrics},
     }
 
 

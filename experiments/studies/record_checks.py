@@ -54,7 +54,7 @@ def _evaluation(evaluation: Mapping[str, Any], farms: Any, types: Collection[str
     first, count = farms
     if (evaluation["first_farm"], evaluation["farms"]) != (first, count):
         raise ValueError("it was flown on other farms")
-    sections = (("types", types), ("figures", METRIC_NAMES))
+    sections = (("types", types), ("metrics", METRIC_NAMES))
     lists = [evaluation[section][name] for section, names in sections for name in names]
     for values in (evaluation["reward"], *lists):
         _numbers(values, count)

@@ -105,7 +105,7 @@ def parameter_gradient(
 ) -> None:
     """Write the gradient of sum(upstream * output) by all parameters.
 
-    `scratch` is as large as `scratch_size` tells.
+    `scratch` is as large as `scratch_size` says.
     """
     width = table[0, WIDTH]
     for n in range(table.shape[0]):
@@ -116,23 +116,23 @@ def parameter_gradient(
         above = upstream[table[n, OUTPUT] : table[n, OUTPUT] + rows * fan_out]
         begin = table[n, HEAD]
         head = parameters[begin + fan_out : begin + fan_out + width * fan_out]
-        slope = into[begin + fan_out : begin + fan_out + width * fan_out]
+        gradient_row = into[begin + fan_out : begin + fan_out + width * fan_out]
         bias = into[begin : begin + fan_out]
         if fan_out == 1:
             bias[0] = above.sum()
-            np.dot(upper.T, above, slope)
+            np.dot(upper.T, above, gradient_row)
             _outer(above, head, upper, z2)
         else:
             wide = above.reshape((rows, fan_out))
             _column_sums(wide, bias)
-            np.dot(upper.T, wide, slope.reshape((width, fan_out)))
+            np.dot(upper.T, wide, gradient_row.reshape((width, fan_out)))
             np.dot(wide, head.reshape((width, fan_out)).T, z2)
             _mask(z2, upper)
         begin = table[n, SECOND]
         _column_sums(z2, into[begin : begin + width])
         second = parameters[begin + width : begin + width + width * width].reshape((width, width))
-        slopes = into[begin + width : begin + width + width * width].reshape((width, width))
-        multiply_turned(lower, z2, slopes, piece)
+        gradients = into[begin + width : begin + width + width * width].reshape((width, width))
+        multiply_turned(lower, z2, gradients, piece)
         multiply_by_turned(z2, second, z1, rest, piece)
         _mask(z1, lower)
         inputs = x[starts[n] : starts[n] + rows * fan_in].reshape((rows, fan_in))
@@ -169,9 +169,9 @@ def action_gradient(
         size, own = table[n, OWN_SIZE], table[n, FIRST] + table[n, OWN] * width
         part = rest[: rows * size]
         np.dot(z1, parameters[own : own + size * width].reshape((size, width)).T, part.reshape((rows, size)))
-        slope = into[places[n] : places[n] + rows * size]
+        gradient_row = into[places[n] : places[n] + rows * size]
         for k in range(rows * size):
-            slope[k] += part[k]
+            gradient_row[k] += part[k]
 
 
 def scratch_size(rows: int, width: int, action: int) -> int:
@@ -216,9 +216,9 @@ def _mask(gradient: Floats, activation: Floats) -> None:
 def _outer(above: Floats, head: Floats, activation: Floats, out: Floats) -> None:
     """Write the gradient by a scalar head's sums below, above head^T, where the activation is above 0."""
     for r in range(out.shape[0]):
-        slope, active, row = above[r], activation[r], out[r]
+        gradient_row, active, row = above[r], activation[r], out[r]
         for c in range(head.shape[0]):
-            row[c] = slope * head[c] if active[c] > 0 else out.dtype.type(0)
+            row[c] = gradient_row * head[c] if active[c] > 0 else out.dtype.type(0)
 
 
 @compiled
@@ -251,11 +251,11 @@ def adam(
     blend, keep, take, rate, epsilon, follow = settings
     for start in range(0, parameters.shape[0], SWEEP):
         part = slice(start, start + SWEEP)
-        values, slopes = parameters[part], gradient[part]
+        values, gradients = parameters[part], gradient[part]
         means, squares, followers = mean[part], square[part], target[part]
         for i in range(values.shape[0]):
-            first = means[i] + (slopes[i] - means[i]) * blend
-            second = squares[i] * keep + slopes[i] * slopes[i] * take
+            first = means[i] + (gradients[i] - means[i]) * blend
+            second = squares[i] * keep + gradients[i] * gradients[i] * take
             means[i], squares[i] = first, second
             values[i] -= rate * first / (np.sqrt(second) + epsilon)
         for i in range(followers.shape[0]):

@@ -53,7 +53,7 @@ def test_what_no_process_writes_is_no_record(line):
 
 
 def test_a_range_that_grows_too_long_is_two_lines(tmp_path, monkeypatch):
-    """No line tells of more chunks than one that is read may."""
+    """No line is about more chunks than one that is read may."""
     monkeypatch.setattr(history, "MOST_JOINED", 100)
     path = tmp_path / "h.jsonl"
     one = History(path)
@@ -161,17 +161,17 @@ def test_a_disk_that_becomes_read_only_stops_nobody(tmp_path, monkeypatch):
 
 
 def test_a_history_that_cannot_be_read_is_kept_and_said(tmp_path, monkeypatch):
-    """What earlier starts told is put aside, not overwritten, and the alarm stays while the new history grows."""
+    """What earlier starts wrote is put aside, not overwritten, and the alarm stays while the new history grows."""
     path = tmp_path / "h.jsonl"
     History(path).add(chunk(1))
-    told = path.read_text()
+    written = path.read_text()
     with monkeypatch.context() as patched:
         patched.setattr("common.history.MAX_BYTES", 1)
         one = History(path)
     one.add(chunk(2))
     assert one.before == []
     assert "h.jsonl.unreadable" in one.failure
-    assert (tmp_path / "h.jsonl.unreadable").read_text() == told
+    assert (tmp_path / "h.jsonl.unreadable").read_text() == written
     assert [r.last for r in read(path)[0]] == [2]
     assert History(path).failure == ""
 

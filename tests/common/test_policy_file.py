@@ -42,7 +42,7 @@ def test_a_policy_comes_back_bit_equal_with_its_provenance(path, actors):
     assert metadata == PROVENANCE
 
 
-def test_half_storage_halves_the_file_and_rounds_to_sixteen_bits(tmp_path):
+def test_half_storage_halves_the_file_and_keeps_sixteen_bits(tmp_path):
     """With `half` the parameters come back as float32 rounded to 11 significant bits, from half the bytes."""
     actors = TeamActors.initial(TEAM, hidden=64, seed=1)
     save_policy(tmp_path / "whole", actors, {})

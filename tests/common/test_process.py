@@ -32,18 +32,21 @@ def test_a_full_disk_costs_lines_and_nothing_else(monkeypatch, capsys):
     assert len(refused) == 2
     log("three")
     log("four")
-    told = capsys.readouterr().err.splitlines()
-    assert [line.partition(" ")[2] for line in told] == ["(2 lines before this one could not be written) three", "four"]
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.partition(" ")[2] for line in lines] == [
+        "(2 lines before this one could not be written) three",
+        "four",
+    ]
 
 
 def test_what_others_wrote_is_printable(capsys):
     """A line stays one line, and the lines of one entry stay divided as they were."""
     log("worker \x1b[2J says\nALARM" + SEPARATOR + "second")
-    told = capsys.readouterr().err.splitlines()
-    assert [line.partition(" ")[2] for line in told] == ["worker ?[2J says?ALARM", " | second"]
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.partition(" ")[2] for line in lines] == ["worker ?[2J says?ALARM", " | second"]
 
 
-def test_a_sum_that_no_frame_holds_is_told_as_the_largest_one_does():
+def test_a_sum_that_no_frame_holds_is_reported_as_the_largest_one_does():
     """Whatever adds up to what a message cannot hold, the report leaves, and everything else in it is as it was."""
     endpoint = free_endpoint()
     with Bus.listen(endpoint, "control") as bus:

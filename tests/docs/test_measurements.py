@@ -1,4 +1,4 @@
-"""The figures in README and docs are those of the committed results."""
+"""The numbers in README and docs are those of the committed results."""
 
 import json
 from pathlib import Path
@@ -21,7 +21,7 @@ def test_a_measurement_that_was_not_made_is_said(name: str, tmp_path: Path) -> N
     assert len(measured(name, ROOT)) > 300
 
 
-def test_the_cost_of_watching_tells_its_commit_when_it_is_known() -> None:
+def test_the_cost_of_watching_names_its_commit_when_it_is_known() -> None:
     """A file that names none is shown without; nothing is made up."""
     data = json.loads((ROOT / "docs" / "results" / "watch.json").read_text(encoding="utf-8"))
     without = {key: value for key, value in data.items() if key != "commit"}
@@ -39,7 +39,7 @@ def test_the_kept_run_is_that_of_the_default_preset() -> None:
 
 
 def test_watching_costs_the_worker_less_than_two_percent() -> None:
-    """What the page says of the committed figures is what they are."""
+    """What the page says of the committed numbers is what they are."""
     data = json.loads((ROOT / "docs" / "results" / "watch.json").read_text(encoding="utf-8"))
     watched = [line for line in data["watchers"] if line["watchers"]]
     assert {line["watchers"] for line in watched} >= {1, 4}
@@ -58,12 +58,12 @@ def results() -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str,
     flown = json.loads((ROOT / HEURISTICS).read_text(encoding="utf-8"))
     own = {
         "mean_reward": [1310.0, 1300.0, 1320.0],
-        "figures": {"aoi": [0.5, 0.48, 0.51], "vdf": [1.8, 1.8, 1.8]},
+        "metrics": {"aoi": [0.5, 0.48, 0.51], "vdf": [1.8, 1.8, 1.8]},
         "runs": [{}] * 5,
     }
     policies = {
-        "high": {"mean_reward": 1321.0, "figures": {"aoi": 0.1, "vdf": 0.2}},
-        "level": {"mean_reward": 1320.0, "figures": {"aoi": 0.1, "vdf": 0.2}},
+        "high": {"mean_reward": 1321.0, "metrics": {"aoi": 0.1, "vdf": 0.2}},
+        "level": {"mean_reward": 1320.0, "metrics": {"aoi": 0.1, "vdf": 0.2}},
     }
     seeds = {
         "methods": {"default preset": own},

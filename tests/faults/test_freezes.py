@@ -36,9 +36,9 @@ def freeze_learner(directory: Path, seconds: list[float]) -> dict[str, Any]:
         return {"freezes": rows, "lost_chunks": found.chunks["lost"], "unexplained": len(found.unexplained)}
 
 
-def check_freezes(figures: dict[str, Any]) -> None:
-    assert all(row["worker_grew_mib"] <= 64 for row in figures["freezes"])
-    assert figures["unexplained"] == 0
+def check_freezes(measured: dict[str, Any]) -> None:
+    assert all(row["worker_grew_mib"] <= 64 for row in measured["freezes"])
+    assert measured["unexplained"] == 0
 
 
 def test_a_frozen_learner(tmp_path):
@@ -50,10 +50,10 @@ def test_a_frozen_learner(tmp_path):
 @pytest.mark.timeout(900)
 def test_a_frozen_learner_at_full_dose(tmp_path):
     """Frozen for 3, 9 and 60 seconds: memory bounded, recovery within 10 seconds."""
-    figures = freeze_learner(tmp_path, [3.0, 9.0, 60.0])
-    record_result("frozen_learner", **figures)
-    check_freezes(figures)
-    assert all(row["seconds_to_recover"] <= 10 for row in figures["freezes"])
+    measured = freeze_learner(tmp_path, [3.0, 9.0, 60.0])
+    record_result("frozen_learner", **measured)
+    check_freezes(measured)
+    assert all(row["seconds_to_recover"] <= 10 for row in measured["freezes"])
 
 
 def epochs_of(directory: Path) -> list[int]:
@@ -63,7 +63,7 @@ def epochs_of(directory: Path) -> list[int]:
 
 
 def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:
-    """Freeze a learner, let another take its place, thaw it; return the figures."""
+    """Freeze a learner, let another take its place, thaw it; return the results."""
     fleet = Routed(directory, BEHIND)
     try:
         fleet.router()
@@ -110,13 +110,13 @@ def replace_a_frozen_learner(directory: Path, seconds: float) -> dict[str, Any]:
 
 def test_a_learner_that_was_frozen_and_replaced(tmp_path):
     """A thawed learner whose place is taken ends by itself, also with a full queue; all chunks are accounted for."""
-    figures = replace_a_frozen_learner(tmp_path, 0.5)
-    record_result("replaced_learner", **figures)
-    assert figures["old_learner_exit_code"] == 2
-    assert "newer learner" in figures["old_learner_said"]
-    assert figures["falls_of_the_epoch"] == 0
-    assert figures["worker_ends_with_the_new_epoch"]
-    assert figures["unexplained"] == figures["doubled"] == 0
+    measured = replace_a_frozen_learner(tmp_path, 0.5)
+    record_result("replaced_learner", **measured)
+    assert measured["old_learner_exit_code"] == 2
+    assert "newer learner" in measured["old_learner_said"]
+    assert measured["falls_of_the_epoch"] == 0
+    assert measured["worker_ends_with_the_new_epoch"]
+    assert measured["unexplained"] == measured["doubled"] == 0
 
 
 def test_of_two_coordinators_one_leads(tmp_path):

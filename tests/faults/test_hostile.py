@@ -53,19 +53,19 @@ def attack(directory: Path, seconds: float) -> dict[str, Any]:
         fleet.worker("a")
         until(lambda: fleet.taken("a") > 20, "chunks of the honest worker", 240.0)
         rates: dict[str, float] = {}
-        figures: dict[str, Any] = {}
+        measured: dict[str, Any] = {}
         for case in ("alone", "under attack"):
             count, started = _accepted(fleet), time.monotonic()
             if case == "alone":
                 time.sleep(seconds)
             else:
-                figures = _send(fleet, seconds, learner)
+                measured = _send(fleet, seconds, learner)
             rates[case] = (_accepted(fleet) - count) / (time.monotonic() - started)
         until(lambda: fleet.status().get("ledger"), "a status")
         fleet.end()
         found, ledger = fleet.audit(), fleet.status()["ledger"]
         return {
-            **figures,
+            **measured,
             "share_kept": round(rates["under attack"] / rates["alone"], 3),
             **{f"chunks_per_second {case}": round(rate, 1) for case, rate in rates.items()},
             "unexplained": len(found.unexplained) + ledger["unexplained"],
@@ -97,10 +97,10 @@ def _send(fleet: FaultRun, seconds: float, learner: "subprocess.Popen[bytes]") -
 @pytest.mark.timeout(900)
 def test_hostile_chunks_at_full_dose(tmp_path):
     """All kinds, again and again for a minute: all answered, memory flat, four fifths of the honest worker's rate."""
-    figures = attack(tmp_path, 60.0)
-    record_result("hostile_chunks", **figures)
-    assert figures["kinds"] >= KINDS
-    assert figures["answered"] == figures["requests"]
-    assert figures["unexplained"] == 0
-    assert figures["share_kept"] >= 0.8
-    assert figures["learner_grew_mib"] <= 32
+    measured = attack(tmp_path, 60.0)
+    record_result("hostile_chunks", **measured)
+    assert measured["kinds"] >= KINDS
+    assert measured["answered"] == measured["requests"]
+    assert measured["unexplained"] == 0
+    assert measured["share_kept"] >= 0.8
+    assert measured["learner_grew_mib"] <= 32

@@ -13,7 +13,7 @@ from tests.system.fleet import until
 
 
 def kill_workers(directory: Path, kills: int, workers: int, toml: str = LONG) -> dict[str, Any]:
-    """Kill workers whose spools hold one chunk, in turn, and replace them; return the figures."""
+    """Kill workers whose spools hold one chunk, in turn, and replace them; return the results."""
     with run(directory, toml.replace("chunk_steps = 10", "chunk_steps = 10\nspool_chunks = 1")) as fleet:
         fleet.learner()
         names = [str(index) for index in range(workers)]
@@ -47,9 +47,9 @@ def kill_workers(directory: Path, kills: int, workers: int, toml: str = LONG) ->
         }
 
 
-def check_workers(figures: dict[str, Any]) -> None:
-    assert figures["unexplained"] == figures["doubled"] == 0
-    assert figures["lost_chunks"] <= figures["kills"]
+def check_workers(measured: dict[str, Any]) -> None:
+    assert measured["unexplained"] == measured["doubled"] == 0
+    assert measured["lost_chunks"] <= measured["kills"]
 
 
 def test_killed_workers(tmp_path):
@@ -61,9 +61,9 @@ def test_killed_workers(tmp_path):
 @pytest.mark.timeout(3600)
 def test_killed_workers_at_full_dose(tmp_path):
     """Fifty kills among eight workers lose at most one chunk each, and nothing is counted twice."""
-    figures = kill_workers(tmp_path, kills=50, workers=8)
-    record_result("killed_workers", **figures)
-    check_workers(figures)
+    measured = kill_workers(tmp_path, kills=50, workers=8)
+    record_result("killed_workers", **measured)
+    check_workers(measured)
 
 
 def partial(fleet: FaultRun) -> bool:
@@ -72,7 +72,7 @@ def partial(fleet: FaultRun) -> bool:
 
 
 def kill_learner(directory: Path, kills: int, inside: int, interrupt: float = 20.0) -> dict[str, Any]:
-    """Kill the learner, `inside` times while it writes a checkpoint; return the figures."""
+    """Kill the learner, `inside` times while it writes a checkpoint; return the results."""
     quick = LONG.replace("checkpoint_seconds = 0.5", "checkpoint_seconds = 0.2")
     with run(directory, quick) as fleet:
         fleet.learner()
@@ -108,10 +108,10 @@ def kill_learner(directory: Path, kills: int, inside: int, interrupt: float = 20
         }
 
 
-def check_learner(figures: dict[str, Any]) -> None:
-    assert figures["unexplained"] == figures["doubled"] == 0
+def check_learner(measured: dict[str, Any]) -> None:
+    assert measured["unexplained"] == measured["doubled"] == 0
     # What the ledger declares is exactly what was acknowledged and not in a checkpoint.
-    assert figures["ledger_lost"] == figures["lost_with_the_learner_steps"]
+    assert measured["ledger_lost"] == measured["lost_with_the_learner_steps"]
 
 
 def test_killed_learner(tmp_path):
@@ -123,14 +123,14 @@ def test_killed_learner(tmp_path):
 @pytest.mark.timeout(3600)
 def test_killed_learner_at_full_dose(tmp_path):
     """Twenty kills of the learner, five of them inside a checkpoint's write, and the ledger is exact."""
-    figures = kill_learner(tmp_path, kills=20, inside=8)
-    record_result("killed_learner", **figures)
-    check_learner(figures)
-    assert figures["inside_a_checkpoint_write"] >= 5
+    measured = kill_learner(tmp_path, kills=20, inside=8)
+    record_result("killed_learner", **measured)
+    check_learner(measured)
+    assert measured["inside_a_checkpoint_write"] >= 5
 
 
 def kill_coordinator(directory: Path, kills: int) -> dict[str, Any]:
-    """Kill the coordinator, and start it anew; return the figures."""
+    """Kill the coordinator, and start it anew; return the results."""
     events = LONG.replace("cycle = 2", "cycle = 4\ncycle_growth = 1.0\nrate_decay = 0.9")
     with run(directory, events) as fleet:
         fleet.learner()
@@ -164,22 +164,22 @@ def kill_coordinator(directory: Path, kills: int) -> dict[str, Any]:
 
 def test_killed_coordinator(tmp_path):
     """Training goes on without a coordinator, and the next one continues the schedule where it was."""
-    figures = kill_coordinator(tmp_path, kills=1)
-    assert figures["in_order"], json.dumps(figures)
+    measured = kill_coordinator(tmp_path, kills=1)
+    assert measured["in_order"], json.dumps(measured)
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1800)
 def test_killed_coordinator_at_full_dose(tmp_path):
     """Twenty kills of the coordinator: every event comes once, in order."""
-    figures = kill_coordinator(tmp_path, kills=20)
-    record_result("killed_coordinator", **figures)
-    assert figures["in_order"]
-    assert figures["unexplained"] == 0
+    measured = kill_coordinator(tmp_path, kills=20)
+    record_result("killed_coordinator", **measured)
+    assert measured["in_order"]
+    assert measured["unexplained"] == 0
 
 
 def kill_router(directory: Path, kills: int, outage: float) -> dict[str, Any]:
-    """Kill the router through which all talk, and start another after a while; return the figures."""
+    """Kill the router through which all talk, and start another after a while; return the results."""
     with closing(Routed(directory)) as fleet:
         fleet.router()
         fleet.learner_at("run")
@@ -209,9 +209,9 @@ def kill_router(directory: Path, kills: int, outage: float) -> dict[str, Any]:
         }
 
 
-def check_router(figures: dict[str, Any]) -> None:
-    assert figures["unexplained"] == figures["doubled"] == figures["lost_chunks"] == 0
-    assert figures["worker_grew_mib"] <= 64
+def check_router(measured: dict[str, Any]) -> None:
+    assert measured["unexplained"] == measured["doubled"] == measured["lost_chunks"] == 0
+    assert measured["worker_grew_mib"] <= 64
 
 
 def test_killed_router(tmp_path):
@@ -223,6 +223,6 @@ def test_killed_router(tmp_path):
 @pytest.mark.timeout(1800)
 def test_killed_router_at_full_dose(tmp_path):
     """Twenty kills of the router with outages of five seconds lose nothing."""
-    figures = kill_router(tmp_path, kills=20, outage=5.0)
-    record_result("killed_router", **figures)
-    check_router(figures)
+    measured = kill_router(tmp_path, kills=20, outage=5.0)
+    record_result("killed_router", **measured)
+    check_router(measured)

@@ -11,7 +11,7 @@ from tests.faults.tools.harness import record_result
 
 
 def bad_road(workers: int, chunks: int, path: Any = None) -> dict[str, Any]:
-    """Send chunks over a bad road; return the figures, checked for exactness."""
+    """Send chunks over a bad road; return the results, checked for exactness."""
     road, started = Road(), time.process_time()
     receiver, door = front_door(history=History(path))
     out = travel(road, workers, chunks, receiver, door)
@@ -26,12 +26,12 @@ def bad_road(workers: int, chunks: int, path: Any = None) -> dict[str, Any]:
     assert totals["duplicates"] >= road.done["duplicated"] // 2
     # What came damaged and had been taken before is answered as a duplicate, and counted as damaged alone.
     assert totals["duplicates"] + totals["damaged"] == answers["duplicate"] + answers["damaged"]
-    figures = {kind: road.done[kind] for kind in ("several", "duplicated", "reordered", "cut", "flipped", "unseen")}
-    figures |= {"counted_damaged": totals["damaged"], "counted_duplicates": totals["duplicates"]}
+    measured = {kind: road.done[kind] for kind in ("several", "duplicated", "reordered", "cut", "flipped", "unseen")}
+    measured |= {"counted_damaged": totals["damaged"], "counted_duplicates": totals["duplicates"]}
     return {
         "chunks": workers * chunks,
         "sendings": answers["sendings"],
-        **figures,
+        **measured,
         "accepted": totals["accepted"],
         "accepted_twice": sum(count - 1 for count in out["accepted"].values()),
         "processor_seconds": round(time.process_time() - started, 1),
@@ -40,16 +40,16 @@ def bad_road(workers: int, chunks: int, path: Any = None) -> dict[str, Any]:
 
 def test_a_bad_road(tmp_path):
     """The accepted set is exact, and damaged frames are counted exactly, on a road that does everything wrong."""
-    figures = bad_road(4, 600, tmp_path / "learner.jsonl")
-    assert min(figures[kind] for kind in ("several", "duplicated", "reordered", "cut", "flipped")) > 10
+    measured = bad_road(4, 600, tmp_path / "learner.jsonl")
+    assert min(measured[kind] for kind in ("several", "duplicated", "reordered", "cut", "flipped")) > 10
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 def test_a_bad_road_at_full_dose():
     """A hundred thousand chunks, a tenth doubled, a tenth overtaken, a hundredth cut and flipped: the set is exact."""
-    figures = bad_road(8, 12_500)
-    record_result("bad_road", **figures)
-    assert figures["accepted"] == 100_000
-    assert min(figures["duplicated"], figures["reordered"]) >= 10_000
-    assert min(figures["cut"], figures["flipped"]) >= 1_000
+    measured = bad_road(8, 12_500)
+    record_result("bad_road", **measured)
+    assert measured["accepted"] == 100_000
+    assert min(measured["duplicated"], measured["reordered"]) >= 10_000
+    assert min(measured["cut"], measured["flipped"]) >= 1_000

@@ -70,12 +70,12 @@ def partitions(directory: Path, doses: list[tuple[str, float]]) -> dict[str, Any
             fleet.close()
 
 
-def check_partitions(figures: dict[str, Any] | None, recovery: float) -> None:
-    if figures is None:
+def check_partitions(measured: dict[str, Any] | None, recovery: float) -> None:
+    if measured is None:
         pytest.skip("making network namespaces needs more rights")
-    assert figures["unexplained"] == figures["doubled"] == figures["lost_chunks"] == 0
-    assert all(row["worker_grew_mib"] <= 64 for row in figures["partitions"])
-    assert max(row["seconds_to_recover"] for row in figures["partitions"]) <= recovery
+    assert measured["unexplained"] == measured["doubled"] == measured["lost_chunks"] == 0
+    assert all(row["worker_grew_mib"] <= 64 for row in measured["partitions"])
+    assert max(row["seconds_to_recover"] for row in measured["partitions"]) <= recovery
 
 
 def test_partitions(tmp_path):
@@ -88,10 +88,10 @@ def test_partitions(tmp_path):
 def test_partitions_at_full_dose(tmp_path):
     """Parted for 1, 6, 15 and 120 seconds in each way: nothing is lost, recovery within 15 seconds of healing."""
     doses = [(way, seconds) for seconds in (1.0, 6.0, 15.0) for way in WAYS] + [("link", 120.0), ("to_worker", 120.0)]
-    figures = partitions(tmp_path, doses)
-    if figures is not None:
-        record_result("partitions", **figures)
-    check_partitions(figures, 15.0)
+    measured = partitions(tmp_path, doses)
+    if measured is not None:
+        record_result("partitions", **measured)
+    check_partitions(measured, 15.0)
 
 
 def test_a_link_that_loses_packets(tmp_path):
@@ -110,7 +110,7 @@ def test_a_link_that_loses_packets(tmp_path):
 
 
 def bad_links(directory: Path, stall: float) -> dict[str, Any]:
-    """Run over a relay that is slow, then narrow, then stalled; return the figures."""
+    """Run over a relay that is slow, then narrow, then stalled; return the results."""
     with run(directory) as fleet:
         fleet.learner()
         there, here = fleet.endpoint, free_endpoint()
@@ -149,10 +149,10 @@ def bad_links(directory: Path, stall: float) -> dict[str, Any]:
             relay.close()
 
 
-def check_links(figures: dict[str, Any]) -> None:
-    assert figures["lost_chunks"] == figures["unexplained"] == 0
-    assert figures["worker_grew_mib"] <= 64
-    assert min(figures["chunks_per_second"].values()) > 0
+def check_links(measured: dict[str, Any]) -> None:
+    assert measured["lost_chunks"] == measured["unexplained"] == 0
+    assert measured["worker_grew_mib"] <= 64
+    assert min(measured["chunks_per_second"].values()) > 0
 
 
 def test_bad_links(tmp_path):
@@ -164,6 +164,6 @@ def test_bad_links(tmp_path):
 @pytest.mark.timeout(900)
 def test_bad_links_at_full_dose(tmp_path):
     """The same with a stall of 30 seconds, longer than a lease."""
-    figures = bad_links(tmp_path, stall=30.0)
-    record_result("bad_links", **figures)
-    check_links(figures)
+    measured = bad_links(tmp_path, stall=30.0)
+    record_result("bad_links", **measured)
+    check_links(measured)

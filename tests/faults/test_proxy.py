@@ -14,7 +14,7 @@ KINDS = ("duplicated", "reordered", "cut", "flipped")
 
 
 def through_a_proxy(directory, road: Road, least: int) -> dict[str, Any]:
-    """Train through a proxy until each thing was done `least` times; return the figures."""
+    """Train through a proxy until each thing was done `least` times; return the results."""
     with run(directory) as fleet:
         fleet.learner()
         there = fleet.endpoint
@@ -43,13 +43,13 @@ def through_a_proxy(directory, road: Road, least: int) -> dict[str, Any]:
         }
 
 
-def check(figures: dict[str, Any]) -> None:
-    assert figures["unexplained"] == figures["doubled"] == figures["counted_unexplained"] == 0
-    assert figures["accepted_chunks"] == figures["answers"]["accepted"]
-    assert figures["counted_damaged"] == figures["cut"] + figures["flipped"] - figures["unseen"]
-    answers = figures["answers"]
-    assert figures["counted_duplicates"] + figures["counted_damaged"] == answers["duplicate"] + answers["damaged"]
-    assert figures["counted_duplicates"] > 0
+def check(measured: dict[str, Any]) -> None:
+    assert measured["unexplained"] == measured["doubled"] == measured["counted_unexplained"] == 0
+    assert measured["accepted_chunks"] == measured["answers"]["accepted"]
+    assert measured["counted_damaged"] == measured["cut"] + measured["flipped"] - measured["unseen"]
+    answers = measured["answers"]
+    assert measured["counted_duplicates"] + measured["counted_damaged"] == answers["duplicate"] + answers["damaged"]
+    assert measured["counted_duplicates"] > 0
 
 
 def test_through_a_bad_proxy(tmp_path):
@@ -61,6 +61,6 @@ def test_through_a_bad_proxy(tmp_path):
 @pytest.mark.timeout(1800)
 def test_through_a_bad_proxy_at_full_dose(tmp_path):
     """The same with a tenth doubled and late and a hundredth damaged, until each damage was done fifty times."""
-    figures = through_a_proxy(tmp_path, Road(), least=50)
-    record_result("bad_proxy", **figures)
-    check(figures)
+    measured = through_a_proxy(tmp_path, Road(), least=50)
+    record_result("bad_proxy", **measured)
+    check(measured)

@@ -291,7 +291,7 @@ def flood(directory: Path, seconds: float) -> dict[str, Any]:
         "share_kept": round(rates["with a flood"] / rates["alone"], 3),
         **{f"chunks_per_second {case}": round(rate, 1) for case, rate in rates.items()},
         "junk_requests": made,
-        "peer penalties": peer_penalties,
+        "peer_penalties": peer_penalties,
         "unexplained": len(audited.unexplained),
     }
 
@@ -306,16 +306,16 @@ def _junk(fleet: FaultRun, seconds: float) -> int:
 
 def test_a_flood_of_junk_by_one_worker(tmp_path):
     """While one worker floods, everything of the others is taken, exactly; who floods is cut off and named."""
-    figures = flood(tmp_path, 2.0)
-    assert figures["junk_requests"] > 20
-    assert figures["peer penalties"]["flood"] >= 20
-    assert figures["unexplained"] == 0
+    measured = flood(tmp_path, 2.0)
+    assert measured["junk_requests"] > 20
+    assert measured["peer_penalties"]["flood"] >= 20
+    assert measured["unexplained"] == 0
 
 
 @pytest.mark.nightly
 def test_a_flood_at_full_dose(tmp_path):
     """The others keep four fifths of their rate."""
-    figures = flood(tmp_path, 20.0)
-    record_result("flood", **figures)
-    assert figures["unexplained"] == 0
-    assert figures["share_kept"] >= 0.8
+    measured = flood(tmp_path, 20.0)
+    record_result("flood", **measured)
+    assert measured["unexplained"] == 0
+    assert measured["share_kept"] >= 0.8

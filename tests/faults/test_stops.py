@@ -68,6 +68,6 @@ def test_fifty_stops(tmp_path):
         folder.mkdir()
         number = (signal.SIGINT, signal.SIGTERM)[index % 2]
         seconds.append(stop_training(folder, number, running=index % 5 != 0))
-    figures: dict[str, Any] = {"stops": len(seconds), "seconds_to_end": spread(seconds)}
-    record_result("stops", **figures)
+    measured: dict[str, Any] = {"stops": len(seconds), "seconds_to_end": spread(seconds)}
+    record_result("stops", **measured)
     assert max(seconds) <= 10

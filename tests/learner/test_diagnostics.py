@@ -164,7 +164,7 @@ def test_realised_returns_are_in_the_units_of_the_targets(normalised):
     assert reported[0] > 0.1
 
 
-def test_figures_that_an_algorithm_does_not_tell_are_left_out():
+def test_diagnostics_that_an_algorithm_does_not_report_are_left_out():
     """Without norms and members there are none of them, and the rest is there for every type and agent."""
     running = RunningDiagnostics(TEAM, "cpu")
     running.note(Diagnostics(*torch.ones(4, TEAM.agents, 4)))

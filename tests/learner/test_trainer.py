@@ -225,7 +225,7 @@ def test_a_checkpoint_under_the_former_names_is_read():
     assert_bit_equal(whole, resumed)
 
 
-def test_a_checkpoint_whose_figures_were_one_tensor_is_taken_up():
+def test_a_checkpoint_whose_diagnostics_were_one_tensor_is_taken_up():
     """Training goes on bit-equal, and the running means, of which one meant something else, begin anew."""
     whole, resumed = Trainer(CONFIG, TEAM), Trainer(CONFIG, TEAM)
     whole.absorb(chunk(200, episodes=1))
@@ -285,7 +285,7 @@ def test_rows_of_old_versions_are_not_drawn():
     assert trainer.statistics()["sample_age_most_versions"] <= 2
 
 
-def test_statistics_tell_losses_and_age():
+def test_statistics_hold_losses_and_age():
     """Statistics hold a finite figure of each kind for each type, the fill of replay and the age of the samples."""
     trainer = Trainer(CONFIG, TEAM)
     trainer.absorb(chunk(255), trainer.next_version())

@@ -29,7 +29,7 @@ def callers() -> list[str]:
     return files
 
 
-def tell(what: str, arguments: object, files: list[str]) -> None:
+def log_event(what: str, arguments: object, files: list[str]) -> None:
     """Write the line that the tests look for."""
     if not any(name.endswith(NUMBAS_OWN) for name in files):
         sys.stderr.write(f"UNPICKLED {what} {str(arguments)[:200]} at {files[0]}\n")
@@ -38,9 +38,9 @@ def tell(what: str, arguments: object, files: list[str]) -> None:
 def hook(event: str, arguments: tuple[object, ...]) -> None:
     """Write a line when something is about to be built from bytes."""
     if event == "pickle.find_class":
-        tell(event, arguments, callers())
+        log_event(event, arguments, callers())
     elif event in ("marshal.loads", "marshal.load") and (files := callers())[0] != IMPORTS:
-        tell(event, "", files)
+        log_event(event, "", files)
 
 
 class Importing:
@@ -52,14 +52,14 @@ class Importing:
         Looking whether one is installed, as torch does, is no import of one that is not.
         """
         if name in KIN and PathFinder.find_spec(name) is not None:
-            tell("import", name, callers())
+            log_event("import", name, callers())
 
 
 def watched(name: str, load: Callable[..., Any]) -> Callable[..., Any]:
     """Return a loading function that says that it was called."""
 
     def loading(*arguments: Any, **named: Any) -> Any:
-        tell(name, "", callers())
+        log_event(name, "", callers())
         return load(*arguments, **named)
 
     return loading

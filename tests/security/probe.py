@@ -1,4 +1,4 @@
-"""A process with one certificate that tries whatever it is told to, one line of JSON for each order and each outcome.
+"""A process with one certificate that tries whatever it is asked to, one line of JSON for each order and each outcome.
 
 `python -m tests.security.probe FOLDER ENDPOINT`; orders: {"do": KIND, "keys": [...]}, {"do": "seen"}, {"do": "drop"}.
 It uses Zenoh directly, since it has to do what our own code never does.
@@ -95,7 +95,7 @@ def main(folder: str, endpoint: str) -> None:
     """Serve orders until the input ends."""
     with open_session(connecting(Endpoint.parse(endpoint, Path(folder)), "control")) as session:
         probe = Probe(session, Path(folder).name)
-        tell({"ready": True})
+        write({"ready": True})
         for line in sys.stdin:
             order = json.loads(line)
             found: list[str] = []
@@ -106,10 +106,10 @@ def main(folder: str, endpoint: str) -> None:
             else:
                 for key in order["keys"]:
                     probe.do(order["do"], key)
-            tell({"found": found})
+            write({"found": found})
 
 
-def tell(message: dict[str, Any]) -> None:
+def write(message: dict[str, Any]) -> None:
     """Write one line."""
     sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()

@@ -171,7 +171,7 @@ def test_listening_elsewhere_needs_a_certificate_or_consent(keys_folder):
 
 
 def test_the_command_makes_shows_renews_and_strikes(tmp_path, capsys):
-    """Each subcommand of `eia-sec keys` does its part, and show tells the ends."""
+    """Each subcommand of `eia-sec keys` does its part, and show prints the ends."""
     folder = str(tmp_path / "keys")
     command(["init", "--dir", folder])
     command(["issue", "learner", "learner", "--host", "127.0.0.1", "--dir", folder])

@@ -60,18 +60,18 @@ def endpoints(listener: Path | None, client: Path | None) -> tuple[Endpoint, End
 
 
 def attempt(listener: Endpoint, client: Endpoint, patience: float = 10.0) -> tuple[str, int]:
-    """Return what a client is told, and how many messages the listener gets from it."""
+    """Return the message that a client gets, and how many messages the listener gets from it."""
     with Bus.listen(listener, "control") as bus:
         subscription = bus.subscribe(METRIC, 16)
-        told = ""
+        message = ""
         try:
             with Bus.connect(client, "control", wait=patience) as link:
                 time.sleep(0.3)
                 link.publish(METRIC).put(b"message")
                 time.sleep(0.5)
         except EndpointError as error:
-            told = str(error)
-        return told, len(list(subscription.drain()))
+            message = str(error)
+        return message, len(list(subscription.drain()))
 
 
 def test_a_good_certificate_delivers(bad):
@@ -81,7 +81,7 @@ def test_a_good_certificate_delivers(bad):
 
 @contextmanager
 def answering(answers: list[bytes]) -> Iterator[tuple[Endpoint, list[float]]]:
-    """Take connections one after another, say what the next answer is, and hang up; tell when each one came."""
+    """Take connections one after another, say what the next answer is, and hang up; yield when each one came."""
     came: list[float] = []
     place = free_endpoint()
     with socket.create_server((place.host, place.port)) as server:
@@ -115,7 +115,7 @@ def test_a_listener_that_hangs_up_is_tried_again(bad):
         assert came[-1] - came[0] > 2.0
 
 
-def test_a_listener_that_speaks_something_else_is_told_at_once(bad):
+def test_a_listener_that_speaks_something_else_is_named_at_once(bad):
     """What is no TLS at all does not become TLS by waiting."""
     with answering([b"HTTP/1.1 400 Bad Request\r\n\r\n"]) as (place, _):
         client = replace(place, protocol="tls", credentials=unchecked(bad / "rollout.a"))
@@ -136,16 +136,16 @@ def test_a_listener_that_speaks_something_else_is_told_at_once(bad):
 def test_a_wrong_certificate_delivers_nothing_and_says_why(bad, listener, client, sentence):
     """One sentence long before a minute of patience is over, and no message."""
     started = time.monotonic()
-    told, messages = attempt(*endpoints(bad / listener, bad / client if client else None), patience=60.0)
+    message, messages = attempt(*endpoints(bad / listener, bad / client if client else None), patience=60.0)
     assert messages == 0
     assert time.monotonic() - started < 30.0
-    assert re.search(sentence, told), told
+    assert re.search(sentence, message), message
 
 
 def test_a_listener_without_tls_gets_nothing(bad):
     """A process with a certificate does not speak to a plaintext listener, and says what it found."""
-    told, messages = attempt(*endpoints(None, bad / "rollout.a"), patience=0.1)
-    assert (messages, "answers no TLS handshake" in told) == (0, True)
+    message, messages = attempt(*endpoints(None, bad / "rollout.a"), patience=0.1)
+    assert (messages, "answers no TLS handshake" in message) == (0, True)
 
 
 def test_no_certificate_is_not_accepted(bad):
@@ -176,11 +176,11 @@ def test_a_message_over_the_limit_is_dropped_where_it_arrives(monkeypatch):
                 deadline = time.monotonic() + 30.0
                 while sender.ask("a/x", b"x", 1.0) is None and time.monotonic() < deadline:
                     time.sleep(0.1)
-                told = [sender.ask("a/x", bytes(size), 1.0 if size > 2**20 else 30.0) for size in sizes]
+                answers = [sender.ask("a/x", bytes(size), 1.0 if size > 2**20 else 30.0) for size in sizes]
             finally:
                 bus.close()
                 thread.join()
-    assert told == [bytes(9), None, None, bytes(9)]
+    assert answers == [bytes(9), None, None, bytes(9)]
 
 
 @pytest.mark.nightly
@@ -222,8 +222,8 @@ def test_a_worker_of_another_authority_ends_with_the_reason(keys_folder, other_f
     """The command line says in one sentence why there is no link, with exit code 2."""
     endpoint = Endpoint.parse(str(free_endpoint()), keys_folder / "learner.learner")
     with Bus.listen(endpoint, "control"):
-        code, told = eia_sec("rollout", "--connect", str(endpoint), "--tls", str(other_folder / "rollout.a"))
-    assert (code, "another authority signed its certificate" in told[-1]) == (2, True)
+        code, lines = eia_sec("rollout", "--connect", str(endpoint), "--tls", str(other_folder / "rollout.a"))
+    assert (code, "another authority signed its certificate" in lines[-1]) == (2, True)
 
 
 def test_shared_memory_is_asked_for_and_on_the_bulk_lane_alone():

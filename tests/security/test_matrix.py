@@ -71,8 +71,8 @@ def test_without_the_access_list_reading_fails_the_comparison(keys_folder):
 @pytest.mark.nightly
 def test_the_incoming_half_holds_alone(keys_folder):
     """A process that learns of every subscriber and queryable still cannot send what the table does not grant."""
-    told = ("declare_subscriber", "declare_queryable", "put", "delete", "reply")
-    assert compare(keys_folder, NAMES, (observe_ingress,), opened("egress", told)) == (set(), set())
+    verbs = ("declare_subscriber", "declare_queryable", "put", "delete", "reply")
+    assert compare(keys_folder, NAMES, (observe_ingress,), opened("egress", verbs)) == (set(), set())
 
 
 def test_the_table_says_what_was_asked_for():

@@ -108,9 +108,9 @@ def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
         )
         try:
             time.sleep(0.3)
-            told = [send(worker, "bad", number) for number in range(1, LIMIT + 3)]
-            assert "cut off" in told[-1]
-            assert not any("cut off" in text for text in told[:LIMIT])
+            answers = [send(worker, "bad", number) for number in range(1, LIMIT + 3)]
+            assert "cut off" in answers[-1]
+            assert not any("cut off" in text for text in answers[:LIMIT])
             assert "cut off" not in send(worker, "other", 1)
             assert "cut off" in receiver.peer_penalties.alarms()[0]
             assert receiver.peer_penalties.counts() == {"bad": LIMIT, "other": 1}

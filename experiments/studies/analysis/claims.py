@@ -247,11 +247,11 @@ CLAIMS: Final[Mapping[str, Callable[[Results | None], list[Row]]]] = {
 
 def _figure(claim: str, name: str, data: Results, control: Results | None) -> Row:
     """Return the row for a figure that is better when lower."""
-    values = {method: shown(found["figures"][name], 2) for method, found in data["methods"].items()}
+    values = {method: shown(found["metrics"][name], 2) for method, found in data["methods"].items()}
     found = [better(data, FIRST, peer, name) for peer in PEERS]
     why = _counted(PEERS, found, "lower")
     if control is not None:
-        why += f"; `{CONTROL}` of the ablation has {shown(control['methods'][CONTROL]['figures'][name], 2)}"
+        why += f"; `{CONTROL}` of the ablation has {shown(control['methods'][CONTROL]['metrics'][name], 2)}"
     return Row(claim, listed(values), judged([above(chance) for chance, _ in found]), why)
 
 

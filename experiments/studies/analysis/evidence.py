@@ -132,8 +132,8 @@ def _values(method: Results, figure: str) -> tuple[list[float], str]:
     runs = method["runs"]
     if figure == "reward":
         return rewards(method), BY_MEANS
-    if all("figures" in run for run in runs):
-        return [float(run["figures"][figure]) for run in runs], BY_MEANS
+    if all("metrics" in run for run in runs):
+        return [float(run["metrics"][figure]) for run in runs], BY_MEANS
     # The last evaluation on the way is of the very actors that the reported farms are flown with. A run that diverged
     # before any evaluation is below all others.
     return [float(run["checks"][-1][figure]) if run["checks"] else math.inf for run in runs], BY_CHECKS

@@ -34,13 +34,13 @@ def method_summary(bench: Bench, runs: Sequence[Job], uavs: int = TWELVE) -> dic
     evaluations = bench.evaluations(runs)
     random, best, _ = bench.ends(uavs)
     reward = bench.scores(runs)
-    types, figures = evaluations[0]["types"], evaluations[0]["figures"]
+    types, names = evaluations[0]["types"], evaluations[0]["metrics"]
     return {
         "normalised": bounds(interval(normalised(reward, random, best))),
         "reward": bounds(interval(reward)),
         "mean_reward": bounds(interval(reward, mean)),
         "types": {name: bounds(interval(_stacked(evaluations, "types", name))) for name in types},
-        "figures": {name: bounds(interval(_stacked(evaluations, "figures", name))) for name in figures},
+        "metrics": {name: bounds(interval(_stacked(evaluations, "metrics", name))) for name in names},
         "farm_spread": round(spread(reward), DIGITS),
         "runs": [
             _run(run, record, evaluation)
@@ -66,7 +66,7 @@ def reference_summary(bench: Bench, uavs: int = TWELVE) -> dict[str, Any]:
             "mean_reward": round(float(reward.mean()), DIGITS),
             "normalised": _middle(normalised(reward, random, best)),
             "types": {kind: _middle(values) for kind, values in evaluation["types"].items()},
-            "figures": {kind: _middle(values) for kind, values in evaluation["figures"].items()},
+            "metrics": {kind: _middle(values) for kind, values in evaluation["metrics"].items()},
             "job": job.digest,
             "commit": record["commit"],
         }
@@ -142,7 +142,7 @@ def _figure(evaluations: Sequence[Mapping[str, Any]], name: str) -> Numbers:
     """Return [runs, farms] of one of SIGNS."""
     if name == "reward":
         return np.array([evaluation["reward"] for evaluation in evaluations], np.float64)
-    return _stacked(evaluations, "figures", name)
+    return _stacked(evaluations, "metrics", name)
 
 
 def _middle(values: Any) -> float:
@@ -161,7 +161,7 @@ def _run(job: Job, record: dict[str, Any], evaluation: Mapping[str, Any]) -> dic
         **{name: result[name] for name in ("episodes", "environment_steps", "evaluation_steps", "updates", "events")},
         "diverged": result["diverged"],
         "reward": round(float(np.mean(evaluation["reward"])), DIGITS),
-        "figures": {name: round(float(np.mean(values)), DIGITS) for name, values in evaluation["figures"].items()},
+        "metrics": {name: round(float(np.mean(values)), DIGITS) for name, values in evaluation["metrics"].items()},
         "farm_spread": round(spread(np.array(evaluation["reward"])), DIGITS),
         "training_reward": round(final_value(reward), DIGITS) if reward else None,
         "converged": convergence(curve["episodes"], reward) if reward else None,

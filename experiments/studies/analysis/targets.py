@@ -101,8 +101,8 @@ def _counters(flown: Results | None, seeds: Results | None) -> list[list[str]]:
             rows.append([target, SEEDS, "", "", ABSENT])
         else:
             policies = seeds["references"]["policies"]
-            levels = {policy: [found["figures"][figure]] * 3 for policy, found in policies.items()}
-            rows.append([target, SEEDS, *_below(seeds["methods"][DEFAULT_PRESET]["figures"][figure], levels)])
+            levels = {policy: [found["metrics"][figure]] * 3 for policy, found in policies.items()}
+            rows.append([target, SEEDS, *_below(seeds["methods"][DEFAULT_PRESET]["metrics"][figure], levels)])
     return rows
 
 

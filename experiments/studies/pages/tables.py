@@ -44,7 +44,7 @@ def headline(data: Results) -> str:
         rows.append((method["reward"][0], [f"**{name}**", *_method_cells(method), *_more(method, better)]))
     for name, policy in references.items():
         types = [f"{policy['types'][kind]:.0f}" for kind in KINDS]
-        counters = [f"{policy['figures'][kind]:.2f}" for kind in ("aoi", "vdf")]
+        counters = [f"{policy['metrics'][kind]:.2f}" for kind in ("aoi", "vdf")]
         numbers = [f"{policy['normalised']:.2f}", f"{policy['reward']:.0f}", *types, *counters]
         rows.append((policy["reward"], [name, *numbers, *[""] * len(more)]))
     rows.sort(key=lambda row: -row[0])
@@ -233,7 +233,7 @@ def _method_cells(method: Results) -> list[str]:
         _interval(method["normalised"], 2),
         _interval(method["reward"], 0),
         *(f"{method['types'][kind][0]:.0f}" for kind in KINDS),
-        *(_interval(method["figures"][name], 2) for name in ("aoi", "vdf")),
+        *(_interval(method["metrics"][name], 2) for name in ("aoi", "vdf")),
     ]
 
 

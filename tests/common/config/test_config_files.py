@@ -198,7 +198,7 @@ def test_file_that_cannot_be_read_is_refused(tmp_path, content):
         from_toml(path, RunConfig())
 
 
-def test_the_largest_given_farm_fits_a_message_and_is_told_in_short():
+def test_the_largest_given_farm_fits_a_message_and_is_shown_in_short():
     """Ten thousand places travel as every configuration does, and a difference in them is a line, not a book."""
     sites = tuple((1234.567 + 0.001 * i, 2345.678, 1.0) for i in range(MAX_SENSORS))
     world = WorldConfig(field_x=5000.0, field_y=5000.0, sensors=MAX_SENSORS, sites=sites)

@@ -4,7 +4,7 @@ from common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
 
 
 class Clock:
-    """Seconds that stand still until told otherwise."""
+    """Seconds that stand still until the test moves them."""
 
     now = 0.0
 

@@ -36,7 +36,7 @@ def method(level, aoi=1.0, converged=500.0, unrest=10.0, farms=20.0, over=1.0):
     runs = [
         {
             "reward": level + seed,
-            "figures": {"aoi": aoi + 0.001 * seed, "vdf": aoi + 0.001 * seed},
+            "metrics": {"aoi": aoi + 0.001 * seed, "vdf": aoi + 0.001 * seed},
             "farm_spread": farms + 0.1 * seed,
             "converged": converged if converged is None else converged + seed,
             "diverged": False,
@@ -49,7 +49,7 @@ def method(level, aoi=1.0, converged=500.0, unrest=10.0, farms=20.0, over=1.0):
         "normalised": (level / 1000.0,) * 3,
         "reward": interval,
         "mean_reward": interval,
-        "figures": {"aoi": figure, "vdf": figure},
+        "metrics": {"aoi": figure, "vdf": figure},
         "farm_spread": farms,
         "runs": runs,
     }

@@ -144,7 +144,7 @@ def changed(part, value):
         changed(["evaluation", "reward"], [1.0, 2.0, float("nan")]),
         changed(["evaluation", "reward"], [1.0, 2.0, 1e999]),
         changed(["evaluation", "types", "monitoring"], [1.0, True, 2.0]),
-        changed(["evaluation", "figures", "energy_j"], None),
+        changed(["evaluation", "metrics", "energy_j"], None),
         changed(["overestimation"], [1.0]),
         changed(["compared_value"], 3),
     ],
@@ -289,7 +289,7 @@ def test_farms_that_had_their_say_are_left_out_of_all_results(bench):
     save_policy(bench.records.path(run, POLICY_SUFFIX), TeamActors.initial(farm_team(run.config.farm), 16, 0), {})
     assert bench.scores([run]).tolist() == [[20.0, 40.0]]
     (found,) = bench.evaluations([run])
-    assert (found["types"]["monitoring"], found["figures"]["aoi"]) == ([20.0, 40.0], [0.2, 0.4])
+    assert (found["types"]["monitoring"], found["metrics"]["aoi"]) == ([20.0, 40.0], [0.2, 0.4])
     policies = reference_summary(bench)["policies"]
     assert policies["greedy"]["reward"] == 200.0
     assert policies["greedy"]["commit"] == MADE["commit"]

@@ -72,15 +72,15 @@ def test_the_default_presets_seeds_are_judged_by_their_interval():
     study = {
         "references": {
             "best": "horizon",
-            "policies": {"horizon": {"reward": 1400.0, "figures": {"aoi": 0.5, "vdf": 2.0}}},
+            "policies": {"horizon": {"reward": 1400.0, "metrics": {"aoi": 0.5, "vdf": 2.0}}},
         },
         "methods": {
             "default preset": {
                 "mean_reward": [1530.0, 1280.0, 1600.0],
-                "figures": {"aoi": [0.45, 0.4, 0.49], "vdf": [1.9, 1.8, 2.1]},
+                "metrics": {"aoi": [0.45, 0.4, 0.49], "vdf": [1.9, 1.8, 2.1]},
                 "runs": [{}] * 5,
             },
-            "EIA-SEC": {"mean_reward": [0.0] * 3, "figures": {"aoi": [9.0] * 3, "vdf": [9.0] * 3}, "runs": []},
+            "EIA-SEC": {"mean_reward": [0.0] * 3, "metrics": {"aoi": [9.0] * 3, "vdf": [9.0] * 3}, "runs": []},
         },
         "scale": "full",
         "sizes": {"first_farm": 1020},

@@ -68,7 +68,7 @@ def test_a_run_is_that_of_one_process(bench, trained):
     flown = evaluate(trained.config.farm, ActorPolicy(actors), farms, 1, name="")
     np.testing.assert_allclose(result["evaluation"]["reward"], [s.reward for s in flown.per_farm], atol=1e-4)
     np.testing.assert_allclose(
-        result["evaluation"]["figures"]["aoi"], [s.metrics["aoi"] for s in flown.per_farm], atol=1e-4
+        result["evaluation"]["metrics"]["aoi"], [s.metrics["aoi"] for s in flown.per_farm], atol=1e-4
     )
 
 

@@ -69,7 +69,7 @@ def flown(first: int, rewards: Sequence[float]) -> dict[str, Any]:
     """Return the result of a flight with these rewards, and a hundredth of them as its metrics."""
     metrics = {key: [reward / 100.0 for reward in rewards] for key in METRIC_NAMES}
     types = {key: list(rewards) for key in ("communication", "monitoring", "collection")}
-    return {"first_farm": first, "farms": len(rewards), "reward": list(rewards), "types": types, "figures": metrics}
+    return {"first_farm": first, "farms": len(rewards), "reward": list(rewards), "types": types, "metrics": metrics}
 
 
 def trained(first: int, rewards: Sequence[float]) -> dict[str, Any]:

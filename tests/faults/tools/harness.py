@@ -1,4 +1,4 @@
-"""What the fault tests share: a run of real processes, its figures, and a ledger that must close at the end."""
+"""What the fault tests share: a run of real processes, its results, and a ledger that must close at the end."""
 
 import json
 import os
@@ -19,8 +19,8 @@ from common.transport.bus import Bus
 from deploy.monitor.audit import Audit, audit
 from tests.system.fleet import RUN, TINY, Processes, until
 
-FIGURES = "EIA_SEC_FIGURES"
-"""Environment variable with the folder into which the figures of full doses go."""
+RESULTS_FOLDER = "EIA_SEC_RESULTS"
+"""Environment variable with the folder for the results of full doses."""
 SETTINGS = ("EIA_SEC_SOAK_MINUTES",)
 """Environment variables that choose a dose."""
 LONG = TINY.replace("episodes = 8", "episodes = 1000000").replace("capacity = 4096", "capacity = 8192")
@@ -31,10 +31,10 @@ BEHIND = BEHIND.replace("slack_steps = 400", "slack_steps = 40")
 
 
 def record_result(name: str, **values: Any) -> None:
-    """Print a dose's figures as JSON, and keep them where the environment says so."""
+    """Print a dose's results as JSON, and keep them where the environment says so."""
     values = {"name": name, **values}
     sys.stdout.write(json.dumps(values) + "\n")
-    folder = os.environ.get(FIGURES)
+    folder = os.environ.get(RESULTS_FOLDER)
     if folder:
         commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
         current = os.environ.get("PYTEST_CURRENT_TEST", "").split(" ")[0]
@@ -51,7 +51,7 @@ def memory(process: subprocess.Popen[bytes]) -> float:
 
 
 def spread(values: list[float]) -> dict[str, float]:
-    """Return the median and the largest of some figures."""
+    """Return the median and the largest of some numbers."""
     ordered = sorted(values) or [0.0]
     return {"median": round(ordered[len(ordered) // 2], 3), "most": round(ordered[-1], 3)}
 

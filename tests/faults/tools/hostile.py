@@ -185,16 +185,16 @@ def main() -> None:
     config: RunConfig = configured(Path(sys.argv[2]).read_text(encoding="utf-8"))
     environment, until = environment_spec(config), time.monotonic() + float(sys.argv[3])
     team, rules = environment.team, ChunkRules.of(config, environment)
-    every, rounds = kinds(team, rules), 0
+    every, passes = kinds(team, rules), 0
     with Bus.connect(Endpoint.parse(sys.argv[1]), "bulk", wait=30.0) as bus:
         attacker = Attacker(bus, team, rules)
-        while rounds == 0 or time.monotonic() < until:
+        while passes == 0 or time.monotonic() < until:
             for kind in every:
                 if attacker.sent % PER_NAME == 0:
                     attacker.send(None)
                 attacker.send(kind)
-            rounds += 1
-            if rounds == 1:
+            passes += 1
+            if passes == 1:
                 sys.stdout.write("every kind has been sent\n")
                 sys.stdout.flush()
     counts = {"kinds": len(every), "requests": attacker.sent, "answered": attacker.answered}

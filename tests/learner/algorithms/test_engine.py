@@ -139,7 +139,7 @@ def test_float32_follows_the_loop_for_a_few_updates():
         assert gap < 1e-4, f"{name} differ by {gap}"
 
 
-def test_figures_are_those_of_the_equations():
+def test_diagnostics_are_those_of_the_equations():
     """An update reports the errors of step 3, the objective of step 6 and the targets, and changes nothing by it."""
     config = replace(BASE, ensemble_loss="mixture", ensemble_copy_rate=0.2)
     engine, oracle = twins(TEAM, config)
@@ -167,7 +167,7 @@ def test_figures_are_those_of_the_equations():
 
 @pytest.mark.parametrize("cores", [0, 1])
 @pytest.mark.parametrize("switch", SWITCHES)
-def test_figures_change_nothing(switch, cores):
+def test_diagnostics_change_nothing(switch, cores):
     """Asking for diagnostics changes no bit of the state, by torch and by kernels."""
     config = replace(BASE, **SWITCHES[switch])
     silent, some, every = (Engine(config, TEAM, 3, cores=cores) for _ in range(3))

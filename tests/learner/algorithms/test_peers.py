@@ -70,17 +70,17 @@ def differences(engine, oracle):
 
 
 @pytest.mark.parametrize("name", ORACLES)
-def test_figures_change_nothing(name):
+def test_diagnostics_change_nothing(name):
     """An update that reports its diagnostics does what a silent one does, and they are of every agent and row."""
     config = variant(BASE, name)
-    telling, silent = (Engine(config, TEAM, 3) for _ in range(2))
+    measured, silent = (Engine(config, TEAM, 3) for _ in range(2))
     for batch in batches(TEAM, config, 4, torch.float32):
-        diagnostics = telling.update(batch, diagnostics=True)
+        diagnostics = measured.update(batch, diagnostics=True)
         assert silent.update(batch) is None
         assert diagnostics is not None
         assert diagnostics.member_std is None
     assert {tuple(tensor.shape) for tensor in diagnostics[:3]} == {(TEAM.agents, config.batch)}
-    assert same_state(telling, silent)
+    assert same_state(measured, silent)
 
 
 def test_twin_critics_start_apart_and_agents_alike():

@@ -18,7 +18,7 @@ TEAM = TeamSpec((GroupSpec("a", 2, 2, 1), GroupSpec("b", 1, 1, 2)))
 
 
 def segments(lengths, first, ends=TRUNCATED):
-    """Return rows whose every number tells the row's running number, which is unique over all calls."""
+    """Return rows whose every number is the row's running number, which is unique over all calls."""
     flags = []
     for steps in lengths:
         flags += [TRANSITION] * (steps - 1) + [TRANSITION | ends] + [0]

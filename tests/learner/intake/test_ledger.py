@@ -146,7 +146,7 @@ def test_every_worker_has_an_account_over_all_its_starts() -> None:
         assert_columns_add_up(totals, rows, flown=50 + 10 + 30 + 7)
 
 
-def test_of_many_workers_those_in_trouble_and_the_busiest_are_told_and_the_others_summed() -> None:
+def test_of_many_workers_those_in_trouble_and_the_busiest_are_listed_and_the_others_summed() -> None:
     """With more workers than rows the unlucky come first, then the busiest, and one row sums all others."""
     intake = Intake()
     for index in range(60):

@@ -11,7 +11,7 @@ import pytest
 
 from learner.networks.compiled_pass import even, shares
 
-ROUNDS = """
+UPDATES = """
 import json
 import sys
 from dataclasses import replace
@@ -62,7 +62,7 @@ def test_two_cores_train_as_one_does():
     found = []
     for cores in ("1", "2"):
         environment = {**os.environ, "OMP_NUM_THREADS": cores, "NUMBA_NUM_THREADS": cores, "OPENBLAS_NUM_THREADS": "1"}
-        command = [sys.executable, "-c", ROUNDS, cores]
+        command = [sys.executable, "-c", UPDATES, cores]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=300)
         found.append(json.loads(done.stdout))
     one, two = found
