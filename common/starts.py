@@ -13,7 +13,7 @@ from common.errors import UsageError
 LATEST: Final = 2**53
 """Greatest number that is taken from a clock: microseconds since 1970, in the year 2255."""
 STRIDE: Final = 2**20
-"""Greatest step beyond a known number. Two starts at one time draw different steps, so they can be told apart."""
+"""Greatest step beyond a known number. Two starts at one time draw different steps, so they differ."""
 LIMIT: Final = 2**63
 """First number that no message can carry."""
 

@@ -146,9 +146,9 @@ def _self(config: FarmConfig, count: int) -> tuple[Part, ...]:
 
 def _apart(world: WorldConfig, height: float, others: tuple[float, ...]) -> float:
     """Return the largest distance to a UAV at one of the other heights, over the field's diagonal."""
-    climb = max(abs(other - height) for other in others)
+    rise = max(abs(other - height) for other in others)
     diagonal = math.hypot(world.field_x, world.field_y)
-    return math.hypot(diagonal, climb) / diagonal * (ROUNDING if climb else 1.0)
+    return math.hypot(diagonal, rise) / diagonal * (ROUNDING if rise else 1.0)
 
 
 def _sensors(config: FarmConfig) -> tuple[Part, ...]:

@@ -106,7 +106,7 @@ def normalised(reward: Numbers, random: Numbers, best: Numbers) -> Numbers:
         random: [farms] that of the random policy.
         best: [farms] that of the best heuristic.
 
-    Both ends are interquartile means over the farms, the statistic that methods are told by, so that the best heuristic
+    Both ends are interquartile means over the farms, the statistic that methods are compared by, so that the best heuristic
     is at 1 in every table, and one farm that is odd for a heuristic does not stretch its own scale.
 
     Raises:
