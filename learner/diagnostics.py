@@ -185,7 +185,7 @@ class RunningDiagnostics:
     def kept(self, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the means [agents] that a checkpoint holds, by name; those that it lacks begin anew.
 
-        So does everything in a checkpoint from when they were one tensor, `figures`: some meant something else.
+        Checkpoints of early versions hold one tensor for all of them; it is ignored, because some had another meaning.
 
         Raises:
             CheckpointError: when one does not fit the team, or is not finite.

@@ -106,7 +106,7 @@ def process_number(child: Child) -> int:
 def memory(children: Sequence[Child]) -> dict[str, float]:
     """Return the resident memory of processes in MiB, pages that they share counted in each (rss) and in parts (pss).
 
-    Empty where the system does not tell.
+    Empty where the system does not report it.
     """
     found = {"Rss:": 0.0, "Pss:": 0.0}
     for child in children:

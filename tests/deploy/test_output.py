@@ -48,7 +48,7 @@ def test_a_command_whose_output_finds_no_room_says_so():
     assert (done.returncode, done.stderr) == (1, "eia-sec: the output cannot be written: No space left on device.\n")
 
 
-def test_policies_that_are_called_alike_are_told_apart():
+def test_policies_that_are_called_alike_are_distinguished():
     """By the folders of their files, and one that is flown against itself by a number."""
     assert _apart("policy", "greedy", "runs/a/policy.safetensors", "greedy") == ("policy", "greedy")
     both = _apart("policy", "policy", "runs/a/policy.safetensors", "runs/b/policy.safetensors")

@@ -1,4 +1,4 @@
-"""A coordinator that is told to stop while workers owe it an answer."""
+"""A coordinator that is asked to stop while workers owe it an answer."""
 
 import threading
 

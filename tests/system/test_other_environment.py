@@ -63,7 +63,7 @@ def test_trained_to_the_end_and_evaluated(tmp_path: Path) -> None:
     assert set(events[0]["elites"]) == {"runner", "keeper"}
 
 
-def test_a_worker_loads_no_environment_that_it_was_not_told_of(
+def test_a_worker_loads_no_environment_that_it_was_not_given(
     processes: Processes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The configuration comes over the network, so what it names is loaded only where the command line names it too."""

@@ -132,7 +132,7 @@ def test_a_run_of_an_older_version_goes_on_as_it_was(training: Training) -> None
     assert training.episodes() > before + 2
 
 
-def test_what_a_killed_learner_told_is_told_once(training: Training) -> None:
+def test_what_a_killed_learner_reported_is_reported_once(training: Training) -> None:
     """It begins again, as there was no checkpoint yet; who reads the records has each episode once."""
     assert RARE in LONG.replace(OFTEN, RARE)
     training.config.write_text(LONG.replace(OFTEN, RARE), encoding="utf-8")

@@ -43,7 +43,7 @@ def training(data: Results | None, control: Results | None = None) -> list[Row]:
 
     Args:
         data: the results of `training`.
-        control: those of `ablation`, which tell how much comes without either part.
+        control: those of `ablation`, which show how much remains without either part.
     """
     claims = (
         "Reward (fig. a): EIA-SEC is far above MADDPG, MATD3 and MASAC",

@@ -102,7 +102,7 @@ def farm_spread(method: Results) -> list[float] | None:
 def overestimation(data: Results, name: str) -> list[float] | None:
     """Return for each run by how much its critics overestimate, mean over types, in units of reward; None if unknown.
 
-    What runs tell is in units of scaled reward, and their scales differ by what was chosen for each method.
+    Runs record it in units of scaled reward, and their scales differ by what was chosen for each method.
     """
     runs = data["methods"][name]["runs"]
     if not all(run["overestimation"] for run in runs):

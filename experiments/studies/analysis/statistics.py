@@ -106,8 +106,8 @@ def normalised(reward: Numbers, random: Numbers, best: Numbers) -> Numbers:
         random: [farms] that of the random policy.
         best: [farms] that of the best heuristic.
 
-    Both ends are interquartile means over the farms, the statistic that methods are compared by, so that the best heuristic
-    is at 1 in every table, and one farm that is odd for a heuristic does not stretch its own scale.
+    Both ends are interquartile means over the farms, the statistic by which methods are compared.
+    So the best heuristic is at 1 in every table, and one odd farm does not stretch its own scale.
 
     Raises:
         ConfigError: the best heuristic earns no more than the random policy.

@@ -17,14 +17,14 @@ from common.protocol.metrics import undeclared
 from deploy.flight.pilot import LARGEST, ROWS, Limits, Pilot
 
 TEAM = farm_team(preset("study").farm)
-BANK = TeamActors.initial(TEAM, 16, 7, per_type=False)
+ACTORS = TeamActors.initial(TEAM, 16, 7, per_type=False)
 NOW = 1_700_000_000.0
 SPEED = (10.0, 8.3)
 UAV, AGENT, SIZE = "uav-7", "collection_1", TEAM.groups[2].observation_size
 
 
 def make(**limits) -> Pilot:
-    return Pilot(BANK, {UAV: AGENT, "other": "monitoring_0"}, SPEED, Limits(**limits))
+    return Pilot(ACTORS, {UAV: AGENT, "other": "monitoring_0"}, SPEED, Limits(**limits))
 
 
 def seen(seed: int = 0, size: int = SIZE) -> np.ndarray:
@@ -46,7 +46,7 @@ def test_set_points_are_the_actors_actions_in_metres_per_second():
         row = rng.uniform(-1, 1, (1, TEAM.observation_size)).astype(np.float32)
         assert offer(pilot, sequence, values=row[0, place : place + SIZE])
         found = pilot.decide(NOW)[UAV]
-        wanted = BANK.act(row)[0].reshape(-1, 2)[TEAM.agent_names.index(AGENT)]
+        wanted = ACTORS.act(row)[0].reshape(-1, 2)[TEAM.agent_names.index(AGENT)]
         assert (np.array(found.velocity) / SPEED).astype(np.float32).tobytes() == wanted.tobytes()
         assert (found.hover, found.answers, found.stamp, found.period) == (False, sequence, int(NOW * 1e6), sequence)
         assert found.latency > 0
@@ -177,7 +177,7 @@ def test_a_restarted_vehicle_begins_its_numbers_anew():
 
 def test_an_output_that_is_not_finite_is_never_flown():
     """Actors whose arithmetic overflows command hover."""
-    broken = BANK.copy()
+    broken = ACTORS.copy()
     for flat in broken.flat:
         flat[:] = np.random.default_rng(0).choice(np.float32([3e38, -3e38]), flat.shape)
     pilot = Pilot(broken, {UAV: AGENT}, SPEED, Limits())
@@ -191,9 +191,9 @@ def test_an_output_that_is_not_finite_is_never_flown():
 def test_agents_must_exist_and_fly_one_vehicle_each():
     """An unknown agent, and one agent for two vehicles, are refused at the start."""
     with pytest.raises(ConfigError, match="no agent 'collection_9'"):
-        Pilot(BANK, {"a": "collection_9"}, SPEED, Limits())
+        Pilot(ACTORS, {"a": "collection_9"}, SPEED, Limits())
     with pytest.raises(ConfigError, match="same agent"):
-        Pilot(BANK, {"a": AGENT, "b": AGENT}, SPEED, Limits())
+        Pilot(ACTORS, {"a": AGENT, "b": AGENT}, SPEED, Limits())
 
 
 def test_the_report_is_bounded_declared_and_names_who_hovers():

@@ -63,7 +63,7 @@ def test_what_is_packed_comes_out(tmp_path):
     assert brought(tmp_path / "near", packed.getvalue()) == (wanted, [])
 
 
-def test_a_host_tells_of_its_own_workers_and_the_learners_host_of_the_learner(tmp_path):
+def test_a_host_reports_its_own_workers_and_the_learners_host_of_the_learner(tmp_path):
     """Others' files are left out and named: where the learner once was, nothing can overwrite its present files."""
     names = ("history/learner.jsonl", "metrics.jsonl", "history/rollout-one-0.jsonl", "history/rollout-one-1-0.jsonl")
     data = archive(*((name, name.encode()) for name in names))
@@ -178,7 +178,7 @@ def test_a_host_that_answers_nonsense_failed(tmp_path, monkeypatch, answer):
     assert (states, failed) == ({}, {"one": "one: its answer is not the state of a host."})
 
 
-def test_what_a_host_tells_commands_no_terminal(tmp_path, monkeypatch, capsys):
+def test_what_a_host_reports_commands_no_terminal(tmp_path, monkeypatch, capsys):
     """Names, states, alarms and lines of logs are printed without control characters."""
     process = {"state": "up\x1b[2J", "pid": 1, "deaths": 0, "since": 0, "code": None}
     state = {"keeper": 1, "processes": {"rollout.\x1b[2J": process}, "alarms": ["bad\x1b[2J"]}

@@ -242,7 +242,7 @@ def test_noise_free_flights_may_differ_in_length():
 
 
 def test_evaluation_names_the_types():
-    """Random actions on three scenarios: reward by type, steps, no figures."""
+    """Random actions on three scenarios: reward by type, steps, no metrics."""
     result = evaluate_run(run_config(relay()), RandomPolicy(), (7, 8, 9), 2, name="random").to_dict()
     assert set(result["reward"]) == {"mean", "runner", "keeper"}
     assert result["steps"] == 5.0

@@ -58,14 +58,14 @@ def test_a_message_holds_consecutive_steps_of_one_episode():
     ]
 
 
-def test_a_lens_that_does_not_go_on_closes_with_the_episode():
+def test_a_probe_that_does_not_go_on_closes_with_the_episode():
     """Without `again` nothing is kept behind an episode's last step."""
     messages, _ = flown(60, opened=10, again=False)
     assert [message.first for message in messages] == [11]
     assert messages[0].first + len(messages[0].position) - 1 == WORLD.steps
 
 
-def test_a_lens_that_nobody_empties_closes():
+def test_a_probe_that_nobody_empties_closes():
     """A probe holds HELD frames and no more."""
     messages, _ = flown(HELD + 100)
     assert sum(len(message.position) for message in messages) == HELD
