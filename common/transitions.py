@@ -26,10 +26,10 @@ TRUNCATED: Final = 4
 _WHOLE: Final = re.compile(
     b"(?:(?:%c++[%c%c]?+|[%c%c])%c)++" % (TRANSITION, *2 * (TRANSITION | TERMINATED, TRANSITION | TRUNCATED), 0)
 )
-"""Flags of whole segments: steps, of which the last may end its episode, and one row behind them."""
+"""Flags of whole segments: steps, the last of which may end the episode, and one row after them."""
 
 LARGEST: Final = 1e7
-"""Largest size of a number in a row: observations are of about 1, rewards of some hundreds."""
+"""Largest absolute value in a row; observations are about 1, rewards up to some hundreds."""
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,11 @@
-"""What a search earns in the place of learned UAVs, and what it leaves to those that stay.
+"""The reward of UAVs that search in a team of learned UAVs, and what the others still earn.
 
     python -m experiments.exchange [--farms 500:508] [--write docs/results/exchange]
 
 Of one type some UAVs are flown by the search of `horizon`, 16 steps ahead without a sweep, the others by the policy
 that ships. Searches know of each other's plans, and nothing of what the learned UAVs are about to do. Where one search
 earns more than the learned UAV did and the others lose as much, it takes from them; what a type earns all together
-states whether anything was gained.
+shows whether anything was gained.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""What a frame of a watched farm must look like before anybody draws it."""
+"""Checks of a watched farm's frames before they are drawn."""
 
 from typing import Any, Final
 
@@ -15,7 +15,7 @@ FRAMES: Final = 32
 MAX_PARTS: Final = 32
 """Most parts of a reward."""
 EDGE: Final = 1e-3
-"""Rounding that a position at the field's edge may have suffered, m."""
+"""Rounding error allowed for a position at the field's edge, m."""
 
 
 def check_view(message: ViewMessage, farm: FarmConfig, parts: int) -> None:

@@ -1,4 +1,4 @@
-"""Makes the jobs of all studies at one scale, and finds what they came to."""
+"""The jobs of all studies at one scale, and their results."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

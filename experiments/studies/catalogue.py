@@ -50,7 +50,7 @@ def _comparison(bench: Bench, methods: tuple[Method, ...], seeds: int) -> dict[s
 
 
 def _compared_runs(bench: Bench, tuned: tuple[Method, ...], runs: Mapping[str, list[Job]]) -> dict[str, Any]:
-    """Return what runs came to, by name, and how the methods among them that were tuned here were tuned."""
+    """Return the summaries of runs by name, and how the methods that were tuned here were tuned."""
     return {
         "references": reference_summary(bench),
         "choice": choice_summary(bench, tuned),

@@ -36,7 +36,7 @@ def flights(bench: Bench) -> dict[int, dict[str, Trajectory]]:
 
 
 def flight_summary(bench: Bench) -> dict[str, Any]:
-    """Return what each flight came to."""
+    """Return the result of each flight."""
     (run,) = bench.runs(EIA_SEC, 1)
     held = bench.records.get(run)
     assert held is not None, "asked for before it was done"

@@ -150,7 +150,7 @@ def draw(study: str, data: dict[str, Any], bench: Bench, folder: Path) -> list[s
 
 
 def sizes(bench: Bench) -> dict[str, Any]:
-    """Return what the scale comes to, as the page needs it."""
+    """Return the scale in the page's terms."""
     scale = bench.scale
     seeds = ("seeds", "side_seeds", "team_seeds")
     names = ("episodes", *seeds, "trial_episodes", "long_trial_episodes", "choice_farms")

@@ -1,4 +1,4 @@
-"""What the runs of one method came to, as the results of a study keep it."""
+"""Summaries of the runs of one method, as the results of a study keep them."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -74,7 +74,7 @@ def reference_summary(bench: Bench, uavs: int = TWELVE) -> dict[str, Any]:
 
 
 def choice_summary(bench: Bench, methods: Sequence[Method]) -> dict[str, Any]:
-    """Return what each trial of each method came to, which settings were chosen, and what made the trials."""
+    """Return the score of each trial of each method, the chosen settings, and where the trials come from."""
     names = list(CANDIDATES)[: bench.scale.candidates]
     found: dict[str, Any] = {}
     for method in methods:
@@ -110,7 +110,7 @@ def comparisons(bench: Bench, runs: Mapping[str, Sequence[Job]]) -> dict[str, An
 
 
 def times_summary(seeds: Sequence[Mapping[str, Any]], commits: Sequence[str]) -> dict[str, Any]:
-    """Return what the timings of several seeds come to, ms.
+    """Return the summary of the timings of several seeds, ms.
 
     Args:
         seeds: for each seed what `timing.time_decisions` found.
@@ -146,7 +146,7 @@ def _figure(evaluations: Sequence[Mapping[str, Any]], name: str) -> Numbers:
 
 
 def _middle(values: Any) -> float:
-    """Return the interquartile mean over the farms of what one policy came to on each."""
+    """Return the interquartile mean over farms of one policy's scores."""
     return round(float(interquartile_mean(np.array(values, np.float64)[None])), DIGITS)
 
 

@@ -1,4 +1,4 @@
-"""What this project set out to reach, each target beside what its committed results came to."""
+"""The targets of this project, each beside the committed result."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -47,7 +47,7 @@ CHECK_PANELS: Final = {label: (path[0],) for label, path in TRAINING_PANELS.item
 
 @dataclass(frozen=True)
 class Curve:
-    """What one method's runs came to as they went on.
+    """The course of one method's runs.
 
     Attributes:
         label: the method's name, and how many runs it lost.
@@ -229,7 +229,7 @@ def _draw(axes: Axes, curve: Curve, index: int, marks: Sequence[str]) -> None:
 
 
 def _mark_exit(axes: Axes, curve: Curve, colour: str) -> None:
-    """Mark where the mean of a diverged method leaves the axes for good, or else its end, and say what it came to."""
+    """Mark where the mean of a diverged method leaves the axes for good, or else its end, and write its value."""
     if not curve.episodes.size:
         return
     mean, (low, high) = curve.values.mean(axis=0), axes.get_ylim()

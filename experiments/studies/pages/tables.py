@@ -52,7 +52,7 @@ def headline(data: Results) -> str:
 
 
 def beyond(data: Results) -> str:
-    """Return what the default preset came to beside EIA-SEC as it is compared with other methods."""
+    """Return the default preset beside EIA-SEC as it is compared with other methods."""
     return headline(data) + "\n" + note("unequal")
 
 
@@ -132,7 +132,7 @@ SECTIONS: Final[Mapping[str, Callable[[Results], str]]] = {
 
 
 def choices(data: Results) -> str:
-    """Return what each method's tuning trials came to."""
+    """Return the scores of each method's tuning trials."""
     names = list(next(iter(data["choice"].values()))["trials"])
     rows = [
         [method, *(_chosen(found["trials"][name], name == found["chosen"]) for name in names)]
