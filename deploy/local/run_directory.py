@@ -80,7 +80,7 @@ class RunDirectory:
             RunDirError: while another process holds the lock, or when this user may not write here.
         """
         try:
-            self._lock = (self.path / name).open("w", encoding="utf-8")
+            self._lock = (self.path / name).open("a", encoding="utf-8")
             if directory:
                 self._folder = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         except OSError as error:
@@ -92,6 +92,7 @@ class RunDirectory:
         except OSError as error:
             raise RunDirError(f"{self.path} is in use by another process.") from error
         with suppress(OSError):  # the number only helps whoever looks for the owner; a full disk may lack room for it
+            self._lock.truncate(0)
             self._lock.write(str(os.getpid()))
             self._lock.flush()
 

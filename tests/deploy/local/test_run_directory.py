@@ -32,7 +32,7 @@ def test_a_second_learner_is_refused_although_the_lock_file_is_gone(tmp_path: Pa
     path.mkdir()
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    first = context.Process(target=hold, args=(path, theirs))
+    first = context.Process(target=hold, args=(path, theirs), daemon=True)  # ends with a test that fails
     first.start()
     assert ours.recv() == "held"
     if deed == "renamed":
