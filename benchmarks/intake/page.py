@@ -1,9 +1,11 @@
-"""The page of the intake benchmark, from its results."""
+"""The page of the intake benchmark: a Markdown template, filled in from the results."""
 
+from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.peers.report import table
 
+TEMPLATE: Final = Path(__file__).with_suffix(".md")
 SIZES: Final = {"16 KB": 16_384, "128 KB": 131_072, "1 MB": 1_048_576}
 SWEPT: Final = "128 KB"
 """The size that is measured with every number of workers, and compared with Ray's."""
@@ -21,18 +23,7 @@ Table = dict[str, dict[str, Result]]
 
 def page(data: dict[str, Any]) -> str:
     """Return the results as Markdown."""
-    under_way = data["chunks_under_way"]
     lines = [
-        "# What a learner takes in",
-        "",
-        f"`{data['command']}`, commit {data['commit']}:",
-        "environment steps a second into replay and, in brackets, MB a second;",
-        f"{data['cores']} cores for player and sink together, {_workers(data['workers'])}.",
-        "Each has as many chunks under way as one of our requests takes from a spool: "
-        + ", ".join(f"{count} of {label}" for label, count in under_way.items())
-        + ";",
-        "the same for the peers, except TorchRL, whose collector makes one batch after another.",
-        "",
         *_rows(data["transports"], {str(size): f"{label} chunks" for label, size in SIZES.items()}),
         *_aims(data["transports"]),
     ]
@@ -40,7 +31,14 @@ def page(data: dict[str, Any]) -> str:
         numbers = sorted({number for results in by_workers.values() for number in results}, key=int)
         lines += ["", f"With other numbers of workers, all of them played by one process, {SWEPT} chunks:", ""]
         lines += _rows(by_workers, {number: _workers(int(number)) for number in numbers})
-    return "\n".join([*lines, ""])
+    return TEMPLATE.read_text(encoding="utf-8").format(
+        command=data["command"],
+        commit=data["commit"],
+        cores=data["cores"],
+        workers=_workers(data["workers"]),
+        in_flight=", ".join(f"{count} of {label}" for label, count in data["chunks_under_way"].items()),
+        tables="\n".join(lines),
+    )
 
 
 def _workers(number: int) -> str:
