@@ -10,7 +10,7 @@ from common.config import RunConfig
 from common.config.files import to_toml
 from common.environment import EnvironmentSpec
 from common.errors import BusError, EiaSecError, UsageError
-from common.history import History
+from common.history.history import History
 from common.imitation import ImitationEvent
 from common.process import Presence, StopSignal, connect
 from common.protocol import keys

@@ -18,7 +18,7 @@ POLICY = "policy.safetensors"
 LAST_LINE_BYTES = 2**16
 """Part of the end of metrics.jsonl that holds its last line; a record of the end is far shorter."""
 HISTORY = "history"
-"""Folder of the processes' histories, see `common.history`."""
+"""Folder of the processes' histories, see `common.history.history`."""
 
 
 def own_folder(run_dir: Path, name: str) -> Path:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.errors import RunDirError
-from common.history import End, Entry, Record, Resume, Start, Summary, Unreadable, read
+from common.history.history import End, Entry, Record, Resume, Start, Summary, Unreadable, read
 from deploy.local.run_directory import HISTORY, METRICS
 
 MOST_CHUNKS: Final = 2**26

@@ -198,17 +198,27 @@ class Row:
 
 
 ROWS = (
-    Row("kill -9 a worker, 50 times", "at most one unsent chunk a kill, counted", killed_workers, "test_kills.py"),
+    Row(
+        "kill -9 a worker, 50 times",
+        "at most one unsent chunk a kill, counted",
+        killed_workers,
+        "processes/test_kills.py",
+    ),
     Row(
         "kill -9 the learner, 20 times",
         "resumes; the ledger counts the losses exactly",
         killed_learner,
-        "test_kills.py",
+        "processes/test_kills.py",
     ),
-    Row("kill -9 the coordinator, 20 times", "the schedule continues", killed_coordinator, "test_kills.py"),
-    Row("kill -9 the router, 20 times", "nothing lost", killed_router, "test_kills.py"),
-    Row("learner frozen", "worker at most +64 MiB; back within 10 s", frozen_learner, "test_freezes.py"),
-    Row("learner frozen, replaced, thawed", "nothing of the old one is applied", replaced_learner, "test_freezes.py"),
+    Row("kill -9 the coordinator, 20 times", "the schedule continues", killed_coordinator, "processes/test_kills.py"),
+    Row("kill -9 the router, 20 times", "nothing lost", killed_router, "processes/test_kills.py"),
+    Row("learner frozen", "worker at most +64 MiB; back within 10 s", frozen_learner, "processes/test_freezes.py"),
+    Row(
+        "learner frozen, replaced, thawed",
+        "nothing of the old one is applied",
+        replaced_learner,
+        "processes/test_freezes.py",
+    ),
     Row("partitions between network namespaces", "back within 15 s", partitions, "test_partitions.py"),
     Row("slow, narrow and stalled links", "nothing lost", bad_links, "test_partitions.py"),
     Row(
@@ -234,8 +244,8 @@ ROWS = (
         "test_hostile.py",
     ),
     Row("full disk", "training continues; the previous checkpoint loads", full_disk, "test_disk.py"),
-    Row("SIGTERM and Ctrl-C, 50 times", "exit 0 within 10 s, no orphan processes", stops, "test_stops.py"),
-    Row("soak", "below 1 MiB an hour; threads and descriptors flat", soak, "test_soak.py"),
+    Row("SIGTERM and Ctrl-C, 50 times", "exit 0 within 10 s, no orphan processes", stops, "processes/test_stops.py"),
+    Row("soak", "below 1 MiB an hour; threads and descriptors flat", soak, "processes/test_soak.py"),
 )
 
 

@@ -3,8 +3,8 @@
 from collections import deque
 from typing import Final
 
-from common.history import History
-from common.history_summary import Marks, summarised
+from common.history.history import History
+from common.history.summary import Marks, summarised
 from learner.intake.ledger import LedgerSnapshot
 
 MOST_RECORDS: Final = 20_000

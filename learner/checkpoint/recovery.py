@@ -6,7 +6,7 @@ not come again: it is lost, and booked as lost here rather than with the worker'
 
 from collections.abc import Iterable
 
-from common.history import Entry, History, Record, Resume, Start
+from common.history.history import Entry, History, Record, Resume, Start
 from common.protocol.messages import Envelope
 from learner.intake.ledger import Intake
 

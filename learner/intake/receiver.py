@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from common.config import ReplayConfig
 from common.errors import ProtocolError, SchemaError
-from common.history import Entry, History
+from common.history.history import Entry, History
 from common.process import log
 from common.protocol import keys
 from common.protocol.chunk_messages import MOST_COUNT, from_message, from_request

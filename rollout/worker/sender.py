@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from common.errors import BusClosedError, BusError, ProtocolError
-from common.history import Entry, History
+from common.history.history import Entry, History
 from common.process import QUICK_SECONDS, log
 from common.protocol import keys
 from common.protocol.chunk_messages import fitting, to_message, to_request

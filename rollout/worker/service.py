@@ -18,7 +18,7 @@ from common.actors import TeamActors
 from common.config.presets import read_saved
 from common.config.run import RunConfig
 from common.errors import UsageError
-from common.history import History, Start
+from common.history.history import History, Start
 from common.process import Presence, StopSignal, connect, denial, fetch_configuration, log
 from common.protocol.messages import ConfigurationMessage
 from common.starts import next_start, seconds_ahead
@@ -57,7 +57,7 @@ class WorkerOptions:
         patience: seconds to wait for somebody to listen there.
         env: the one environment besides the farm that this worker may load, or None. A configuration comes over the
             network, and loading an environment runs its code.
-        history: file for the worker's own account of its chunks, see `common.history`, or None.
+        history: file for the worker's own account of its chunks, see `common.history.history`, or None.
     """
 
     run: str

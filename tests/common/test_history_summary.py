@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from common.history import Entry, History, Record, Resume, Start, Summary, parse, read, text
-from common.history_summary import MOST_STARTS, summarised
+from common.history.history import Entry, History, Record, Resume, Start, Summary, parse, read, text
+from common.history.summary import MOST_STARTS, summarised
 from deploy.monitor.audit import audit
 from learner.checkpoint import compaction
 from learner.checkpoint.compaction import HistoryCompaction

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from common.actors import TeamActors
-from common.history import Entry, History
+from common.history.history import Entry, History
 from common.policy_store import PolicyStore
 from common.protocol import frame
 from common.protocol.messages import ParametersMessage

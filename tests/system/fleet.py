@@ -13,7 +13,7 @@ from typing import Any
 from common.config import RunConfig
 from common.config.files import from_toml
 from common.config.presets import PRESETS
-from common.history import Entry, read
+from common.history.history import Entry, read
 from common.protocol import keys
 from common.protocol.messages import CommandMessage, ConfigurationMessage, ReceiptMessage
 from common.transport.bus import Bus

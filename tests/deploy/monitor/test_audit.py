@@ -5,7 +5,7 @@ import json
 import pytest
 
 from common.errors import RunDirError
-from common.history import End, Entry, History, Resume, Start
+from common.history.history import End, Entry, History, Resume, Start
 from deploy.cli import dispatch
 from deploy.monitor.audit import NAMED, audit
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from common.config import ReplayConfig
 from common.farm import METRIC_NAMES
-from common.history import History
+from common.history.history import History
 from common.protocol import keys
 from common.protocol.chunk_messages import from_request, to_message, to_request
 from common.protocol.messages import ChunkAck, Envelope

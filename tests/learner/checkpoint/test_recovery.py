@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from common.history import Entry, History
+from common.history.history import Entry, History
 from common.protocol.messages import Envelope
 from learner.checkpoint import recovery
 from learner.checkpoint.recovery import recover_losses

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from common.history import History, Start
+from common.history.history import History, Start
 from common.protocol.messages import ProgressMessage
 from learner.checkpoint.recovery import last_epoch
 from learner.checkpoint.storage import RunStorage

@@ -8,7 +8,7 @@ import pytest
 from common.actors import TeamActors
 from common.config import ReplayConfig, RunConfig
 from common.errors import SchemaError
-from common.history import Entry, History, read
+from common.history.history import Entry, History, read
 from common.protocol import keys
 from common.protocol.chunk_messages import MOST_COUNT, to_message, to_request
 from common.protocol.messages import Envelope

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Final
 
-from common.history import SUMMED, Entry, Record, Resume, Start, Summary, Unreadable
+from common.history.history import SUMMED, Entry, Record, Resume, Start, Summary, Unreadable
 
 MOST_STARTS: Final = 64
 """Starts of a worker with a line each; older ones share one."""

@@ -18,7 +18,7 @@ for the first three.
 
 A line reaches the operating system before the process acts on it: it survives a killed process, but not a power cut.
 The file stays small because consecutive chunks are merged into one line every REWRITE_LINES lines, and because a
-learner keeps only totals of chunks that are in every checkpoint (`common.history_summary`).
+learner keeps only totals of chunks that are in every checkpoint (`common.history.summary`).
 """
 
 import json

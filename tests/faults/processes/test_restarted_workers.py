@@ -4,7 +4,7 @@ import signal
 import time
 from pathlib import Path
 
-from common.history import End, Entry, Start, read
+from common.history.history import End, Entry, Start, read
 from common.protocol import keys
 from common.protocol.messages import Envelope
 from common.transport.bus import Bus

@@ -1,0 +1,1 @@
+"""A process's own account of chunks: lines in a file, and totals that stand for old ones."""
