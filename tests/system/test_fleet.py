@@ -137,7 +137,7 @@ def test_over_an_ssh_client(tmp_path: Path, folders: list[Path]) -> None:
     assert "other: no connection: ssh: no route to host" in said
     assert "learner.learner" in fleet.pids()
     fleet.edit(f"command = {json.dumps(EIA_SEC)}", 'command = "nowhere/eia-sec"')
-    assert "nowhere/eia-sec is not there" in fleet.eia_sec("status", str(fleet.file), code=1)
+    assert "nowhere/eia-sec was not found" in fleet.eia_sec("status", str(fleet.file), code=1)
     fleet.edit("nowhere/eia-sec", EIA_SEC)
     fleet.eia_sec("down", str(fleet.file), code=1)
     assert fleet.pids() == {}
