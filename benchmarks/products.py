@@ -27,8 +27,8 @@ from learner.networks.matrix_products import (  # noqa: E402  (as above)
     WHOLE,
     Floats,
     multiply,
-    multiply_by_turned,
-    multiply_turned,
+    multiply_by_transposed,
+    multiply_transposed,
     piece_size,
 )
 
@@ -60,9 +60,9 @@ def kinds(shape: tuple[int, int, int]) -> dict[str, Callable[[int], None]]:
 
         return work
 
-    found = {"a b": repeated(multiply, a, b, forward), "a^T b": repeated(multiply_turned, a, c, weights)}
+    found = {"a b": repeated(multiply, a, b, forward), "a^T b": repeated(multiply_transposed, a, c, weights)}
     if inner == columns:  # no gradient goes through a first layer
-        found["a b^T"] = repeated(multiply_by_turned, c, b, through, space)
+        found["a b^T"] = repeated(multiply_by_transposed, c, b, through, space)
     return found
 
 

@@ -1,10 +1,10 @@
-"""Running means of what updates report, for each agent, and how the critics compare with what came of it.
+"""Running means of what updates measure, for each agent, and a comparison of the critics with realised returns.
 
-    critic_loss         mean of the squared errors that the local critic descends, of two critics the first
+    critic_loss         mean of the squared TD errors in the local critic's loss, of two critics the first
     critic_error        mean of their sizes
     q_mean              mean Q of the batch's own actions, before the update's step; see below
     target_mean         mean Y
-    actor_objective     mean of what the actor climbs
+    actor_objective     mean of what the actor maximises
     critic_gradient     Euclidean norm of the gradient of the agent's critic, of two critics the mean, before any clip
     actor_gradient      the same of its actor
     member_loss         mean of (Q_s,k - Y)^2 over the members and the agent's rows
@@ -127,8 +127,8 @@ class RunningDiagnostics:
         device: torch device.
 
     Attributes:
-        means: those of every name that was reported [agents].
-        updates: updates that reported their diagnostics.
+        means: by name [agents].
+        updates: updates whose diagnostics were taken in.
         comparisons: comparisons with realised returns.
     """
 
@@ -168,7 +168,7 @@ class RunningDiagnostics:
         self.comparisons += 1
 
     def _take(self, rows: Mapping[str, Tensor | None], share: float) -> None:
-        """Move the means [agents] to newer diagnostics; a figure that is reported for the first time is its mean."""
+        """Move the means [agents] towards newer values; the first value of a name becomes its mean."""
         for name, row in rows.items():
             if row is None:
                 continue

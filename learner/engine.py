@@ -1,4 +1,4 @@
-"""The one engine of all algorithms: a batch in, an update of all agents, actors out.
+"""The engine of off-policy algorithms: a batch in, one update of all agents, actors out.
 
 The engine holds what algorithms share: statistics, the noise of an update, the number of updates, and on an accelerator
 the captured graphs. What an update computes stands in `learner/algorithms`.
@@ -28,7 +28,7 @@ NOISE: Final = "round noise"
 
 
 class Engine:
-    """All networks of a run and their update.
+    """All networks of a run, and their updates.
 
     Args:
         config: the algorithm's configuration.

@@ -1,4 +1,4 @@
-"""The learner without its network: experience in, updates, actors out.
+"""The training of a run without any communication: experience in, updates, actors out.
 
     trainer = Trainer(config, team)
     while trainer.episodes < config.episodes:
@@ -6,8 +6,8 @@
         trainer.train(trainer.updates_due())
         actors, version = trainer.actors(), trainer.next_version()
 
-How many updates are due follows from the counters alone, so a run that is resumed, or played in lockstep, does the same
-updates at the same points.
+The number of updates due depends on the counters alone, so a resumed run, or one in lockstep, does the same updates at
+the same points.
 """
 
 import math
@@ -46,11 +46,11 @@ from learner.networks.device import usable_device
 COUNTERS = ("environment_steps", "updates", "episodes", "version", "events", "evaluation_steps")
 RECENT_EPISODES = 100
 DIAGNOSTIC_PERIOD = 16
-"""Every this many updates one update reports its diagnostics."""
+"""Updates from one that is measured to the next."""
 
 
 class Trainer:
-    """All that a run's training consists of, and its counters.
+    """Networks, replay and counters of one run.
 
     Args:
         config: the run.
@@ -67,7 +67,7 @@ class Trainer:
         events: imitation events applied.
         evaluation_steps: environment steps that these events' evaluations took; part of the run's budget (A3).
         recent: the newest finished episodes.
-        diagnostics: running means of what updates report.
+        diagnostics: running means of what updates measure.
     """
 
     def __init__(self, config: RunConfig, team: TeamSpec) -> None:

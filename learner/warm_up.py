@@ -1,6 +1,6 @@
-"""Updates of a run that is discarded, so that what they call is compiled before anybody waits for the learner.
+"""Compiles what an update calls, by a few updates of a trainer that is discarded, before the learner serves anybody.
 
-With an empty cache the compiler takes some ten seconds, during which a process answers nobody.
+With an empty cache compilation takes some ten seconds, during which the process cannot answer messages.
 """
 
 from dataclasses import replace

@@ -96,7 +96,7 @@ class CompiledPass:
         found = self._known.get(key)
         if found is None:
             starts = [t.storage_offset() + n * t.stride(0) for t in tensors for n in range(t.shape[0])]
-            # The tensors are kept, so that nothing else can come to stand at their addresses.
+            # Keeping the tensors keeps their addresses from being reused.
             found = self._known[key] = (storage(tensors[0]), np.array(starts, np.int64)[self._order], tensors)
         return found[0], found[1]
 

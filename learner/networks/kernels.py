@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learner.networks.compilation import compiled, shared
-from learner.networks.matrix_products import Floats, multiply, multiply_by_turned, multiply_turned
+from learner.networks.matrix_products import Floats, multiply, multiply_by_transposed, multiply_transposed
 
 Table = NDArray[np.int64]
 
@@ -105,7 +105,7 @@ def parameter_gradient(
 ) -> None:
     """Write the gradient of sum(upstream * output) by all parameters.
 
-    `scratch` is as large as `scratch_size` says.
+    `scratch` has `scratch_size` numbers.
     """
     width = table[0, WIDTH]
     for n in range(table.shape[0]):
@@ -116,28 +116,28 @@ def parameter_gradient(
         above = upstream[table[n, OUTPUT] : table[n, OUTPUT] + rows * fan_out]
         begin = table[n, HEAD]
         head = parameters[begin + fan_out : begin + fan_out + width * fan_out]
-        gradient_row = into[begin + fan_out : begin + fan_out + width * fan_out]
+        out_gradient = into[begin + fan_out : begin + fan_out + width * fan_out]
         bias = into[begin : begin + fan_out]
         if fan_out == 1:
             bias[0] = above.sum()
-            np.dot(upper.T, above, gradient_row)
+            np.dot(upper.T, above, out_gradient)
             _outer(above, head, upper, z2)
         else:
             wide = above.reshape((rows, fan_out))
             _column_sums(wide, bias)
-            np.dot(upper.T, wide, gradient_row.reshape((width, fan_out)))
+            np.dot(upper.T, wide, out_gradient.reshape((width, fan_out)))
             np.dot(wide, head.reshape((width, fan_out)).T, z2)
             _mask(z2, upper)
         begin = table[n, SECOND]
         _column_sums(z2, into[begin : begin + width])
         second = parameters[begin + width : begin + width + width * width].reshape((width, width))
         gradients = into[begin + width : begin + width + width * width].reshape((width, width))
-        multiply_turned(lower, z2, gradients, piece)
-        multiply_by_turned(z2, second, z1, rest, piece)
+        multiply_transposed(lower, z2, gradients, piece)
+        multiply_by_transposed(z2, second, z1, rest, piece)
         _mask(z1, lower)
         inputs = x[starts[n] : starts[n] + rows * fan_in].reshape((rows, fan_in))
         begin = table[n, FIRST]
-        multiply_turned(inputs, z1, into[begin : begin + fan_in * width].reshape((fan_in, width)), piece)
+        multiply_transposed(inputs, z1, into[begin : begin + fan_in * width].reshape((fan_in, width)), piece)
 
 
 @compiled
@@ -164,14 +164,14 @@ def action_gradient(
         _outer(above, parameters[begin + 1 : begin + 1 + width], upper, z2)
         begin = table[n, SECOND] + width
         second = parameters[begin : begin + width * width].reshape((width, width))
-        multiply_by_turned(z2, second, z1, rest, piece)
+        multiply_by_transposed(z2, second, z1, rest, piece)
         _mask(z1, lower)
         size, own = table[n, OWN_SIZE], table[n, FIRST] + table[n, OWN] * width
         part = rest[: rows * size]
         np.dot(z1, parameters[own : own + size * width].reshape((size, width)).T, part.reshape((rows, size)))
-        gradient_row = into[places[n] : places[n] + rows * size]
+        out_gradient = into[places[n] : places[n] + rows * size]
         for k in range(rows * size):
-            gradient_row[k] += part[k]
+            out_gradient[k] += part[k]
 
 
 def scratch_size(rows: int, width: int, action: int) -> int:
@@ -216,9 +216,9 @@ def _mask(gradient: Floats, activation: Floats) -> None:
 def _outer(above: Floats, head: Floats, activation: Floats, out: Floats) -> None:
     """Write the gradient by a scalar head's sums below, above head^T, where the activation is above 0."""
     for r in range(out.shape[0]):
-        gradient_row, active, row = above[r], activation[r], out[r]
+        out_gradient, active, row = above[r], activation[r], out[r]
         for c in range(head.shape[0]):
-            row[c] = gradient_row * head[c] if active[c] > 0 else out.dtype.type(0)
+            row[c] = out_gradient * head[c] if active[c] > 0 else out.dtype.type(0)
 
 
 @compiled

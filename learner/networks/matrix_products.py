@@ -1,12 +1,11 @@
-"""Matrix products of the compiled kernels: BLAS's, cut into the pieces that it is fastest at.
+"""Matrix products of the compiled kernels: BLAS products, cut into the pieces that BLAS is fastest at.
 
-OpenBLAS, which SciPy brings, copies both factors into another order before it multiplies them, which takes small
-products up to twice the time of their arithmetic. On processors with AVX-512 it has kernels that do without, for
-products of up to a million multiplications whose second factor, as we store it, is not transposed. So larger ones are
-cut up here, and a factor that would be transposed is turned first. Elsewhere products stay whole. What that is worth:
-`python -m benchmarks.products`.
+OpenBLAS, which SciPy ships, reorders both factors before it multiplies them. That doubles the time of small products.
+On processors with AVX-512 it has kernels that skip the reordering, for products of up to a million multiplications whose
+second factor, as we store it, is not transposed. So this module cuts larger products up, and transposes a factor itself
+where BLAS would have to. On other processors products stay whole. `python -m benchmarks.products` measures the gain.
 
-How a product is cut follows from its shape and the processor alone, so that the same run gives the same numbers.
+The cuts depend on the shape and the processor alone, so the same run gives the same numbers.
 """
 
 from collections.abc import Callable
@@ -31,7 +30,7 @@ BLOCK: Final = 36_864
 LANES: Final = 16
 """Numbers of the longest vector."""
 TILE: Final = 8
-"""Side of the squares in which a matrix is turned."""
+"""Side of the squares in which a matrix is transposed."""
 
 # What np.dot compiles to. It stands in numba's own library under this name, by which compiled code that is kept on disk
 # finds it again. Factors are in BLAS's order of columns: letters for the type and for transposed factors, sizes, and
@@ -49,7 +48,7 @@ _gemm: Callable[..., int] = types.ExternalFunction(
         types.intp,
     ),
 )
-_SINGLE, _DOUBLE, _PLAIN, _TURNED = (ord(letter) for letter in "sdnt")
+_SINGLE, _DOUBLE, _PLAIN, _TRANSPOSED = (ord(letter) for letter in "sdnt")
 # Global, because what is allocated in a kernel may be freed after the last use of its name, before BLAS reads it.
 _SINGLE_UNITS, _DOUBLE_UNITS = np.array([0.0, 1.0], np.float32), np.array([0.0, 1.0], np.float64)
 
@@ -73,7 +72,7 @@ def multiply(a: Floats, b: Floats, out: Floats, piece: int) -> None:
 
 
 @compiled
-def multiply_turned(a: Floats, b: Floats, out: Floats, piece: int) -> None:
+def multiply_transposed(a: Floats, b: Floats, out: Floats, piece: int) -> None:
     """Write a^T b.
 
     Args:
@@ -82,11 +81,11 @@ def multiply_turned(a: Floats, b: Floats, out: Floats, piece: int) -> None:
         out: [K, C].
         piece: see `piece_size`.
     """
-    _in_pieces(a, b, out, _TURNED, 1, a.shape[1], piece)
+    _in_pieces(a, b, out, _TRANSPOSED, 1, a.shape[1], piece)
 
 
 @compiled
-def multiply_by_turned(a: Floats, b: Floats, out: Floats, space: Floats, piece: int) -> None:
+def multiply_by_transposed(a: Floats, b: Floats, out: Floats, space: Floats, piece: int) -> None:
     """Write a b^T.
 
     Args:
@@ -99,13 +98,13 @@ def multiply_by_turned(a: Floats, b: Floats, out: Floats, space: Floats, piece: 
     if piece == WHOLE:
         np.dot(a, b.T, out)
         return
-    turned = space[: b.size].reshape((b.shape[1], b.shape[0]))
-    turn(b, turned)
-    multiply(a, turned, out, piece)
+    transposed = space[: b.size].reshape((b.shape[1], b.shape[0]))
+    transpose(b, transposed)
+    multiply(a, transposed, out, piece)
 
 
 @compiled
-def turn(matrix: Floats, out: Floats) -> None:
+def transpose(matrix: Floats, out: Floats) -> None:
     """Write a matrix [R, C] transposed, [C, R], square by square, so that a square's lines stay in the cache."""
     rows, columns = matrix.shape
     source, place = matrix.reshape(rows * columns), out.reshape(rows * columns)

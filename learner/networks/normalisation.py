@@ -1,12 +1,12 @@
-"""Running means and deviations of observations and rewards, for each type of agent.
+"""Running means and standard deviations of observations and rewards, for each type of agent.
 
-A type's agents share their statistics. Observations are standardised, x = (o - mean) / deviation; on the way to whoever
-acts, the same map is folded into the actors' first layers,
+A type's agents share their statistics. Observations are standardised, x = (o - mean) / std. Exported actors take raw
+observations: the same map is folded into their first layers,
 
-    W1' = W1 / deviation (row by row),   b1' = b1 - mean W1',
+    W1' = W1 / std (row by row),   b1' = b1 - mean W1',
 
-so that exported actors take raw observations, and nothing else has to carry the statistics. Folding is linear, so that
-blending folded actors of one type is the same as blending them before.
+so nobody else needs the statistics. Folding is linear, so blending folded actors of one type equals folding their
+blend.
 """
 
 from typing import Final
@@ -18,8 +18,8 @@ from torch import Tensor
 
 from common.team import Float32, TeamSpec
 
-LEAST_DEVIATION: Final = 1e-2
-"""Deviations below this are taken for it, so that an input that hardly ever moves is not blown up."""
+MIN_STD: Final = 1e-2
+"""Smaller standard deviations are raised to this, so that an input that hardly ever changes is not blown up."""
 Float64 = NDArray[np.float64]
 
 
@@ -51,12 +51,12 @@ class Moments:
         """Return the mean [size]; 0 before any row."""
         return self.state.numpy()[1 : 1 + self._size].copy()
 
-    def deviation(self) -> Float64:
-        """Return the standard deviation [size], at least LEAST_DEVIATION; 1 before any row."""
+    def std(self) -> Float64:
+        """Return the standard deviation [size], at least MIN_STD; 1 before any row."""
         state = self.state.numpy()
         if state[0] == 0:
             return np.ones(self._size)
-        found: Float64 = np.maximum(np.sqrt(state[1 + self._size :] / state[0]), LEAST_DEVIATION)
+        found: Float64 = np.maximum(np.sqrt(state[1 + self._size :] / state[0]), MIN_STD)
         return found
 
 
@@ -67,7 +67,7 @@ class Normalisation:
         team: the layout of the team.
         like: a tensor of the engine's device and type.
         observations: whether observations are standardised.
-        rewards: whether rewards are divided by their deviation.
+        rewards: whether rewards are divided by their standard deviation.
     """
 
     def __init__(self, team: TeamSpec, like: Tensor, *, observations: bool, rewards: bool) -> None:
@@ -86,15 +86,15 @@ class Normalisation:
         self.refresh()
 
     def refresh(self) -> None:
-        """Take what rounds use from the moments; wanted after these were set from outside."""
+        """Recompute what updates use from the moments; call it after these were set from outside."""
         counts = [group.count for group in self._team.groups]
         if self._seen:
             mean = np.concatenate([np.tile(m.mean(), n) for m, n in zip(self._seen, counts, strict=True)])
-            scale = np.concatenate([np.tile(1.0 / m.deviation(), n) for m, n in zip(self._seen, counts, strict=True)])
+            scale = np.concatenate([np.tile(1.0 / m.std(), n) for m, n in zip(self._seen, counts, strict=True)])
             self._mean.copy_(torch.from_numpy(mean))
             self._scale.copy_(torch.from_numpy(scale))
         if self._paid:
-            scale = np.concatenate([np.tile(1.0 / m.deviation(), n) for m, n in zip(self._paid, counts, strict=True)])
+            scale = np.concatenate([np.tile(1.0 / m.std(), n) for m, n in zip(self._paid, counts, strict=True)])
             self._reward_scale.copy_(torch.from_numpy(scale))
 
     def observed(self, rows: Tensor) -> Tensor:
@@ -114,13 +114,13 @@ class Normalisation:
             o, size = group.observation_size, group.observation_size * hidden
             result = parameters.astype(np.float64)
             w1, b1 = result[:, :size].reshape(-1, o, hidden), result[:, size : size + hidden]
-            mean, deviation = moments.mean(), moments.deviation()
+            mean, std = moments.mean(), moments.std()
             if out:
-                w1 /= deviation[:, None]
+                w1 /= std[:, None]
                 b1 -= np.einsum("o,noh->nh", mean, w1)
             else:
                 b1 += np.einsum("o,noh->nh", mean, w1)
-                w1 *= deviation[:, None]
+                w1 *= std[:, None]
             folded.append(np.ascontiguousarray(result, np.float32))
         return tuple(folded)
 

@@ -44,14 +44,16 @@ def test_products_in_pieces_are_products(shape, piece, dtype):
     whole = empty(rows, columns, dtype=dtype)
     matrix_products.multiply(a, b, whole[1:-1], piece)
     np.testing.assert_allclose(whole[1:-1], a @ b, **error)
-    turned = empty(inner, columns, dtype=dtype)
-    matrix_products.multiply_turned(a, c, turned[1:-1], piece)
-    np.testing.assert_allclose(turned[1:-1], a.T @ c, **error)
-    by_turned = empty(rows, inner, dtype=dtype)
-    matrix_products.multiply_by_turned(c, b, by_turned[1:-1], np.full(inner * columns + 3, np.nan, dtype), piece)
-    np.testing.assert_allclose(by_turned[1:-1], c @ b.T, **error)
+    transposed = empty(inner, columns, dtype=dtype)
+    matrix_products.multiply_transposed(a, c, transposed[1:-1], piece)
+    np.testing.assert_allclose(transposed[1:-1], a.T @ c, **error)
+    by_transposed = empty(rows, inner, dtype=dtype)
+    matrix_products.multiply_by_transposed(
+        c, b, by_transposed[1:-1], np.full(inner * columns + 3, np.nan, dtype), piece
+    )
+    np.testing.assert_allclose(by_transposed[1:-1], c @ b.T, **error)
 
-    for result in (whole, turned, by_turned):
+    for result in (whole, transposed, by_transposed):
         assert np.isnan(result[[0, -1]]).all()
 
 
@@ -60,7 +62,7 @@ def test_a_turned_matrix_is_the_transposed_one(shape):
     """Squares and what is left beside them."""
     matrix = np.arange(shape[0] * shape[1], dtype=np.float32).reshape(shape)
     out = np.zeros(shape[::-1], np.float32)
-    matrix_products.turn(matrix, out)
+    matrix_products.transpose(matrix, out)
     np.testing.assert_array_equal(out, matrix.T)
 
 
