@@ -1,7 +1,7 @@
 """Matrix products of the compiled kernels: BLAS products, cut into the pieces that BLAS is fastest at.
 
 OpenBLAS, which SciPy ships, reorders both factors before it multiplies them. That doubles the time of small products.
-On processors with AVX-512 it has kernels that skip the reordering, for products of up to a million multiplications whose
+With AVX-512 it has kernels that skip the reordering, for products of up to a million multiplications whose
 second factor, as we store it, is not transposed. So this module cuts larger products up, and transposes a factor itself
 where BLAS would have to. On other processors products stay whole. `python -m benchmarks.products` measures the gain.
 
