@@ -94,7 +94,7 @@ def test_who_does_not_end_is_named(tmp_path: Path, folders: list[Path]) -> None:
     until(taken(tmp_path / "one" / "run" / "history" / "learner.jsonl"), "chunks", 120.0)
     os.kill(fleet.pids()["rollout.two-0"], signal.SIGSTOP)
     said = fleet.eia_sec("down", file, "--wait", "8", code=1)
-    assert "two rollout.two-0 did not end within 8 s" in said
+    assert "two rollout.two-0 is still running after 8 s" in said
     assert "two rollout.two-0 has stopped." in fleet.eia_sec("down", file, "--kill", "--wait", "1")
     fleet.edit('config = "wanted.toml"', 'config = "wanted.toml"\nset = ["seed = 5"]')
     fleet.eia_sec("up", file)
