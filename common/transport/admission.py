@@ -1,7 +1,7 @@
-"""How crowded a listener is: open descriptors, and connections that hang in its line.
+"""How crowded a listener is: its open descriptors, and the dead connections in its accept queue.
 
-Zenoh 1.x takes 100 ms for each TLS handshake that fails, one after another, and admits nobody meanwhile. Connections
-whose other end has hung up wait in that line and keep a descriptor each. Linux shows both under /proc.
+Zenoh 1.x handles failed TLS handshakes one at a time, 100 ms each, and admits nobody meanwhile. A connection whose peer
+has hung up waits in that queue and holds a descriptor. Linux shows both under /proc.
 """
 
 import os
@@ -14,11 +14,11 @@ from typing import Any, Final
 from common.transport.endpoint import Endpoint
 
 MOST_WAITING: Final = 20
-"""Connections in the line that are no reason for an alarm: two seconds of it."""
+"""Dead connections in the queue that raise no alarm yet; they delay a new member by two seconds."""
 FAILURE_SECONDS: Final = 0.1
-"""What one failed handshake holds up the line for."""
+"""Delay that one failed handshake causes, s."""
 CROWDED: Final = 0.5
-"""Share of the descriptors that a process may have, from which on it is an alarm."""
+"""Share of the process's descriptor limit above which open descriptors raise an alarm."""
 _TABLES: Final = (Path("/proc/self/net/tcp"), Path("/proc/self/net/tcp6"))
 _CLOSE_WAIT: Final = "08"
 _MOST_LINES: Final = 65_536
@@ -26,12 +26,12 @@ _MOST_LINES: Final = 65_536
 
 @dataclass(frozen=True)
 class Admission:
-    """A listener's crowd at one moment.
+    """How crowded a listener is at one moment.
 
     Attributes:
         descriptors: open descriptors of this process.
-        limit: most that it may have.
-        waiting: connections at its ports whose other end has hung up, and which it has not closed yet.
+        limit: most descriptors that it may have.
+        waiting: connections to its ports that the peer has closed and this process has not.
     """
 
     descriptors: int
@@ -39,24 +39,27 @@ class Admission:
     waiting: int
 
     def metrics(self) -> dict[str, Any]:
-        """Return what a report says of it."""
+        """Return the metrics to report."""
         return {"descriptors": self.descriptors, "waiting_connections": self.waiting}
 
     def alarms(self) -> list[str]:
-        """Return one sentence for each thing that keeps new members out."""
+        """Return one sentence for each condition that keeps new members out."""
         found = []
         if self.waiting > MOST_WAITING:
             found.append(
-                f"{self.waiting} connections hung up before they were let in; a new member waits about "
-                f"{self.waiting * FAILURE_SECONDS:.0f} s behind them. Limit new connections by address in the firewall."
+                f"{self.waiting} connections were closed by their peers before they were accepted; a new member waits "
+                f"about {self.waiting * FAILURE_SECONDS:.0f} s behind them. Rate-limit new connections per address in "
+                "the firewall."
             )
         if self.descriptors > CROWDED * self.limit:
-            found.append(f"{self.descriptors} of {self.limit} descriptors are open; without any left nobody gets in.")
+            found.append(
+                f"{self.descriptors} of {self.limit} descriptors are open; when none are left, nobody can connect."
+            )
         return found
 
 
 def admission(endpoint: Endpoint) -> Admission:
-    """Return how crowded a listener at both ports of an endpoint is; zeros where the system does not say."""
+    """Return how crowded this process's listener is, over both ports; zeros where /proc is missing."""
     ports = {f"{port:04X}" for port in (endpoint.port, endpoint.port + 1)}
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     waiting = sum(_waiting(table, ports) for table in _TABLES)
@@ -80,5 +83,5 @@ def _waiting(table: Path, ports: set[str]) -> int:
 
 
 def _hangs(row: Sequence[str], ports: set[str]) -> bool:
-    """Return whether a row of the table (number, local, remote, state, ...) is of a connection in the line."""
+    """Return whether a table row (number, local, remote, state, ...) is a dead connection to one of the ports."""
     return len(row) > 3 and row[3] == _CLOSE_WAIT and row[1].rpartition(":")[2] in ports

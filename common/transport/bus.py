@@ -1,8 +1,8 @@
 """The only module that touches Zenoh.
 
-A `Bus` is one session on one lane. It offers the four deliveries that `common.protocol.keys` declares: acknowledged
-requests, latest-wins states, lossy puts, and liveliness tokens. Everything arrives through channels, never through
-callbacks, so that closing the bus ends every waiting thread.
+A `Bus` is one session on one lane. It offers the four kinds of delivery that `common.protocol.keys` declares:
+acknowledged requests, latest-wins states, lossy puts, and liveliness tokens. Data arrives through channels, never
+through callbacks, so closing the bus ends every waiting thread.
 """
 
 import json
@@ -25,9 +25,9 @@ from common.transport.handshake import complaint, silence
 from common.transport.zenoh_config import Values, connecting, listening, routing
 
 LIVING_SECONDS: Final = 1.0
-"""Longest wait for the tokens that stand."""
+"""Longest wait for a list of the live tokens."""
 POLL_SECONDS: Final = 0.002
-"""Pause between two looks at a channel while waiting with a time limit."""
+"""Longest pause between two polls of a channel."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Sample:
     """One received message.
 
     Attributes:
-        key: the concrete key it came on.
+        key: the concrete key it arrived on.
         payload: the frame.
         attachment: the envelope's frame, or empty.
         present: False when a liveliness token vanished.
@@ -48,7 +48,7 @@ class Sample:
 
 
 class Incoming:
-    """A request that waits for its answer."""
+    """A received request that has not been answered."""
 
     def __init__(self, query: zenoh.Query) -> None:
         self._query = query
@@ -57,21 +57,21 @@ class Incoming:
         self.attachment = query.attachment.to_bytes() if query.attachment is not None else b""
 
     def reply(self, payload: bytes) -> None:
-        """Answer; the request is over afterwards. An asker who is gone is no error."""
+        """Answer the request, which ends it. It is no error if the requester is gone."""
         with self._query as query:
             query.reply(self.key, payload)
 
     def refuse(self, reason: str) -> None:
-        """Answer with an error text; the request is over afterwards."""
+        """Answer with an error text, which ends the request."""
         with self._query as query:
             query.reply_err(reason.encode())
 
 
 class Server:
-    """Requests on one key expression, in order of arrival, at most `capacity` of them waiting.
+    """Requests on one key expression, in order of arrival; at most `capacity` of them wait.
 
     Attributes:
-        wild: requests that were refused because their key held a wildcard.
+        wild: requests refused because their key held a wildcard.
     """
 
     def __init__(self, queryable: Any, capacity: int) -> None:
@@ -79,11 +79,11 @@ class Server:
         self.wild = 0
 
     def poll(self) -> Incoming | None:
-        """Return the next request, or None when there is none now."""
+        """Return the next request, or None if none waits."""
         return next(self.waiting(), None)
 
     def waiting(self) -> Iterator[Incoming]:
-        """Yield the requests that wait now, at most `capacity`: who asks without end must not keep the caller."""
+        """Yield waiting requests, at most `capacity`, so that a flood of requests cannot hold the caller here."""
         for _ in range(self._capacity):
             if (query := self._queryable.handler.try_recv()) is None:
                 return
@@ -105,16 +105,16 @@ class Server:
         if "*" not in incoming.key:
             return incoming
         self.wild += 1
-        incoming.refuse("a request needs a key without wildcards.")
+        incoming.refuse("the key of a request must not hold wildcards.")
         return None
 
 
 class Subscription:
-    """Samples of one key expression.
+    """Samples on one key expression.
 
     Attributes:
-        missed: samples that were overtaken or lost.
-        wild: samples that were dropped because their key held a wildcard.
+        missed: samples that were lost, or replaced before they were read.
+        wild: samples dropped because their key held a wildcard.
     """
 
     def __init__(self, subscriber: Any, misses: Any = None) -> None:
@@ -123,7 +123,7 @@ class Subscription:
         self.missed = self.wild = 0
 
     def poll(self) -> Sample | None:
-        """Return the next sample, or None when there is none now."""
+        """Return the next sample, or None if none waits."""
         if self._misses is not None:
             while (miss := self._misses.try_recv()) is not None:
                 self.missed += miss.nb
@@ -136,7 +136,7 @@ class Subscription:
         return Sample(str(sample.key_expr), sample.payload.to_bytes(), attachment, present)
 
     def drain(self) -> Iterator[Sample]:
-        """Yield what has arrived by now."""
+        """Yield the samples that have arrived."""
         while (sample := self.poll()) is not None:
             yield sample
 
@@ -148,7 +148,7 @@ class Publisher:
         self._publisher = publisher
 
     def put(self, payload: bytes, attachment: bytes = b"") -> None:
-        """Publish once."""
+        """Publish one sample; raise BusClosedError when the bus is closed."""
         try:
             self._publisher.put(payload, attachment=attachment or None)
         except zenoh.ZError as error:
@@ -174,14 +174,14 @@ class Bus:
 
     @classmethod
     def listen(cls, endpoint: Endpoint, lane: Lane) -> "Bus":
-        """Open a session that others connect to; raise EndpointError when the address is taken or not ours."""
+        """Open a session that others connect to; raise EndpointError when this machine cannot listen there."""
         return cls._listening(listening(endpoint, lane), endpoint, endpoint.locator(lane))
 
     @classmethod
     def route(cls, endpoint: Endpoint) -> "Bus":
-        """Open a router for both lanes; raise EndpointError when an address is taken or not ours.
+        """Open a router for both lanes; raise EndpointError when this machine cannot listen there.
 
-        Nothing else may be open in the same process: a router starves beside its own clients.
+        Open no other session in the same process: a router starves beside its own clients.
         """
         return cls._listening(routing(endpoint), endpoint, f"{endpoint} and the port after it")
 
@@ -190,7 +190,8 @@ class Bus:
         try:
             return cls(_open(values), endpoint.credentials)
         except zenoh.ZError as error:
-            raise EndpointError(f"cannot listen on {where}: the address is taken or not of this machine.") from error
+            reason = "the address is in use or does not belong to this machine"
+            raise EndpointError(f"cannot listen on {where}: {reason}.") from error
 
     @classmethod
     def connect(
@@ -201,12 +202,12 @@ class Bus:
         Args:
             endpoint: where it listens.
             lane: which of its two ports.
-            wait: keep trying for this long, s.
-            waiting: asked between two tries; False gives up at once.
+            wait: how long to keep trying, s.
+            waiting: called between attempts; False gives up at once.
 
         Raises:
-            EndpointError: when nobody answers there in that time, and at once when one side does not accept the
-                other's certificate.
+            EndpointError: when nobody answers there in time, or, at once, when one side rejects the other's
+                certificate.
         """
         deadline = time.monotonic() + wait
         while True:
@@ -220,7 +221,7 @@ class Bus:
                 time.sleep(0.2)
 
     def serve(self, key: str, capacity: int) -> Server:
-        """Take requests on a key expression."""
+        """Receive requests on a key expression."""
         channel: Any = zenoh.handlers.FifoChannel(capacity)
         return Server(self._open().declare_queryable(key, channel, complete=True), capacity)
 
@@ -237,16 +238,16 @@ class Bus:
         Args:
             key: a concrete key.
             payload: the request's frame.
-            timeout: s.
+            timeout: time limit for the answer, s.
             attachment: the envelope's frame.
-            again: called now and then with the seconds since the request was made; True makes it once more. The
-                first answer to any of them counts, and the server may get each of them.
+            again: called while waiting, with the seconds since the request was last sent; True sends it again. The
+                first answer counts, and the server may receive every copy.
 
         Returns:
             The answer's frame, or None when nobody serves the key or the time ran out.
 
         Raises:
-            BusError: when the other side refused with a reason.
+            BusError: when the server refused; the message holds its reason.
         """
         asked = [self._request(key, payload, timeout, attachment)]
         started = newest = time.monotonic()
@@ -264,7 +265,7 @@ class Bus:
                 if reply is not None:
                     return _answered(reply)
             if self._closed.is_set():
-                raise BusClosedError("the bus was closed while a request was under way.")
+                raise BusClosedError("the bus was closed before a request was answered.")
             if asked:
                 time.sleep(pause)
                 pause = min(pause * 1.5, POLL_SECONDS)
@@ -290,11 +291,11 @@ class Bus:
         return Publisher(self._open().declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP))
 
     def subscribe(self, key: str, capacity: int) -> Subscription:
-        """Receive lossy puts; when more than `capacity` wait, the oldest are dropped."""
+        """Receive lossy puts; at most `capacity` wait, and a new one replaces the oldest."""
         return Subscription(self._open().declare_subscriber(key, zenoh.handlers.RingChannel(capacity)))
 
     def publish_state(self, key: str) -> Publisher:
-        """Publish a state: the latest value is kept for late joiners, gaps are detected."""
+        """Publish a state: late joiners get the latest value, and receivers notice gaps."""
         return Publisher(
             ext.declare_advanced_publisher(
                 self._open(),
@@ -307,7 +308,7 @@ class Bus:
         )
 
     def subscribe_state(self, key: str) -> Subscription:
-        """Receive a state: only the latest value waits; `missed` counts what was overtaken or lost."""
+        """Receive a state: only the latest value waits; `missed` counts values that were lost or replaced unread."""
         subscriber = ext.declare_advanced_subscriber(
             self._open(),
             key,
@@ -318,25 +319,25 @@ class Bus:
         return Subscription(subscriber, subscriber.sample_miss_listener(zenoh.handlers.RingChannel(64)))
 
     def announce(self, key: str) -> Any:
-        """Declare a liveliness token; it vanishes with the session. Keep the returned object."""
+        """Declare a liveliness token and return it; it lasts until the object or the session ends."""
         return self._open().liveliness().declare_token(key)
 
     def watch(self, key: str, capacity: int) -> Subscription:
-        """Receive liveliness changes, those of tokens that are already there first."""
+        """Receive liveliness changes, beginning with the tokens that already exist."""
         return Subscription(
             self._open().liveliness().declare_subscriber(key, zenoh.handlers.FifoChannel(capacity), history=True)
         )
 
     def living(self, key: str) -> list[str]:
-        """Return the liveliness tokens that stand now, by their keys."""
+        """Return the keys of the liveliness tokens that exist now."""
         replies = self._open().liveliness().get(key, zenoh.handlers.FifoChannel(64), timeout=LIVING_SECONDS)
         return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
     def close(self) -> None:
-        """Close the session; waiting threads end. Closing twice is no error."""
+        """Close the session, which ends every waiting thread. Closing twice is no error."""
         if not self._closed.is_set():
             self._closed.set()
-            # Zenoh gives up closing while it still reaches for a peer that is frozen; there is nothing else to do then.
+            # With a frozen peer, Zenoh's close times out; there is nothing else to release.
             with suppress(zenoh.ZError):
                 if self._pid == os.getpid():
                     self._session.close()  # type: ignore[no-untyped-call]  # zenoh's stub leaves close() without types
@@ -358,7 +359,7 @@ class Bus:
 
 
 def _answered(reply: Any) -> bytes | None:
-    """Return the frame of an answer, None for a time-out; raise BusError when it is a refusal."""
+    """Return the answer's frame, or None for a timeout; raise BusError for a refusal."""
     if reply.ok is not None:
         return bytes(reply.ok.payload.to_bytes())
     text = reply.err.payload.to_bytes().decode(errors="replace")

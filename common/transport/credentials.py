@@ -1,4 +1,4 @@
-"""Who a process is, by certificate: the folder that `eia-sec keys issue` wrote, read and checked before it is used."""
+"""A process's certificate: reads and checks the folder that `eia-sec keys issue` writes."""
 
 import datetime
 import stat
@@ -15,14 +15,14 @@ from common.errors import CredentialsError
 from common.names import check_name
 
 ROLES: Final = ("learner", "router", "flight", "rollout", "elite", "operator", "monitor", "watcher", "vehicle")
-"""Whom a certificate can name; only the first three listen."""
+"""Roles that a certificate can name; only the first three listen."""
 LISTENING: Final = ("learner", "router", "flight")
 CA, CERTIFICATE, KEY, MEMBERS = "ca.pem", "cert.pem", "key.pem", "members.txt"
 MAX_PEM: Final = 64 * 1024
-"""Largest certificate or key file that is looked into, bytes."""
+"""Largest certificate or key file that is read, bytes."""
 MAX_MEMBERS: Final = 10_000
 SOON: Final = datetime.timedelta(days=30)
-"""A certificate that ends within this time is worth a warning."""
+"""A certificate that expires within this time raises a warning."""
 
 
 @dataclass(frozen=True, order=True)
@@ -39,7 +39,7 @@ class Identity:
 
     @classmethod
     def parse(cls, text: str) -> "Identity":
-        """Return the identity of a common name; raise CredentialsError when it is none."""
+        """Return the identity in a common name; raise CredentialsError when the name holds none."""
         role, dot, name = text.partition(".")
         if role not in ROLES or not dot:
             raise CredentialsError(f"{text[:80]!r} is not a role and a name, such as rollout.worker-7.")
@@ -55,10 +55,10 @@ class Credentials:
 
     Attributes:
         folder: where the files are.
-        identity: whom the certificate names.
-        expires: when it ends, UTC.
+        identity: the process that the certificate names.
+        expires: when the certificate expires, UTC.
         hosts: names and addresses that the certificate may serve; empty for processes that only connect.
-        members: who is let in, for a process that listens.
+        members: the processes that a listening process admits.
     """
 
     folder: Path
@@ -69,37 +69,39 @@ class Credentials:
 
     @property
     def ca(self) -> Path:
-        """Return the authority's certificate."""
+        """Return the path of the authority's certificate."""
         return self.folder / CA
 
     @property
     def certificate(self) -> Path:
-        """Return this process's certificate."""
+        """Return the path of this process's certificate."""
         return self.folder / CERTIFICATE
 
     @property
     def key(self) -> Path:
-        """Return this process's private key."""
+        """Return the path of this process's private key."""
         return self.folder / KEY
 
     def require(self, role: str, name: str | None = None) -> None:
-        """Raise CredentialsError unless the certificate is one of this role (and of this name)."""
+        """Raise CredentialsError unless the certificate has this role (and this name, if one is given)."""
         if self.identity.role != role or name not in (None, self.identity.name):
             wanted = role if name is None else Identity(role, name)
             raise CredentialsError(
-                f"the certificate in {self.folder} is that of {self.identity}, and this process is {wanted}."
+                f"the certificate in {self.folder} belongs to {self.identity}, but this process is {wanted}."
             )
 
     def expiry_alarm(self, now: datetime.datetime | None = None) -> str:
-        """Return a sentence when the certificate has expired or expires within SOON, else an empty text.
+        """Return a sentence if the certificate has expired or expires within SOON, else an empty string.
 
-        Links end when a certificate does, on either side, and Zenoh says nothing about it.
+        When the certificate of either side expires, Zenoh closes the link without a message.
         """
         left = self.expires - (now or datetime.datetime.now(datetime.UTC))
         if left >= SOON:
             return ""
         ends = (
-            "has expired, and its links with it" if left.total_seconds() <= 0 else f"expires on {self.expires:%Y-%m-%d}"
+            "has expired, which closed its links"
+            if left.total_seconds() <= 0
+            else f"expires on {self.expires:%Y-%m-%d}"
         )
         return f"the certificate of {self.identity} {ends}: renew it with eia-sec keys renew and restart the process."
 
@@ -112,11 +114,11 @@ def load(folder: Path, now: datetime.datetime | None = None) -> Credentials:
 
     Args:
         folder: holds ca.pem, cert.pem, key.pem and, for a process that listens, members.txt.
-        now: the time to check against; None takes the clock's.
+        now: the time to check against; None means the current time.
 
     Raises:
-        CredentialsError: when a file is missing, unreadable or not what it should be, when others can read the key,
-            when key and certificate do not fit, when the authority did not sign it, or when it is not valid now.
+        CredentialsError: when a file is missing or malformed, when other users can read the key, when the key does not
+            belong to the certificate, or when the certificate is not signed by the authority or not valid now.
     """
     require_secret(folder / KEY)
     authority, certificate = read_certificate(folder / CA), read_certificate(folder / CERTIFICATE)
@@ -127,7 +129,7 @@ def load(folder: Path, now: datetime.datetime | None = None) -> Credentials:
     try:
         key = load_pem_private_key(read_bounded(folder / KEY), None)
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
-        raise CredentialsError(f"{folder / KEY} is not a private key without a password.") from error
+        raise CredentialsError(f"{folder / KEY} is not a private key, or is protected by a password.") from error
     form = (Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
     if key.public_key().public_bytes(*form) != certificate.public_key().public_bytes(*form):
         raise CredentialsError(f"{folder / KEY} is not the key of {folder / CERTIFICATE}.")
@@ -140,13 +142,13 @@ def load(folder: Path, now: datetime.datetime | None = None) -> Credentials:
 
 
 def require_secret(path: Path) -> None:
-    """Raise CredentialsError when a key file is missing or somebody else may read it."""
+    """Raise CredentialsError when a key file is missing or other users may read it."""
     try:
         mode = stat.S_IMODE(path.stat().st_mode)
     except OSError as error:
-        raise CredentialsError(f"{path} cannot be read: {error.strerror}; `eia-sec keys issue` makes it.") from error
+        raise CredentialsError(f"{path} cannot be read: {error.strerror}; `eia-sec keys issue` writes it.") from error
     if mode & 0o077:
-        raise CredentialsError(f"others may read {path} (mode {mode:04o}); chmod 600 it, or issue a new key.")
+        raise CredentialsError(f"others may read {path} (mode {mode:04o}); run chmod 600 on it, or issue a new key.")
 
 
 def require_valid(certificate: x509.Certificate, path: Path, now: datetime.datetime | None = None) -> None:
@@ -159,20 +161,20 @@ def require_valid(certificate: x509.Certificate, path: Path, now: datetime.datet
         )
     if now < certificate.not_valid_before_utc:
         raise CredentialsError(
-            f"the certificate {path} begins on {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC; "
+            f"the certificate {path} is not valid before {certificate.not_valid_before_utc:%Y-%m-%d %H:%M} UTC; "
             "is this machine's clock right?"
         )
 
 
 def read_bounded(path: Path, limit: int = MAX_PEM) -> bytes:
-    """Return a small file's bytes; raise CredentialsError when it cannot be read or is larger."""
+    """Return a small file's bytes; raise CredentialsError when it cannot be read or is larger than `limit` bytes."""
     try:
         with path.open("rb") as source:
             data = source.read(limit + 1)
     except OSError as error:
         raise CredentialsError(f"{path} cannot be read: {error.strerror}.") from error
     if len(data) > limit:
-        raise CredentialsError(f"{path} is larger than {limit} bytes, which no such file is.")
+        raise CredentialsError(f"{path} is larger than the {limit} bytes that such a file may have.")
     return data
 
 
@@ -185,7 +187,7 @@ def read_certificate(path: Path) -> x509.Certificate:
 
 
 def identity_of(certificate: x509.Certificate, path: Path) -> Identity:
-    """Return whom a certificate names."""
+    """Return the identity that a certificate names; raise CredentialsError unless there is exactly one."""
     names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     if len(names) != 1:
         raise CredentialsError(f"{path} names {len(names)} subjects, not one.")
@@ -206,7 +208,7 @@ def hosts_of(certificate: x509.Certificate) -> tuple[str, ...]:
 
 
 def read_members(path: Path) -> tuple[Identity, ...]:
-    """Return the identities in a members file, one to a line; raise CredentialsError for anything else."""
+    """Return the identities in a members file, one per line; raise CredentialsError for a malformed file."""
     try:
         lines = read_bounded(path, 1024 * 1024).decode("ascii").split()
     except UnicodeDecodeError as error:

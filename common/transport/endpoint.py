@@ -1,7 +1,7 @@
 """Where processes meet: one address, two ports.
 
-The control lane uses the port that is given, the bulk lane (transitions) the port after it. A stalled bulk consumer
-delays even urgent messages on the same link, so the lanes never share one.
+The control lane uses the given port, and the bulk lane, which carries transitions, uses the next one. A stalled bulk
+consumer delays even urgent messages on the same link, so the lanes never share a link.
 """
 
 import ipaddress
@@ -19,7 +19,7 @@ Lane = Literal["control", "bulk"]
 DEFAULT: Final = "tcp/127.0.0.1:7447"
 
 OWN_PORTS: Final = range(20_000, 32_000)
-"""Where free endpoints are looked for."""
+"""Ports among which `free_endpoint` searches."""
 
 _FORM: Final = re.compile(r"(tcp|tls)/(\[[0-9a-fA-F:]+\]|[A-Za-z0-9.\-]+):(\d{1,5})")
 
@@ -31,10 +31,10 @@ class Endpoint:
     Attributes:
         protocol: tcp or tls.
         host: name or address; IPv6 in brackets.
-        port: port of the control lane; the bulk lane has the next one.
+        port: port of the control lane; the bulk lane uses the next one.
         credentials: this process's certificate, when the protocol is tls.
-        shared_memory: whether the bulk lane goes through the memory of the machine where both ends are on the same one
-            and both say so.
+        shared_memory: whether the bulk lane may use shared memory; it does when both ends run on one machine and both
+            allow it.
     """
 
     protocol: str
@@ -49,11 +49,11 @@ class Endpoint:
 
         Args:
             text: the endpoint.
-            tls: folder of this process's certificate; the protocol is tls then, whatever the text says.
+            tls: folder of this process's certificate; if given, the protocol is tls whatever the text says.
             shared_memory: see the attribute.
 
         Raises:
-            EndpointError: when it is none, or asks for TLS without a certificate.
+            EndpointError: when the text is not an endpoint, or asks for TLS without a certificate.
             CredentialsError: when the certificate cannot be used.
         """
         match = _FORM.fullmatch(text)
@@ -63,7 +63,7 @@ class Endpoint:
         if tls is not None:
             return replace(endpoint, protocol="tls", credentials=load(tls))
         if endpoint.protocol == "tls":
-            raise EndpointError(f"{text} needs a certificate: --tls FOLDER, made by `eia-sec keys issue`.")
+            raise EndpointError(f"{text} needs a certificate: pass --tls FOLDER, made by `eia-sec keys issue`.")
         return endpoint
 
     def locator(self, lane: Lane) -> str:
@@ -81,11 +81,11 @@ class Endpoint:
             return False
 
     def require_private(self, insecure: bool) -> None:
-        """Raise EndpointError when listening here would let strangers in without authentication."""
+        """Raise EndpointError when listening here would admit strangers without authentication."""
         if not (self.is_loopback or insecure or self.credentials is not None):
             raise EndpointError(
-                f"listening on {self} would let anybody who reaches it join the run, read it and steer it; give a "
-                "certificate with --tls FOLDER (see docs/reference/security.md), or add --insecure if that is meant."
+                f"listening on {self} would let anybody who can reach it join, read and steer the run; give a "
+                "certificate with --tls FOLDER (see docs/reference/security.md), or add --insecure to allow it."
             )
 
     def __str__(self) -> str:
@@ -93,14 +93,15 @@ class Endpoint:
 
 
 def _is_host(host: str) -> bool:
-    """Return whether a resolver takes a host's name: labels of 1 to 63 letters; addresses in brackets are others'."""
+    """Return whether a host name has labels of 1 to 63 letters; addresses in brackets are not checked here."""
     return host.startswith("[") or all(0 < len(label) < 64 for label in host.removesuffix(".").split("."))
 
 
 def free_endpoint() -> Endpoint:
-    """Return a loopback endpoint whose two ports are free at this moment.
+    """Return a loopback endpoint whose two ports are free now; raise EndpointError when there is none.
 
-    They lie below those that systems hand out for connections, so that none takes them before a process listens there.
+    The ports lie below the range from which systems assign outgoing ports, so no connection takes them before a process
+    listens there.
     """
     for _ in range(256):
         port = OWN_PORTS.start + 2 * secrets.randbelow(len(OWN_PORTS) // 2)

@@ -1,4 +1,4 @@
-"""Why a link was not made: Zenoh says "timeout" for every cause, so one TLS handshake of our own finds out which."""
+"""Why a link failed: Zenoh reports "timeout" for every cause, so one TLS handshake of our own finds the real one."""
 
 import contextlib
 import socket
@@ -10,7 +10,7 @@ from common.transport.endpoint import Endpoint, Lane
 
 CONNECT_SECONDS: Final = 2.0
 ALERT_SECONDS: Final = 0.5
-"""Time for the other side to turn our certificate down; with TLS 1.3 it does so after the handshake."""
+"""Time for the other side to reject our certificate, which in TLS 1.3 it does after the handshake, s."""
 
 _ALERTS: Final = {
     "CERTIFICATE_REQUIRED": "it was given no certificate",
@@ -18,7 +18,7 @@ _ALERTS: Final = {
     "UNKNOWN_CA": "another authority signed the certificate",
     "BAD_CERTIFICATE": "another authority signed the certificate, or it is damaged",
     "DECRYPT_ERROR": "another authority of the same name signed the certificate",
-    "CERTIFICATE_UNKNOWN": "the certificate is of no use to it",
+    "CERTIFICATE_UNKNOWN": "it cannot use the certificate",
     "ACCESS_DENIED": "it denies access",
 }
 _VERDICTS: Final = {
@@ -27,21 +27,21 @@ _VERDICTS: Final = {
     18: "another authority signed its certificate",
     19: "another authority signed its certificate",
     20: "another authority signed its certificate",
-    26: "its certificate is that of a process that may only connect",
+    26: "its certificate belongs to a process that may only connect",
     62: "its certificate is not for this host name",
     64: "its certificate is not for this address",
 }
 
 
 def complaint(endpoint: Endpoint, lane: Lane) -> str | None:
-    """Return one sentence on why a listener and this process do not accept each other.
+    """Return one sentence on why a listener and this process reject each other.
 
     Args:
-        endpoint: where somebody may listen.
-        lane: which of its ports.
+        endpoint: where a listener may be.
+        lane: which of its two ports.
 
     Returns:
-        The sentence, or None when nobody listens there, or when certificates are not the cause.
+        The sentence, or None when nobody listens there or certificates are not the cause.
     """
     where, credentials = endpoint.locator(lane), endpoint.credentials
     try:
@@ -59,7 +59,7 @@ def silence(endpoint: Endpoint, lane: Lane) -> str:
     where = endpoint.locator(lane)
     if endpoint.credentials is not None:
         with contextlib.suppress(OSError), _dial(endpoint, lane):
-            return f"{where} takes connections and answers no TLS handshake: its process hangs, or listens without TLS."
+            return f"{where} accepts connections but answers no TLS handshake: it hangs, or listens without TLS."
     return f"nobody answers at {where}."
 
 
@@ -81,16 +81,16 @@ def _compare(link: socket.socket, where: str, host: str, credentials: Credential
         verdict = _VERDICTS.get(error.verify_code, error.verify_message)
         return f"the listener at {where} is not accepted: {verdict} (checked against {credentials.ca})."
     except (ssl.SSLEOFError, ssl.SSLZeroReturnError):
-        # It hung up in the middle, which says nothing about certificates: one that is starting or ending does so.
+        # The listener hung up midway, as one does that is starting or ending; certificates need not be the cause.
         return None
     except ssl.SSLError as error:
         reason = str(error.reason or "")
         alert = next((text for name, text in _ALERTS.items() if reason.endswith(name)), None)
         if alert is not None:
             return f"the listener at {where} did not accept {credentials}: {alert}."
-        return f"the listener at {where} does not speak TLS as this process does ({reason or error})."
+        return f"the TLS handshake with the listener at {where} failed ({reason or error})."
     except OSError:
-        # A listener without TLS says nothing to a handshake, and so does one that is only just starting.
+        # A listener without TLS does not answer a handshake, nor does one that is still starting.
         return None
     return None
 

@@ -1,7 +1,7 @@
-"""Zenoh's configuration of a session, as plain data; `common.transport.bus` hands it over.
+"""Zenoh's configuration of a session, as plain data; `common.transport.bus` passes it to Zenoh.
 
-`listening` is for a learner that others connect to, `routing` for a router, `connecting` for everything else. None of
-them finds or is found by anybody: no multicast, no gossip.
+`listening` is for a process that others connect to, `routing` for a router, `connecting` for everything else. Discovery
+by multicast and gossip is always off.
 """
 
 import json
@@ -13,18 +13,18 @@ from common.transport.credentials import Credentials
 from common.transport.endpoint import Endpoint, Lane
 
 LEASE_MS: Final = 4000
-"""A frozen peer counts as gone after this time."""
+"""A peer that is silent for this long counts as gone."""
 CONNECT_MS: Final = 1000
-"""Longest try to connect."""
+"""Time limit of one attempt to connect."""
 ACCEPT_MS: Final = 4000
-"""Time that a connection has to become a session once it is there, and its TLS handshake is done."""
+"""Time that a connection has to become a session, after its TLS handshake."""
 ACCEPT_PENDING: Final = 1000
-"""Connections that may be on that way at once; beyond them new ones are hung up on."""
+"""Most connections that may be in that phase at once; Zenoh hangs up on further ones."""
 HANDSHAKE_MS: Final = 60_000
 """Time that a connection has for its TLS handshake.
 
-Zenoh takes 100 ms for each handshake that fails and lets nobody in meanwhile. The longer silent connections may hang,
-the fewer of them fail in a second.
+Zenoh spends 100 ms on each handshake that fails and admits nobody meanwhile. With a longer limit, fewer silent
+connections fail per second.
 """
 
 Values = dict[str, Any]
@@ -34,8 +34,8 @@ Values = dict[str, Any]
 def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = "peer") -> Values:
     """Return the configuration of a session that others connect to.
 
-    With credentials, it takes TLS links alone, asks for a certificate of the same authority, and lets each holder do
-    what `common.protocol.access` grants to it.
+    With credentials, it accepts only TLS links, requires a certificate of the same authority, and lets each holder do
+    what `common.protocol.access` grants.
     """
     values = _base(mode, endpoint, lane) | {
         "listen/endpoints": [_door(endpoint, lane)],
@@ -56,19 +56,19 @@ def listening(endpoint: Endpoint, lane: Lane, mode: Literal["peer", "router"] = 
 
 
 def routing(endpoint: Endpoint) -> Values:
-    """Return the configuration of a router, which takes both lanes; links of the two never mix."""
+    """Return the configuration of a router, which serves both lanes on separate links."""
     values = listening(endpoint, "bulk", "router")
     return values | {"listen/endpoints": [_door(endpoint, "control"), _door(endpoint, "bulk")]}
 
 
 def _door(endpoint: Endpoint, lane: Lane) -> str:
-    """Return where a lane listens, with the bounds of that listener."""
+    """Return the locator where a lane listens, with the listener's time limit."""
     bounds = "" if endpoint.credentials is None else f"#tls_handshake_timeout_ms={HANDSHAKE_MS}"
     return endpoint.locator(lane) + bounds
 
 
 def document(values: Values) -> str:
-    """Return a configuration as the text of a file, JSON5, for Zenoh's own programs."""
+    """Return a configuration as a JSON5 document, for Zenoh's own programs."""
     nested: Values = {}
     for path, value in values.items():
         *folders, name = path.split("/")
@@ -115,6 +115,6 @@ def _base(mode: str, endpoint: Endpoint, lane: Lane) -> Values:
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
         "transport/link/rx/max_message_size": MAX_FRAME,
-        # What is lost in silence when a receiver stalls comes again on the bulk lane, where everything is acknowledged.
+        # Shared memory can drop messages silently when a receiver stalls; the bulk lane acknowledges and resends.
         "transport/shared_memory/enabled": endpoint.shared_memory and lane == "bulk",
     }

@@ -109,7 +109,7 @@ def test_a_listener_that_hangs_up_is_tried_again(bad):
     with answering([b""]) as (place, came):
         client = replace(place, protocol="tls", credentials=unchecked(bad / "rollout.a"))
         assert complaint(client, "control") is None
-        with pytest.raises(EndpointError, match="takes connections and answers no TLS handshake"):
+        with pytest.raises(EndpointError, match="accepts connections but answers no TLS handshake"):
             Bus.connect(client, "control", wait=3.0).close()
         assert len(came) > 2
         assert came[-1] - came[0] > 2.0
