@@ -132,11 +132,11 @@ class TeamActors:
         return cls(team, hidden, tuple(rows(group) for group in team.groups), head)
 
     def copy(self) -> "TeamActors":
-        """Return a actors whose arrays are its own."""
+        """Return a copy that shares no array with these actors."""
         return TeamActors(self.team, self.hidden, tuple(flat.copy() for flat in self.flat), self.head)
 
     def noise_free(self) -> "TeamActors":
-        """Return a actors with deterministic heads that acts as this one does without noise."""
+        """Return actors with deterministic heads that act as these do without noise."""
         if self.head == "deterministic":
             return self
         parts = []

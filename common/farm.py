@@ -5,6 +5,7 @@ from typing import Final
 from common.action_adapters import ActionAdapter, Lattice, MirroredAxes
 from common.config import FarmConfig, RunConfig
 from common.config.control import Control
+from common.config.environment import FARM
 from common.environment import EnvironmentSpec, EpisodeMetric, TensorNames
 from common.errors import ConfigError
 from common.team import GroupSpec, TeamSpec
@@ -46,7 +47,7 @@ def farm_environment(farm: FarmConfig) -> EnvironmentSpec:
 
 def farm_of(config: RunConfig) -> FarmConfig | None:
     """Return the farm of a run, or None where it is about another environment."""
-    return None if config.env.is_third_party else config.farm
+    return config.farm if config.env.name == FARM else None
 
 
 def require_farm(config: RunConfig, complaint: str) -> FarmConfig:

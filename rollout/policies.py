@@ -5,7 +5,7 @@ A policy is called in this loop:
     for index in range(environments):
         farms.reset(index, farm_seed, episode_seed)
         policy.reset(farms, index)
-    while not farms.truncated.all():
+    while not farms.ended.any():
         farms.step(policy.act(farms))
 """
 

@@ -1,4 +1,4 @@
-"""The environment of a run: the farm, or any PettingZoo parallel environment."""
+"""The environment of a run: one of this package, such as the farm, or any PettingZoo parallel environment."""
 
 import json
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from common.config.checks import within
 from common.errors import ConfigError
 
 FARM: Final = "farm"
-"""The environment of this package, configured by FarmConfig."""
+"""Name of the farm, which FarmConfig configures."""
 MOST_EPISODE_STEPS: Final = 100_000
 """Steps after which an episode is truncated where neither the environment nor the configuration ends it."""
 
@@ -18,8 +18,8 @@ class EnvConfig:
     """The environment; all options but `name` are for PettingZoo environments."""
 
     name: str = FARM
-    """farm, or module:name of a PettingZoo parallel environment or of a callable that returns one, for instance
-    mpe2:simple_spread_v3."""
+    """farm or another environment of this package, or module:name of a PettingZoo parallel environment or of a callable
+    that returns one, for instance mpe2:simple_spread_v3."""
     arguments: str = "{}"
     """Keyword arguments of the environment as a JSON object, for instance {"N": 3}."""
     types: str = ""
@@ -30,18 +30,17 @@ class EnvConfig:
     def __post_init__(self) -> None:
         """Refuse names and arguments that cannot be read."""
         within(0, 1_000_000, steps=self.steps)
-        if self.name != FARM:
-            module, colon, member = self.name.partition(":")
-            parts = [*module.split("."), *member.split(".")]
-            if not colon or not all(part.isidentifier() for part in parts):
-                raise ConfigError(f"env.name must be farm or module:name, not {self.name!r}.")
+        module, colon, member = self.name.partition(":")
+        parts = [*module.split("."), *member.split(".")] if colon else [self.name]
+        if not all(part.isidentifier() for part in parts):
+            raise ConfigError(f"env.name must be farm or module:name, not {self.name!r}.")
         self.keywords()
         self.prefixes()
 
     @property
     def is_third_party(self) -> bool:
         """Whether making it imports and runs code from outside this package."""
-        return self.name != FARM
+        return ":" in self.name
 
     def keywords(self) -> dict[str, Any]:
         """Return `arguments` as a map; raise ConfigError when they are no JSON object."""

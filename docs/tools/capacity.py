@@ -2,7 +2,7 @@
 
     python -m docs.tools.capacity [--workers 50] [--update-ms 1.2] [--link-gbit 10] ...
 
-prints the table for a plan; `python -m docs.tools.results` writes the one for the defaults into
+prints the table for a plan; `python -m docs.tools.pages` writes the one for the defaults into
 docs/explanation/capacity.md. The model has no queues and no contention: each part has a rate at which it is busy all
 the time, and the run goes at the lowest.
 """

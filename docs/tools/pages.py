@@ -1,5 +1,6 @@
 """Refreshes the generated blocks and pictures of README and docs: `python -m docs.tools.pages`, or `make docs`."""
 
+import argparse
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -76,8 +77,12 @@ def refreshed(page: str, root: Path) -> str:
 
 
 def main(arguments: list[str]) -> None:
-    """Refresh every page and picture of a repository (this one when none is given), and the pages of its studies."""
-    root = Path(arguments[0]) if arguments else Path()
+    """Refresh every page and picture of a repository, and the pages of its studies; exit with 2 when it is none."""
+    parser = argparse.ArgumentParser(prog="python -m docs.tools.pages", description=__doc__)
+    parser.add_argument("root", nargs="?", type=Path, default=Path(), help="folder of the repository, default this one")
+    root: Path = parser.parse_args(arguments).root
+    if missing := [page for page in PAGES if not (root / page).is_file()]:
+        parser.error(f"{root} has no {missing[0]}")
     for page in PAGES:
         (root / page).write_text(refreshed(page, root), encoding="utf-8")
     for folder in reproduce_tables.studies(root):

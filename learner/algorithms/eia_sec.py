@@ -88,8 +88,8 @@ class EiaSec(Algorithm[EiaSecConfig]):
 
         # 6. Actor loss, actor step, target actors
         policy = self.actors.policy_actions(inputs)
-        local, members, loss_by_actions = self._actor_loss(inputs, policy.actions)
-        self.actors.step(policy, loss_by_actions)
+        local, members, grad_wrt_actions = self._actor_loss(inputs, policy.actions)
+        self.actors.step(policy, grad_wrt_actions)
 
         if not diagnostics:
             return None
@@ -120,18 +120,21 @@ class EiaSec(Algorithm[EiaSecConfig]):
         return self.ensemble.q_values(self.members, inputs)
 
     def _critic_gradients(self, local: QValues, members: QValues | None, target: Tensor) -> Tensor:
-        """Write the gradients of the losses of step 3; return what the local critics' loss squares [agents, B]."""
+        """Write the gradients of the losses of step 3; return what the local critics' loss squares [agents, B].
+
+        Only gradients are computed here. `_values_before` computes the member loss that is reported.
+        """
         config = self.config
         error, share = local.values[0] - target, 1.0
         if self.ensemble and members:
             if config.ensemble_loss == "mixture":
                 error, share = self._mixture(local.values[0], members.values) - target, config.mixture_epsilon
                 member_share = (1.0 - config.mixture_epsilon) / config.ensemble_members
-                loss_by_members = (error * self._type_mean * member_share).expand_as(members.values)
+                grad_wrt_members = (error * self._type_mean * member_share).expand_as(members.values)
             else:
-                loss_by_members = (members.values - target) * self._type_mean
+                grad_wrt_members = (members.values - target) * self._type_mean
             if config.ensemble_gradient:
-                self.ensemble.parameter_gradient(members, loss_by_members, self._member_gradient)
+                self.ensemble.parameter_gradient(members, grad_wrt_members, self._member_gradient)
         self.critics.parameter_gradient(local, error * (2.0 * share / config.batch), self._critic_gradient)
         return error
 
@@ -165,8 +168,8 @@ class EiaSec(Algorithm[EiaSecConfig]):
             return local, None, gradient
         members = self.ensemble.q_values(self.members, inputs, change)
         member_share = (share - 1.0) / (config.batch * config.ensemble_members)
-        loss_by_members = torch.full_like(members.values, member_share)
-        self.ensemble.action_gradient(members, loss_by_members, self._action_gradient_views)
+        grad_wrt_members = torch.full_like(members.values, member_share)
+        self.ensemble.action_gradient(members, grad_wrt_members, self._action_gradient_views)
         return local, members, gradient
 
     def _proportional_copy(self) -> list[tuple[Tensor, Tensor]]:

@@ -1,4 +1,7 @@
-"""The shared ensemble critics (SEC): k_s members for each type, which all its agents share."""
+"""The shared ensemble critics (SEC): k_s members for each type, which all its agents share.
+
+This module holds their networks: values and gradients. Their loss and their step are in `learner.algorithms.eia_sec`.
+"""
 
 import torch
 from torch import Tensor

@@ -120,7 +120,7 @@ class Networks:
         self.blocks = [self.typed[0], _joined(self.typed[1]), _joined(self.typed[2])]
 
     def part(self, stacks: int) -> "Networks":
-        """Return the first so many stacks as a networks of their own, at the same places of the same flat vector."""
+        """Return the first so many stacks as networks of their own, at the same places of the same flat vector."""
         part = copy.copy(self)
         part.stacks, part.typed = self.stacks[:stacks], [blocks[:stacks] for blocks in self.typed]
         part._count()

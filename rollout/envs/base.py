@@ -41,7 +41,7 @@ class Environments(Protocol):
 
     @property
     def potential(self) -> Float32:
-        """[E, agents] level of which the reward pays the change, as of now; else 0. Reward shaping uses it."""
+        """[E, agents] potential Phi of the present state, for reward shaping; 0 where there is none."""
 
     @property
     def time(self) -> NDArray[np.int64]:
@@ -55,7 +55,7 @@ class Environments(Protocol):
     def ended(self) -> NDArray[np.bool_]:
         """[E] whether the episode is over, terminated or truncated."""
 
-    def reset(self, index: int, farm_seed: int, episode_seed: int) -> None:
+    def reset(self, index: int, scenario_seed: int, episode_seed: int, /) -> None:
         """Start an episode: a pure function of both seeds and the actions."""
 
     def step(self, action: Float32) -> None:

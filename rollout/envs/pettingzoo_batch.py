@@ -32,7 +32,7 @@ class PettingZooBatch:
         names: the agents in row order.
         observation: [E, O] float32, flattened as `gymnasium.spaces.flatten` does.
         reward: [E, agents] float32 of the last step.
-        potential: [E, agents] float32 of 0: nothing is known of what the rewards are made of.
+        potential: [E, agents] float32 of 0: nothing is known of the parts of the rewards.
         time: [E] steps done in this episode; -1 before the first reset.
         terminated: [E] whether every agent that was left terminated in the last step.
         ended: [E] whether the episode is over.
@@ -67,14 +67,14 @@ class PettingZooBatch:
         self._returns = np.zeros((environments, self.team.agents))
         self._seeds = [(-1, -1)] * environments
 
-    def reset(self, index: int, farm_seed: int, episode_seed: int) -> None:
+    def reset(self, index: int, scenario_seed: int, episode_seed: int) -> None:
         """Start an episode; the environment's seed follows from both seeds.
 
         Raises:
             SimulationError: the environment returns what does not fit its own spaces.
         """
-        self._seeds[index] = (farm_seed, episode_seed)
-        observations, _ = self._environments[index].reset(seed=derive(farm_seed, episode_seed, "reset") % 2**31)
+        self._seeds[index] = (scenario_seed, episode_seed)
+        observations, _ = self._environments[index].reset(seed=derive(scenario_seed, episode_seed, "reset") % 2**31)
         self.time[index] = 0
         self.reward[index] = self._returns[index] = 0.0
         self.terminated[index] = self.ended[index] = False

@@ -1,7 +1,8 @@
 """Every environment that a run can be about, by `env.name`.
 
-To add one to this package, write a class that fulfils `rollout.envs.base.Environments` and add a line to FACTORIES. An
-environment outside this package needs no line: any PettingZoo parallel environment is named module:name.
+To add one to this package, write a class that fulfils `rollout.envs.base.Environments` and add a line to FACTORIES; its
+key is the value of `env.name`, an identifier without a colon. Environments outside this package need no line: any
+PettingZoo parallel environment is named module:name.
 """
 
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from typing import Final
 from common.config import RunConfig
 from common.config.environment import FARM
 from common.environment import EnvironmentSpec
+from common.errors import ConfigError
 from common.protocol.message_sizes import require_frames
 from rollout.envs.base import Environments
 from rollout.sim.batch import FarmBatch
@@ -32,7 +34,7 @@ def _pettingzoo(config: RunConfig, count: int) -> Environments:
 FACTORIES: Final[dict[str, Factory]] = {
     FARM: _farms,
 }
-"""Environments of this package; other names are those of PettingZoo environments."""
+"""Environments of this package by name. A name with a colon is that of a PettingZoo environment."""
 
 
 def make_environments(config: RunConfig, count: int) -> Environments:
@@ -41,7 +43,14 @@ def make_environments(config: RunConfig, count: int) -> Environments:
     Raises:
         ConfigError: the environment that the configuration names does not exist or cannot be trained.
     """
-    return FACTORIES.get(config.env.name, _pettingzoo)(config, count)
+    if config.env.is_third_party:
+        return _pettingzoo(config, count)
+    if config.env.name not in FACTORIES:
+        raise ConfigError(
+            f"env.name must be module:name or an environment of this package ({', '.join(FACTORIES)}), "
+            f"not {config.env.name!r}."
+        )
+    return FACTORIES[config.env.name](config, count)
 
 
 def environment_spec(config: RunConfig) -> EnvironmentSpec:

@@ -100,10 +100,13 @@ class FarmBatch:
 
     @property
     def potential(self) -> Float32:
-        """[E, n] level of which a relay's reward pays the change: -alpha_1 D_c t_step, or +alpha_1 as printed (W1)."""
-        weight, levels = self._constants.reward, np.zeros_like(self.reward)
-        levels[:, : self.service.shape[1]] = weight.positioning * self.service * self.config.world.step_seconds
-        return levels
+        """[E, n] Phi = +alpha_1 D_c t_step of relays, -alpha_1 D_c t_step with the printed sign (W1); else 0.
+
+        The positioning part of r_c is -(Phi(k) - Phi(k-1)), see `rollout.sim.kernel.rewards`.
+        """
+        weight, phi = self._constants.reward, np.zeros_like(self.reward)
+        phi[:, : self.service.shape[1]] = -weight.positioning * self.service * self.config.world.step_seconds
+        return phi
 
     @property
     def ended(self) -> NDArray[np.bool_]:

@@ -69,7 +69,7 @@ class Collector:
 
         Args:
             actors: the actors.
-            noise_std: standard noise_std of the Gaussian noise on a deterministic head's action, 0..1.
+            noise_std: standard deviation of the Gaussian noise on a deterministic head's action, 0..1.
             uniform: draw actions uniformly instead (warm-up).
 
         Returns:

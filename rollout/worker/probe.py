@@ -88,7 +88,7 @@ class Probe:
 
         Args:
             skipped: steps that were collected and not shown.
-            noise_std: standard noise_std of the exploration noise.
+            noise_std: standard deviation of the exploration noise.
             uniform: whether actions were drawn uniformly instead.
         """
         held, self._frames = self._frames, []

@@ -1,8 +1,8 @@
-"""Potential-based reward shaping for rewards that pay the change of a level: those of relays, for D_c (W1).
+"""Potential-based reward shaping of the relays' reward, which is the change of a level, D_c (W1).
 
 Over an episode, the positioning part of r_c adds up to D_c at the start minus D_c at the end. Where a relay is in
 between earns nothing, and at a discount below 1 closing in at once is worth more than the energy it takes. With the
-potential Phi = +alpha_1 D_c t_step (Ng et al. 1999), a worker's rows hold the shaped reward
+potential Phi = +alpha_1 D_c t_step (Ng et al. 1999; `FarmBatch.potential`), a worker's rows hold the shaped reward
 
     r' = r + gamma_s Phi(k) - Phi(k-1)
 
@@ -38,6 +38,5 @@ class RewardShaping:
         environments = self._environments
         if not self._discount:
             return environments.reward
-        # The environments' potential is -Phi.
-        shaped: Float32 = environments.reward + self._before - self._discount * environments.potential
+        shaped: Float32 = environments.reward - self._before + self._discount * environments.potential
         return shaped

@@ -81,7 +81,7 @@ class ViewService:
 
         Args:
             version: parameter version of the actors.
-            noise_std: standard noise_std of the exploration noise.
+            noise_std: standard deviation of the exploration noise.
             uniform: whether actions were drawn uniformly instead.
         """
         for incoming in self._requests.waiting():

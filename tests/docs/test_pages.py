@@ -170,3 +170,13 @@ def test_main_refreshes_every_page_and_picture(tmp_path):
         assert drawn.shape == kept.shape, "run `make docs`"
         # Fonts differ a little from machine to machine; one farm in another place would change more than this.
         assert np.abs(drawn - kept).mean() < 0.002, "run `make docs`"
+
+
+@pytest.mark.parametrize(("arguments", "code"), [(["--help"], 0), (["--wrong"], 2), (["nowhere"], 2)])
+def test_the_generator_makes_no_folder_of_an_argument_that_is_no_repository(tmp_path, monkeypatch, arguments, code):
+    """Help is printed, and other words are refused, before anything is written."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    assert stop.value.code == code
+    assert not list(tmp_path.iterdir())

@@ -7,7 +7,7 @@ episode that is over come last.
 Where the view is mirrored, the axes are turned so that one position is never below 0: for a relay or a collector its
 position in the field, for a monitor its position in its plot, each from the middle. The signs of both axes follow the
 own position. Everything along an axis is multiplied by the axis' sign, and the window of VDF is turned. The farm still
-takes actions along the field's axes; `TeamSpec.steer` turns what actors command.
+takes actions along the field's axes; `MirroredAxes.adapt` turns what actors command.
 """
 
 import math

@@ -8,6 +8,9 @@
 A relay earns what D_c, its distance from where it serves well, falls in the step.
 P_M and P_C are 1 in a step that serves nothing. The energy is an amount already and is not multiplied by t_step (W7).
 The sign of alpha_1 is that of `farm.reward.positioning_sign`; `RewardConstants` holds all weights with their signs.
+
+Two other places change with these equations: the oracle `rollout/sim/reference.py`, and, for the positioning part,
+`FarmBatch.potential`, with which `rollout/worker/reward_shaping.py` shapes the rewards.
 """
 
 from typing import Final

@@ -1,6 +1,7 @@
 """Any PettingZoo parallel environment with Box actions is a batch of environments like the farm."""
 
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,16 @@ import pytest
 from common.actors import TeamActors
 from common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
 from common.errors import ConfigError, SimulationError
+from common.farm import farm_of
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED
+from rollout.envs import registry
 from rollout.envs.pettingzoo_batch import PettingZooBatch
 from rollout.envs.registry import environment_spec, make_environments
 from rollout.evaluation import evaluate_run
 from rollout.heuristics.random import RandomPolicy
+from rollout.sim.batch import FarmBatch
 from rollout.worker.collector import Collector, run_noise_free_episodes
+from tests.rollout.heuristics.small_farm import SMALL
 
 
 @pytest.fixture(autouse=True)
@@ -115,7 +120,7 @@ def test_what_cannot_be_trained_is_said_in_one_sentence(config, text):
 @pytest.mark.parametrize(
     ("fields", "text"),
     [
-        ({"name": "mpe2"}, "module:name"),
+        ({"name": "mpe-2"}, "module:name"),
         ({"name": "os:system('x')"}, "module:name"),
         ({"arguments": "{"}, "not JSON"),
         ({"arguments": "[1]"}, "JSON object"),
@@ -253,3 +258,19 @@ def test_evaluation_names_the_types():
 def test_the_farm_is_one_of_them():
     """The farm needs no PettingZoo and is the default."""
     assert make_environments(RunConfig(), 2).team.agents == 12
+
+
+def test_a_line_in_factories_is_all_that_an_environment_of_this_package_needs(monkeypatch):
+    """Its name has no colon, so it is not third-party code, and a run that names it is not about the farm."""
+    config = RunConfig(env=EnvConfig("small_farm"))
+    monkeypatch.setitem(registry.FACTORIES, "small_farm", lambda run, count: FarmBatch(SMALL, count))
+    with closing(make_environments(config, 2)) as environments:
+        assert environments.team == FarmBatch(SMALL, 1).team
+    assert not config.env.is_third_party
+    assert farm_of(config) is None
+
+
+def test_a_name_that_nothing_has_registered_is_refused():
+    """The sentence lists the environments of this package."""
+    with pytest.raises(ConfigError, match=r"module:name or an environment of this package \(farm\), not 'mpe2'"):
+        make_environments(RunConfig(env=EnvConfig("mpe2")), 1)
