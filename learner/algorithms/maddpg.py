@@ -42,7 +42,7 @@ class Maddpg(Algorithm[MaddpgConfig]):
         # 3. and 4. Actor loss, actor step, target actors
         policy = self.actors.policy_actions(inputs)
         q = self.objective_q_values(inputs, policy.actions)
-        loss_by_q = torch.full_like(q.values, -1.0 / config.batch)
-        self.actors.step(policy, self.action_gradient(q, loss_by_q))
+        grad_wrt_q = torch.full_like(q.values, -1.0 / config.batch)
+        self.actors.step(policy, self.action_gradient(q, grad_wrt_q))
 
         return self.measured(td_error[0], q.values[0], target) if diagnostics else None

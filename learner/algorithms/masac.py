@@ -102,9 +102,9 @@ class Masac(Algorithm[MasacConfig]):
         sample = self._sample(inputs, noise[1])
         q = self.objective_q_values(inputs, sample.actions)
         first = (q.values[0] <= q.values[1]).to(q.values.dtype)
-        loss_by_q = torch.stack((first, 1.0 - first)) * (-1.0 / config.batch)
-        loss_by_outputs = self._output_gradients(sample, self.action_gradient(q, loss_by_q), alpha)
-        self.actors.step_from_outputs(sample.forward, loss_by_outputs)
+        grad_wrt_q = torch.stack((first, 1.0 - first)) * (-1.0 / config.batch)
+        grad_wrt_outputs = self._output_gradients(sample, self.action_gradient(q, grad_wrt_q), alpha)
+        self.actors.step_from_outputs(sample.forward, grad_wrt_outputs)
 
         # 4. Temperature loss, temperature step
         log_probability = sample.log_probability.mean(dim=1)

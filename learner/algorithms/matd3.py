@@ -54,7 +54,7 @@ class Matd3(Algorithm[Matd3Config]):
         policy = self.actors.policy_actions(inputs)
         q = self.objective_q_values(inputs, policy.actions)
         if actor_step:
-            loss_by_q = torch.full_like(q.values, -1.0 / config.batch)
-            self.actors.step(policy, self.action_gradient(q, loss_by_q))
+            grad_wrt_q = torch.full_like(q.values, -1.0 / config.batch)
+            self.actors.step(policy, self.action_gradient(q, grad_wrt_q))
 
         return self.measured(td_error[0], q.values[0], target) if diagnostics else None
