@@ -7,8 +7,8 @@ whatever else it finds, and every line that was damaged after it was written.
 
 import json
 import sys
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -16,9 +16,10 @@ from typing import Any, Final
 from common.errors import RunDirError
 from common.history.history import End, Entry, Record, Resume, Start, Summary, Unreadable, read
 from deploy.local.run_directory import HISTORY, METRICS
+from deploy.monitor.chunk_ranges import ChunkRanges, shared_ranges
 
-MOST_CHUNKS: Final = 2**26
-"""Most chunks in all histories; an audit holds each of them in memory."""
+MOST_LINES: Final = 2**24
+"""Most lines of all histories; an audit holds each of them in memory, however many chunks it is about."""
 NAMED: Final = 20
 """Findings that the command prints; it counts the rest, and --json prints all."""
 FATES: Final = ("accepted", "lost", "rejected", "in_flight")
@@ -46,12 +47,12 @@ class Audit:
         workers: for each worker, steps by fate.
         duplicates: chunks that arrived again and were not counted again.
         starts: starts of the learner.
-        unexplained: one sentence for each id (or range of ids), number or line without explanation.
-        doubled: one sentence for each id that was accepted twice.
+        unexplained: one sentence for each range of ids, number or line without explanation.
+        doubled: one sentence for each range of ids that was accepted twice.
         damaged: unreadable lines of histories, each of them named.
         torn: last lines that were torn off when their process was killed or its disk was full, which is no defect.
         summed: chunks of which the learner's history holds totals alone.
-        held: chunks that are held in memory, those of all histories together.
+        held: lines that are held in memory, those of all histories together.
     """
 
     chunks: Counter[str] = field(default_factory=Counter)
@@ -111,8 +112,8 @@ class Audit:
 class _Sent:
     """One start of a worker by its own history: steps and answers by number, and whether it has ended."""
 
-    steps: dict[int, int] = field(default_factory=dict)
-    answers: dict[int, str] = field(default_factory=dict)
+    steps: ChunkRanges[int] = field(default_factory=ChunkRanges)
+    answers: ChunkRanges[str] = field(default_factory=ChunkRanges)
     over: bool = False
 
 
@@ -124,24 +125,31 @@ class _Received:
     did not hold. Chunks up to number `summed` are known by their `summary` alone.
     """
 
-    fate: dict[int, tuple[str, int]] = field(default_factory=dict)
+    fate: ChunkRanges[tuple[str, int]] = field(default_factory=ChunkRanges)
     first: int = 1
     missing: int = 0
     missing_before: set[int] = field(default_factory=set)
     summary: Summary | None = None
     summed: int = 0
+    _ordered: list[int] = field(default_factory=list)
 
     def declared_missing(self, number: int) -> bool:
         """Return whether the next number that the learner knows came with the word that those before are missing."""
-        later = [known for known in self.missing_before if known > number]
-        return bool(later) and not any(number < known < min(later) for known in self.fate)
+        ordered = self._ordered_missing()
+        at, known = bisect_right(ordered, number), self.fate.next_after(number)
+        return at < len(ordered) and (known is None or ordered[at] <= known)
+
+    def _ordered_missing(self) -> list[int]:
+        if len(self._ordered) != len(self.missing_before):
+            self._ordered = sorted(self.missing_before)
+        return self._ordered
 
 
 def audit(run_dir: Path) -> Audit:
     """Audit a run directory.
 
     Raises:
-        RunDirError: when it holds no history of a learner, one that cannot be read, or more chunks than MOST_CHUNKS.
+        RunDirError: when it holds no history of a learner, one that cannot be read, or more lines than MOST_LINES.
     """
     folder = run_dir / HISTORY
     if not (folder / "learner.jsonl").is_file():
@@ -167,7 +175,7 @@ def _unnamed(source: Source, received: dict[Source, _Received], sent: _Sent) -> 
     worker, start = source
     later = [part for (w, s), part in received.items() if w == worker and s > start]
     if any(part.summary is not None for part in later):
-        return _Received(summed=max(sent.answers, default=0))
+        return _Received(summed=sent.answers.last)
     return _Received(first=sys.maxsize if any(part.first > 1 for part in later) else 1)
 
 
@@ -177,19 +185,14 @@ def _records(path: Path, found: Audit) -> list[Record]:
     except (OSError, ValueError) as error:
         raise RunDirError(f"{path} cannot be read: {error}.") from error
     found.torn += torn
-    found.held += sum(len(part.numbers) for part in records if isinstance(part, Entry))
-    if found.held > MOST_CHUNKS:
-        raise RunDirError(f"with {path} the histories hold {found.held:,} chunks, more than {MOST_CHUNKS:,}.")
+    found.held += len(records)
+    if found.held > MOST_LINES:
+        raise RunDirError(f"with {path} the histories hold {found.held:,} lines, more than {MOST_LINES:,}.")
     for number, record in enumerate(records, start=1):
         if isinstance(record, Unreadable):
             found.damaged += 1
             found.unexplained.append(f"line {number} of {path.name} is unreadable, and not a torn last line.")
     return records
-
-
-def _numbers(entry: Entry) -> Iterator[tuple[Source, int]]:
-    for number in entry.numbers:
-        yield (entry.worker, entry.incarnation), number
 
 
 def _learner(records: list[Record], found: Audit) -> dict[Source, _Received]:
@@ -211,8 +214,8 @@ def _learner(records: list[Record], found: Audit) -> dict[Source, _Received]:
                 part.missing += record.steps
                 part.missing_before.add(record.first)
             case Entry():
-                for source, number in _numbers(record):
-                    _take(received.setdefault(source, _Received()), source, number, record, found)
+                source = record.worker, record.incarnation
+                _take(received.setdefault(source, _Received()), source, record, found)
     return received
 
 
@@ -231,11 +234,11 @@ def _book_summary(summary: Summary, found: Audit) -> None:
     found.lost_with["unknown"] += summary.missing_steps
 
 
-def _take(part: _Received, source: Source, number: int, record: Entry, found: Audit) -> None:
-    before = part.fate.get(number)
-    if before is not None and before[0] == "accepted":
-        found.doubled.append(f"{_name(source, number)} was {record.verdict} after it had been accepted.")
-    part.fate[number] = (record.verdict, record.steps)
+def _take(part: _Received, source: Source, record: Entry, found: Audit) -> None:
+    for first, last, (fate, _) in part.fate.within(record.first, record.last):
+        if fate == "accepted":
+            found.doubled.append(f"{_name(source, first, last)} {record.verdict} after it had been accepted.")
+    part.fate.put(record.first, record.last, (record.verdict, record.steps))
 
 
 def _roll_back(received: dict[Source, _Received], resume: Resume) -> None:
@@ -245,9 +248,11 @@ def _roll_back(received: dict[Source, _Received], resume: Resume) -> None:
             part.first = expected
     for (worker, incarnation), part in received.items():
         held = resume.workers.get(worker, (0, 0))
-        for number, (fate, steps) in part.fate.items():
-            if fate == "accepted" and (incarnation, number) >= held:
-                part.fate[number] = ("rolled back", steps)
+        if incarnation >= held[0]:
+            kept = held[1] - 1 if incarnation == held[0] else 0
+            for first, last, (fate, steps) in part.fate.within(kept + 1, part.fate.last):
+                if fate == "accepted":
+                    part.fate.put(first, last, ("rolled back", steps))
 
 
 def _worker(records: list[Record], sent: dict[Source, _Sent]) -> None:
@@ -261,77 +266,84 @@ def _worker(records: list[Record], sent: dict[Source, _Sent]) -> None:
             case End() if now is not None:
                 now.over = True
             case Entry():
-                for source, number in _numbers(record):
-                    part = sent.setdefault(source, _Sent())
-                    if record.verdict == "produced":
-                        part.steps[number] = record.steps
-                    elif record.verdict in _ANSWERS:
-                        part.answers[number] = record.verdict
+                part = sent.setdefault((record.worker, record.incarnation), _Sent())
+                if record.verdict == "produced":
+                    part.steps.put(record.first, record.last, record.steps)
+                elif record.verdict in _ANSWERS:
+                    part.answers.put(record.first, record.last, record.verdict)
 
 
 def _compare(source: Source, sent: _Sent | None, received: _Received, replaced: bool, found: Audit) -> None:
     if sent is None:
         _without_worker(source, received, found)
         return
-    over = sent.over or replaced
-    _compare_verdicts(source, sent, received, found)
-    single = {number: steps for number, steps in sent.steps.items() if number > received.summed}
-    for number, steps in single.items():
-        fate, counted = received.fate.get(number, ("", 0))
-        if fate in ("accepted", "rolled back") and counted != steps:
-            found.unexplained.append(f"{_name(source, number)} has {steps} steps, and {counted} were counted.")
-        if fate == "accepted":
-            found.book(source[0], "accepted", steps)
-        elif fate == "rolled back":
-            found.book(source[0], "lost", steps)
-            found.lost_with["learner"] += steps
-        elif fate == "refused":
-            found.book(source[0], "rejected", steps)
-        elif received.declared_missing(number):
-            found.book(source[0], "lost", steps)
-            found.lost_with["learner"] += steps
-        elif number in sent.answers and number < received.first:
-            found.book(source[0], "rejected" if sent.answers[number] == "refused" else "accepted", steps)
-        elif number in sent.answers:
-            said = _ANSWERS[sent.answers[number]][0]
-            found.unexplained.append(
-                f"{_name(source, number)} was answered as {said}, and the learner knows nothing of it."
-            )
-        else:
-            found.book(source[0], "lost" if over else "in_flight", steps)
-            if over:
-                found.lost_with["worker"] += steps
-    for number in sorted(set(received.fate) - set(sent.steps)):
+    cuts = (received.first, received.summed + 1, *received.missing_before)
+    ranges = list(shared_ranges(sent.steps, sent.answers, received.fate, cuts=cuts))
+    for first, last in ranges:
+        if first > received.summed:
+            _compare_verdicts(source, sent, received, first, last, found)
+    for first, last in ranges:
+        if first > received.summed and sent.steps.get(first) is not None:
+            _book_produced(source, sent, received, first, last, sent.over or replaced, found)
+    for first, last in ranges:
+        fate = received.fate.get(first)
+        if fate is not None and sent.steps.get(first) is None:
+            found.unexplained.append(f"{_name(source, first, last)} {fate[0]}, and never produced by its worker.")
+
+
+def _book_produced(
+    source: Source, sent: _Sent, received: _Received, first: int, last: int, over: bool, found: Audit
+) -> None:
+    """Book chunks that a worker produced and that share one fate."""
+    each, chunks = sent.steps.get(first) or 0, last - first + 1
+    steps, answer = each * chunks, sent.answers.get(first)
+    fate, counted = received.fate.get(first) or ("", 0)
+    if fate in ("accepted", "rolled back") and counted != each:
         found.unexplained.append(
-            f"{_name(source, number)} was {received.fate[number][0]}, and its worker never produced it."
+            f"{_name(source, first, last)} produced with {each} steps each, and counted with {counted}."
         )
+    if fate == "accepted":
+        found.book(source[0], "accepted", steps, chunks)
+    elif fate == "refused":
+        found.book(source[0], "rejected", steps, chunks)
+    elif fate == "rolled back" or received.declared_missing(first):
+        found.book(source[0], "lost", steps, chunks)
+        found.lost_with["learner"] += steps
+    elif answer is not None and first < received.first:
+        found.book(source[0], "rejected" if answer == "refused" else "accepted", steps, chunks)
+    elif answer is not None:
+        name = _name(source, first, last)
+        found.unexplained.append(f"{name} answered as {_ANSWERS[answer][0]}, and the learner knows nothing of it.")
+    else:
+        found.book(source[0], "lost" if over else "in_flight", steps, chunks)
+        if over:
+            found.lost_with["worker"] += steps
 
 
-def _compare_verdicts(source: Source, sent: _Sent, received: _Received, found: Audit) -> None:
-    for number, answer in sorted(sent.answers.items()):
-        if number <= received.summed:
-            continue
-        said, meant = _ANSWERS[answer]
-        fate = received.fate.get(number, ("", 0))[0]
-        if fate and fate not in meant:
-            found.unexplained.append(
-                f"{_name(source, number)} was {fate}, and its worker was answered that it is {said}."
-            )
-        elif not fate and number not in sent.steps:
-            found.unexplained.append(
-                f"{_name(source, number)} was answered as {said}, and its worker never produced it."
-            )
+def _compare_verdicts(source: Source, sent: _Sent, received: _Received, first: int, last: int, found: Audit) -> None:
+    answer = sent.answers.get(first)
+    if answer is None:
+        return
+    said, meant = _ANSWERS[answer]
+    fate = (received.fate.get(first) or ("", 0))[0]
+    if fate and fate not in meant:
+        found.unexplained.append(f"{_name(source, first, last)} {fate}, and its worker was answered that it is {said}.")
+    elif not fate and sent.steps.get(first) is None:
+        found.unexplained.append(f"{_name(source, first, last)} answered as {said}, and never produced by its worker.")
 
 
 def _without_worker(source: Source, received: _Received, found: Audit) -> None:
     """Book a worker of which there is no history of its own; numbers that the learner never saw must be missed."""
     expected = max(received.first, received.summed + 1)
-    for number, (fate, steps) in sorted(received.fate.items()):
-        if number > expected and number not in received.missing_before:
-            found.unexplained.append(f"{_name(source, expected)} to {number - 1} never arrived; no history says why.")
-        expected = number + 1
+    for first, last, (fate, each) in received.fate:
+        if first > expected and first not in received.missing_before:
+            found.unexplained.append(
+                f"chunk {source[0]}/{source[1]}/{expected} to {first - 1} never arrived; no history says why."
+            )
+        expected = last + 1
         kind = {"accepted": "accepted", "refused": "rejected"}.get(fate, "lost")
-        found.book(source[0], kind, steps)
+        steps = each * (last - first + 1)
+        found.book(source[0], kind, steps, last - first + 1)
         if kind == "lost":
             found.lost_with["learner"] += steps
     if received.missing:
@@ -366,5 +378,7 @@ def _compare_with_ledger(metrics: Path, found: Audit, *, whole: bool) -> None:
         found.unexplained.append(f"lost: the learner says {ledger['lost']}, the histories {found.steps['lost']}.")
 
 
-def _name(source: Source, number: int) -> str:
-    return f"chunk {source[0]}/{source[1]}/{number}"
+def _name(source: Source, first: int, last: int) -> str:
+    """Return the beginning of a sentence about some chunks."""
+    worker, start = source
+    return f"chunk {worker}/{start}/{first} was" if first == last else f"chunks {worker}/{start}/{first} to {last} were"

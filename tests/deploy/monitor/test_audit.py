@@ -1,6 +1,7 @@
 """The audit explains what can be explained, and names what cannot."""
 
 import json
+import time
 
 import pytest
 
@@ -53,11 +54,11 @@ def test_what_an_ended_worker_held_is_lost(tmp_path):
     [
         ([("accepted", 1, 2, 10)], [made(3), ("acknowledged", 1, 3, 10)], "chunk a/1/3 was answered"),
         ([("accepted", 1, 4, 10)], [made(3), ("acknowledged", 1, 3, 10)], "chunk a/1/4 was accepted"),
-        ([("accepted", 1, 3, 20)], [made(3)], "chunk a/1/1 has 10 steps"),
+        ([("accepted", 1, 3, 20)], [made(3)], "chunks a/1/1 to 3 were produced with 10 steps"),
         ([("accepted", 1, 2, 10), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never arrived"),
         ([("accepted", 5, 6, 10)], None, "chunk a/1/1 to 4 never arrived"),
         ([Resume({"a": (1, 4)}), ("accepted", 5, 6, 10)], None, "chunk a/1/4 to 4 never arrived"),
-        ([("accepted", 1, 2, 10), Resume({"a": (1, 5)}), ("accepted", 5, 5, 10)], None, "a/1/3 to 4 never arrived"),
+        ([("accepted", 1, 2, 10), Resume({"a": (1, 5)}), ("accepted", 5, 5, 10)], None, "chunk a/1/3 to 4 never"),
         (
             [("refused", 1, 1, 0)],
             [made(1), ("acknowledged", 1, 1, 10)],
@@ -72,7 +73,7 @@ def test_what_an_ended_worker_held_is_lost(tmp_path):
         (
             [("accepted", 1, 1, 10)],
             [made(1), ("acknowledged", 1, 2, 10)],
-            "chunk a/1/2 was answered as accepted, and its worker",
+            "chunk a/1/2 was answered as accepted, and never produced",
         ),
     ],
 )
@@ -160,28 +161,49 @@ def test_a_torn_last_line_is_no_defect(tmp_path):
     assert (found.torn, found.damaged, found.chunks["in_flight"]) == (1, 0, 1)
 
 
-def test_more_chunks_than_memory_holds_are_refused_before_they_are_counted(tmp_path, monkeypatch):
-    """Histories of all processes together may hold so many chunks, and sums of duplicates do not count."""
-    monkeypatch.setattr("deploy.monitor.audit.MOST_CHUNKS", 19)
+def test_more_lines_than_memory_holds_are_refused(tmp_path, monkeypatch):
+    """Histories of all processes together may hold so many lines, however many chunks these are about."""
+    monkeypatch.setattr("deploy.monitor.audit.MOST_LINES", 4)
     learner = [("accepted", 1, 10, 10), ("duplicate", 1, 1000, 5)]
-    with pytest.raises(RunDirError, match=r"rollout-a.jsonl the histories hold 20 chunks, more than 19"):
+    with pytest.raises(RunDirError, match=r"rollout-a.jsonl the histories hold 5 lines, more than 4"):
         write(tmp_path, learner, [made(10)])
-    monkeypatch.setattr("deploy.monitor.audit.MOST_CHUNKS", 20)
-    assert audit(tmp_path).held == 20
+    monkeypatch.setattr("deploy.monitor.audit.MOST_LINES", 5)
+    assert audit(tmp_path).held == 5
+
+
+def test_forged_lines_about_millions_of_chunks_take_no_time(tmp_path):
+    """Forty lines of 2^24 chunks, in either history, are compared in less than a second, and each is named."""
+    size = 2**24
+    forged = [("accepted", 3 + k * size, 2 + (k + 1) * size, 10) for k in range(20)]
+    learner = [("accepted", 1, 2, 10), *forged, Resume({"a": (1, 3 + 19 * size)}), ("accepted", 3, 2 + size, 10)]
+    worker = [made(2), *[("acknowledged", first + size, last + size, 10) for _, first, last, _ in forged]]
+    started = time.process_time()
+    found = write(tmp_path, learner, worker)
+    assert time.process_time() - started < 1.0
+    assert found.chunks["accepted"] == 2
+    assert found.doubled == [f"chunks a/1/3 to {2 + size} were accepted after it had been accepted."]
+    assert found.unexplained == [
+        f"chunks a/1/{3 + 20 * size} to {2 + 21 * size} were answered as accepted, and never produced by its worker.",
+        f"chunks a/1/3 to {2 + size} were accepted, and never produced by its worker.",
+        f"chunks a/1/{3 + size} to {2 + 19 * size} were accepted, and never produced by its worker.",
+        f"chunks a/1/{3 + 19 * size} to {2 + 20 * size} were rolled back, and never produced by its worker.",
+    ]
 
 
 def test_all_ids_are_named(tmp_path, capsys):
-    """As JSON every one; as a table the first, and how many more there are."""
-    found = write(tmp_path, [("accepted", 1, 1, 10)], [made(31), ("acknowledged", 1, 31, 10)])
-    names = [f"chunk a/1/{number} " for number in range(2, 32)]
-    assert len(found.unexplained) == len(names)
+    """As JSON every range of ids; as a table the first, and how many more there are."""
+    learner = [("accepted", number, number, 10) for number in range(1, 63, 2)]
+    found = write(tmp_path, learner, [made(62), ("acknowledged", 1, 62, 10)])
+    names = [f"chunk a/1/{number} " for number in range(2, 62, 2)]
+    assert len(found.unexplained) == len(names) + 1
+    names.append("chunk a/1/62 ")
     assert dispatch(["audit", str(tmp_path), "--json"]) == 1
     named = json.loads(capsys.readouterr().out)["named"]
     assert all(sentence.startswith(name) for sentence, name in zip(named, names, strict=True))
     assert dispatch(["audit", str(tmp_path)]) == 1
     said = capsys.readouterr().out
     assert said.count("chunk a/1/") == NAMED
-    assert "and 10 more" in said
+    assert "and 11 more" in said
 
 
 def test_a_chunk_that_was_taken_twice_is_named(tmp_path, capsys):
