@@ -275,6 +275,7 @@ class Coordinator:
             "rate": last.rate if last else 0.0,
             "elites": dict(zip([g.name for g in self._team.groups], last.elites, strict=True)) if last else {},
             "scores": [list(s) for s in last.scores] if last else [],
+            "alarms": [self._fence.alarm] if self._fence.alarm else [],
         }
         self._presence.report(values, 0 if self._now is None else self._now.version)
 

@@ -150,6 +150,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("rate", "", "imitation rate vartheta of the newest event"),
         Metric("elites/*", "", "index of the newest event's elite inside each type"),
         Metric("scores", "", "omega of each agent in the newest event; a list for each type"),
+        _ALARMS,
     ),
     "flight": (
         Metric("period_seconds", "s", "time between two set-points"),
