@@ -1,6 +1,8 @@
 """When the learner does what: take in chunks, update, publish, report, write a checkpoint, finish.
 
-Everything here is a function of the trainer's counters and of the clock readings that the caller passes in.
+Everything here is a function of the trainer's counters and of the clock readings that the caller passes in. The rule
+for how many updates are due, and how far collection may lead them, is `Trainer.updates_due` and `Trainer.leads` in
+`learner/trainer.py`.
 """
 
 import time
@@ -58,10 +60,10 @@ class Schedule:
         now: a monotonic clock, seconds.
 
     Attributes:
-        publish: when parameters are published.
-        progress: when progress is published.
-        report: when metrics are reported.
-        checkpoint: when a checkpoint is written.
+        publish_timer: when parameters are published.
+        progress_timer: when progress is published.
+        report_timer: when metrics are reported.
+        checkpoint_timer: when a checkpoint is written.
         deadline: how late imitation events are.
     """
 
@@ -69,10 +71,10 @@ class Schedule:
         now = time.monotonic() if now is None else now
         self._episodes, self._await_elite = config.episodes, await_elite
         self._imitation = ImitationSchedule.of(config)
-        self.publish = Periodic(config.learner.publish_seconds, now)
-        self.progress = Periodic(PROGRESS_SECONDS, now)
-        self.report = Periodic(REPORT_SECONDS, now)
-        self.checkpoint = Periodic(config.learner.checkpoint_seconds, now)
+        self.publish_timer = Periodic(config.learner.publish_seconds, now)
+        self.progress_timer = Periodic(PROGRESS_SECONDS, now)
+        self.report_timer = Periodic(REPORT_SECONDS, now)
+        self.checkpoint_timer = Periodic(config.learner.checkpoint_seconds, now)
         self.deadline = EventDeadline(self._imitation)
 
     def finished(self, counters: Counters) -> bool:

@@ -174,13 +174,13 @@ class Learner:
     def _do_what_is_due(self) -> None:
         self._serve_requests()
         now, schedule = time.monotonic(), self._schedule
-        if schedule.publish.due(now) and not self._options.lockstep:
+        if schedule.publish_timer.due(now) and not self._options.lockstep:
             self._publish()
-        if schedule.progress.due(now):
+        if schedule.progress_timer.due(now):
             self._publish_progress()
-        if schedule.report.due(now):
+        if schedule.report_timer.due(now):
             self._report()
-        if schedule.checkpoint.due(now):
+        if schedule.checkpoint_timer.due(now):
             self._checkpoint()
 
     def _serve_requests(self) -> None:
@@ -201,18 +201,18 @@ class Learner:
         self._publish()
 
     def _publish(self) -> None:
-        self._schedule.publish.restart(time.monotonic())
+        self._schedule.publish_timer.restart(time.monotonic())
         if self._publisher.stale or self._options.lockstep:
             self._receiver.set_version(self.trainer.next_version())  # before any worker can fly with it
             self._publisher.publish_parameters()
             self._publish_progress()
 
     def _publish_progress(self) -> None:
-        self._schedule.progress.restart(time.monotonic())
+        self._schedule.progress_timer.restart(time.monotonic())
         self._publisher.publish_progress(self._state)
 
     def _report(self) -> None:
-        self._schedule.report.restart(time.monotonic())
+        self._schedule.report_timer.restart(time.monotonic())
         self._storage.require_same_directory()
         self._receiver.throttle.release()
         self._reporter.report(self._state)
@@ -221,7 +221,7 @@ class Learner:
         with self._times.measure("checkpoint"):
             self._storage.save(self.trainer, self._feed.ledger, self._reporter.elapsed, self._epoch, wait=wait)
             self._compaction.on_checkpoint(self._feed.ledger, failed=bool(self._storage.alarm))
-        self._schedule.checkpoint.restart(time.monotonic())
+        self._schedule.checkpoint_timer.restart(time.monotonic())
 
     def _end(self, state: str) -> None:
         """Absorb what is under way, publish and save the final state, and say goodbye.

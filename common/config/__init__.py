@@ -22,7 +22,7 @@ from common.config.farm import (
     RewardConfig,
     WorldConfig,
 )
-from common.config.learning import EliteConfig, ExplorationConfig, ReplayConfig
+from common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
 from common.config.run import EvaluationConfig, LearnerConfig, RolloutConfig, RunConfig
 
 __all__ = [

@@ -8,7 +8,7 @@ from common.config.algorithms import OPTIONAL_SECTIONS, AlgorithmConfig, EiaSecC
 from common.config.checks import not_negative, positive, within
 from common.config.environment import EnvConfig
 from common.config.farm import FarmConfig
-from common.config.learning import EliteConfig, ExplorationConfig, ReplayConfig
+from common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
 from common.errors import ConfigError
 
 _DEVICE: Final = re.compile(r"cpu|cuda(:(0|[1-9]\d{0,2}))?")

@@ -97,7 +97,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
             "imitations",
             "",
             "list of the newest four events, each a map: event, episode (when it was due), version, "
-            "rate (theta), elites (index by type), scores (omega of each agent by type), evaluation_steps",
+            "rate (vartheta), elites (index by type), scores (omega of each agent by type), evaluation_steps",
         ),
         Metric("curves/reward/*", "reward", "mean per agent over the newest 40 episodes: all agents, and each type"),
         Metric("curves/steps", "steps", "length of an episode, mean over the same"),
@@ -147,7 +147,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
         Metric("failures", "requests", "for evaluations, not answered in time"),
         Metric("malformed", "messages", "and tokens dropped because they could not be read"),
         Metric("leads", "", "whether it holds the learner's lease"),
-        Metric("rate", "", "imitation rate vartheta of the newest event"),
+        Metric("rate", "", "blend factor vartheta of the newest event"),
         Metric("elites/*", "", "index of the newest event's elite inside each type"),
         Metric("scores", "", "omega of each agent in the newest event; a list for each type"),
         _ALARMS,

@@ -142,7 +142,7 @@ def flood(f: Numbers) -> str:
     """Describe what the others kept during a flood."""
     return (
         f"{f['junk_requests']:,} requests of 128 KiB: the others keep {f['share_kept']:.0%} of their rate; the "
-        f"flooder is cut off and named; {explained(f)}"
+        f"flooder is blocked and named; {explained(f)}"
     )
 
 

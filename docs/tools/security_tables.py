@@ -8,7 +8,7 @@ from common.transport.admission import MOST_WAITING
 from common.transport.credentials import ROLES
 from common.transport.zenoh_config import ACCEPT_MS, HANDSHAKE_MS
 from docs.tools.blocks import table
-from learner.intake.peer_penalties import CUT_SECONDS, LIMIT
+from learner.intake.peer_penalties import BLOCK_SECONDS, LIMIT
 from learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD
 
 _WORDS: Final = ("put", "answer", "ask", "read", "appear", "watch")
@@ -18,8 +18,8 @@ def limits_table() -> str:
     """Return the limits that the learner applies to what arrives."""
     rows = [
         ["one frame", f"{MAX_FRAME // 2**20} MiB"],
-        ["invalid requests in a row before a peer is cut off", f"{LIMIT}"],
-        ["time for which it is cut off", f"{CUT_SECONDS:.0f} s"],
+        ["invalid requests in a row before a worker is blocked", f"{LIMIT}"],
+        ["time for which it is blocked", f"{BLOCK_SECONDS:.0f} s"],
         ["time for which each refusal is held back", f"{HOLD_SECONDS:.0f} s"],
         ["time for a TLS handshake", f"{HANDSHAKE_MS // 1000} s"],
         ["time for a connection without TLS to say something", f"{ACCEPT_MS // 1000} s"],

@@ -3,6 +3,9 @@
 Every worker flies the environments of the run's configuration, each `chunk_steps` steps to a chunk. So the sequence
 number alone decides how many steps a chunk holds and how many its start has produced, and the rows decide which
 episodes end and how long they were.
+
+The parameter version is the one claim that cannot be checked. `Receiver` clamps a future version to the newest
+published one and believes an older one; docs/reference/security.md says what a false one can do.
 """
 
 from dataclasses import dataclass

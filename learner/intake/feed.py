@@ -93,7 +93,7 @@ class ExperienceFeed:
         }
 
     def alarms(self) -> list[str]:
-        """Return one sentence for each worker that is cut off."""
+        """Return one sentence for each worker that is blocked."""
         return self._receiver.peer_penalties.alarms()
 
     def _absorb(self, arrival: Arrival) -> None:

@@ -1,4 +1,4 @@
-"""Workers that send repeated invalid requests: counted by name, cut off for a while, and reported.
+"""Workers that send repeated invalid requests: counted by name, blocked for a while, and reported.
 
 A request is invalid when it cannot be read or used, and also when it is a repetition or out of turn. On a bad network
 honest workers send some of these, but not many in a row.
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Final
 
 LIMIT: Final = 20
-"""Bad requests in a row after which a worker is cut off."""
-CUT_SECONDS: Final = 60.0
+"""Bad requests in a row after which a worker is blocked."""
+BLOCK_SECONDS: Final = 60.0
 """How long; afterwards it has one try, and a good one clears it."""
 MOST_PEERS: Final = 256
 """Workers with a count; beyond them the one whose last invalid request is oldest is dropped."""
@@ -40,7 +40,7 @@ class PeerPenalties:
         self._forgotten = 0
 
     def bad(self, peer: str, reason: str) -> bool:
-        """Count an invalid request; return whether it cuts the peer off."""
+        """Count an invalid request; return whether it blocks the peer."""
         account = self._accounts.pop(peer, None) or _Account()
         self._accounts[peer] = account
         if len(self._accounts) > MOST_PEERS:
@@ -48,10 +48,10 @@ class PeerPenalties:
         account.total += 1
         account.row += 1
         account.reason = reason[:200]
-        cut = account.row >= LIMIT
-        if cut:
-            account.until = self._clock() + CUT_SECONDS
-        return cut
+        blocked = account.row >= LIMIT
+        if blocked:
+            account.until = self._clock() + BLOCK_SECONDS
+        return blocked
 
     def good(self, peer: str) -> None:
         """Count a valid request: the row of invalid ones is over."""
@@ -59,15 +59,15 @@ class PeerPenalties:
             account.row, account.until = 0, None
 
     def refusal(self, peer: str) -> str | None:
-        """Return the answer to a peer that is cut off, or None for one that is served."""
+        """Return the answer to a peer that is blocked, or None for one that is served."""
         account = self._accounts.get(peer)
         until = None if account is None else account.until  # another thread may be taking it away
         if account is None or until is None or self._clock() >= until:
             return None
-        return f"worker {peer} is cut off after {account.row} bad requests in a row; the last: {account.reason}"
+        return f"worker {peer} is blocked after {account.row} bad requests in a row; the last: {account.reason}"
 
     def alarms(self) -> list[str]:
-        """Return one sentence for each peer that is cut off now."""
+        """Return one sentence for each peer that is blocked now."""
         found = [text for peer in list(self._accounts) if (text := self.refusal(peer)) is not None]
         return found[:NAMED]
 

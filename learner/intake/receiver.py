@@ -24,7 +24,7 @@ from common.transport.bus import Incoming, Server
 from learner.intake.arrival import Arrival, OwedAnswer
 from learner.intake.chunk_rules import ChunkRules, EpisodeTracker, provable
 from learner.intake.ledger import Intake
-from learner.intake.peer_penalties import CUT_SECONDS, PeerPenalties
+from learner.intake.peer_penalties import BLOCK_SECONDS, PeerPenalties
 from learner.intake.throttle import Throttle
 
 FULL_SECONDS: Final = 0.001
@@ -58,7 +58,7 @@ class Receiver:
         replaced: requests of starts that a newer start of the same worker has replaced.
         uncounted_episodes: finished episodes that did not count, because this learner has not seen all their steps.
         peer_penalties: workers whose requests are of no use.
-        throttle: requests of workers that are cut off; the receiver's owner calls its `release` now and then.
+        throttle: requests of workers that are blocked; the receiver's owner calls its `release` now and then.
         server: where chunks come in.
         gate: held while a chunk is booked and queued, so that ledger and queue can be seen together.
         required_version: parameter version that a worker must hold before it flies on (lockstep), else 0.
@@ -346,7 +346,7 @@ class Receiver:
 
     def _bad(self, worker: str, reason: str) -> None:
         if self.peer_penalties.bad(worker, reason):
-            log(f"{self.peer_penalties.refusal(worker)}; looked at again in {CUT_SECONDS:.0f} s.")
+            log(f"{self.peer_penalties.refusal(worker)}; looked at again in {BLOCK_SECONDS:.0f} s.")
 
     def _log(self, text: str) -> None:
         self._logged += 1

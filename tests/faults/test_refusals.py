@@ -233,7 +233,7 @@ AHEAD = request(to_request([of(a_chunk(9), 9).encode()], 2, 9), 9), "gap"
 
 
 @pytest.mark.parametrize(("sent", "answer"), [JUNK, AGAIN, AHEAD], ids=["junk", "again", "ahead"])
-def test_whoever_keeps_sending_what_brings_nothing_is_cut_off(sent, answer):
+def test_whoever_keeps_sending_what_brings_nothing_is_blocked(sent, answer):
     """Unreadable, the same again or out of turn: after LIMIT in a row the answers are held back; others go on."""
     receiver, door = front_door()
     assert door.pass_on(parcel(of(a_chunk(1)))).verdict == "accepted"
@@ -243,7 +243,7 @@ def test_whoever_keeps_sending_what_brings_nothing_is_cut_off(sent, answer):
     door.push(late)
     assert door.pass_on(parcel(of(a_chunk(1)), name="other")).verdict == "accepted"
     assert (late.answer, late.refused, receiver.throttle.turned_away) == (None, "", 1)
-    assert "worker w is cut off" in receiver.peer_penalties.alarms()[0]
+    assert "worker w is blocked" in receiver.peer_penalties.alarms()[0]
     shut(receiver, door)
 
 
@@ -305,7 +305,7 @@ def _junk(fleet: FaultRun, seconds: float) -> int:
 
 
 def test_a_flood_of_junk_by_one_worker(tmp_path):
-    """While one worker floods, everything of the others is taken, exactly; who floods is cut off and named."""
+    """While one worker floods, everything of the others is taken, exactly; who floods is blocked and named."""
     measured = flood(tmp_path, 2.0)
     assert measured["junk_requests"] > 20
     assert measured["peer_penalties"]["flood"] >= 20

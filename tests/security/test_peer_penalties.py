@@ -1,4 +1,4 @@
-"""Whoever keeps sending bad input is cut off and named, and comes back with a good one; wildcards are dropped."""
+"""Whoever keeps sending bad input is blocked and named, and comes back with a good one; wildcards are dropped."""
 
 import time
 
@@ -12,7 +12,7 @@ from common.transport.bus import Bus, Sample, Server, Subscription
 from common.transport.endpoint import free_endpoint
 from learner.intake.chunk_rules import ChunkRules
 from learner.intake.ledger import Intake
-from learner.intake.peer_penalties import CUT_SECONDS, LIMIT, MOST_PEERS, PeerPenalties
+from learner.intake.peer_penalties import BLOCK_SECONDS, LIMIT, MOST_PEERS, PeerPenalties
 from learner.intake.receiver import Receiver
 from learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Throttle
 from rollout.envs.registry import environment_spec
@@ -29,19 +29,19 @@ class Clock:
         return self.now
 
 
-def test_a_row_of_bad_requests_cuts_off_for_a_while():
-    """LIMIT in a row cut off; after the pause one more bad one does; a good one clears."""
+def test_a_row_of_bad_requests_blocks_for_a_while():
+    """LIMIT in a row block; after the pause one more bad one does; a good one clears."""
     clock = Clock()
     peer_penalties = PeerPenalties(clock)
     assert [peer_penalties.bad("w", "cut") for _ in range(LIMIT)] == [False] * (LIMIT - 1) + [True]
     assert f"after {LIMIT} bad requests in a row; the last: cut" in str(peer_penalties.refusal("w"))
     assert peer_penalties.alarms() == [peer_penalties.refusal("w")]
     assert peer_penalties.refusal("other") is None
-    clock.now = CUT_SECONDS
+    clock.now = BLOCK_SECONDS
     assert (peer_penalties.refusal("w"), peer_penalties.alarms()) == (None, [])
     assert peer_penalties.bad("w", "again")
     assert peer_penalties.refusal("w") is not None
-    clock.now = 2 * CUT_SECONDS
+    clock.now = 2 * BLOCK_SECONDS
     peer_penalties.good("w")
     assert not peer_penalties.bad("w", "once")
     assert peer_penalties.counts() == {"w": LIMIT + 2}
@@ -109,10 +109,10 @@ def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
         try:
             time.sleep(0.3)
             answers = [send(worker, "bad", number) for number in range(1, LIMIT + 3)]
-            assert "cut off" in answers[-1]
-            assert not any("cut off" in text for text in answers[:LIMIT])
-            assert "cut off" not in send(worker, "other", 1)
-            assert "cut off" in receiver.peer_penalties.alarms()[0]
+            assert "blocked" in answers[-1]
+            assert not any("blocked" in text for text in answers[:LIMIT])
+            assert "blocked" not in send(worker, "other", 1)
+            assert "blocked" in receiver.peer_penalties.alarms()[0]
             assert receiver.peer_penalties.counts() == {"bad": LIMIT, "other": 1}
         finally:
             bus.close()

@@ -1,4 +1,8 @@
-"""`eia-sec status fleet.toml`: the text that it prints, and where it comes from."""
+"""`eia-sec status fleet.toml`: the table of a fleet's processes.
+
+`deploy.hosts.operations.status` asks the agent on each host (`deploy.hosts.agent.status`) for the states. The fleet
+file says which processes there should be.
+"""
 
 import json
 import sys

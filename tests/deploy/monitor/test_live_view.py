@@ -113,9 +113,9 @@ def test_view_fits_the_terminal(width, height, workers):
 
 
 def test_imitation_events_say_who_was_the_elite_when_there_is_room():
-    """In a high terminal each event has its episode, theta, and for each type the elite and its omega."""
+    """In a high terminal each event has its episode, vartheta, and for each type the elite and its omega."""
     lines = drawn(SNAPSHOT, 120, 40)
-    assert line_with("elite c (omega)", lines).split()[1:4] == ["event", "episode", "theta"]
+    assert line_with("elite c (omega)", lines).split()[1:4] == ["event", "episode", "vartheta"]
     assert line_with(" 640 ", lines).split()[1:-1] == ["6", "640", "0.00156", "2", "(0.81)", "0", "(-)", "3", "(-1.50)"]
     calm = dataclasses.replace(SNAPSHOT, alarms=())
     shown_at = {height: any("omega" in line for line in drawn(calm, 80, height)) for height in (24, 32, 33, 50)}

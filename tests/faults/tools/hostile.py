@@ -162,7 +162,7 @@ def request(kind: Kind | None, team: TeamSpec, rules: ChunkRules, name: str, sta
 
 
 class Attacker:
-    """A worker of a few names that clears itself with an honest chunk before it would be cut off."""
+    """A worker of a few names that clears itself with an honest chunk before it would be blocked."""
 
     def __init__(self, bus: Bus, team: TeamSpec, rules: ChunkRules) -> None:
         self._bus, self._team, self._rules = bus, team, rules

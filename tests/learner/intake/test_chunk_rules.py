@@ -188,7 +188,7 @@ def test_a_liar_is_named_and_the_ledger_stays_exact(claims, tmp_path):
     for _ in range(LIMIT):
         lie = {"number": receiver.intake.workers["liar"].expected, **claims}
         door.pass_on(parcel(a_chunk({}), name="liar", **lie))
-    assert "worker liar is cut off" in receiver.peer_penalties.alarms()[0]
+    assert "worker liar is blocked" in receiver.peer_penalties.alarms()[0]
     assert door.pass_on(parcel(a_chunk({}), name="honest", number=2)).verdict == "accepted"
     totals, rows = receiver.intake.accounts()
     assert receiver.intake.unexplained() == 0

@@ -1,4 +1,7 @@
-"""Elite imitation, the replay buffer and exploration: sections that some algorithms read."""
+"""Elite imitation, the replay buffer and exploration: sections that an algorithm may read, see OPTIONAL_SECTIONS.
+
+Learning rates and other options of the algorithms are in `common.config.algorithms`.
+"""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -14,7 +17,7 @@ class EliteConfig:
     enabled: bool = True
     """Whether agents imitate elites."""
     rate: float = 0.1
-    """Update coefficient of the first event, vartheta*."""
+    """Blend factor of the first event, vartheta*: the share by which parameters move to the elite's."""
     cycle: int = 10
     """First mimicry cycle delta*, episodes."""
     rate_decay: float = 0.5
