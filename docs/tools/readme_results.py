@@ -52,7 +52,8 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any]) -> str:
     conditions = f"""Mean reward without noise over {size["farms"]} farms that neither training nor tuning used. Learned
         methods have {len(own["runs"])} seeds, with a 95 % interval over the seeds. With the preset `study`, EIA-SEC was
         tuned like the other learned methods; the default preset [goes
-        further](docs/explanation/method.md#the-default-preset). AoI is the mean age of sensor data, VDF the mean age of plot images; lower is better."""
+        further](docs/explanation/method.md#the-default-preset). AoI is the mean age of
+        sensor data, VDF the mean age of plot images; lower is better."""
     tied = f"Level with it, within the interval: {', '.join(level)}. " if level else ""
     reading = f"""**{verdict}** {tied}Heuristics see the whole farm; a trained UAV sees only its surroundings, its
         number and the time."""

@@ -19,7 +19,7 @@ def test_what_the_page_says_of_paces_is_so():
     assert (paces, keys.METRIC.pace) == ({1.0}, "1 per second")
     assert f"{1.0 / schedule.PROGRESS_SECONDS:.0f} per second" == keys.PROGRESS.pace
     text = " ".join(metric.meaning for metric in metrics.METRICS["learner"])
-    assert f"of at most {ledger.ROWS}, the others in `{ledger.OTHERS}`" in text
+    assert f"({ledger.ROWS} workers at most; `{ledger.OTHERS}` sums the rest)" in text
     assert (reporter.IMITATIONS, curves.SMOOTHED_EPISODES) == (4, 40)
 
 
