@@ -1,8 +1,8 @@
 """Who may do what on which keys: declared once, here.
 
-From this table come the access list of every process that listens, the table in docs/reference/security.md, and what
-the tests expect. Everything that it does not name is denied, wildcards included: an expression passes only when one
-that is granted covers all of it.
+The access lists of all listening processes, the table in docs/reference/security.md and the tests are derived from this
+table. Whatever it does not name is denied. A key expression with wildcards passes only when a granted expression covers
+all of it.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,9 +14,9 @@ from common.protocol.keys import KeyFamily
 from common.transport.credentials import Identity
 
 NAME: Final = "{name}"
-"""Stands for the name in the certificate."""
+"""Placeholder for the name in the holder's certificate."""
 ANYBODY: Final = "anybody"
-"""Every process whose certificate the authority signed, whether it is on the list of members or not."""
+"""Every process whose certificate the authority signed, on the list of members or not."""
 
 RIGHTS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "put": (("put",), ("declare_subscriber",)),
@@ -28,13 +28,13 @@ RIGHTS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "repeat": (("reply",), ()),
     "recall": ((), ("reply",)),
 }
-"""For each right, the Zenoh messages that it lets in from its holder, and those that it lets out to it.
+"""For each right, the Zenoh messages that a listener accepts from the holder, and those that it may send to it.
 
-No right lets a `delete` through in either direction. The last two come with a state alone: a late joiner asks on the
-helper keys, and the answer comes on the state's own key."""
+No right allows a `delete` in either direction. The last two exist only for states: a late joiner asks on the helper
+keys, and the answer arrives on the state's own key."""
 
 _HISTORY: Final[dict[str, tuple[str, ...]]] = {"put": ("put", "answer", "appear"), "read": ("read", "ask", "watch")}
-"""Rights on a state's helper keys, on which Zenoh keeps the latest value for late joiners and notices gaps."""
+"""Rights on a state's helper keys, which Zenoh uses to serve the latest value to late joiners and to detect gaps."""
 _LATE: Final = {"put": "repeat", "read": "recall"}
 
 
@@ -43,10 +43,10 @@ class Grant:
     """One line of the table.
 
     Attributes:
-        role: who.
+        role: the role that holds the right.
         right: a key of RIGHTS.
-        family: on which keys.
-        variables: values of the family's variables, NAME for the holder's own; what is missing may be anything.
+        family: the keys that it applies to.
+        variables: values of the family's variables, NAME for the holder's own name; missing ones may have any value.
     """
 
     role: str
@@ -56,11 +56,11 @@ class Grant:
 
     @property
     def personal(self) -> bool:
-        """Return whether the keys differ from holder to holder."""
+        """Whether the keys differ from holder to holder."""
         return NAME in self.variables.values()
 
     def expressions(self, name: str, run: str = "*") -> list[tuple[str, str]]:
-        """Return (right, key expression) for a holder of this name, those of a state's helper keys included."""
+        """Return the (right, key expression) pairs of a holder of this name, a state's helper keys included."""
         given = {key: name if value == NAME else value for key, value in self.variables.items()}
         pattern = self.family.pattern("run", **given)
         pattern = pattern.replace(f"{keys.ROOT}/run/", f"{keys.ROOT}/{run}/", 1)
@@ -119,11 +119,11 @@ GRANTS: Final = (
     Grant("watcher", "read", keys.VIEW),
     Grant(ANYBODY, "watch", keys.LIVE, {"role": "learner"}),
 )
-"""The whole table. That everybody may see whether a learner lives lets a process that is not on the list say so."""
+"""The whole table. Everybody may see whether a learner lives, so a process can report that it is not a member."""
 
 
 def grants_of(role: str) -> tuple[Grant, ...]:
-    """Return what a member of a role may do, what everybody may included."""
+    """Return what a member of a role may do, including what everybody may do."""
     return tuple(grant for grant in GRANTS if grant.role in (role, ANYBODY))
 
 
@@ -131,8 +131,8 @@ def access_control(members: Iterable[Identity], enabled: bool = True) -> dict[st
     """Return Zenoh's `access_control` for a process that listens: default deny, and an allow-list.
 
     Args:
-        members: who is let in; everybody else who has a certificate sees whether a learner lives, and nothing more.
-        enabled: False lets everything through; for the tests, which then have to fail.
+        members: the processes to admit; other holders of a certificate only see whether a learner lives.
+        enabled: False allows everything; tests use it to show that they then fail.
     """
     listed = sorted(members)
     rules: list[dict[str, Any]] = []

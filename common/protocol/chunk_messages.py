@@ -1,4 +1,4 @@
-"""Chunks of experience as messages, and several of them as one request."""
+"""Converts chunks of experience to messages and back, and packs several of them into one request."""
 
 from collections.abc import Collection, Sequence
 
@@ -11,7 +11,7 @@ from common.team import TeamSpec
 from common.transitions import LARGEST, TERMINATED, TRUNCATED, Chunk, EpisodeSummary, Rows
 
 MOST_COUNT = 2**48
-"""Largest count of steps or chunks that is accepted; a million steps per second take nine years to reach it."""
+"""Largest accepted count of steps or chunks; at a million steps per second it takes nine years to reach."""
 
 
 def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> ChunkMessage:
@@ -42,21 +42,20 @@ def from_message(message: ChunkMessage, team: TeamSpec, episode_metrics: Collect
 
     Args:
         message: the message.
-        team: what its rows must fit.
+        team: the team that its rows must fit.
         episode_metrics: names of the environment's episode metrics; a finished episode has exactly these.
 
     Raises:
         VersionError: when it is for another team.
-        SchemaError: when a shape does not fit, a number is not finite, an action leaves [-1, 1], or the steps that the
-            worker says it produced cannot be, or a finished episode has other metrics, or larger ones than rows of
-            that many steps could add up to.
+        SchemaError: when a shape does not fit, a number is not finite, an action leaves [-1, 1], the worker's step
+            count is impossible, or a finished episode has other metrics, or sums larger than its steps allow.
     """
     if message.team != team.digest:
-        raise VersionError(f"rows for team {message.team[:16]} sent to a learner of team {team.digest}.")
+        raise VersionError(f"the rows are for team {message.team[:16]}, the learner trains team {team.digest}.")
     rows = Rows(message.observation, message.action, message.reward, message.flag)
     rows.check(team)
     if not rows.steps <= message.produced <= MOST_COUNT:
-        raise SchemaError(f"{rows.steps} steps of {message.produced} produced so far are impossible.")
+        raise SchemaError(f"a chunk of {rows.steps} steps cannot bring the steps produced to {message.produced}.")
     count = message.farm.shape[0] if message.farm.ndim == 1 else -1
     names = message.metric_names
     if len(set(names)) != len(names) or (count > 0 and set(names) != set(episode_metrics)):
@@ -64,14 +63,14 @@ def from_message(message: ChunkMessage, team: TeamSpec, episode_metrics: Collect
     shapes = (message.episode.shape, message.steps.shape, message.episode_reward.shape, message.episode_metrics.shape)
     ends = np.count_nonzero(rows.flag & (TERMINATED | TRUNCATED))
     if count != ends or shapes != ((count,), (count,), (count, team.agents), (count, len(names))):
-        raise SchemaError("the finished episodes' arrays do not fit together, or the rows.")
+        raise SchemaError("the finished episodes' arrays fit neither each other nor the rows.")
     if count and not 1 <= message.steps.min() <= message.steps.max() <= MOST_COUNT:
-        raise SchemaError("a finished episode has no steps, or more than anybody flies.")
+        raise SchemaError("a finished episode has no steps, or impossibly many.")
     most = LARGEST * message.steps[:, None].astype(np.float64)
     if not (
         (np.abs(message.episode_reward) <= most).all() and (np.abs(message.episode_metrics) <= team.agents * most).all()
     ):
-        raise SchemaError("a finished episode holds a number that is not finite, or far too large.")
+        raise SchemaError("a finished episode holds a number that is not finite or is too large.")
     episodes = tuple(
         EpisodeSummary(
             int(message.farm[k]),
@@ -86,7 +85,7 @@ def from_message(message: ChunkMessage, team: TeamSpec, episode_metrics: Collect
 
 
 def fitting(sizes: Sequence[int]) -> int:
-    """Return how many chunks of these sizes in bytes, the first always among them, go into one delivery."""
+    """Return how many of the first chunks fit into one delivery, at least one; `sizes` are in bytes."""
     count, room = 1, MOST_BYTES - sizes[0]
     while count < min(len(sizes), MOST_CHUNKS) and sizes[count] <= room:
         room -= sizes[count]
@@ -95,28 +94,28 @@ def fitting(sizes: Sequence[int]) -> int:
 
 
 def to_request(sealed: Sequence[bytes], oldest: int, flown: int) -> bytes:
-    """Return a request's payload: a `DeliveryMessage` and, behind it, the frames of the chunks that it announces."""
+    """Return a request's payload: a `DeliveryMessage`, then the frames of its chunks."""
     return b"".join([DeliveryMessage(oldest, flown, tuple(map(len, sealed))).encode(), *sealed])
 
 
 def from_request(payload: bytes) -> tuple[DeliveryMessage, list[Data]]:
-    """Return what stands before the chunks of a request, and the frame of each, not copied and not looked into.
+    """Return a request's DeliveryMessage and the frames of its chunks, neither copied nor decoded.
 
     Raises:
-        FrameError, VersionError: when the payload does not begin with a whole DeliveryMessage, or is not as long as it
-            says.
-        SchemaError: when it holds no chunks, or more than a delivery may, or an impossible count of steps.
+        FrameError, VersionError: when the payload does not begin with a whole DeliveryMessage, or its length differs
+            from what that message states.
+        SchemaError: when it holds no chunks, too many chunks or bytes, or an impossible count of steps.
     """
     view = memoryview(payload)
     place = length(view)
     delivery = DeliveryMessage.decode(view[:place])
     sizes = delivery.sizes
     if sum(sizes) != len(view) - place:
-        raise FrameError("the chunks are not as long as their delivery says.")
+        raise FrameError("the chunks' total length differs from what their delivery states.")
     if not sizes or fitting(sizes) < len(sizes):
-        raise SchemaError(f"{len(sizes)} chunks of {sum(sizes)} bytes are no delivery.")
+        raise SchemaError(f"a delivery cannot hold {len(sizes)} chunks of {sum(sizes)} bytes in total.")
     if delivery.flown > MOST_COUNT:
-        raise SchemaError(f"{delivery.flown} steps flown are impossible.")
+        raise SchemaError(f"a worker cannot have simulated {delivery.flown} steps.")
     parts: list[Data] = []
     for size in sizes:
         parts.append(view[place : place + size])

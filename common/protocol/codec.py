@@ -1,7 +1,7 @@
-"""How a message becomes a frame and comes back, by its declaration alone.
+"""Encodes a message as a frame and decodes it again, from its dataclass alone.
 
-A message's scalar fields go into the frame's header, its arrays into the body, by name. Decoding checks every type
-against the dataclass, so a message that exists is a message that fits its declaration.
+Scalar fields go into the frame's header and arrays into its body, by name. Decoding checks every field against its
+declared type, so every decoded message fits its declaration.
 """
 
 import functools
@@ -17,11 +17,11 @@ from common.protocol import frame
 
 
 class Message:
-    """Base of all messages: a frozen dataclass with a KIND that encodes and decodes itself."""
+    """Base of all messages, which are frozen dataclasses with a KIND of their own."""
 
     KIND: ClassVar[int] = 0
     MOST_HEADER: ClassVar[int] = 64 * 1024
-    """Longest header, bytes; it holds everything but the arrays."""
+    """Longest header, bytes; the header holds everything but the arrays."""
 
     def encode(self) -> bytes:
         """Return the message's frame."""
@@ -39,10 +39,10 @@ class Message:
 
     @classmethod
     def decode(cls, data: frame.Data) -> Self:
-        """Rebuild a message from its frame.
+        """Return the message in a frame.
 
         Raises:
-            FrameError, VersionError: when the bytes are not such a frame.
+            FrameError, VersionError: when the bytes are not a frame of this message.
             SchemaError: when a field is missing, unknown or of another type.
         """
         scalars, arrays = frame.decode(data, cls.KIND, cls.MOST_HEADER)
@@ -53,14 +53,14 @@ class Message:
 
 
 Reader = Callable[[dict[str, Any], dict[str, frame.Array]], Any]
-"""Takes a field out of a frame's scalars or arrays, checked against its declaration."""
+"""Removes one field from a frame's scalars or arrays and returns it, checked against its declaration."""
 
 
 _PLANS: Final[dict[type[Any], tuple[tuple[str, Reader], ...]]] = {}
 
 
 def _readers(cls: type[Message]) -> tuple[tuple[str, Reader], ...]:
-    """Return how each field of a message type is read; looking into annotations takes longer than reading."""
+    """Return a reader for each field of a message type; cached, as inspecting annotations is slower than reading."""
     if (plan := _PLANS.get(cls)) is None:
         plan = _PLANS[cls] = _plan(cls)
     return plan

@@ -1,8 +1,8 @@
-"""Which learner a process follows when learners with different epochs speak for one run.
+"""Which learner a process follows when learners with different epochs send messages for one run.
 
-A learner that starts later has a higher epoch, so whoever follows it ignores the one that it replaced. A learner that
-kept no run directory and whose clock was set back has a lower epoch than the one before it. It must not be ignored for
-ever: when only it speaks, it is followed after a while.
+A later learner has a higher epoch, so its followers ignore the learner that it replaced. A learner without a run
+directory on a machine whose clock was set back has a lower epoch than its predecessor. If it is the only one that
+sends, processes follow it after a while.
 """
 
 import time
@@ -12,7 +12,7 @@ from typing import Final
 from common.process import log
 
 PATIENCE_SECONDS: Final = 10.0
-"""Time for which only a lower epoch speaks before it is followed; a replaced learner ends long before."""
+"""Time for which only a lower epoch must send before it is followed, s; a replaced learner ends much sooner."""
 
 
 class EpochFence:
@@ -22,7 +22,7 @@ class EpochFence:
         clock: monotonic seconds.
 
     Attributes:
-        alarm: that a learner with a lower epoch is being ignored, or empty.
+        alarm: a sentence while a learner with a lower epoch is ignored, else empty.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -45,13 +45,13 @@ class EpochFence:
         if self._lower_since is None:
             self._lower_since = now
             self.alarm = (
-                "a learner with a lower epoch than the one that is followed is ignored; was its clock set back?"
+                "ignoring a learner whose epoch is lower than that of the followed one; was its clock set back?"
             )
             if epoch != self._logged:
                 log(self.alarm)
                 self._logged = epoch
         if now - self._lower_since < PATIENCE_SECONDS:
             return False
-        log(f"nothing was heard of the learner with epoch {followed}; following the one with epoch {epoch}.")
+        log(f"the learner with epoch {followed} is silent; following the one with epoch {epoch}.")
         self._lower_since, self.alarm = None, ""
         return True

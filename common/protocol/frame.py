@@ -4,9 +4,9 @@
     header: msgpack {"fields": {...}, "arrays": [[name, dtype, [shape]], ...]}
     body:   the arrays, row-major, one after another, without padding
 
-The checksum is the low half of header and body's XXH3-64, which takes a tenth of the time of zlib's CRC-32.
+The checksum is the low half of the XXH3-64 of header and body, which takes a tenth of the time of zlib's CRC-32.
 
-A frame is checked completely, sizes first, before any memory is taken for what it claims to hold.
+Decoding checks a frame completely, sizes first, before it allocates memory for the declared arrays.
 """
 
 import math
@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from common.errors import FrameError, SchemaError, VersionError
 
 PROTOCOL: Final = 3
-"""Version of the protocol; it also stands in every key."""
+"""Version of the protocol; every key contains it."""
 MAX_FRAME: Final = 256 * 1024 * 1024
-"""Largest frame that is ever looked into, bytes."""
+"""Largest frame that is decoded, bytes."""
 MAX_HEADER: Final = 4 * 1024 * 1024
 """Largest msgpack header, bytes."""
 
@@ -35,7 +35,7 @@ _DTYPES: Final = {"<f4": 4, "<f8": 8, "|u1": 1, "<i4": 4, "<i8": 8}
 
 Array = NDArray[Any]
 Data = bytes | memoryview
-"""Bytes as they came, or a part of them that was not copied."""
+"""Received bytes, or a view of a part of them."""
 
 
 def encode(kind: int, fields: Mapping[str, Any], arrays: Mapping[str, Array]) -> bytes:
@@ -47,7 +47,7 @@ def encode(kind: int, fields: Mapping[str, Any], arrays: Mapping[str, Array]) ->
         arrays: float32, float64, uint8, int32 or int64 arrays of any shape.
 
     Raises:
-        SchemaError: when an array has another dtype.
+        SchemaError: when an array has any other dtype.
     """
     listing, parts = [], []
     for name, array in arrays.items():
@@ -63,7 +63,7 @@ def encode(kind: int, fields: Mapping[str, Any], arrays: Mapping[str, Array]) ->
 
 
 def checksum(*parts: Data) -> int:
-    """Return the checksum of bytes that follow one another."""
+    """Return the checksum of the parts' concatenation."""
     state = xxhash.xxh3_64()
     for part in parts:
         state.update(part)
@@ -71,13 +71,13 @@ def checksum(*parts: Data) -> int:
 
 
 def length(data: Data) -> int:
-    """Return how long the frame is that some bytes begin with, going by its prefix alone.
+    """Return the length in bytes that the prefix of the first frame in `data` states.
 
     Raises:
-        FrameError: when they do not begin like a frame, or are not all of it.
+        FrameError: when `data` does not begin with a frame, or holds only a part of it.
     """
     if len(data) < _PREFIX.size:
-        raise FrameError(f"{len(data)} bytes are no frame.")
+        raise FrameError(f"{len(data)} bytes are too few for a frame.")
     magic, _, _, _, header_size, body_size, _ = _PREFIX.unpack_from(data)
     if magic != _MAGIC or _PREFIX.size + header_size + body_size > len(data):
         raise FrameError("the bytes do not begin with a whole frame.")
@@ -85,32 +85,32 @@ def length(data: Data) -> int:
 
 
 def decode(data: Data, kind: int, most_header: int = MAX_HEADER) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return fields and arrays of a frame; the arrays are read-only views of the data.
+    """Return the fields and arrays of a frame; the arrays are read-only views of the data.
 
     Args:
         data: the frame.
-        kind: the kind that it has to be of.
-        most_header: longest header of that kind, bytes: what it becomes in memory is many times as large.
+        kind: the kind that it must have.
+        most_header: longest header of that kind, bytes; unpacked, a header takes many times its size in memory.
 
     Raises:
         FrameError: when the bytes are not a whole frame of this kind.
-        VersionError: when the frame speaks another protocol version.
-        SchemaError: when the header lists arrays that the body cannot hold.
+        VersionError: when the frame has another protocol version.
+        SchemaError: when the header lists arrays that the body does not hold.
     """
     if not _PREFIX.size <= len(data) <= MAX_FRAME:
-        raise FrameError(f"{len(data)} bytes are no frame.")
+        raise FrameError(f"a frame cannot have {len(data)} bytes.")
     magic, protocol, found, reserved, header_size, body_size, stated = _PREFIX.unpack_from(data)
     if magic != _MAGIC:
-        raise FrameError("the bytes do not begin like a frame.")
+        raise FrameError("the bytes do not begin with a frame.")
     if protocol != PROTOCOL:
-        raise VersionError(f"the frame speaks protocol {protocol}, this process {PROTOCOL}.")
+        raise VersionError(f"the frame has protocol version {protocol}, this process {PROTOCOL}.")
     if found != kind or reserved != 0:
         raise FrameError(f"the frame is of kind {found}, not {kind}.")
     if header_size > most_header or _PREFIX.size + header_size + body_size != len(data):
-        raise FrameError("the frame's length is not what its prefix says.")
+        raise FrameError("the frame's length differs from what its prefix states.")
     view = memoryview(data)
     if checksum(view[_PREFIX.size :]) != stated:
-        raise FrameError("the frame's checksum does not fit its content.")
+        raise FrameError("the frame's checksum does not match its content.")
     fields, listing = _header(data[_PREFIX.size : _PREFIX.size + header_size])
     return fields, _arrays(data, listing, _PREFIX.size + header_size, body_size)
 
@@ -120,11 +120,11 @@ def _header(data: Data) -> tuple[dict[str, Any], list[Any]]:
         header = msgpack.unpackb(data, strict_map_key=True)
         fields, listing = header["fields"], header["arrays"]
     except (ValueError, KeyError, TypeError, msgpack.exceptions.UnpackException, RecursionError) as error:
-        raise FrameError(f"the frame's header is not readable: {error}") from error
+        raise FrameError(f"the frame's header cannot be read: {error}") from error
     if not isinstance(fields, dict) or not isinstance(listing, list) or len(listing) > 4096:
-        raise FrameError("the frame's header is not a header.")
+        raise FrameError("the frame's header does not hold fields and a list of arrays.")
     if not all(isinstance(name, str) for name in fields):
-        raise FrameError("the frame's header names a field by something that is no text.")
+        raise FrameError("a field's name in the frame's header is not a string.")
     return fields, listing
 
 
@@ -154,6 +154,6 @@ def _is_shape(shape: Any) -> bool:
     for size in shape:
         if type(size) is not int or not 0 <= size < 2**31:
             return False
-        # A zero among the sizes would let the others promise anything.
+        # A zero counts as one: otherwise it would hide absurd sizes in the other dimensions.
         product *= size or 1
     return product < 2**40

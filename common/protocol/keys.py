@@ -1,6 +1,6 @@
 """Every key of the protocol: who sends what to whom, how it is delivered and how often.
 
-This table repeats the declarations below, and a test compares the two. ROOT and the run's name stand before every key.
+This table repeats the declarations below; a test compares the two. ROOT and the run's name precede every key.
 
     transition/{worker}           request  worker -> learner        DeliveryMessage, ChunkMessage, ChunkAck
     params/actors                 state    learner -> everybody     ParametersMessage
@@ -16,10 +16,10 @@ This table repeats the declarations below, and a test compares the two. ROOT and
     flight/{vehicle}/observation  lossy    vehicle -> flight node   ObservationMessage
     flight/{vehicle}/setpoint     lossy    flight node -> vehicle   SetpointMessage
 
-- request: sent again until it is answered; the table names the request's message first, the answers last.
-- state: the latest value wins; late joiners get it.
-- lossy: may be dropped; a running counter shows the gaps.
-- token: Zenoh liveliness; it says that a process is there.
+- request: repeated until it is answered; the table lists the request's message first and the answers last.
+- state: the latest value wins, and late joiners get it.
+- lossy: may be dropped; a counter in the message shows gaps.
+- token: Zenoh liveliness; it exists as long as the process is connected.
 """
 
 import re
@@ -33,7 +33,7 @@ from common.protocol.frame import PROTOCOL
 ROOT: Final = f"eia-sec/v{PROTOCOL}"
 """Every key begins with this and the run's name."""
 VERBS: Final = ("configuration", "lead", "drain")
-"""Commands that the learner knows, the last segment of their key."""
+"""Commands that the learner knows; a command's key ends in its verb."""
 
 Delivery = Literal["request", "state", "lossy", "token"]
 
@@ -43,12 +43,12 @@ class KeyFamily:
     """All keys of one shape.
 
     Attributes:
-        template: the segments after the run, variables in braces.
-        delivery: see the module's text.
+        template: the segments after the run's name, variables in braces.
+        delivery: see the module's docstring.
         sender: who publishes or asks.
         receiver: who reads or answers.
-        messages: names of the types in `common.protocol.messages` that travel on it, an answer last.
-        pace: how often.
+        messages: names of the message types in `common.protocol.messages` that it carries, answers last.
+        pace: how often messages are sent.
     """
 
     template: str
@@ -65,7 +65,7 @@ class KeyFamily:
         return f"{ROOT}/{run}/{self.template.format(**variables)}"
 
     def pattern(self, run: str, **variables: str) -> str:
-        """Return the key expression that covers the family in one run, or the part of it that the variables name."""
+        """Return the key expression of the family in one run; variables that are not given become wildcards."""
         for name, value in {"run": run, **variables}.items():
             check_name(value, name)
         wildcards = dict.fromkeys(re.findall(r"{([a-z]+)}", self.template), "*")
@@ -80,7 +80,7 @@ TRANSITION: Final = KeyFamily(
     sender="worker",
     receiver="learner",
     messages=("DeliveryMessage", "ChunkMessage", "ChunkAck"),
-    pace="one at a time, with all chunks that wait and fit, as fast as the learner answers",
+    pace="one at a time, with all waiting chunks that fit, as fast as the learner answers",
 )
 PARAMETERS: Final = KeyFamily(
     template="params/actors",
@@ -128,7 +128,7 @@ IMITATION_EVENT: Final = KeyFamily(
     sender="coordinator",
     receiver="everybody",
     messages=("ImitationMessage",),
-    pace="for each one applied",
+    pace="for each applied event",
 )
 WATCH: Final = KeyFamily(
     template="watch/{worker}",
@@ -136,7 +136,7 @@ WATCH: Final = KeyFamily(
     sender="watcher",
     receiver="worker",
     messages=("WatchRequest", "WatchTerms"),
-    pace="1 per second of each watcher, while a browser looks",
+    pace="1 per second from each watcher, while a browser shows the page",
 )
 VIEW: Final = KeyFamily(
     template="view/{worker}",
@@ -168,7 +168,7 @@ OBSERVATION: Final = KeyFamily(
     sender="vehicle",
     receiver="flight node",
     messages=("ObservationMessage",),
-    pace="as often as the vehicle likes; the newest in each period counts",
+    pace="as the vehicle chooses; only the newest in each period is used",
 )
 SETPOINT: Final = KeyFamily(
     template="flight/{vehicle}/setpoint",
@@ -198,7 +198,7 @@ FAMILIES: Final = (
 
 @dataclass(frozen=True)
 class ParsedKey:
-    """A key taken apart.
+    """A parsed key.
 
     Attributes:
         family: the declaration that covers it.
@@ -212,7 +212,7 @@ class ParsedKey:
 
 
 def parse(key: str) -> ParsedKey:
-    """Take a concrete key apart; raise KeyExpressionError for wildcards and for keys of no family."""
+    """Parse a concrete key; raise KeyExpressionError for wildcards and for keys of no family."""
     head, segments = key.split("/")[:2], key.split("/")[2:]
     if "/".join(head) != ROOT or len(segments) < 3 or not all(map(is_name, segments)):
         raise KeyExpressionError(f"{key[:120]!r} is not a key of {ROOT}.")

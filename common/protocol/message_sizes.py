@@ -11,13 +11,13 @@ from common.protocol.frame import MAX_FRAME
 from common.team import TeamSpec
 
 ROOM: Final = 2**20
-"""Bytes of a frame that are left for what stands beside rows and parameters."""
+"""Bytes of a frame reserved for everything but rows and parameters."""
 EPISODE_BYTES: Final = 128
-"""Bytes of a finished episode beside its rewards: seeds, steps and metrics."""
+"""Bytes of a finished episode without its rewards: seeds, steps and metrics."""
 
 
 def chunk_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
-    """Return the bytes of a worker's largest chunk: one whose episodes are as short as the environment allows."""
+    """Return the bytes of a worker's largest chunk, in which episodes are as short as the environment allows."""
     steps, team = config.rollout.chunk_steps, environment.team
     ends = math.ceil(steps / environment.episode_steps[0])
     row = 4 * (team.observation_size + team.action_size + team.agents) + 1
@@ -26,14 +26,14 @@ def chunk_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
 
 
 def evaluation_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
-    """Return the bytes of the rewards of an imitation event's flights; 0 where an episode's length is not known."""
+    """Return the bytes of the rewards of an event's evaluation; 0 where an episode's length is not known."""
     flights = min(config.elite.farms, config.rollout.train_farms)
     fewest, most = environment.episode_steps
     return 4 * flights * most * environment.team.agents if config.imitates and fewest == most else 0
 
 
 def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
-    """Return the bytes of all actors, at most."""
+    """Return the most bytes that all actors can take."""
     sizes = ((g.count, g.observation_size, head_outputs(g.action_size, "gaussian")) for g in team.groups)
     return 4 * sum(
         count * parameter_count(inputs, config.algorithm.hidden, outputs) for count, inputs, outputs in sizes
@@ -41,23 +41,24 @@ def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
 
 
 def require_frames(config: RunConfig, environment: EnvironmentSpec) -> None:
-    """Raise ConfigError for a run whose workers could not deliver a chunk or a flight, or be sent the actors."""
+    """Raise ConfigError for a run whose chunks, actors or evaluations could exceed a frame."""
     most, team = MAX_FRAME - ROOM, environment.team
     chunk, flights = chunk_bytes(config, environment), evaluation_bytes(config, environment)
     actors = actor_bytes(config, team)
     if chunk > most:
         raise ConfigError(
             f"a chunk of {config.rollout.environments} environments times {config.rollout.chunk_steps} steps takes up "
-            f"to {chunk / 2**20:.0f} MiB with {team.agents} agents, a message at most {most // 2**20}; lower "
-            "rollout.chunk_steps or rollout.environments."
+            f"to {chunk / 2**20:.0f} MiB with {team.agents} agents, but a message holds at most {most // 2**20} MiB; "
+            "lower rollout.chunk_steps or rollout.environments."
         )
     if actors > most:
         raise ConfigError(
-            f"{team.agents} actors with algorithm.hidden {config.algorithm.hidden} take {actors / 2**20:.0f} MiB, a "
-            f"message at most {most // 2**20}; lower algorithm.hidden."
+            f"{team.agents} actors with algorithm.hidden {config.algorithm.hidden} take {actors / 2**20:.0f} MiB, but "
+            f"a message holds at most {most // 2**20} MiB; lower algorithm.hidden."
         )
     if flights > most:
         raise ConfigError(
             f"the rewards of {config.elite.farms} flights of {environment.episode_steps[1]} steps with {team.agents} "
-            f"agents take {flights / 2**20:.0f} MiB, a message at most {most // 2**20}; lower elite.farms."
+            f"agents take {flights / 2**20:.0f} MiB, but a message holds at most {most // 2**20} MiB; lower "
+            "elite.farms."
         )

@@ -1,4 +1,4 @@
-"""Every message type of the protocol, one dataclass each; `keys` says where it travels, `codec` makes a frame of it."""
+"""Every message type of the protocol, one dataclass each; `keys` lists their keys, `codec` encodes them."""
 
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -12,11 +12,11 @@ from common.protocol.frame import MAX_HEADER
 from common.team import Float32
 
 MOST_CHUNKS: Final = 64
-"""Most chunks that one delivery holds."""
+"""Most chunks in one delivery."""
 MOST_BYTES: Final = 2 * 2**20
-"""Most bytes of a delivery's chunks, when there are several; a single one may be larger."""
+"""Most bytes of chunks in one delivery; a single chunk may be larger."""
 SETTLED: Final = ("accepted", "duplicate", "refused")
-"""Verdicts after which a worker lets go of a chunk; the others ask for it again."""
+"""Verdicts after which a worker drops a chunk; after any other it keeps the chunk."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class Envelope(Message):
 
     Attributes:
         role: rollout, learner, elite, flight or vehicle.
-        name: the process's name inside its role.
-        incarnation: a number that grows with every start of a process of this name.
-        sequence: running number of what this sender sends on this key, from 1; the coordinator's is always 1.
+        name: the sender's name, unique inside its role.
+        incarnation: start number; each start of a process of this name has a greater one.
+        sequence: number of this message on this key, counted from 1; the coordinator always sends 1.
         version: parameter version that the sender held.
     """
 
@@ -41,17 +41,17 @@ class Envelope(Message):
 
 @dataclass(frozen=True)
 class ChunkMessage(Message):
-    """Rows of transitions and the episodes that ended in them; travels inside a delivery.
+    """Rows of transitions and the K episodes that ended in them; travels inside a delivery.
 
     Attributes:
         team: digest of the team layout.
-        version: parameter version that flew them.
-        produced: environment steps that this incarnation has produced up to and with this chunk.
+        version: parameter version of the actors that produced the rows.
+        produced: environment steps that this incarnation has produced, this chunk included.
         observation, action, reward, flag: the rows, see `common.transitions.Rows`.
-        farm, episode, steps: [K] int64 for each finished episode.
+        farm, episode, steps: [K] int64, farm seed, episode seed and length of each finished episode.
         episode_reward: [K, agents] float32.
-        episode_metrics: [K, F] float64, the episode metrics of the environment.
-        metric_names: F names.
+        episode_metrics: [K, F] float64, the environment's episode metrics.
+        metric_names: names of the F metrics.
     """
 
     KIND = 2
@@ -72,14 +72,14 @@ class ChunkMessage(Message):
 
 @dataclass(frozen=True)
 class ChunkAck(Message):
-    """The learner's answer to a delivery: verdicts on its chunks, from the first up to one that has to come again.
+    """The learner's answer to a delivery: one verdict for each chunk, up to the first that it did not settle.
 
     Attributes:
-        verdicts: accepted, duplicate or refused; the last may be gap, damaged (send it again), closed (nothing more is
-            taken) or replaced (a newer start of the worker delivers); those behind it were not looked at.
-        reasons: for each of them why it was not taken, else empty.
-        expected: the next sequence number that the learner takes from this worker.
-        required_version: parameter version that the worker must hold before its next chunk; 0 asks for none.
+        verdicts: accepted, duplicate or refused; the last may be gap, damaged (send it again), closed (the learner
+            takes no more) or replaced (a newer start of the worker delivers). Later chunks were not examined.
+        reasons: for each verdict, why the chunk was not accepted, or empty.
+        expected: sequence number of the next chunk that the learner accepts from this worker.
+        required_version: parameter version that the worker must hold before its next chunk; 0 for none.
     """
 
     KIND = 3
@@ -91,14 +91,14 @@ class ChunkAck(Message):
 
 @dataclass(frozen=True)
 class ParametersMessage(Message):
-    """All actors, at one version.
+    """The parameters of all actors, at one version.
 
     Attributes:
         epoch: the learner's fencing epoch; parameters of a lower epoch are never applied.
         version: grows with every publication.
-        event: number of imitation events that are in these parameters.
-        environment_steps: steps that the learner had accepted.
-        progress: share of the run's episodes that are done, 0..1.
+        event: number of imitation events already applied to these parameters.
+        environment_steps: environment steps that the learner had accepted.
+        progress: share of the run's episodes that are finished, 0..1.
         team: digest of the team layout.
         hidden: width of the hidden layers.
         head: kind of the last layer, deterministic or gaussian.
@@ -119,7 +119,7 @@ class ParametersMessage(Message):
 
 @dataclass(frozen=True)
 class ProgressMessage(Message):
-    """Where the learner stands; small, sent often.
+    """The learner's progress; small and sent often.
 
     Attributes:
         epoch: the learner's fencing epoch.
@@ -151,14 +151,14 @@ class CommandMessage(Message):
 
 @dataclass(frozen=True)
 class ConfigurationMessage(Message):
-    """What a process needs to take part.
+    """What a process needs to join the run.
 
     Attributes:
         epoch: the learner's fencing epoch.
         toml: the run's configuration.
         team: the team's layout, see `common.team.TeamSpec.to_dict`.
         lockstep: whether worker and learner take turns.
-        newest_start: greatest start number (incarnation) of the asking worker that the learner knows, 0 for none.
+        newest_start: greatest start number (incarnation) that the learner knows of the asking worker, or 0.
     """
 
     KIND, MOST_HEADER = 7, MAX_HEADER
@@ -171,7 +171,7 @@ class ConfigurationMessage(Message):
 
 @dataclass(frozen=True)
 class ReceiptMessage(Message):
-    """A yes or a no with its reason."""
+    """Whether a request was granted; `reason` explains a refusal or a repeated request, else it is empty."""
 
     KIND = 8
     done: bool
@@ -180,14 +180,14 @@ class ReceiptMessage(Message):
 
 @dataclass(frozen=True)
 class EvaluationOrder(Message):
-    """A request for noise-free episodes.
+    """A request for noise-free evaluation episodes.
 
     Attributes:
         epoch: the learner's fencing epoch.
-        event: the imitation event that they are for.
-        version: parameter version that the worker must at least hold.
-        farms: farm seeds, one episode on each.
-        episodes: episode seeds.
+        event: number of the imitation event that needs them.
+        version: lowest parameter version with which the worker may fly them.
+        farms: farm seeds, one for each episode.
+        episodes: episode seeds, in the same order.
     """
 
     KIND = 9
@@ -200,13 +200,13 @@ class EvaluationOrder(Message):
 
 @dataclass(frozen=True)
 class EvaluationResult(Message):
-    """Noise-free episodes, step by step.
+    """The step rewards of F noise-free episodes.
 
     Attributes:
-        event: the imitation event that they are for.
+        event: number of the imitation event that needs them.
         version: parameter version that was evaluated.
-        reward: [F, T, agents] float32 step rewards R_v-i; zeros behind the end of a shorter episode.
-        steps: [F] int64 steps of each episode, at most T.
+        reward: [F, T, agents] float32 step rewards R_v-i; zeros after the end of a shorter episode.
+        steps: [F] int64 length of each episode, at most T.
     """
 
     KIND = 10
@@ -218,7 +218,7 @@ class EvaluationResult(Message):
 
 @dataclass(frozen=True)
 class ImitationMessage(Message):
-    """One imitation event, see `common.imitation.ImitationEvent`, and the learner's epoch that it belongs to.
+    """One imitation event (see `common.imitation.ImitationEvent`) and the epoch of the learner that it is for.
 
     Attributes:
         epoch: the learner's fencing epoch.
@@ -226,9 +226,9 @@ class ImitationMessage(Message):
         version: parameter version that was evaluated.
         episode: training episode at which it was due.
         rate: vartheta, the share by which actors move towards the elite.
-        elites: for each type, the index of the elite inside it.
+        elites: for each type, the index of its elite agent.
         scores: for each type, omega of each of its agents.
-        evaluation_steps: environment steps flown for it.
+        evaluation_steps: environment steps that its evaluation took.
     """
 
     KIND = 11
@@ -247,20 +247,20 @@ class ImitationMessage(Message):
         return cls(epoch=epoch, **vars(event))
 
     def to_event(self) -> ImitationEvent:
-        """Return the event; it is not yet checked against a team."""
+        """Return the event, not yet checked against a team."""
         return ImitationEvent(**{name: value for name, value in vars(self).items() if name != "epoch"})
 
 
 @dataclass(frozen=True)
 class MetricMessage(Message):
-    """A lossy report of one process.
+    """One process's metrics; may be lost.
 
     Attributes:
-        counter: grows by one with each report, so that gaps can be seen.
+        counter: grows by one with each message, so gaps show.
         host: the machine's name.
-        pid: the process's number.
-        uptime: seconds since start.
-        values: metrics by name, see `common.protocol.metrics`; numbers, strings, lists and maps of them.
+        pid: process id.
+        uptime: seconds since the process started.
+        values: metrics by name, see `common.protocol.metrics`; numbers, strings, and lists and maps of them.
     """
 
     KIND, MOST_HEADER = 12, 256 * 1024
@@ -273,12 +273,12 @@ class MetricMessage(Message):
 
 @dataclass(frozen=True)
 class ObservationMessage(Message):
-    """What one vehicle sees; its envelope bears the role `vehicle`, and a sequence number that grows.
+    """One vehicle's observation; its envelope has the role `vehicle` and a growing sequence number.
 
     Attributes:
-        agent: the agent whose actor is to decide, communication_0 for instance.
-        stamp: when it was observed, microseconds since 1970 by the vehicle's clock.
-        values: [o] float32 of the agent's observation, scaled as the actor knows them.
+        agent: the agent whose actor decides, for instance communication_0.
+        stamp: time of the observation, microseconds since 1970 by the vehicle's clock.
+        values: [o] float32, the agent's observation in the scale of its training.
     """
 
     KIND = 13
@@ -289,17 +289,17 @@ class ObservationMessage(Message):
 
 @dataclass(frozen=True)
 class SetpointMessage(Message):
-    """What one vehicle is to do until the next one comes.
+    """A velocity command for one vehicle, valid until the next one.
 
     Attributes:
         agent: the agent that decided.
-        velocity: along x and along y of the field, m/s; zeros command hover.
+        velocity: along x and y of the field, m/s; zeros command hover.
         hover: whether the watchdog commands hover; the velocity is then zero.
-        reason: why, or empty.
-        answers: sequence number of the observation that was decided on; 0 with hover.
+        reason: why the watchdog commands hover, or empty.
+        answers: sequence number of the observation behind the decision; 0 with hover.
         stamp: that observation's stamp; 0 with hover.
-        period: running number of the flight node's period, from 1.
-        latency: seconds from taking the observation in to this message; 0 with hover.
+        period: number of the flight node's period, counted from 1.
+        latency: seconds from receiving the observation to sending this message; 0 with hover.
     """
 
     KIND = 14
@@ -315,10 +315,10 @@ class SetpointMessage(Message):
 
 @dataclass(frozen=True)
 class WatchRequest(Message):
-    """A watcher's wish to see what a worker flies; it holds for `WatchTerms.lease_seconds` and is then made again.
+    """A watcher's request for frames of a worker's farm; it holds for `WatchTerms.lease_seconds`, then it is renewed.
 
     Attributes:
-        watcher: a name of its own.
+        watcher: the watcher's name, unique among watchers.
         stay: False ends the watching at once.
     """
 
@@ -332,10 +332,10 @@ class WatchTerms(Message):
     """A worker's answer to a WatchRequest.
 
     Attributes:
-        toml: the run's configuration; with a frame's farm seed it says where the sensors stand.
-        part_names: K names of the reward's parts.
-        lease_seconds: how long the worker goes on publishing without another request, s.
-        steps_per_second: most frames that it publishes in a second, on average over whole episodes.
+        toml: the run's configuration; it and a frame's farm seed determine the sensors' positions.
+        part_names: names of the reward's K parts.
+        lease_seconds: how long the worker publishes after a request, s.
+        steps_per_second: most frames that it publishes per second, averaged over whole episodes.
     """
 
     KIND, MOST_HEADER = 16, MAX_HEADER
@@ -347,22 +347,22 @@ class WatchTerms(Message):
 
 @dataclass(frozen=True)
 class ViewMessage(Message):
-    """Consecutive steps of one of a worker's farms, one frame each; `common.protocol.view_checks` says what is checked.
+    """Consecutive steps of one of a worker's farms, one frame each; checked by `common.protocol.view_checks`.
 
     Attributes:
         farm: the farm's seed.
         episode: the episode's seed.
         first: step of the first frame.
-        skipped: steps of this farm that were flown since somebody watches, and not shown.
+        skipped: steps of this farm, flown while somebody watched, that were not published.
         deviation: standard deviation of the exploration noise.
         uniform: whether actions were drawn uniformly instead (warm-up).
         position: [F, n, 2] m.
         assignment: [F, n_m + n_d] relay of each served UAV.
-        quality: [F, n_m + n_d] signal-to-noise ratio of its link, dB.
-        aoi: [F, S] as shares of AoI_max, in 255ths.
-        vdf: [F, n_px, n_py] as shares of VDF_max, in 255ths.
+        quality: [F, n_m + n_d] signal-to-noise ratio of each served UAV's link, dB.
+        aoi: [F, S] AoI of each sensor over AoI_max, in 255ths.
+        vdf: [F, n_px, n_py] VDF of each plot over VDF_max, in 255ths.
         level: [F, 2] mean AoI and mean VDF, units.
-        parts: [F, types, K] parts of the step's reward, mean over the agents of each type.
+        parts: [F, types, K] parts of the step reward, averaged over the agents of each type.
     """
 
     KIND = 17
@@ -383,14 +383,14 @@ class ViewMessage(Message):
 
 @dataclass(frozen=True)
 class DeliveryMessage(Message):
-    """What stands before the chunks of one request; their frames follow it, one after another.
+    """The first frame of a transition request; the frames of its chunks follow.
 
-    They are numbered consecutively, the first one by the envelope's sequence number.
+    The chunks have consecutive sequence numbers. The envelope holds the first.
 
     Attributes:
         oldest: sequence number of the oldest chunk that the worker still holds.
-        flown: environment steps that this incarnation had flown when it sent this, those in its spool included.
-        sizes: bytes of each chunk's frame; at most MOST_CHUNKS of them, of together MOST_BYTES when there are several.
+        flown: environment steps that this incarnation had simulated when it sent this, those in its spool included.
+        sizes: bytes of each chunk's frame; at most MOST_CHUNKS, and at most MOST_BYTES in total unless there is one.
     """
 
     KIND = 18

@@ -19,12 +19,12 @@ EDGE: Final = 1e-3
 
 
 def check_view(message: ViewMessage, farm: FarmConfig, parts: int) -> None:
-    """Raise SchemaError unless a message shows the farm that its sender has announced.
+    """Raise SchemaError unless a message fits the farm that its sender announced.
 
     Args:
-        message: what came.
-        farm: the configuration that the worker answered with.
-        parts: K, how many parts of the reward it named.
+        message: the received message.
+        farm: the configuration in the worker's answer.
+        parts: K, the number of reward parts in that answer.
     """
     world = farm.world
     frames = len(message.position) if message.position.ndim else 0
