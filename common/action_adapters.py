@@ -1,12 +1,12 @@
-"""How an actor's output becomes the action that the environment takes.
+"""Adapters convert an actor's output to the environment's action.
 
-A type of agent names its adapters in `common.team.GroupSpec`; they are applied one after another, and without any the
-output is the action. Replay holds the actor's output, the environment gets the adapted action. Workers, evaluation,
-exported models and flight nodes all read the adapters from the team's description, so they act alike.
+`common.team.GroupSpec` lists the adapters of a type of agent. They are applied one after another; without any, the
+output is the action. Replay stores the actor's output, and the environment gets the adapted action. Workers,
+evaluation, exported models and flight nodes all read the adapters from the team's description, so they act alike.
 
 An adapter is a frozen dataclass with the members of `ActionAdapter`. A new one also needs an entry in ADAPTERS and its
-nodes in `deploy.policies.onnx_actions`. It may read anything in the agent's own observation, a mask of allowed actions
-for instance.
+nodes in `deploy.policies.onnx_actions`. It may read anything in the agent's own observation, for instance a mask of
+allowed actions.
 """
 
 import math
@@ -24,13 +24,13 @@ from common.errors import ConfigError
 Float32 = NDArray[np.float32]
 
 POSITION: Final = slice(0, 2)
-"""Where an observation holds the agent's own position (x, y), the field from -1 to 1."""
+"""Part of an observation that holds the agent's own position (x, y); the field spans -1 to 1."""
 SIGNS: Final = slice(2, 4)
-"""Where the observation of an agent with mirrored axes holds the axes' signs, 1 or -1."""
+"""Part of an observation that holds the signs of mirrored axes, 1 or -1."""
 GAIN: Final = 1.5
-"""An output beyond 1 / (2 GAIN), a third of its range, leads to the next lattice point."""
+"""An output of magnitude above 1 / (2 GAIN), a third, selects the neighbouring lattice point."""
 EDGE: Final = 1e-4
-"""An agent this close below the next cell, as a share of a cell, counts as inside it; rounding may put it there."""
+"""Rounding tolerance, as a share of a cell: an agent this close below the next cell counts as inside it."""
 
 
 class ActionAdapter(Protocol):
@@ -39,7 +39,7 @@ class ActionAdapter(Protocol):
     kind: ClassVar[str]
     """Its name in a team's description."""
     formula: ClassVar[str]
-    """What it does with observation o and action a, for people who use an exported policy elsewhere."""
+    """What it computes from observation o and action a, for users of an exported policy."""
 
     def require(self, observation_size: int, action_size: int) -> None:
         """Raise ConfigError unless it works with observations and actions of these sizes."""
@@ -56,28 +56,28 @@ class ActionAdapter(Protocol):
         """
 
     def complaint(self, observation: Float32) -> str:
-        """Return what is wrong with an observation [o] from outside the simulator, or nothing."""
+        """Return what is wrong with an observation [o] from outside the simulator, or an empty string."""
 
     def constants(self) -> dict[str, Any]:
-        """Return the numbers of `formula` by name, as plain values."""
+        """Return the constants in `formula` by name, as plain values."""
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """The output names one of nine neighbouring lattice points to fly to, and becomes the velocity that leads there.
+    """The output selects one of nine neighbouring lattice points and becomes the velocity that leads there.
 
-    Each of the two numbers says whether to go back, stay or go on along its axis. Gaussian noise on an output then
-    changes nothing until it crosses a third of the range, and does not add up to a drift. Lattice points lie in the
-    middle of equal cells that fill the field; neighbours are at most one step apart; see docs/explanation/method.md.
+    Each of the two numbers selects one step back, none or one step on along its axis. Gaussian noise on an output has
+    no effect until it crosses a third, and it does not add up to a drift. Lattice points are the centres of equal cells
+    that fill the field; neighbours are at most one step apart. See docs/explanation/method.md.
 
-    Source: an actor's output mapped to the nearest of the possible actions, Dulac-Arnold et al. (2015), Deep
-    reinforcement learning in large discrete action spaces.
+    Source: Dulac-Arnold et al. (2015), Deep reinforcement learning in large discrete action spaces, who map an actor's
+    output to the nearest possible action.
 
     Attributes:
         columns: lattice points along x.
         rows: lattice points along y.
-        reach_x: what full speed along x covers in a step, as a share of the field's width.
-        reach_y: the same along y, of its depth.
+        reach_x: distance that full speed along x covers in a step, as a share of the field's width.
+        reach_y: distance that full speed along y covers in a step, as a share of the field's depth.
     """
 
     kind: ClassVar[str] = "lattice"
@@ -93,7 +93,7 @@ class Lattice:
     reach_y: float
 
     def __post_init__(self) -> None:
-        """Refuse lattices without points and agents that do not move."""
+        """Refuse lattices without points and agents that cannot move."""
         within(1, 2**20, columns=self.columns, rows=self.rows)
         for reach in (self.reach_x, self.reach_y):
             if not 0.0 < reach < math.inf:
@@ -110,14 +110,14 @@ class Lattice:
             raise ConfigError("a lattice needs x and y in the observation, and actions of two numbers.")
 
     def adapt(self, observation: Float32, action: Float32) -> Float32:
-        """Return the velocities [..., 2], full speed being 1; nobody is sent beyond the outermost lattice points."""
+        """Return velocities [..., 2] as shares of full speed; they never lead beyond the outermost lattice points."""
         return self.velocity(observation[..., POSITION], action)
 
     def velocity(self, position: Float32, action: Float32) -> Float32:
-        """Return the velocities that lead to the lattice points that actions name.
+        """Return the velocities that lead to the selected lattice points.
 
         Args:
-            position: [..., 2] float32, where the agents are, the field from -1 to 1.
+            position: [..., 2] float32, the agents' positions; the field spans -1 to 1.
             action: [..., 2] float32 in [-1, 1].
 
         Returns:
@@ -134,7 +134,7 @@ class Lattice:
         return velocity
 
     def complaint(self, observation: Float32) -> str:
-        """Return nothing: every position has a cell."""
+        """Return an empty string: every position has a cell."""
         return ""
 
     def constants(self) -> dict[str, Any]:
@@ -145,7 +145,7 @@ class Lattice:
 
 @dataclass(frozen=True)
 class MirroredAxes:
-    """The agent sees and acts along axes of its own; an action against the field's axis is negated."""
+    """The agent observes and acts along axes of its own; where such an axis opposes the field's, the action flips."""
 
     kind: ClassVar[str] = "mirrored axes"
     formula: ClassVar[str] = "a = -a where o[2:4] < 0"
@@ -161,11 +161,11 @@ class MirroredAxes:
         return turned
 
     def complaint(self, observation: Float32) -> str:
-        """Return that the signs are none, or nothing."""
+        """Return that a sign is not 1 or -1, or an empty string."""
         return "" if (np.abs(observation[SIGNS]) == 1.0).all() else "the signs of its axes are not 1 or -1."
 
     def constants(self) -> dict[str, Any]:
-        """Return nothing: the formula has no numbers of its own."""
+        """Return an empty map: the formula has no constants."""
         return {}
 
 
@@ -182,13 +182,13 @@ def adapter_to_dict(adapter: ActionAdapter) -> dict[str, Any]:
 
 
 def adapter_from_dict(data: Any) -> ActionAdapter:
-    """Rebuild an adapter from `adapter_to_dict`.
+    """Return the adapter in the output of `adapter_to_dict`.
 
     Raises:
-        ConfigError: when it is none.
+        ConfigError: when `data` describes no adapter.
     """
     if not isinstance(data, Mapping) or (kind := ADAPTERS.get(str(data.get("kind")))) is None:
-        raise ConfigError("the description of an action adapter names no kind that is known.")
+        raise ConfigError("the description of an action adapter names an unknown kind.")
     wanted = {field.name: int if field.type is int else float for field in fields(kind)}
     values = {name: value for name, value in data.items() if name != "kind"}
     if values.keys() != wanted.keys():
@@ -201,11 +201,11 @@ def adapter_from_dict(data: Any) -> ActionAdapter:
 
 
 def fewest(reach: float) -> int:
-    """Return how many cells of at most `reach`, a share of the field, fill the field.
+    """Return the fewest equal cells that fill the field, each at most `reach` wide, as a share of the field.
 
     Raises:
-        ConfigError: they cannot be counted.
+        ConfigError: the reach is too small to compute their number.
     """
     if reach * sys.float_info.max <= 1.0:
-        raise ConfigError("a step at full speed is too small a share of the field to be computed with.")
+        raise ConfigError("a step at full speed covers too small a share of the field.")
     return max(1, math.ceil(1.0 / reach - 1e-9))

@@ -1,14 +1,14 @@
-"""The actors' parameters and their forward pass, the same for learner, workers and whoever flies a UAV.
+"""The actors' parameters and forward pass, shared by the learner, workers and flight nodes.
 
 The policy pi_v-i(theta_v-i) is a perceptron with two hidden ReLU layers and a tanh output. Its parameters are one
 flat vector theta in this order, each matrix stored input-major:
 
     W1 [o, h], b1 [h], W2 [h, h], b2 [h], W3 [h, a], b3 [a]
 
-and the agents of a type are the rows of one [n_v, P] array, so that imitation is a blend of two rows.
+The agents of a type are the rows of one [n_v, P] array, so imitation blends two rows.
 
-A Gaussian head has 2 a outputs: the mean m and, behind it, log s, held within LOG_STD_RANGE. Its noise-free action is
-tanh(m); a sample is tanh(m + s n) with standard normal n. Without noise both heads are therefore the same function.
+A Gaussian head has 2 a outputs: the mean m, then log s, clipped to LOG_STD_RANGE. Its noise-free action is tanh(m), and
+a sample is tanh(m + s n) with standard normal n. Without noise, both heads compute the same function.
 """
 
 import hashlib
@@ -29,12 +29,12 @@ LOG_STD_RANGE: Final = (-20.0, 2.0)
 
 
 def head_outputs(action_size: int, head: Head) -> int:
-    """Return how many numbers an actor's last layer has."""
+    """Return the number of outputs of an actor's last layer."""
     return 2 * action_size if head == "gaussian" else action_size
 
 
 def checked_head(name: str) -> Head:
-    """Return the head of that name; raise SchemaError when there is none."""
+    """Return the actor head of this name; raise SchemaError when there is none."""
     for head in HEADS:
         if name == head:
             return head
@@ -62,7 +62,7 @@ def parameter_views(flat: Float32, inputs: int, hidden: int, outputs: int) -> li
 
 
 def initial_parameters(inputs: int, hidden: int, outputs: int, generator: np.random.Generator) -> Float32:
-    """Return one network's flat parameters [P]: uniform in +-1/sqrt(fan-in), the last layer a tenth of that."""
+    """Return one network's flat parameters [P], uniform in +-1/sqrt(fan-in), in the last layer a tenth of it."""
     parts = []
     for index, (rows, columns) in enumerate(((inputs, hidden), (hidden, hidden), (hidden, outputs))):
         bound = (0.1 if index == 2 else 1.0) / np.sqrt(rows)
@@ -72,13 +72,13 @@ def initial_parameters(inputs: int, hidden: int, outputs: int, generator: np.ran
 
 
 def imitate(parameters: Float32, elite: int, rate: float) -> None:
-    """Blend every row towards the elite's in place: theta_i = (1 - vartheta) theta_i + vartheta theta_i', eq. (soft).
+    """Blend every row with the elite's in place: theta_i = (1 - vartheta) theta_i + vartheta theta_i', eq. (soft).
 
-    Learner and workers both call this function on float32 arrays, which is what makes their copies bit-equal.
+    Learner and workers both call this function on float32 arrays, so their copies stay bit-equal.
 
     Args:
         parameters: [n_v, P] float32, contiguous.
-        elite: row of the elite; it stays as it is.
+        elite: row of the elite, which does not change.
         rate: vartheta in 0..1.
     """
     keep = np.float32(1.0 - rate)
@@ -121,7 +121,7 @@ class TeamActors:
     def initial(
         cls, team: TeamSpec, hidden: int, seed: int, *, per_type: bool = True, head: Head = "deterministic"
     ) -> "TeamActors":
-        """Return fresh actors: one initialisation for each type, or for each agent (A4)."""
+        """Return freshly initialised actors: one initialisation for each type, or for each agent (A4)."""
 
         def rows(group: GroupSpec) -> Float32:
             names = [0 if per_type else index for index in range(group.count)]
@@ -159,7 +159,7 @@ class TeamActors:
         return np.concatenate([np.tanh(mean).reshape(observations.shape[0], -1) for mean in means], axis=1)
 
     def environment_actions(self, observations: Float32) -> Float32:
-        """Return the noise-free actions as the environment takes them, rows [E, A]; see `TeamSpec.adapt`."""
+        """Return the noise-free actions [E, A] after the team's adapters; see `TeamSpec.adapt`."""
         return self.team.adapt(observations, self.act(observations))
 
     def explore(self, observations: Float32, noise: Float32, deviation: float) -> Float32:
@@ -168,8 +168,7 @@ class TeamActors:
         Args:
             observations: rows [E, O] float32.
             noise: rows [E, A] float32, standard normal.
-            deviation: standard deviation of the Gaussian that is added to a deterministic head's action; a Gaussian
-                head has its own.
+            deviation: standard deviation of the noise on a deterministic head's actions; a Gaussian head uses its own.
 
         Returns:
             rows [E, A] float32 in [-1, 1].
@@ -185,7 +184,7 @@ class TeamActors:
         return np.concatenate(parts, axis=1)
 
     def _heads(self, observations: Float32) -> Iterator[tuple[GroupSpec, Float32]]:
-        """Yield each type and the last layer's outputs [E, n_v, outputs] of its actors."""
+        """Yield each type with the outputs [E, n_v, outputs] of its actors' last layers."""
         for group, flat, rows in zip(
             self.team.groups, self.flat, self.team.split_observations(observations), strict=True
         ):

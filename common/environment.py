@@ -1,4 +1,4 @@
-"""What an environment states about itself, and generic code uses in place of knowledge about the farm."""
+"""What an environment declares about itself, so that generic code needs no knowledge of the farm."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -9,17 +9,17 @@ from common.team import TeamSpec
 
 @dataclass(frozen=True)
 class EpisodeMetric:
-    """A number that an environment reports of each episode, beside its rewards and its steps.
+    """A number that an environment reports for each episode, besides rewards and steps.
 
     Attributes:
         name: its name in `EpisodeSummary.metrics`, in curves and in records.
-        unit: what it is measured in.
-        meaning: what it is.
+        unit: its unit.
+        meaning: one line of explanation.
         label: heading of its column in tables and of its curve in views.
         digits: decimals that tables and views show.
-        factor: what a table multiplies it with, for a heading in another unit.
+        factor: factor from `unit` to the unit in the heading.
         plotted: whether plots and live views show it.
-        group: the type of agent whose colour it has in plots, if any.
+        group: the type of agent whose colour it has in plots, or empty.
     """
 
     name: str
@@ -38,12 +38,12 @@ class EpisodeMetric:
 
 @dataclass(frozen=True)
 class TensorNames:
-    """Names of the numbers in an observation and an action, for people who use a policy outside this project.
+    """Names of the numbers in an observation and an action, for users of an exported policy.
 
     Attributes:
-        observation: a name for each number, in order.
-        action: likewise.
-        action_scale: what an action of 1 means, in the environment's unit; none where -1..1 is the whole range.
+        observation: a name for each number of an observation, in order.
+        action: a name for each number of an action, in order.
+        action_scale: value of an action of 1 in the environment's unit, for each number; empty if it needs no scale.
     """
 
     observation: tuple[str, ...]
@@ -53,14 +53,14 @@ class TensorNames:
 
 @dataclass(frozen=True)
 class EnvironmentSpec:
-    """An environment, as generic code sees it.
+    """What generic code knows about an environment.
 
     Attributes:
         team: types of agents, their sizes and their action adapters.
         episode_steps: fewest and most steps of an episode.
-        episode_metrics: what it reports of each episode.
-        short_names: for types of agents, names of a letter or two for tables and views.
-        tensor_names: for types of agents, names of what they observe and do.
+        episode_metrics: the metrics that it reports for each episode.
+        short_names: names of one or two letters, by type of agent, for tables and views.
+        tensor_names: names of the numbers in observations and actions, by type of agent.
     """
 
     team: TeamSpec
@@ -75,7 +75,7 @@ class EnvironmentSpec:
         return tuple(metric.name for metric in self.episode_metrics)
 
     def labels(self) -> dict[str, Any]:
-        """Return what a view needs to label rewards and episode metrics, as plain values for a metric message."""
+        """Return the labels of rewards and episode metrics for live views, as plain values for a metric message."""
         return {
             "short_names": dict(self.short_names),
             "episode_metrics": [asdict(metric) for metric in self.episode_metrics],

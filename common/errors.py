@@ -3,18 +3,18 @@
 EiaSecError
 ├── UsageError                 a user's mistake: one clear sentence, exit code 2
 │   ├── ConfigError            an unknown key, an impossible value
-│   ├── EndpointError          an endpoint that is taken, dead or malformed
-│   │   └── CredentialsError   a certificate or key that is missing, open to others, expired or somebody else's
+│   ├── EndpointError          an endpoint that is in use, dead or malformed
+│   │   └── CredentialsError   a certificate or key that is missing, readable by others, expired or of another process
 │   ├── RunDirError            a run directory that is missing, in use or of another configuration
 │   └── PolicyError            a policy name or file that cannot be used
-├── ProtocolError              something received that is not what was declared
-│   ├── FrameError             bytes that are not a frame: cut, flipped, oversized
+├── ProtocolError              received data that violates the protocol
+│   ├── FrameError             bytes that are not a frame: truncated, corrupted, oversized
 │   ├── SchemaError            a frame whose fields have the wrong type, shape or range
 │   ├── VersionError           another protocol version or another team layout
 │   └── KeyExpressionError     a key that no declaration covers
 ├── SimulationError            a simulated farm used against its contract
-├── HostError                  a host of a fleet that cannot be reached, or did not do what it was asked
-├── CheckpointError            a checkpoint that is cut, flipped or of another layout
+├── HostError                  a host of a fleet that cannot be reached, or on which a command failed
+├── CheckpointError            a checkpoint that is truncated, corrupted or of another layout
 └── BusError                   the bus cannot do what was asked
     ├── BusClosedError         the session is closed
     └── ForkedProcessError     a session used in a process that did not open it
@@ -34,7 +34,7 @@ class ConfigError(UsageError):
 
 
 class EndpointError(UsageError):
-    """An endpoint that is malformed, already taken, or where nobody answers."""
+    """An endpoint that is malformed, already in use, or where nobody answers."""
 
 
 class CredentialsError(EndpointError):
@@ -50,15 +50,15 @@ class PolicyError(UsageError):
 
 
 class ProtocolError(EiaSecError):
-    """Something received that is not what the protocol declares."""
+    """Received data that violates the protocol."""
 
 
 class FrameError(ProtocolError):
-    """Bytes that are not a frame: cut short, bit-flipped, oversized or of another kind."""
+    """Bytes that are not a frame: truncated, corrupted, oversized or of another kind."""
 
 
 class SchemaError(ProtocolError):
-    """A whole frame whose fields have the wrong type, shape, range or are not finite."""
+    """A whole frame with a field of the wrong type, shape or range, or with a number that is not finite."""
 
 
 class VersionError(ProtocolError):
@@ -74,11 +74,11 @@ class SimulationError(EiaSecError):
 
 
 class HostError(EiaSecError):
-    """A host of a fleet that cannot be reached, or that did not do what it was asked."""
+    """A host of a fleet that cannot be reached, or on which a command failed."""
 
 
 class CheckpointError(EiaSecError):
-    """A checkpoint that is cut, flipped, or of another layout."""
+    """A checkpoint that is truncated, corrupted, or of another layout."""
 
 
 class BusError(EiaSecError):

@@ -14,12 +14,12 @@ COMMUNICATION: Final = "communication"
 MONITORING: Final = "monitoring"
 COLLECTION: Final = "collection"
 LETTERS: Final = {COMMUNICATION: "c", MONITORING: "m", COLLECTION: "d"}
-"""The farm's types by the paper's letters."""
+"""The paper's letter for each type."""
 
 COMMUNICATION_OBSERVATION: Final = 17
 """Own (x, y); nearest relay, relay centroid, served centroid, farthest served, nearest UAV as (dx, dy, distance)."""
 TASK_OBSERVATION: Final = 7
-"""Besides plots and sensors: own (x, y); D_VDF or D_AoI (x, y); nearest UAV as (dx, dy, distance)."""
+"""In addition to plots or sensors: own (x, y); D_VDF or D_AoI (x, y); nearest UAV as (dx, dy, distance)."""
 
 EPISODE_METRICS: Final = (
     EpisodeMetric("aoi", "units", "mean AoI over sensors and steps", "AoI", plotted=True, group=COLLECTION),
@@ -39,26 +39,26 @@ METRIC_NAMES: Final = tuple(metric.name for metric in EPISODE_METRICS)
 
 
 def farm_environment(farm: FarmConfig) -> EnvironmentSpec:
-    """Return what generic code needs to know of a farm."""
+    """Return a farm's description for generic code."""
     team = farm_team(farm)
     names = {group.name: _tensor_names(farm, group) for group in team.groups}
     return EnvironmentSpec(team, (farm.world.steps, farm.world.steps), EPISODE_METRICS, LETTERS, names)
 
 
 def farm_of(config: RunConfig) -> FarmConfig | None:
-    """Return the farm of a run, or None where it is about another environment."""
+    """Return the farm of a run, or None if it trains in another environment."""
     return config.farm if config.env.name == FARM else None
 
 
 def require_farm(config: RunConfig, complaint: str) -> FarmConfig:
-    """Return the farm of a run that something needs which only the farm has.
+    """Return the farm of a run, for a feature that works only with the farm.
 
     Args:
         config: the run.
-        complaint: the sentence of the error, with {} for the name of the other environment.
+        complaint: the error's sentence, with {} for the name of the other environment.
 
     Raises:
-        ConfigError: the run is about another environment.
+        ConfigError: the run trains in another environment.
     """
     if (farm := farm_of(config)) is None:
         raise ConfigError(complaint.format(config.env.name))
@@ -90,12 +90,12 @@ def _adapters(farm: FarmConfig, control: Control) -> tuple[ActionAdapter, ...]:
 
 
 def _self(farm: FarmConfig, count: int) -> int:
-    """Return how many numbers of an observation say which agent it is and what time it is."""
+    """Return the number of inputs for the agent's identity and the clock."""
     return count * farm.observation.identity + farm.observation.clock
 
 
 def _tensor_names(farm: FarmConfig, group: GroupSpec) -> TensorNames:
-    """Return the names of what a type observes and does (W24); docs/how-to/export.md has the scales."""
+    """Return the names of a type's observations and actions (W24); docs/how-to/export.md has the scales."""
     seen, uav = farm.observation, _offset("nearest_uav")
     position = ["x", "y", *(["sign_x", "sign_y"] if seen.mirrored else [])]
     if group.name == COMMUNICATION:

@@ -1,4 +1,4 @@
-"""Elite imitation, as all processes know it: when events are due, and what an event contains.
+"""Elite imitation: when events are due, and what an event contains.
 
 Everything about event number e follows from e and the configuration, so a restarted coordinator continues from the
 learner's count of applied events.
@@ -33,7 +33,7 @@ class ImitationSchedule:
         return self.config.rate * self.config.rate_decay ** (event - 1)
 
     def cycle(self, event: int) -> int:
-        """Return delta in force when event number `event` falls due, episodes."""
+        """Return the cycle delta that precedes event number `event`, episodes."""
         return max(1, round(self.config.cycle * self.config.cycle_growth ** (event - 1)))
 
     def due_episode(self, event: int) -> int | None:
@@ -84,7 +84,7 @@ class ImitationEvent:
     def check(self, team: TeamSpec) -> None:
         """Raise SchemaError unless the event fits the team."""
         if self.event < 1 or not 0.0 <= self.rate <= 1.0:
-            raise SchemaError(f"imitation event {self.event} with rate {self.rate} cannot be.")
+            raise SchemaError(f"imitation event {self.event} with rate {self.rate} is impossible.")
         if len(self.elites) != len(team.groups) or len(self.scores) != len(team.groups):
             raise SchemaError("the imitation event is for another number of types.")
         for group, elite, scores in zip(team.groups, self.elites, self.scores, strict=True):

@@ -1,4 +1,4 @@
-"""Names of runs, processes and types of agent: each of them can be a key segment and a file name."""
+"""Names of runs, processes and types of agent, each of which can be a key segment and a file name."""
 
 import re
 from typing import Final
@@ -17,14 +17,14 @@ def is_name(value: str) -> bool:
 
 
 def check_name(value: str, what: str) -> str:
-    """Return the value when it can be a name.
+    """Return the value if it is a valid name.
 
     Args:
         value: the text.
-        what: what it names, for the message.
+        what: what it names, for the error message.
 
     Raises:
-        ConfigError: it cannot.
+        ConfigError: it is not a valid name.
     """
     if not is_name(value):
         raise ConfigError(f"{what} {value[:_SHOWN]!r} must be 1 to 63 letters, digits, '.', '_' or '-'.")

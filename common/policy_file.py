@@ -1,8 +1,8 @@
-"""A trained policy in one file: all actors of a team, the team they fit, and where they come from.
+"""A trained policy in one file: all actors of a team, the team's layout, and metadata.
 
-The file is safetensors: eight bytes with the header's length, a JSON header, then the numbers. Everything that the
-header promises is compared with the team and with the file's size before any array is made. One tensor for each
-type, [n_v, P_v], as 32- or 16-bit floats; all metadata are strings.
+The file is safetensors: eight bytes with the header's length, a JSON header, then the tensors. It has one tensor
+[n_v, P_v] of 32- or 16-bit floats for each type; all metadata are strings. Loading compares the header with the team
+and the file's size before it creates an array.
 """
 
 import hashlib
@@ -32,13 +32,13 @@ _ITEM_BYTES: Final = {"F32": 4, "F16": 2}
 
 
 def save_policy(path: Path, actors: TeamActors, metadata: Mapping[str, str], *, half: bool = False) -> None:
-    """Write a policy; the file appears whole or not at all.
+    """Write a policy atomically.
 
     Args:
         path: the file; an existing one is replaced.
         actors: the actors.
         metadata: provenance, for instance `command`, `seed` and `commit`.
-        half: store 16-bit floats, which halves the file and rounds the parameters to 11 significant bits.
+        half: store 16-bit floats; this halves the file and rounds the parameters to 11 significant bits.
 
     Raises:
         PolicyError: a metadata key is reserved, a parameter is too large for 16 bits, or the file cannot be written.
@@ -69,45 +69,45 @@ def load_policy(path: Path) -> tuple[TeamActors, dict[str, str]]:
         path: a file that `save_policy` wrote.
 
     Returns:
-        The actors, and the metadata that were given when they were saved.
+        The actors, and the metadata given when they were saved.
 
     Raises:
-        PolicyError: the file is missing, cut, altered, oversized or no policy.
+        PolicyError: the file is missing, truncated, altered, oversized or not a policy.
     """
     data = _read(path)
     try:
         header, metadata = _header(data)
         team, hidden = TeamSpec.from_dict(json.loads(metadata["team"])), int(metadata["hidden"])
-        head = checked_head(metadata.get("head", "deterministic"))  # older files have no other
+        head = checked_head(metadata.get("head", "deterministic"))  # older files name no head
         _compare(header, team, hidden, head, len(data))
         tensors = load(data)
         stored = [tensors[group.name] for group in team.groups]
         if _digest(stored) != metadata["digest"]:
-            raise PolicyError("its numbers are not those that were saved")
+            raise PolicyError("its parameters do not match its digest")
         actors = TeamActors(team, hidden, tuple(np.ascontiguousarray(flat, dtype=np.float32) for flat in stored), head)
     except (EiaSecError, SafetensorError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")
-        raise PolicyError(f"{path} is not a whole policy file: {reason}.") from error
+        raise PolicyError(f"{path} is not a valid policy file: {reason}.") from error
     return actors, {key: value for key, value in metadata.items() if key not in RESERVED}
 
 
 def _read(path: Path) -> bytes:
-    """Return the file's bytes unless there are more than any policy has."""
+    """Return the file's bytes; raise PolicyError when there are more than any policy has."""
     try:
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             if size > MAX_FILE_BYTES:
-                raise PolicyError(f"{path} holds {size:,} bytes, a policy has at most {MAX_FILE_BYTES:,}.")
+                raise PolicyError(f"{path} holds {size:,} bytes, but a policy has at most {MAX_FILE_BYTES:,}.")
             return file.read(size)
     except OSError as error:
         raise PolicyError(f"the policy file {path} cannot be read: {error.strerror}.") from error
 
 
 def _header(data: bytes) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the tensors' entries and the metadata of the JSON header."""
+    """Return the tensor entries and the metadata in the JSON header."""
     length = int.from_bytes(data[:8], "little")
     if len(data) < 8 or length > min(MAX_HEADER_BYTES, len(data) - 8):
-        raise PolicyError("its header is cut or oversized")
+        raise PolicyError("its header is truncated or oversized")
     header = json.loads(data[8 : 8 + length].decode("utf-8"))
     metadata = header.pop("__metadata__")
     if metadata.get("format") != FORMAT:
@@ -116,7 +116,7 @@ def _header(data: bytes) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, head: Head, size: int) -> None:
-    """Raise PolicyError unless the header promises this team's tensors and the file's size fits them."""
+    """Raise PolicyError unless the header lists this team's tensors and they fit the file's size."""
     if not 1 <= hidden <= MAX_HIDDEN or set(header) != {group.name for group in team.groups}:
         raise PolicyError("its tensors are not those of its team")
     expected = 0
@@ -129,11 +129,11 @@ def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, head: Head, si
         expected += _ITEM_BYTES[entry["dtype"]] * shape[0] * shape[1]
     held = max(entry["data_offsets"][1] for entry in header.values())
     if held != expected or size < expected:
-        raise PolicyError(f"it holds {held:,} bytes of parameters, its team needs {expected:,}")
+        raise PolicyError(f"it holds {held:,} bytes of parameters, but its team needs {expected:,}")
 
 
 def _digest(stored: Sequence[NDArray[Any]]) -> str:
-    """Return the SHA-256 of the numbers as they are stored."""
+    """Return the SHA-256 of the parameters as stored."""
     state = hashlib.sha256()
     for flat in stored:
         state.update(np.ascontiguousarray(flat).tobytes())

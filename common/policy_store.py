@@ -1,4 +1,4 @@
-"""A process's copy of the actors: it takes newer parameters and applies imitation events to them."""
+"""A process's copy of the actors, updated by newer parameters and by imitation events."""
 
 from common.actors import TeamActors, checked_head, imitate
 from common.errors import VersionError
@@ -18,10 +18,10 @@ class PolicyStore:
         actors: the actors, or None before the first parameters.
         epoch: fencing epoch of the learner that sent them.
         version: their version.
-        event: events that are in them.
-        environment_steps: steps that the learner had accepted when it sent them.
-        progress: share of the run that was done then.
-        stale: messages that were not newer and so were not applied.
+        event: number of imitation events applied to them.
+        environment_steps: environment steps that the learner had accepted when it sent them.
+        progress: share of the run's episodes that were finished at that time, 0..1.
+        stale: messages that were ignored because they were not newer.
     """
 
     def __init__(self, team: TeamSpec) -> None:
@@ -37,7 +37,7 @@ class PolicyStore:
         self._latest_epoch = 0
 
     def offer_parameters(self, message: ParametersMessage) -> bool:
-        """Take parameters when they are newer; return whether they were taken.
+        """Apply parameters if they are newer; return whether they were applied.
 
         Raises:
             VersionError: when they are for another team.
@@ -56,10 +56,10 @@ class PolicyStore:
         return True
 
     def offer_imitation(self, event: ImitationEvent, epoch: int) -> bool:
-        """Take an imitation event of the learner's epoch; return whether it changed the copy now.
+        """Take an imitation event of a learner's epoch; return whether it has now changed the actors.
 
         Raises:
-            SchemaError: when it does not fit the team.
+            SchemaError: when the event does not fit the team.
         """
         event.check(self.team)
         newest = (self._latest_epoch, self._latest.event if self._latest else 0)
@@ -71,7 +71,7 @@ class PolicyStore:
         return False
 
     def follow_lower_epoch(self, epoch: int) -> None:
-        """Take parameters from this epoch on, although it is lower; the actors stay until the first ones arrive."""
+        """Accept parameters from this lower epoch on; the present actors stay until the first ones arrive."""
         self.epoch, self.version, self.event = epoch, 0, 0
         self._latest, self._latest_epoch = None, 0
 

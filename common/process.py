@@ -22,20 +22,20 @@ from common.transport.endpoint import Endpoint
 LARGEST: Final = 2**63 - 1
 """Largest whole number that a metric message holds; larger sums are clamped to it."""
 SUPERVISOR: Final = "EIA_SEC_SUPERVISOR"
-"""Environment variable with the process number of the supervisor; a process stops when its supervisor dies."""
+"""Environment variable with the supervisor's process id; a process stops when its supervisor dies."""
 ORPHAN_SECONDS: Final = 0.5
 QUICK_SECONDS: Final = 1.0
-"""A request without an answer that ends sooner than this reached nobody."""
+"""A request that ends unanswered within this time reached nobody, s."""
 
 
 class StopSignal:
-    """SIGINT, SIGTERM and the death of the supervisor as a flag that loops check where they can end cleanly."""
+    """A flag that SIGINT, SIGTERM or the supervisor's death sets; loops check it where they can end cleanly."""
 
     def __init__(self) -> None:
         self.event = threading.Event()
 
     def install(self) -> None:
-        """Take over SIGINT and SIGTERM; only the main thread may call it."""
+        """Handle SIGINT and SIGTERM; only the main thread may call this."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
         supervisor = os.environ.get(SUPERVISOR, "")
@@ -62,16 +62,16 @@ class StopSignal:
 
 
 SEPARATOR: Final = "\n  | "
-"""Between the lines of one log entry."""
+"""Separates the lines of one log entry."""
 _unwritten: Final = [0]
-"""Lines that could not be written since the last one that could."""
+"""Number of lines lost since the last one that was written."""
 
 
 def log(text: str) -> None:
-    """Write one line with the time of day to standard error.
+    """Write one line with the time of day to standard error, control characters made printable.
 
-    A full disk does not stop the process. Lines that cannot be written are counted, and the next one that can be
-    written, at the latest when the process ends, says how many are missing. Control characters are made printable.
+    A full disk does not stop the process. Lines that cannot be written are counted; the next line that can be written
+    states how many are missing. If there is none before, a last line does so when the process ends.
     """
     before = f"({_unwritten[0]} lines before this one could not be written) " if _unwritten[0] else ""
     try:
@@ -126,7 +126,7 @@ class Presence:
 
 
 def _clamped(value: Any) -> Any:
-    """Return a metric, or a list or map of them, with whole numbers clamped to what a frame holds."""
+    """Return a metric, or a list or map of metrics, with whole numbers clamped to what a frame can hold."""
     if isinstance(value, dict):
         return {name: _clamped(part) for name, part in value.items()}
     if isinstance(value, list | tuple):
@@ -135,7 +135,7 @@ def _clamped(value: Any) -> Any:
 
 
 def incarnation() -> int:
-    """Return a number that grows with every start of a process on one machine."""
+    """Return the number of this start: the wall clock in microseconds."""
     return time.time_ns() // 1000
 
 
@@ -147,9 +147,9 @@ def fetch_configuration(
     Args:
         bus: the control lane.
         run: the run's name.
-        sender: who asks, for the learner's log.
-        keep_waiting: called between two tries; the function gives up when it returns False.
-        patience: seconds between log lines that say that we are waiting.
+        sender: name of this process, which the learner logs.
+        keep_waiting: called between attempts; False gives up.
+        patience: seconds between log lines that report the wait.
 
     Returns:
         The answer, or None when `keep_waiting` returned False.
@@ -166,7 +166,7 @@ def fetch_configuration(
         if answer is not None:
             return ConfigurationMessage.decode(answer)
         if time.monotonic() - logged > patience:
-            # A busy learner lets the request time out; where there is none, or none that we may reach, it ends at once.
+            # With a busy learner the request times out; with none, or none that we may reach, it ends at once.
             quick = time.monotonic() - asked < QUICK_SECONDS
             log((denial(bus, run, key) if quick else None) or f"waiting for a learner of run {run}.")
             logged = time.monotonic()
@@ -175,10 +175,10 @@ def fetch_configuration(
 
 
 def denial(bus: Bus, run: str, key: str) -> str | None:
-    """Return why nobody serves a key for this process: its certificate has expired, or the access list denies the key.
+    """Return why this process gets no answer on a key: its certificate has expired, or the access list denies the key.
 
-    Every process with a certificate sees that a learner is alive. A request that the access list denies looks as if
-    nobody served the key, so a living learner and no answer mean a denial.
+    Every process with a certificate sees whether a learner is alive. A denied request looks as if nobody served the
+    key, so a live learner that does not answer means a denial.
 
     Returns:
         A sentence, or None if neither is the case.
@@ -188,11 +188,11 @@ def denial(bus: Bus, run: str, key: str) -> str | None:
     if bus.credentials is None or not bus.living(keys.LIVE.pattern(run, role="learner")):
         return None
     return (
-        f"denied: a learner of run {run} lives, and {key} is closed to {bus.credentials}. The listener's access list "
-        "does not let this process in; copy the authority's members.txt to the listener and start that again."
+        f"denied: the learner of run {run} is alive, but the listener's access list denies {key} to {bus.credentials}. "
+        "Copy the authority's members.txt to the listener and restart it."
     )
 
 
 def connect(endpoint: Endpoint, lane: Any, stop: StopSignal, patience: float) -> Bus:
-    """Connect a lane, waiting `patience` seconds for somebody to listen; raise EndpointError when nobody does."""
+    """Connect a lane, waiting `patience` seconds for a listener; raise EndpointError when there is none."""
     return Bus.connect(endpoint, lane, wait=patience, waiting=lambda: not stop)

@@ -1,4 +1,4 @@
-"""Named random streams: every draw of the system follows from integer seeds, in whatever order they are asked for."""
+"""Named random streams: every draw follows from integer seeds, in whatever order streams are created."""
 
 import hashlib
 

@@ -1,7 +1,7 @@
-"""Numbers of a process's starts: each start of a name gets a greater number than the one before, whatever the clock.
+"""Start numbers: each start of a process gets a greater number than the one before, whatever the clock shows.
 
-A start takes its number from the clock. Where the receiver already knows a greater one, because an earlier start had a
-clock that was ahead, the new start goes a little beyond that instead.
+A start takes its number from the clock. If the receiver already knows a greater one, because the clock of an earlier
+start was ahead, the new start takes a slightly greater number instead.
 """
 
 import secrets
@@ -13,7 +13,7 @@ from common.errors import UsageError
 LATEST: Final = 2**53
 """Greatest number that is taken from a clock: microseconds since 1970, in the year 2255."""
 STRIDE: Final = 2**20
-"""Greatest step beyond a known number. Two starts at one time draw different steps, so they differ."""
+"""Greatest step beyond a known number. It is drawn at random, so that two simultaneous starts differ."""
 LIMIT: Final = 2**63
 """First number that no message can carry."""
 
@@ -30,18 +30,18 @@ def next_start(known: int = 0) -> int:
     now = min(time.time_ns() // 1000, LATEST)
     number = now if now > known else known + 1 + secrets.randbelow(STRIDE)
     if number >= LIMIT:
-        raise UsageError(f"an earlier start of this name has the number {known}, and none is left beyond it.")
+        raise UsageError(f"an earlier start of this name has the number {known}, and no greater one is left.")
     return number
 
 
 def plausible(number: int, known: int) -> bool:
-    """Return whether an honest start can have a number, where `known` is the greatest seen so far or 0.
+    """Return whether an honest start can have this number; `known` is the greatest one seen so far, or 0.
 
-    The bound keeps a hostile sender from spending all numbers of a name at once.
+    The bound keeps a hostile sender from using up all numbers of a name at once.
     """
     return number <= max(LATEST, known + STRIDE)
 
 
 def seconds_ahead(known: int) -> float:
-    """Return by how many seconds the clock that gave a number is ahead of this machine's; 0 when it is not."""
+    """Return how many seconds the clock behind a number is ahead of this machine's; 0 when it is not."""
     return max(0.0, (known - time.time_ns() // 1000) / 1e6)

@@ -1,8 +1,7 @@
-"""The team layout: which types of agent there are and where each agent's numbers lie in a row.
+"""The team layout: the types of agent, and where each agent's numbers are in a row.
 
-A *row* is what one environment step puts on the wire and into replay: the observations of all agents, one after
-another, then likewise actions and rewards. Types may differ in observation and action size, so a row is ragged
-by type and regular inside one.
+A *row* holds one environment step on the wire and in replay: the concatenated observations, actions and rewards of all
+agents. Types may differ in observation and action size, so a row is ragged across types and regular inside a type.
 """
 
 import hashlib
@@ -27,11 +26,11 @@ class GroupSpec:
     """One type of agent.
 
     Attributes:
-        name: the type's name, "communication" for instance; see `common.names`.
+        name: the type's name, for instance "communication"; see `common.names`.
         count: agents of the type, n_v.
         observation_size: numbers in one agent's observation, o_v.
         action_size: numbers in one agent's action, a_v, each in [-1, 1].
-        adapters: what turns an actor's output into the environment's action, applied in this order.
+        adapters: convert an actor's output to the environment's action, applied in this order.
     """
 
     name: str
@@ -41,7 +40,7 @@ class GroupSpec:
     adapters: tuple[ActionAdapter, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse names that are no key segment, empty types, and adapters that do not fit the sizes."""
+        """Refuse invalid names, empty types, and adapters that do not fit the sizes."""
         check_name(self.name, "a type of agent")
         within(1, 4096, count=self.count)
         within(1, 65_536, observation_size=self.observation_size, action_size=self.action_size)
@@ -49,11 +48,11 @@ class GroupSpec:
             adapter.require(self.observation_size, self.action_size)
 
     def adapt(self, observation: Float32, action: Float32) -> Float32:
-        """Return what the environment takes for the actors' outputs.
+        """Return the environment's actions for the actors' outputs.
 
         Args:
-            observation: [..., o_v] float32, what the actors saw.
-            action: [..., a_v] float32 in [-1, 1].
+            observation: [..., o_v] float32, the actors' observations.
+            action: [..., a_v] float32 in [-1, 1], the actors' outputs.
 
         Returns:
             [..., a_v] float32 in [-1, 1]; `action` itself where there are no adapters.
@@ -74,25 +73,25 @@ class GroupSpec:
 
     @classmethod
     def from_dict(cls, data: Any) -> "GroupSpec":
-        """Rebuild a group from `to_dict`, or from the list that earlier versions wrote.
+        """Return the group in the output of `to_dict`, or in the list that earlier versions wrote.
 
         Raises:
-            TypeError, ValueError, KeyError or ConfigError: when it is none.
+            TypeError, ValueError, KeyError or ConfigError: when `data` describes no group.
         """
         if isinstance(data, list):
             return cls._from_list(data)
         values = dict(data)
         adapters = tuple(adapter_from_dict(part) for part in values.pop("adapters"))
         if not all(type(values.get(name)) is int for name in ("count", "observation_size", "action_size")):
-            raise ValueError("a count or a size is no whole number")
+            raise ValueError("a count or a size is not a whole number")
         return cls(str(values.pop("name")), **values, adapters=adapters)
 
     @classmethod
     def _from_list(cls, data: list[Any]) -> "GroupSpec":
-        """Read [name, count, observations, actions], perhaps a lattice's four numbers or null, and perhaps true."""
+        """Read [name, count, observation size, action size], optionally a lattice's four numbers or null, and true."""
         name, count, observation_size, action_size, *rest = data
         if len(rest) > 2 or (len(rest) == 2 and rest[1] is not True):
-            raise ValueError("a group has six entries at most, of which the sixth is true")
+            raise ValueError("a group has at most six entries, and the sixth is true")
         adapters: list[ActionAdapter] = []
         if rest and (len(rest) == 1 or rest[0] is not None):
             columns, rows, reach_x, reach_y = rest[0]
@@ -101,7 +100,7 @@ class GroupSpec:
         return cls(str(name), int(count), int(observation_size), int(action_size), tuple(adapters))
 
     def _digest_text(self) -> str:
-        """Return what the team's digest covers; a team of earlier versions keeps the digest that these gave it."""
+        """Return the text that the team's digest covers; teams of earlier versions keep their digests."""
         parts: list[Any] = [self.name, self.count, self.observation_size, self.action_size]
         match self.adapters:
             case ():
@@ -151,19 +150,19 @@ class TeamSpec:
 
     @property
     def agent_names(self) -> tuple[str, ...]:
-        """Names of all agents in row order: the type and the number inside it, "communication_0" for instance."""
+        """Names of all agents in row order: the type and the index in it, for instance "communication_0"."""
         return tuple(f"{group.name}_{index}" for group in self.groups for index in range(group.count))
 
     def agent_slices(self) -> tuple[slice, ...]:
-        """Return, for each type, where its agents lie among all agents."""
+        """Return each type's slice of all agents."""
         return _slices([group.count for group in self.groups])
 
     def observation_slices(self) -> tuple[slice, ...]:
-        """Return, for each type, where its observations lie in a row."""
+        """Return each type's slice of a row of observations."""
         return _slices([group.count * group.observation_size for group in self.groups])
 
     def action_slices(self) -> tuple[slice, ...]:
-        """Return, for each type, where its actions lie in a row."""
+        """Return each type's slice of a row of actions."""
         return _slices([group.count * group.action_size for group in self.groups])
 
     def split_observations(self, rows: Float32) -> list[Float32]:
@@ -181,11 +180,11 @@ class TeamSpec:
         ]
 
     def adapt(self, observations: Float32, actions: Float32) -> Float32:
-        """Return what the environment takes for the actors' outputs; see `GroupSpec.adapters`.
+        """Return the environment's actions for the actors' outputs; see `GroupSpec.adapters`.
 
         Args:
-            observations: rows [..., O] float32 that the actors saw.
-            actions: rows [..., A] float32 in [-1, 1].
+            observations: rows [..., O] float32, the actors' observations.
+            actions: rows [..., A] float32 in [-1, 1], the actors' outputs.
 
         Returns:
             rows [..., A] float32 in [-1, 1]; `actions` itself where no type has adapters.
@@ -205,7 +204,7 @@ class TeamSpec:
 
     @classmethod
     def from_dict(cls, data: Any) -> "TeamSpec":
-        """Rebuild a team from `to_dict`; raise SchemaError when it is none."""
+        """Return the team in the output of `to_dict`; raise SchemaError when `data` describes no team."""
         try:
             return cls(tuple(GroupSpec.from_dict(group) for group in data["groups"]))
         except (KeyError, TypeError, ValueError, OverflowError, ConfigError) as error:
@@ -213,7 +212,7 @@ class TeamSpec:
 
     @cached_property
     def digest(self) -> str:
-        """Sixteen hexadecimal digits that name this layout; equal layouts have equal digests."""
+        """Sixteen hexadecimal digits that identify this layout; equal layouts have equal digests."""
         text = ";".join(group._digest_text() for group in self.groups)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

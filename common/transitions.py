@@ -1,8 +1,8 @@
 """Rows of experience, the same on the wire and in replay.
 
-A trajectory segment of T steps is T + 1 consecutive rows: row t holds the observation before step t and what step
-t did; the last row holds the final observation alone. So each observation is stored once, the next observation of
-row t is row t + 1, and a segment may be cut anywhere, at a chunk's border or at an episode's end.
+A trajectory segment of T steps is T + 1 consecutive rows. Row t holds the observation before step t, and the action,
+reward and flag of step t; the last row holds only the final observation. So each observation is stored once, row t + 1
+holds the next observation of row t, and a segment may end anywhere, at a chunk's end or at an episode's.
 """
 
 import re
@@ -19,14 +19,14 @@ from common.team import Float32, TeamSpec
 TRANSITION: Final = 1
 """Flag bit: a step follows this row, and the next row is its successor."""
 TERMINATED: Final = 2
-"""Flag bit: the step of this row ended in a terminal state; nothing is bootstrapped from its successor."""
+"""Flag bit: the step of this row ended in a terminal state; its target does not bootstrap."""
 TRUNCATED: Final = 4
-"""Flag bit: the step of this row was the episode's last by its time limit; its successor is bootstrapped from."""
+"""Flag bit: the time limit ended the episode with the step of this row; its target bootstraps from the successor."""
 
 _WHOLE: Final = re.compile(
     b"(?:(?:%c++[%c%c]?+|[%c%c])%c)++" % (TRANSITION, *2 * (TRANSITION | TERMINATED, TRANSITION | TRUNCATED), 0)
 )
-"""Flags of whole segments: steps, the last of which may end the episode, and one row after them."""
+"""Flags of whole segments: one or more steps, the last of which may end the episode, then one final row."""
 
 LARGEST: Final = 1e7
 """Largest absolute value in a row; observations are about 1, rewards up to some hundreds."""
@@ -54,7 +54,7 @@ class Rows:
         return int(np.count_nonzero(self.flag & TRANSITION))
 
     def check(self, team: TeamSpec) -> None:
-        """Raise SchemaError unless shapes fit the team, every number is finite and the flags are lawful."""
+        """Raise SchemaError unless shapes fit the team, all numbers are finite, and flags form whole segments."""
         rows = self.flag.shape[0] if self.flag.ndim == 1 else -1
         wanted = {
             "observation": (self.observation, (rows, team.observation_size)),
@@ -64,11 +64,11 @@ class Rows:
         for name, (array, shape) in wanted.items():
             if array.shape != shape or array.dtype != np.float32:
                 raise SchemaError(f"{name} is {array.dtype}{list(array.shape)}, not float32{list(shape)}.")
-            # One far number spoils Adam's moments for good; NaN fails the comparison too.
+            # One huge number would spoil Adam's moments for good; NaN fails the comparison too.
             if not (np.abs(array) <= LARGEST).all():
                 raise SchemaError(f"{name} holds a number that is not finite or larger than {LARGEST:g}.")
         if self.flag.dtype != np.uint8 or not _WHOLE.fullmatch(self.flag.tobytes()):
-            raise SchemaError("the flags are not those of whole segments.")
+            raise SchemaError("the flags do not form whole segments.")
         if self.action.size and not -1.0 <= self.action.min() <= self.action.max() <= 1.0:
             raise SchemaError("an action lies outside [-1, 1].")
 
@@ -94,7 +94,7 @@ class EpisodeSummary:
 
 @dataclass(frozen=True)
 class Chunk:
-    """What a worker delivers at once: rows of all its environments, and the episodes that ended in them."""
+    """Rows of all environments of a worker, and the episodes that ended in them."""
 
     rows: Rows
     episodes: tuple[EpisodeSummary, ...] = field(default=())

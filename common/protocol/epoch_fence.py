@@ -44,9 +44,7 @@ class EpochFence:
         now = self._clock()
         if self._lower_since is None:
             self._lower_since = now
-            self.alarm = (
-                "ignoring a learner whose epoch is lower than that of the followed one; was its clock set back?"
-            )
+            self.alarm = "a learner with a lower epoch than the followed one is ignored; was its clock set back?"
             if epoch != self._logged:
                 log(self.alarm)
                 self._logged = epoch

@@ -100,7 +100,7 @@ def test_what_hung_up_is_seen_and_named(keys_folder):
     assert (before.waiting, held.waiting) == (0, 0)
     assert held.descriptors >= before.descriptors + 2 * MOST_WAITING
     assert gone.waiting > MOST_WAITING
-    assert f"{gone.waiting} connections hung up" in gone.alarms()[0]
+    assert f"{gone.waiting} connections were closed by their peers" in gone.alarms()[0]
     assert held.alarms() == []
 
 

@@ -214,7 +214,7 @@ def eia_sec(*arguments: str) -> tuple[int, list[str]]:
 )
 def test_commands_refuse_somebody_elses_certificate(keys_folder, command, arguments, wanted):
     """A command with another process's certificate ends before anything is sent, with one sentence."""
-    with pytest.raises(CredentialsError, match=f"is that of rollout.a, and this process is {wanted}"):
+    with pytest.raises(CredentialsError, match=f"belongs to rollout.a, but this process is {wanted}"):
         command([*arguments, "--tls", str(keys_folder / "rollout.a")])
 
 

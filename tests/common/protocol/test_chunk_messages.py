@@ -24,7 +24,7 @@ def test_a_chunk_may_finish_as_many_episodes_as_it_has_steps():
     """Thousands of episodes of one step are lawful; one more than there are steps is not."""
     whole = of_short_episodes(5000, 5000)
     assert from_message(to_message(whole, TEAM, 1, 5000), TEAM, ()).episodes == whole.episodes
-    with pytest.raises(SchemaError, match="do not fit together"):
+    with pytest.raises(SchemaError, match="fit neither each other"):
         from_message(to_message(of_short_episodes(3, 4), TEAM, 1, 3), TEAM, ())
 
 
@@ -32,7 +32,7 @@ def test_episodes_end_where_the_rows_say():
     """As many summaries as flags of an end, each of at least one step: their count decides the end of a run."""
     whole = of_short_episodes(8, 3)
     for episodes in (whole.episodes[:2], (), whole.episodes + whole.episodes[:1]):
-        with pytest.raises(SchemaError, match="do not fit together"):
+        with pytest.raises(SchemaError, match="fit neither each other"):
             from_message(to_message(Chunk(whole.rows, episodes), TEAM, 1, 8), TEAM, ())
     odd = (*whole.episodes[:2], dataclasses.replace(whole.episodes[2], steps=-5))
     with pytest.raises(SchemaError, match="no steps"):
