@@ -1,4 +1,4 @@
-"""The contract that a worker's environments fulfil: a batch of environments of one kind.
+"""The interface between a worker and its environments: a batch of environments of one kind.
 
     environments = make_environments(config, count)                 # rollout.envs.registry
     environments.reset(index, scenario_seed, episode_seed)          # each index before the first step
@@ -6,8 +6,8 @@
         environments.step(action)                                   # then read observation, reward, terminated
     environments.summary(index)
 
-There is no automatic reset. Where episodes differ in length, an environment whose episode is over stands still and
-earns nothing until it is reset. Farms all last equally long, and a farm whose episode is over refuses to step.
+There is no automatic reset. Where episodes differ in length, a finished environment stands still and earns nothing
+until its reset. Farm episodes all have the same length, and a finished farm refuses to step.
 """
 
 from typing import Protocol
@@ -25,7 +25,7 @@ class Environments(Protocol):
 
     @property
     def spec(self) -> EnvironmentSpec:
-        """Team, episode metrics and what else generic code needs to know."""
+        """Team, episode metrics and whatever else generic code needs to know."""
 
     @property
     def team(self) -> TeamSpec:
@@ -33,15 +33,15 @@ class Environments(Protocol):
 
     @property
     def observation(self) -> Float32:
-        """[E, O] present observations of all agents."""
+        """[E, O] current observations of all agents."""
 
     @property
     def reward(self) -> Float32:
-        """[E, agents] of the last step."""
+        """[E, agents] rewards of the last step."""
 
     @property
     def potential(self) -> Float32:
-        """[E, agents] potential Phi of the present state, for reward shaping; 0 where there is none."""
+        """[E, agents] potential Phi of the current state, for reward shaping; 0 if there is none."""
 
     @property
     def time(self) -> NDArray[np.int64]:
@@ -49,14 +49,14 @@ class Environments(Protocol):
 
     @property
     def terminated(self) -> NDArray[np.bool_]:
-        """[E] whether the last step led to a terminal state: nothing is bootstrapped from it."""
+        """[E] whether the last step led to a terminal state, from which nothing is bootstrapped."""
 
     @property
     def ended(self) -> NDArray[np.bool_]:
         """[E] whether the episode is over, terminated or truncated."""
 
     def reset(self, index: int, scenario_seed: int, episode_seed: int, /) -> None:
-        """Start an episode: a pure function of both seeds and the actions."""
+        """Start an episode, which is a pure function of both seeds and the actions."""
 
     def step(self, action: Float32) -> None:
         """Step every environment with actions [E, A] in [-1, 1]."""
@@ -65,4 +65,4 @@ class Environments(Protocol):
         """Return the summary of an environment's episode so far."""
 
     def close(self) -> None:
-        """Release what the environments hold outside this process's memory."""
+        """Release all resources outside this process's memory."""

@@ -16,17 +16,17 @@ SEED_BITS: Final = 62
 
 
 class EpisodeStream:
-    """The episodes of one environment, one after another.
+    """The sequence of episodes of one environment.
 
-    Episode number k of a stream is a pure function of (seed, k, farms). A seed restarts the stream; without a seed it
-    starts at random.
+    Episode k of a stream is a pure function of (seed, k, farms). A seed restarts the stream; without a seed it starts
+    at random.
 
     Args:
-        farms: seeds of the farms that are drawn from.
+        farms: seeds of the farms to draw from.
 
     Raises:
         ConfigError: there is no farm.
-        SimulationError: a farm's seed is no whole number from 0 on.
+        SimulationError: a farm's seed is not a non-negative integer.
     """
 
     def __init__(self, farms: Sequence[int]) -> None:
@@ -37,17 +37,17 @@ class EpisodeStream:
         self._seed = secrets.randbits(SEED_BITS)
 
     def begin(self, seed: int) -> None:
-        """Restart with a seed; raise SimulationError unless it is a whole number from 0 on."""
+        """Restart with a seed; raise SimulationError unless it is a non-negative integer."""
         self._seed, self._number = whole("a seed", seed), 0
 
     def next(self, options: Mapping[str, Any] | None = None) -> tuple[int, int]:
         """Return the seeds of the next farm and episode.
 
         Args:
-            options: "farm" and "episode" replace the seeds that would be drawn; the stream advances all the same.
+            options: "farm" and "episode" replace the drawn seeds; the stream advances all the same.
 
         Raises:
-            SimulationError: an option is no whole number from 0 on.
+            SimulationError: an option is not a non-negative integer.
         """
         parts = ("environment", self._seed, self._number)
         chosen = options or {}
@@ -62,7 +62,7 @@ class EpisodeStream:
 
 
 def whole(name: str, value: Any) -> int:
-    """Return a whole number from 0 on as a plain int; raise SimulationError when the value is none."""
+    """Return a non-negative integer as a plain int; raise SimulationError for any other value."""
     try:
         number = operator.index(value)
     except TypeError:

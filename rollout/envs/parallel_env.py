@@ -7,7 +7,7 @@
         actions = {agent: env.action_space(agent).sample() for agent in env.agents}
         observations, rewards, terminations, truncations, infos = env.step(actions)
 
-It is `FarmBatch` with one environment, bit for bit. Docs: docs/reference/environment.md.
+It matches `FarmBatch` with one environment bit for bit. Docs: docs/reference/environment.md.
 """
 
 import itertools
@@ -58,10 +58,10 @@ def env(
 
 
 class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]  # PettingZoo ships no types
-    """One farm, all of whose UAVs act at once.
+    """One farm in which all UAVs act at once.
 
-    Episodes are truncated for all agents at the last step and never terminate. Arrays that are returned are the
-    caller's own; the next step does not change them.
+    Episodes never terminate; the last step truncates them for all agents. The caller owns the returned arrays: the next
+    step does not change them.
 
     Args:
         config: the farm; by default that of the preset study.
@@ -73,8 +73,8 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
         possible_agents: names of all agents in row order: "communication_0" and so on.
         agents: the same during an episode; empty before and after.
         observation_spaces: space of each agent's observations, [o_v] float32.
-        action_spaces: space of each agent's actions, [2]: velocities as shares of the largest; outside it they are
-            clipped by the simulator.
+        action_spaces: space of each agent's actions, [2]: velocities as fractions of the top speed. The simulator
+            clips actions outside it.
         state_space: space of `state()`, [O].
         render_mode: as given.
 
@@ -127,16 +127,16 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
         """Begin an episode.
 
         Args:
-            seed: begins a stream of episodes: the same seed gives the same farms and episodes from here on. Without
-                one the stream goes on.
+            seed: restarts the stream of episodes: the same seed gives the same farms and episodes from here on. Without
+                a seed the stream continues.
             options: "farm" and "episode" are the seeds of this episode; other keys are ignored.
 
         Returns:
             observations and infos of all agents.
 
         Raises:
-            SimulationError: a seed is no whole number from 0 on.
-            ConfigError: so many sensors do not fit at their spacing.
+            SimulationError: a seed is not a non-negative integer.
+            ConfigError: the sensors do not fit at their spacing.
         """
         if seed is not None:
             self._episodes.begin(seed)
@@ -158,11 +158,11 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
             observations, rewards, terminations (never), truncations (all at the last step) and infos.
 
         Raises:
-            SimulationError: there is no episode, an agent is missing or unknown, or an action has another shape or is
-                not finite; the state is unchanged then.
+            SimulationError: there is no episode, an agent is missing or unknown, or an action has the wrong shape or is
+                not finite. The state stays as it was.
         """
         if not self.agents:
-            raise SimulationError("there is no episode to step: it is over or was never begun; call reset.")
+            raise SimulationError("there is no episode to step: it has ended or never started. Call reset first.")
         self.batch.step(self._row(actions))
         ended = bool(self.batch.truncated[0])
         agents = self.agents
@@ -182,19 +182,18 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
     def state(self) -> Float32:
         """Return all observations in one row [O]; raise SimulationError before the first episode."""
         if self.batch.time[0] < 0:
-            raise SimulationError("there is no state before the first reset.")
+            raise SimulationError("there is no state yet. Call reset first.")
         row: Float32 = self.batch.observation[0].copy()
         return row
 
     def render(self) -> Any:
-        """Show the present state.
+        """Render the current state.
 
         Returns:
-            a picture [H, W, 3] uint8 for "rgb_array", text with colours for "ansi", nothing for "human" and without
-            a mode.
+            an image [H, W, 3] uint8 for "rgb_array", coloured text for "ansi", None for "human" or without a mode.
 
         Raises:
-            SimulationError: no episode was ever begun.
+            SimulationError: no episode has started yet.
         """
         if self.render_mode is None:
             gymnasium.logger.warn("render() was called, but the environment was made without a render_mode.")
@@ -231,12 +230,12 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
             except (TypeError, ValueError) as error:
                 raise SimulationError(f"the action of {name} is {actions[name]!r}, not two numbers.") from error
             if action.shape != (2,):
-                raise SimulationError(f"the action of {name} has the shape {list(action.shape)}, not [2].")
+                raise SimulationError(f"the action of {name} has shape {list(action.shape)}, not [2].")
             row[0, 2 * index : 2 * index + 2] = action
         return row
 
     def _infos(self) -> Infos:
-        """Return what happened in the last step, for each agent."""
+        """Return the last step's infos for each agent."""
         batch, names = self.batch, self.possible_agents
         farm, episode = self._episode
         common: dict[str, Any] = {
@@ -262,7 +261,7 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
         }
 
     def _links(self) -> list[tuple[Any, Any]]:
-        """Return, for each agent, whom it is linked with and how well: names and dB; lists for relays."""
+        """Return each agent's link partner and link quality, dB; lists for relays."""
         batch, names = self.batch, self.possible_agents
         relays = batch.team.groups[0].count
         assignment = batch.assignment[0].tolist()
@@ -279,7 +278,7 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
         return self._renderer
 
     def _show(self) -> None:
-        """Keep the trail for pictures, and draw one where the mode is "human"."""
+        """Record the state for trails, and draw it if the mode is "human"."""
         if self.render_mode is not None:
             self._drawn().observe()
             if self.render_mode == "human":

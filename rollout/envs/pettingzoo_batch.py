@@ -17,28 +17,28 @@ from rollout.envs.pettingzoo_spec import describe, make_parallel
 
 
 class PettingZooBatch:
-    """Environments stepped one after the other.
+    """A batch of environments that are stepped one after the other.
 
-    An agent that leaves before the others observes zeros and earns nothing from then on: an absorbing state, whose
-    value the critics learn to be 0 (Kostrikov et al. 2019, Discriminator-Actor-Critic, do the same).
+    An agent that leaves early is in an absorbing state: it observes zeros and earns nothing, and the critics learn that
+    its value is 0. Discriminator-Actor-Critic does the same (Kostrikov et al. 2019).
 
     Args:
-        config: which environment, and how its agents form types.
+        config: the environment's name, and how its agents form types.
         environments: E.
 
     Attributes:
         team: layout of a row, type by type.
-        spec: the same for generic code; there are no episode metrics.
+        spec: what generic code needs to know; there are no episode metrics.
         names: the agents in row order.
         observation: [E, O] float32, flattened as `gymnasium.spaces.flatten` does.
         reward: [E, agents] float32 of the last step.
-        potential: [E, agents] float32 of 0: nothing is known of the parts of the rewards.
+        potential: [E, agents] float32, always 0, because the rewards' composition is unknown.
         time: [E] steps done in this episode; -1 before the first reset.
-        terminated: [E] whether every agent that was left terminated in the last step.
+        terminated: [E] whether all remaining agents terminated in the last step.
         ended: [E] whether the episode is over.
 
     Raises:
-        ConfigError: there is no such environment, or it cannot be trained.
+        ConfigError: the environment does not exist or cannot be trained.
         SimulationError: there is no environment.
     """
 
@@ -71,7 +71,7 @@ class PettingZooBatch:
         """Start an episode; the environment's seed follows from both seeds.
 
         Raises:
-            SimulationError: the environment returns what does not fit its own spaces.
+            SimulationError: the environment returns values outside its own spaces.
         """
         self._seeds[index] = (scenario_seed, episode_seed)
         observations, _ = self._environments[index].reset(seed=derive(scenario_seed, episode_seed, "reset") % 2**31)
@@ -81,19 +81,19 @@ class PettingZooBatch:
         self._observe(index, observations)
 
     def step(self, action: Float32) -> None:
-        """Step every environment whose episode goes on with actions [E, A] float32 in [-1, 1]; they are clipped to it.
+        """Step every environment whose episode is running with actions [E, A] float32, clipped to [-1, 1].
 
-        Those that have ended stand still and earn nothing.
+        Environments whose episode has ended stand still and earn nothing.
 
         Raises:
-            SimulationError: an environment was never reset or all have ended, the actions have another shape or are
-                not finite, or an environment returns what does not fit its spaces.
+            SimulationError: an environment was never reset or all have ended, the actions have the wrong shape or are
+                not finite, or an environment returns values outside its spaces.
         """
         wanted = (len(self.time), self.team.action_size)
         if action.shape != wanted or not np.isfinite(action).all():
             raise SimulationError(f"actions must be finite numbers of shape {list(wanted)}.")
         if self.time.min() < 0 or self.ended.all():
-            raise SimulationError("an environment was stepped before its reset or beyond its episode's end.")
+            raise SimulationError("an environment was stepped before its reset or after its episode ended.")
         share = (np.clip(action, -1.0, 1.0) + 1.0) / 2.0
         spread = np.clip(self._low + share * (self._high - self._low), self._low, self._high)
         for index, row in enumerate(spread):
@@ -139,5 +139,5 @@ class PettingZooBatch:
             if name in observations:
                 flat = np.asarray(spaces.flatten(space, observations[name]), np.float32).reshape(-1)
                 if flat.shape != (part.stop - part.start,) or not np.isfinite(flat).all():
-                    raise SimulationError(f"what agent {name} observes does not fit its space or is not finite.")
+                    raise SimulationError(f"the observation of agent {name} does not fit its space or is not finite.")
                 target[part] = flat

@@ -17,10 +17,10 @@ from common.names import is_name
 from common.team import GroupSpec, TeamSpec
 
 CONTINUOUS: Final = "continuous_actions"
-"""The argument by which environments with a choice, those of MPE for instance, are asked for Box actions."""
+"""The argument that asks environments with a choice, such as MPE's, for Box actions."""
 
 NAMELESS: Final = "agent"
-"""The type of agents whose names are mere numbers."""
+"""The type of agents whose names are only numbers."""
 
 Parallel: TypeAlias = ParallelEnv[Any, Any, Any]
 
@@ -30,10 +30,10 @@ class Agents:
     """The agents of an environment in row order.
 
     Attributes:
-        names: type by type.
-        team: the layout.
-        low: [A] least action of a row; an action in [-1, 1] is spread over low .. high.
-        high: [A] largest action of a row.
+        names: names of the agents, type by type.
+        team: layout of a row.
+        low: [A] lower bounds of a row's actions; an action in [-1, 1] is scaled to low .. high.
+        high: [A] upper bounds of a row's actions.
     """
 
     names: tuple[str, ...]
@@ -45,10 +45,10 @@ class Agents:
 def make_parallel(config: EnvConfig) -> Parallel:
     """Return a new environment.
 
-    An environment whose agents act otherwise than in a Box is tried once more with `continuous_actions=True`.
+    If the agents' actions are not a Box, a second attempt passes `continuous_actions=True`.
 
     Raises:
-        ConfigError: there is none of that name, it cannot be made with these arguments, or it is no parallel
+        ConfigError: no environment has that name, it cannot be made with these arguments, or it is not a parallel
             environment with Box actions.
     """
     factory, keywords = _factory(config.name), config.keywords()
@@ -62,21 +62,21 @@ def make_parallel(config: EnvConfig) -> Parallel:
             continuous = environment
         if _has_box_actions(continuous):
             return continuous
-    raise ConfigError(f"{config.name} has other actions than bounded boxes; only those can be trained.")
+    raise ConfigError(f"{config.name} has actions other than bounded boxes; only bounded boxes can be trained.")
 
 
 def describe(environment: Parallel, prefixes: Mapping[str, str]) -> Agents:
     """Return the agents of an environment, grouped into types.
 
-    Agents belong together whose names share the longest fitting prefix of the map, or without one differ only in
-    their number. Where such agents see or do different amounts, the type is divided by these.
+    Agents form a type if their names share the longest matching prefix of the map. Without a match, agents whose names
+    differ only in their number form a type. A type whose agents differ in observation or action size is split by size.
 
     Args:
         environment: the environment.
-        prefixes: from prefix to type.
+        prefixes: maps a prefix to its type.
 
     Raises:
-        ConfigError: an observation cannot be flattened, or a type's name cannot be one (see `common.names`).
+        ConfigError: an observation cannot be flattened, or a type's name is not valid (see `common.names`).
     """
     kinds: dict[str, list[str]] = {}
     sizes = {name: _sizes(environment, name) for name in environment.possible_agents}
@@ -87,7 +87,7 @@ def describe(environment: Parallel, prefixes: Mapping[str, str]) -> Agents:
     for kind, members in kinds.items():
         if not is_name(kind):
             raise ConfigError(
-                f"agent {str(members[0])[:80]!r} is of the type {kind[:80]!r}, which must be 1 to 63 letters, digits, "
+                f"agent {str(members[0])[:80]!r} is of type {kind[:80]!r}; a type's name is 1 to 63 letters, digits, "
                 "'.', '_' or '-'; name another type with env.types."
             )
     names = tuple(name for members in kinds.values() for name in members)
@@ -106,7 +106,7 @@ def _factory(name: str) -> Callable[..., Any]:
     except ImportError as error:
         hint = "install its package, or name its folder in PYTHONPATH"
         raise ConfigError(f"there is no environment {name}: {error} ({hint}).") from None
-    except Exception as error:  # it is somebody else's code, and whatever it raises is a mistake of this name
+    except Exception as error:  # foreign code may raise anything; the user's remedy is another name
         raise ConfigError(f"{name} cannot be loaded: {type(error).__name__}: {error}.") from None
     if isinstance(found, ModuleType):
         found = getattr(found, "parallel_env", None)
@@ -119,10 +119,10 @@ def _factory(name: str) -> Callable[..., Any]:
 def _made(name: str, factory: Callable[..., Any], keywords: Mapping[str, Any]) -> Parallel:
     try:
         environment = factory(**keywords)
-    except Exception as error:  # it is somebody else's code, and whatever it raises is a mistake of these arguments
+    except Exception as error:  # foreign code may raise anything; the user's remedy is other arguments
         raise ConfigError(f"{name} cannot be made with {dict(keywords)}: {type(error).__name__}: {error}.") from None
     if not isinstance(environment, ParallelEnv):
-        raise ConfigError(f"{name} is no PettingZoo ParallelEnv but {type(environment).__name__}.")
+        raise ConfigError(f"{name} is a {type(environment).__name__}, not a PettingZoo ParallelEnv.")
     if not environment.possible_agents:
         raise ConfigError(f"{name} does not name its possible agents.")
     return environment
@@ -143,9 +143,9 @@ def _sizes(environment: Parallel, name: Any) -> tuple[int, int]:
     try:
         seen = spaces.flatten_space(environment.observation_space(name))
     except NotImplementedError:
-        raise ConfigError(f"what agent {name} observes cannot be flattened into numbers.") from None
+        raise ConfigError(f"the observation of agent {name} cannot be flattened into numbers.") from None
     if not isinstance(seen, spaces.Box):
-        raise ConfigError(f"what agent {name} observes has no fixed length.")
+        raise ConfigError(f"the observation of agent {name} has no fixed length.")
     return int(np.prod(seen.shape)), int(np.prod(environment.action_space(name).shape))
 
 

@@ -1,8 +1,8 @@
-"""Every environment that a run can be about, by `env.name`.
+"""The environments that a run can use, by `env.name`.
 
-To add one to this package, write a class that fulfils `rollout.envs.base.Environments` and add a line to FACTORIES; its
-key is the value of `env.name`, an identifier without a colon. Environments outside this package need no line: any
-PettingZoo parallel environment is named module:name.
+To add one to this package, write a class that implements `rollout.envs.base.Environments` and add a line to FACTORIES.
+Its key is the value of `env.name`, an identifier without a colon. An environment outside this package needs no line:
+name any PettingZoo parallel environment as module:name.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from rollout.envs.base import Environments
 from rollout.sim.batch import FarmBatch
 
 Factory = Callable[[RunConfig, int], Environments]
-"""Makes so many environments of a run."""
+"""Makes the given number of environments for a run."""
 
 
 def _farms(config: RunConfig, count: int) -> Environments:
@@ -34,7 +34,7 @@ def _pettingzoo(config: RunConfig, count: int) -> Environments:
 FACTORIES: Final[dict[str, Factory]] = {
     FARM: _farms,
 }
-"""Environments of this package by name. A name with a colon is that of a PettingZoo environment."""
+"""Environments of this package by name. A name with a colon is a PettingZoo environment's."""
 
 
 def make_environments(config: RunConfig, count: int) -> Environments:
@@ -54,10 +54,10 @@ def make_environments(config: RunConfig, count: int) -> Environments:
 
 
 def environment_spec(config: RunConfig) -> EnvironmentSpec:
-    """Return what generic code needs to know of a run's environment.
+    """Return what generic code needs to know about a run's environment.
 
     Raises:
-        ConfigError: as `make_environments`, or a chunk, the actors or an evaluation would not fit into a message.
+        ConfigError: as for `make_environments`, or a chunk, the actors or an evaluation would not fit into a message.
     """
     with closing(make_environments(config, 1)) as environments:
         require_frames(config, environments.spec)

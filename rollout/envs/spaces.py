@@ -1,7 +1,7 @@
-"""Observations and actions with their bounds: the spaces of every interface to the farm.
+"""The observation and action spaces that every interface to the farm shares.
 
-The bounds follow from `rollout/sim/kernel/observation.py` and hold for every state; nothing is clipped to make them
-hold. UAVs never leave the field, so an offset is at most 1. A distance is three-dimensional but divided by the field's
+The bounds follow from `rollout/sim/kernel/observation.py` and hold in every state; no value is clipped to meet
+them. UAVs never leave the field, so an offset is at most 1. A distance is three-dimensional but divided by the field's
 two-dimensional diagonal, so it may exceed 1 where two UAVs fly at different heights.
 """
 
@@ -19,7 +19,7 @@ from rollout.sim.kernel.observation import SENSOR_SCALE
 DIAGONAL: Final = math.sqrt(0.5)
 """Largest component of D_VDF and D_AoI, which are unit diagonals or 0."""
 ROUNDING: Final = 1.0 + 1e-12
-"""What the order of float64 operations may add to a distance before it is rounded to float32."""
+"""Allowance for the order of float64 operations in a distance before it is rounded to float32."""
 
 
 class Part(NamedTuple):
@@ -27,10 +27,10 @@ class Part(NamedTuple):
 
     Attributes:
         name: short name.
-        size: how many numbers.
-        low: least value.
-        high: largest value.
-        meaning: what they are.
+        size: count of numbers.
+        low: lower bound.
+        high: upper bound.
+        meaning: what the numbers mean.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Part(NamedTuple):
 
 
 def observation_parts(config: FarmConfig) -> dict[str, tuple[Part, ...]]:
-    """Return, for each type of agent, the parts of one observation in their order."""
+    """Return the parts of one observation in order, by type of agent."""
     world = config.world
     served = _apart(world, world.height_communication, (world.height_monitoring, world.height_collection))
     window = config.observation.window
@@ -75,7 +75,7 @@ def observation_parts(config: FarmConfig) -> dict[str, tuple[Part, ...]]:
 
 
 def observation_bounds(config: FarmConfig) -> dict[str, tuple[Float32, Float32]]:
-    """Return, for each type of agent, the least and the largest observation, [o_v] float32 each."""
+    """Return the lower and upper bounds of an observation, [o_v] float32 each, by type of agent."""
     bounds = {}
     for name, parts in observation_parts(config).items():
         sizes = [part.size for part in parts]
@@ -86,13 +86,13 @@ def observation_bounds(config: FarmConfig) -> dict[str, tuple[Float32, Float32]]
 
 
 def observation_box(config: FarmConfig, name: str, leading: tuple[int, ...] = ()) -> Box:
-    """Return the space of the observations of a type, [*leading, o_v]."""
+    """Return the observation space of a type, [*leading, o_v]."""
     low, high = (np.broadcast_to(bound, (*leading, len(bound))) for bound in observation_bounds(config)[name])
     return Box(low, high, dtype=np.float32)
 
 
 def row_box(config: FarmConfig) -> Box:
-    """Return the space of a whole row of observations, [O]."""
+    """Return the space of one row of observations, [O]."""
     bounds, counts = observation_bounds(config), [group.count for group in farm_team(config).groups]
     low, high = (
         np.concatenate([np.tile(both[side], count) for both, count in zip(bounds.values(), counts, strict=True)])
@@ -102,7 +102,7 @@ def row_box(config: FarmConfig) -> Box:
 
 
 def action_box(*shape: int) -> Box:
-    """Return the space of actions of a shape: velocities along the field's axes as shares of the largest ones."""
+    """Return the action space of a shape: velocities along the field's axes as fractions of the top speed."""
     return Box(-1.0, 1.0, shape, np.float32)
 
 
@@ -111,7 +111,7 @@ def _place(config: FarmConfig) -> tuple[Part, ...]:
     if not config.observation.mirrored:
         return (place,)
     return place, Part(
-        "signs", 2, -1.0, 1.0, "of the own axes, 1 or -1; all along them is multiplied by it, and VDF turned"
+        "signs", 2, -1.0, 1.0, "of the agent's axes, 1 or -1; they scale values along the axes and flip the VDF window"
     )
 
 
@@ -123,7 +123,7 @@ def _towards(name: str, farthest: float) -> tuple[Part, ...]:
 
 
 def _nearest(config: FarmConfig, height: float) -> tuple[Part, ...]:
-    """Return the view of the nearest UAV; it flies in the own plane unless any plane is searched (W10)."""
+    """Return the view of the nearest UAV. It flies in the same plane unless all planes are searched (W10)."""
     world = config.world
     heights = (world.height_communication, world.height_monitoring, world.height_collection)
     others = heights if config.reward.nearest == "any" else (height,)
@@ -137,15 +137,15 @@ def _lattice(config: FarmConfig) -> tuple[Part, ...]:
 
 
 def _self(config: FarmConfig, count: int) -> tuple[Part, ...]:
-    """Return which agent of its type it is and what time it is, where it sees these."""
+    """Return the parts for an agent's index within its type and for the clock, if it observes them."""
     seen = config.observation
-    rank = (Part("rank", count, 0.0, 1.0, "1 at the agent's place in its type, else 0"),) if seen.identity else ()
-    clock = (Part("clock", 1, 0.0, 1.0, "share of the episode that is over"),) if seen.clock else ()
+    rank = (Part("rank", count, 0.0, 1.0, "one-hot index of the agent within its type"),) if seen.identity else ()
+    clock = (Part("clock", 1, 0.0, 1.0, "fraction of the episode that has passed"),) if seen.clock else ()
     return rank + clock
 
 
 def _apart(world: WorldConfig, height: float, others: tuple[float, ...]) -> float:
-    """Return the largest distance to a UAV at one of the other heights, over the field's diagonal."""
+    """Return the largest distance to a UAV at any of the other heights, divided by the field's diagonal."""
     rise = max(abs(other - height) for other in others)
     diagonal = math.hypot(world.field_x, world.field_y)
     return math.hypot(diagonal, rise) / diagonal * (ROUNDING if rise else 1.0)

@@ -1,7 +1,7 @@
-"""Many farms at once as a Gymnasium vector environment, without copies.
+"""Many farms as one Gymnasium vector environment, without copies.
 
-It is `FarmBatch` behind Gymnasium's names. Two things differ from a single-agent vector environment: observations and
-actions are dictionaries by type of agent, and rewards have a column for each agent, [E, n].
+It is `FarmBatch` with Gymnasium's interface. Two things differ from a single-agent vector environment: observations and
+actions are dictionaries keyed by type of agent, and rewards have a column for each agent, [E, n].
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,20 +30,20 @@ INFO_ARRAYS: Final = ("aoi", "vdf", "position", "assignment", "link_quality", "s
 
 
 class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDArray[Any]]):
-    """E farms that are stepped by one compiled call.
+    """E farms that one compiled call steps.
 
-    What `reset` and `step` return are views of the simulator's own arrays, which change with the next call; copy
-    what is to be kept. Observations and rewards may be written to (the simulator never reads them); the arrays in
-    infos are read-only. Environment e with seed s + e has the same episodes as `parallel_env` with that seed.
+    `reset` and `step` return views of the simulator's own arrays, which the next call changes; copy what you want to
+    keep. You may write to observations and rewards, because the simulator never reads them; the arrays in infos are
+    read-only. Environment e with seed s + e has the same episodes as `parallel_env` with that seed.
 
     Args:
         num_envs: E.
         config: the farm; by default that of the preset study.
         farms: seeds of the farms to draw episodes from.
-        autoreset_mode: what follows an episode's end, as Gymnasium defines it. SAME_STEP: the next episode begins
+        autoreset_mode: what happens when an episode ends, as Gymnasium defines it. SAME_STEP: the next episode begins
             in the same call; the last observation is `infos["final_obs"][e]`, and the last info `infos["final_info"]`.
-            NEXT_STEP: it begins in the next call, which ignores the action and pays 0. DISABLED: the caller resets
-            with options={"reset_mask": [E] bool}.
+            NEXT_STEP: it begins in the next call, which ignores the action and returns reward 0. DISABLED: the caller
+            resets with options={"reset_mask": [E] bool}.
         render_mode: "rgb_array", "ansi", "human", or none.
         rendered: the environments that `render` shows.
 
@@ -57,8 +57,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         render_mode: as given.
 
     Raises:
-        ConfigError: there is no farm, the farm is impossible, the mode does not exist, or an environment that is to
-            be rendered does not.
+        ConfigError: there is no farm, the farm is impossible, or the mode or an environment to render does not exist.
         SimulationError: there is no environment.
     """
 
@@ -85,7 +84,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         self.metadata = {**type(self).metadata, "autoreset_mode": self._mode}
         self.render_mode = render_mode
         if not all(0 <= index < num_envs for index in rendered):
-            raise ConfigError(f"there are environments 0 to {num_envs - 1} to render, not {list(rendered)}.")
+            raise ConfigError(f"cannot render environments {list(rendered)}; there are only 0 to {num_envs - 1}.")
         self._renderers = [Renderer(self.batch, index) for index in rendered] if render_mode else []
         self._streams = [EpisodeStream(farms) for _ in range(num_envs)]
         self._episodes = [(-1, -1)] * num_envs
@@ -104,16 +103,16 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         """Begin an episode in every environment, or in those of a mask.
 
         Args:
-            seed: environment e begins its stream of episodes with seed + e, or with entry e of a list; without one
-                the streams go on.
-            options: "reset_mask", [E] bool: the environments to reset; "farm" and "episode": seeds for all of them,
-                or one for each of the E; other keys are ignored.
+            seed: environment e restarts its stream of episodes with seed + e, or with entry e of a list. Without a seed
+                the streams continue.
+            options: "reset_mask", [E] bool: the environments to reset; "farm" and "episode": one seed for all of
+                them, or a list of E seeds. Other keys are ignored.
 
         Returns:
             observations and infos.
 
         Raises:
-            SimulationError: a seed, an option or the mask has another form.
+            SimulationError: a seed, an option or the mask is malformed.
         """
         seeds = self._seeds(seed)
         chosen = dict(options or {})
@@ -139,8 +138,8 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
             observations, rewards [E, n], terminations [E] (never), truncations [E] and infos.
 
         Raises:
-            SimulationError: an environment was never reset or is over, or the actions have another shape or are not
-                finite.
+            SimulationError: an environment was never reset or its episode has ended, or the actions have the wrong
+                shape or are not finite.
         """
         row = self._row(actions)
         if self._due.any():
@@ -150,10 +149,10 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         return self._result(ended)
 
     def render(self) -> tuple[Any, ...] | None:
-        """Show the environments of `rendered`.
+        """Render the environments of `rendered`.
 
         Returns:
-            a picture [H, W, 3] uint8 or a text for each of them; nothing for "human" and without a mode.
+            an image [H, W, 3] uint8 or a text for each of them; None for "human" or without a mode.
         """
         if self.render_mode is None:
             return None
@@ -169,14 +168,14 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         config = self.batch.config
         single = {group.name: observation_box(config, group.name, (group.count,)) for group in team.groups}
         actions = {group.name: action_box(group.count, group.action_size) for group in team.groups}
-        # Pairs, because a dictionary would be sorted by name.
+        # Pairs, because Gymnasium would sort a dictionary by name.
         self.single_observation_space = Dict([*single.items()])
         self.single_action_space = Dict([*actions.items()])
         self.observation_space = Dict([(name, batch_space(box, self.num_envs)) for name, box in single.items()])
         self.action_space = Dict([(name, batch_space(box, self.num_envs)) for name, box in actions.items()])
 
     def _result(self, ended: Mask) -> tuple[Observations, Float32, Mask, Mask, dict[str, Any]]:
-        """Return the step's results; begin the next episodes at once where the mode says so."""
+        """Return the step's results. In SAME_STEP mode, begin the next episodes first."""
         infos: dict[str, Any] = dict(self._infos)
         rewards = self.batch.reward
         if ended.any():
@@ -207,7 +206,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         """Begin the episodes that are due and step the other environments (NEXT_STEP)."""
         due = self._due
         if self._mode is AutoresetMode.DISABLED:
-            raise SimulationError(f"environments {np.flatnonzero(due).tolist()} are over; reset them by reset_mask.")
+            raise SimulationError(f"environments {np.flatnonzero(due).tolist()} have ended; reset them by reset_mask.")
         if row.shape != self._actions.shape or row.dtype != np.float32 or not np.isfinite(row).all():
             raise SimulationError(f"actions must be finite float32 numbers of shape {list(self._actions.shape)}.")
         indices = np.flatnonzero(due).tolist()
@@ -216,7 +215,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         self._due = np.zeros(self.num_envs, np.bool_)
         if due.all():
             return self._result(self.batch.truncated)
-        # The batch steps all or none: those that begin are stepped with the others, and begun once more.
+        # The batch steps all environments or none, so the new episodes step too and then start again.
         still = np.where(due[:, None], np.float32(0.0), row)
         self.batch.step(still)
         for index in indices:
@@ -228,16 +227,16 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         self.batch.reset(index, *self._episodes[index])
 
     def _row(self, actions: Float32 | Mapping[str, Float32]) -> Float32:
-        """Return the actions as a row; one that is a row already is not copied."""
+        """Return the actions as one row. A row is returned as it is, without a copy."""
         if not isinstance(actions, Mapping):
             return actions
         team = self.batch.team
         if set(actions) != {group.name for group in team.groups}:
-            raise SimulationError(f"there are actions for {', '.join(map(str, actions))}, not for every type.")
+            raise SimulationError(f"actions are given for {', '.join(map(str, actions))} only, not for every type.")
         for group, part in zip(team.groups, team.split_actions(self._actions), strict=True):
             if np.shape(actions[group.name]) != part.shape:
                 raise SimulationError(
-                    f"the actions of type {group.name} have the shape {list(np.shape(actions[group.name]))}, "
+                    f"the actions of type {group.name} have shape {list(np.shape(actions[group.name]))}, "
                     f"not {list(part.shape)}."
                 )
             part[...] = actions[group.name]
@@ -250,7 +249,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
             super().reset(seed=whole("a seed", seed))
             return [seed + index for index in range(self.num_envs)]
         if len(seed) != self.num_envs:
-            raise SimulationError(f"there are {len(seed)} seeds for {self.num_envs} environments.")
+            raise SimulationError(f"got {len(seed)} seeds for {self.num_envs} environments.")
         return [None if start is None else whole("a seed", start) for start in seed]
 
     def _mask(self, mask: Any) -> Mask:
@@ -261,7 +260,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         return mask
 
     def _entry(self, name: str, value: Any, index: int) -> Any:
-        """Return an environment's entry of an option that is for all, or one for each."""
+        """Return an environment's value of an option that holds one value for all or one for each."""
         if value is None or np.ndim(value) == 0:
             return value
         if np.shape(value) != (self.num_envs,):
@@ -269,7 +268,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         return value[index]
 
     def _show(self) -> None:
-        """Keep the trails for pictures, and draw them where the mode is "human"."""
+        """Record the state for trails, and draw it if the mode is "human"."""
         for renderer in self._renderers:
             renderer.observe()
             if self.render_mode == "human":
@@ -281,7 +280,7 @@ def _autoreset(mode: AutoresetMode | str) -> AutoresetMode:
         return AutoresetMode(mode)
     except ValueError as error:
         names = ", ".join(known.value for known in AutoresetMode)
-        raise ConfigError(f"there is no autoreset mode {mode!r}; there are {names}.") from error
+        raise ConfigError(f"unknown autoreset mode {mode!r}; choose from {names}.") from error
 
 
 def _by_type(team: TeamSpec, rows: Float32) -> Observations:

@@ -1,4 +1,4 @@
-"""Beam search for the path of one UAV over a grid of places that lie one step apart."""
+"""Beam search for one UAV's path over a grid of places one step apart."""
 
 from typing import NamedTuple
 
@@ -12,14 +12,14 @@ Indices = NDArray[np.int64]
 
 
 class SearchGrid(NamedTuple):
-    """Places one step apart, and the sites that can be served from each.
+    """Places one step apart, and the sites that a UAV can serve from each.
 
     Attributes:
         place: [K, 2] m, x outer.
         rows: places along y.
         first: [K + 1] first entry of each place in `site` and `chance`.
         site: plots or sensors within reach.
-        chance: that a visit of one step serves them.
+        chance: probability that a visit of one step serves the site.
     """
 
     place: Array
@@ -33,12 +33,12 @@ class StepReward(NamedTuple):
     """Reward of a step.
 
     Attributes:
-        unit: of one unit served.
-        idle: of serving nothing; not above 0.
-        risk: of closing in by 1 m on the nearest UAV; not above 0.
-        safety: distance from which on that costs nothing, m.
-        flight: of flying nowhere, along one axis, along both; not above 0.
-        discount: of what comes a step later.
+        unit: reward for one unit served.
+        idle: reward for serving nothing; not above 0.
+        risk: reward for closing in by 1 m on the nearest UAV; not above 0.
+        safety: distance beyond which closing in costs nothing, m.
+        flight: reward for staying, moving along one axis, and moving along both; not above 0.
+        discount: discount factor per step.
     """
 
     unit: float
@@ -51,7 +51,7 @@ class StepReward(NamedTuple):
 
 @compiled
 def _units(grid: SearchGrid, level: Array, rest: Array, node: int) -> float:
-    """Return the expected units that a step over a place serves."""
+    """Return the expected units served in one step over a place."""
     total = 0.0
     for entry in range(grid.first[node], grid.first[node + 1]):
         site = grid.site[entry]
@@ -61,14 +61,14 @@ def _units(grid: SearchGrid, level: Array, rest: Array, node: int) -> float:
 
 @compiled
 def _serve(grid: SearchGrid, rest: Array, node: int) -> None:
-    """Subtract what a step over a place serves from the shares [S] that are left."""
+    """Subtract what a step over a place serves from the remaining shares [S]."""
     for entry in range(grid.first[node], grid.first[node + 1]):
         rest[grid.site[entry]] *= 1.0 - grid.chance[entry]
 
 
 @compiled
 def _closing(place: Array, node: int, before: int, others: Array, earlier: Array, safety: float) -> float:
-    """Return by how many metres a move closes in on the UAV that is nearest after it, if it is nearer than `safety`."""
+    """Return how far a move closes in on the UAV nearest after it, m; 0 if that UAV is `safety` or more away."""
     nearest, closing = safety, 0.0
     for other in range(len(others)):
         now = np.hypot(place[node, 0] - others[other, 0], place[node, 1] - others[other, 1])
@@ -98,17 +98,17 @@ def _expand(
         grid: places and sites.
         reward: reward of a step.
         level: [S] counters that this step would credit.
-        others: [m, 2] where the other UAVs are after the step, m.
-        earlier: [m, 2] the same before it.
+        others: [m, 2] positions of the other UAVs after the step, m.
+        earlier: [m, 2] their positions before the step, m.
         factor: discount of this step.
         node: [b] last place of each path.
-        score: [b] of each path.
-        rest: [b, S] share of each site that a path has left.
-        candidate: [9 b] out: scores of the longer paths.
-        move: [9 b, 2] out: their path and new place.
+        score: [b] score of each path.
+        rest: [b, S] share of each site that a path has not served yet.
+        candidate: [9 b] out: scores of the extended paths.
+        move: [9 b, 2] out: the path that each one extends, and its new place.
 
     Returns:
-        how many there are.
+        the number of extended paths.
     """
     count, columns = 0, len(grid.place) // grid.rows
     for b in range(len(node)):
@@ -128,7 +128,7 @@ def _expand(
 
 @compiled
 def _keep_best(candidate: Array, move: Indices, width: int, same: int, used: Indices, chosen: Indices) -> int:
-    """Keep the best candidates, at most `same` that end in one place; return how many."""
+    """Keep the best candidates, at most `same` per end place; return the number kept."""
     kept = 0
     for pick in np.argsort(-candidate):
         to = move[pick, 1]
@@ -160,14 +160,14 @@ def best_path(
         grid: places and sites.
         reward: reward of a step.
         start: place of the UAV.
-        level: [H, S] counters that each of the H steps would credit if nobody served anything.
-        claimed: [M] places on the plans of the other UAVs; what these serve is left to them.
-        others: [H + 1, m, 2] where the other UAVs are now and after each step, m.
-        width: paths that are kept.
-        same: how many of them may end in one place.
+        level: [H, S] counters that each of the H steps would credit if no UAV served anything.
+        claimed: [M] places on the plans of the other UAVs; what they serve does not count here.
+        others: [H + 1, m, 2] positions of the other UAVs now and after each step, m.
+        width: number of paths to keep.
+        same: number of kept paths that may end in one place.
 
     Returns:
-        [H] places after each step.
+        [H] place after each step.
     """
     horizon, sites = level.shape
     node, score, rest = np.full(1, start), np.zeros(1), np.ones((1, sites))

@@ -1,7 +1,7 @@
-"""Heuristics composed of three group policies: one each for the relays, the monitors and the collectors.
+"""Heuristics made of three group policies, one each for relays, monitors and collectors.
 
-A group policy says where its UAVs should be next. `steering` flies them there and keeps them apart, in the same way for
-all. Every environment has group policies of its own, so an episode does not depend on the others in its batch.
+A group policy sets goals for its UAVs. `steering` flies every UAV to its goal and keeps the UAVs apart. Each
+environment has its own group policies, so an episode does not depend on the rest of the batch.
 """
 
 from collections.abc import Callable
@@ -30,12 +30,12 @@ class FarmState:
     Attributes:
         config: the farm.
         layout: its sensors.
-        seeds: farm and episode.
-        agents: rows of the relays, the monitors and the collectors.
+        seeds: farm seed and episode seed.
+        agents: row slices of the relays, the monitors and the collectors.
         time: steps done.
         position: [n, 2] m.
-        aoi: [S].
-        vdf: [n_px n_py], plots in row-major order.
+        aoi: [S] AoI.
+        vdf: [n_px n_py] VDF, plots in row-major order.
         assignment: [n_m + n_d] relay of each served UAV.
     """
 
@@ -58,15 +58,15 @@ class GroupPolicy(Protocol):
     """Steers the UAVs of one type in one environment for one episode."""
 
     def goals(self, state: FarmState) -> Array:
-        """Return where each UAV should be after this step, or later if that is too far: [n_v, 2] m."""
+        """Return each UAV's goal, [n_v, 2] m. A goal may take more than one step to reach."""
 
 
 GroupPolicyFactory = Callable[[FarmState], GroupPolicy]
-"""Makes a group policy for the episode that begins with a state."""
+"""Makes a group policy for the episode that begins in the given state."""
 
 
 class CompositePolicy:
-    """Flies every environment of a batch by three group policies.
+    """Flies every environment of a batch with three group policies.
 
     Args:
         config: the farm.

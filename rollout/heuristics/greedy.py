@@ -1,6 +1,6 @@
-"""Every UAV flies to the target with the best value / (time + c), and stays until its value is 0.
+"""Every UAV flies to the target with the best value / (time + c) and stays until that value is 0.
 
-Source: nearest-task allocation weighed by reward, as in greedy multi-robot task allocation (Gerkey and Mataric 2004).
+Source: nearest-task allocation weighted by reward, as in greedy multi-robot task allocation (Gerkey and Mataric 2004).
 """
 
 from typing import Final
@@ -15,7 +15,7 @@ from rollout.heuristics.targets import Targets
 OFFSET: Final = 1.0
 """c, steps."""
 SEPARATION: Final = 60.0
-"""Least distance between the targets of two UAVs of a type, m: none is shared, and paths stay apart."""
+"""Least distance between the targets of two UAVs of a type, m. It keeps targets unshared and paths apart."""
 
 
 def monitors(state: FarmState) -> GroupPolicy:
@@ -32,7 +32,7 @@ class GreedyGroupPolicy:
     """UAVs that look one target ahead.
 
     Args:
-        state: the start.
+        state: state at the start of the episode.
         kind: the UAVs' type.
     """
 
@@ -42,7 +42,7 @@ class GreedyGroupPolicy:
         self._chosen: NDArray[np.int64] = np.full(len(state.of(kind)), -1)
 
     def goals(self, state: FarmState) -> Array:
-        """Return a place in each UAV's target, or its own place when no target has a value: [n_v, 2] m."""
+        """Return a place in each UAV's target, or the UAV's own position if no target has value: [n_v, 2] m."""
         position, world, box = state.of(self._kind), state.config.world, self._targets.box
         value = self._targets.value(state)
         steps = steps_to(position[:, None], box[:, None], world)
@@ -59,18 +59,18 @@ class GreedyGroupPolicy:
 def best_targets(
     value: Array, steps: Array, centre: Array, kept: NDArray[np.int64], offset: float, separation: float
 ) -> NDArray[np.int64]:
-    """Give each UAV in turn the best target that lies apart from those already given.
+    """Give each UAV in turn the best target far enough from those already taken.
 
     Args:
-        value: [K] of a visit; nobody flies to a target of value 0.
-        steps: [n, K] of the flight there.
-        centre: [K, 2] m.
-        kept: [n] target of the step before, -1 for none; it is kept while its value is above 0.
+        value: [K] value of a visit; no UAV flies to a target of value 0.
+        steps: [n, K] flight time to each target, steps.
+        centre: [K, 2] centres of the targets, m.
+        kept: [n] target in the previous step, -1 for none; a UAV keeps it while its value is above 0.
         offset: c, steps.
-        separation: least distance between two targets that are given anew, m.
+        separation: least distance between two newly chosen targets, m.
 
     Returns:
-        [n] target of each UAV, -1 when no target has a value.
+        [n] target of each UAV, -1 if no target has value.
     """
     free = value > 0.0
     chosen = np.where((kept >= 0) & free[kept], kept, -1)

@@ -1,7 +1,7 @@
-"""Receding horizon: every UAV plans some steps ahead by the reward, flies the first few of them, and plans anew.
+"""Receding horizon: every UAV plans some steps ahead by the reward, flies the first few, and replans.
 
-Source: receding-horizon control with beam search over a grid, as for informative paths (Binney and Sukhatme 2012);
-one robot after the other as in sequential allocation (Singh et al. 2009).
+Source: receding-horizon control with beam search over a grid, as in informative path planning (Binney and Sukhatme
+2012). UAVs plan one after another, as in sequential allocation (Singh et al. 2009).
 """
 
 import functools
@@ -22,11 +22,11 @@ from rollout.sim.kernel.motion import flight_power
 from rollout.sim.layout import cell_counts
 
 LAST: Final = 60
-"""Last steps of an episode, in which plans look further ahead: what is left at the end is lost."""
+"""Number of last steps in which plans look further ahead, because whatever is unserved at the end is lost."""
 NOBODY: Final[Indices] = np.zeros(0, np.int64)
 """The plan of a UAV that has no plan yet."""
 FAINT: Final = 0.02
-"""Sensors that are heard with a smaller chance are ignored."""
+"""Sensors whose packets arrive with a smaller probability are ignored."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class Effort:
     Attributes:
         horizon: steps that a plan looks ahead.
         width: paths that the search keeps.
-        last_horizon: steps that it looks ahead in the last LAST steps.
-        last_width: paths that the search keeps then.
+        last_horizon: horizon during the last LAST steps.
+        last_width: width during the last LAST steps.
         same: kept paths that may end in one place.
-        discount: worth of what comes a step later.
+        discount: discount factor per step.
     """
 
     horizon: int = 16
@@ -51,11 +51,11 @@ class Effort:
 
 
 EFFORT: Final = Effort()
-"""The effort with which the heuristic flies; `experiments.search` shows what more of it gives."""
+"""The heuristic's search effort. `experiments.search` shows what more effort gains."""
 
 
 def monitors(state: FarmState) -> GroupPolicy:
-    """Return monitors that sweep until the last steps: all plots are alike, so no plan beats a sweep."""
+    """Return monitors that sweep until the last steps. All plots are alike, so no plan beats a sweep."""
     return Handover(state, lawnmower.monitors(state), HorizonGroupPolicy(state, MONITORS))
 
 
@@ -65,12 +65,12 @@ def collectors(state: FarmState) -> GroupPolicy:
 
 
 class Handover:
-    """One group policy flies until the last steps of the episode, another one from there on.
+    """One group policy flies until the last steps of the episode; another flies those.
 
     Args:
-        state: the start.
-        early: flies first.
-        late: flies the last LAST steps.
+        state: state at the start of the episode.
+        early: the policy that flies first.
+        late: the policy that flies the last LAST steps.
     """
 
     def __init__(self, state: FarmState, early: GroupPolicy, late: GroupPolicy) -> None:
@@ -78,15 +78,15 @@ class Handover:
         self._early, self._late = early, late
 
     def goals(self, state: FarmState) -> Array:
-        """Return the goals of the policy that flies now, [n_v, 2] m."""
+        """Return the goals of the current policy, [n_v, 2] m."""
         return (self._early if state.time < self._change else self._late).goals(state)
 
 
 class HorizonGroupPolicy:
-    """UAVs plan in turn, one in each step; a plan leaves to the others what their plans will serve.
+    """UAVs plan in turn, one per step. A plan does not count what the other UAVs' plans will serve.
 
     Args:
-        state: the start.
+        state: state at the start of the episode.
         kind: the UAVs' type.
         effort: size of the search.
     """
@@ -108,7 +108,7 @@ class HorizonGroupPolicy:
         self._plans: list[Indices] = [NOBODY] * len(state.of(kind))
 
     def goals(self, state: FarmState) -> Array:
-        """Return the next place of each plan, [n_v, 2] m."""
+        """Return the next place on each plan, [n_v, 2] m."""
         count = len(self._plans)
         self._plans = [plan[1:] for plan in self._plans]
         for uav in range(count):
@@ -135,7 +135,7 @@ class HorizonGroupPolicy:
         return best_path(self._grid, self._reward, start, levels, claimed, others, width, effort.same)
 
     def _levels(self, state: FarmState, horizon: int) -> Array:
-        """Return the counters [horizon, S] that the coming steps would credit if nobody served anything."""
+        """Return the counters [horizon, S] that the coming steps would credit if no UAV served anything."""
         now = state.vdf if self._kind == MONITORS else state.aoi
         then = state.time + np.arange(horizon)[:, None]
         rises = (then - self._phase) // self._cycle - (state.time - self._phase) // self._cycle
@@ -144,7 +144,7 @@ class HorizonGroupPolicy:
 
 
 def step_reward(config: FarmConfig, kind: int, discount: float) -> StepReward:
-    """Return the reward of UAVs of a type for one step; both UAVs of a pair pay for closing in."""
+    """Return the reward of UAVs of a type for one step. Both UAVs of a pair pay for closing in."""
     reward, world = config.reward, config.world
     flight, across = constants(config, cell_counts(world)).flight, reach(world) / world.step_seconds
     speeds = 0.0, float(across.mean()), float(np.hypot(*across))
@@ -162,7 +162,7 @@ def step_reward(config: FarmConfig, kind: int, discount: float) -> StepReward:
 
 @functools.lru_cache(maxsize=8)
 def plot_grid(config: FarmConfig) -> SearchGrid:
-    """Return the grid with the plots that are imaged from each place."""
+    """Return the grid with the plots that a UAV can image from each place."""
     place, rows = _places(config)
     far = config.camera.image_distance + 2.0 * reach(config.world).max()
     node, plot, _ = pairs_within(place, plot_centres(config.world), far)
@@ -178,19 +178,19 @@ def _sensor_grid(config: FarmConfig, sensors: bytes) -> SearchGrid:
 
 
 def sensor_grid(config: FarmConfig, xy: Array) -> SearchGrid:
-    """Return the grid with the sensors [S, 2] that are heard from each place."""
+    """Return the grid with the sensors [S, 2] that a UAV can hear from each place."""
     return _sensor_grid(config, xy.tobytes())
 
 
 def _places(config: FarmConfig) -> tuple[Array, int]:
-    """Return the fewest places of an even grid whose neighbours are one step apart, [K, 2] m, and those along y."""
+    """Return the smallest even grid with neighbours one step apart, [K, 2] m, and its number of places along y."""
     size, counts = (config.world.field_x, config.world.field_y), [fewest(share) for share in config.world.reach]
     x, y = ((np.arange(count) + 0.5) * width / count for count, width in zip(counts, size, strict=True))
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2), int(counts[1])
 
 
 def _grid(place: Array, rows: int, node: Indices, site: Indices, chance: Array) -> SearchGrid:
-    """Return a grid from which each node serves a site with a chance, all [P], where that is above 0."""
+    """Return a grid from triples (node, site, chance), [P] each. Triples with chance 0 are left out."""
     node, site, chance = node[chance > 0.0], site[chance > 0.0], chance[chance > 0.0]
     first = np.searchsorted(node, np.arange(len(place) + 1)).astype(np.int64)
     return SearchGrid(place, rows, first, site, chance)

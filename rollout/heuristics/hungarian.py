@@ -1,4 +1,4 @@
-"""Targets assigned by the Hungarian method, by the value of a short chain of visits from each.
+"""Hungarian assignment of targets, valued by the short chain of visits that starts at each.
 
 Source: sequential assignment with the Hungarian method (Kuhn 1955), with look-ahead by rolling out a chain.
 """
@@ -17,15 +17,15 @@ from rollout.heuristics.targets import Targets
 Indices = NDArray[np.int64]
 
 MOST_KNOWN: Final = 2048
-"""Up to so many targets, the flight times between all pairs are held in memory."""
+"""With up to this many targets, the flight times between all pairs are held in memory."""
 CANDIDATES: Final = 12
 """Targets that each UAV considers: those with the largest discounted value."""
 CHAIN: Final = 8
 """Visits of a chain."""
 DISCOUNT: Final = 0.9
-"""Discount of a value that comes a step later."""
+"""Discount factor per step."""
 FOREIGN: Final = 0.1
-"""Factor on the value of a target that is nearer to another UAV of the type."""
+"""Factor on a target's value if another UAV of the type is nearer."""
 
 
 def monitors(state: FarmState) -> GroupPolicy:
@@ -39,10 +39,10 @@ def collectors(state: FarmState) -> GroupPolicy:
 
 
 class HungarianGroupPolicy:
-    """All UAVs are assigned anew whenever one of them is done.
+    """All UAVs are reassigned whenever one of them finishes its target.
 
     Args:
-        state: the start.
+        state: state at the start of the episode.
         kind: the UAVs' type.
     """
 
@@ -55,7 +55,7 @@ class HungarianGroupPolicy:
         self._second = self.chosen
 
     def goals(self, state: FarmState) -> Array:
-        """Return a place in each UAV's target, or its own place when no target has a value: [n_v, 2] m."""
+        """Return a place in each UAV's target, or the UAV's own position if no target has value: [n_v, 2] m."""
         position, box = state.of(self._kind), self._targets.box
         value = self._targets.value(state)
         if ((self.chosen < 0) | (value[self.chosen] <= 0.0)).any():
@@ -71,13 +71,13 @@ class HungarianGroupPolicy:
         return self._discounts(at) if self._known is None else self._known[at]
 
     def _discounts(self, at: Indices) -> Array:
-        """Return the discounts [C, K] of the flights from some targets [C] to all."""
+        """Return the discounts [C, K] for flights from the given targets [C] to all targets."""
         steps = steps_to(self._targets.centre[at][:, None], self._targets.box[:, None], self._world)
         discounts: Array = DISCOUNT**steps
         return discounts
 
     def _assign(self, value: Array, steps: Array) -> tuple[Indices, Indices]:
-        """Return each UAV's target, -1 for none, and the one after it, from values [K] and steps [n, K]."""
+        """Return each UAV's target, -1 for none, and its next target, from values [K] and steps [n, K]."""
         uavs, number = steps.shape
         nearest = steps.argmin(axis=0) == np.arange(uavs)[:, None]
         share = np.where(nearest, value, FOREIGN * value)
@@ -96,16 +96,16 @@ class HungarianGroupPolicy:
 def chain_value(
     first: Indices, factor: Array, value: Array, between: Callable[[Indices], Array], length: int
 ) -> tuple[Array, Indices]:
-    """Return the values of chains of visits, and where each goes second.
+    """Return the values of chains of visits and the second target of each.
 
-    A chain goes on to the target with the largest discounted value that it has not visited.
+    A chain continues to the unvisited target with the largest discounted value.
 
     Args:
         first: [C] first target of each chain.
-        factor: [C] discount of the flight to it.
-        value: [C, K] of each target for the UAV that would fly the chain.
-        between: gives for targets [C] the discounts [C, K] of the flights to all.
-        length: visits.
+        factor: [C] discount for the flight to the first target.
+        value: [C, K] value of each target for the UAV that would fly the chain.
+        between: maps targets [C] to the discounts [C, K] for flights to all targets.
+        length: number of visits.
 
     Returns:
         [C] sums of discounted values, [C] second targets.

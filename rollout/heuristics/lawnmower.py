@@ -1,4 +1,4 @@
-"""The field divided among the UAVs of a type; each sweeps its part lane by lane, returns to its start, and so on.
+"""The UAVs of a type divide the field. Each sweeps its part lane by lane, returns to its start and repeats.
 
 Source: boustrophedon coverage (Choset and Pignon 1998) over a partition of the field.
 """
@@ -14,17 +14,17 @@ from rollout.heuristics.steering import Array, aim, steps_to
 from rollout.heuristics.tour_follower import TourFollower
 
 LANE_PLOTS: Final = 2
-"""Plots side by side in a monitor's lane. A step is half a plot long, and a plot is imaged from anywhere around its
-middle, so a UAV that weaves between two columns images a plot in every step; over one column, in every second."""
+"""Plots side by side in a monitor's lane. A step is half a plot long, and anywhere near a plot's middle is close enough
+to image it. So a UAV that weaves between two columns images a plot every step; over one column, every second step."""
 LANE: Final = 50.0
 """Widest lane of a collector, m."""
 INSET: Final = 33.0
 """A collector turns at this distance from the border of its area, m."""
 ARRIVED: Final = 0.5
-"""A collector's turning point counts as reached within this distance along each axis, m."""
+"""A collector has reached its turning point if it is within this distance along each axis, m."""
 
 Block = tuple[int, int, int, int]
-"""First and past-the-last column and row of a part of the field."""
+"""First column, end column, first row and end row of a part of the field; ends are exclusive."""
 
 
 def monitors(state: FarmState) -> GroupPolicy:
@@ -38,7 +38,7 @@ def collectors(state: FarmState) -> GroupPolicy:
 
 
 def monitoring_routes(config: FarmConfig) -> list[Array]:
-    """Return for each monitor the boxes of the plots of its part, in the order of a sweep: [2, L, 2] m."""
+    """Return the plot boxes of each monitor's part in sweep order, [2, L, 2] m each."""
     world, boxes = config.world, plot_boxes(config)
     divisions = [
         [boxes[:, woven(block, world.plots_y)] for block in blocks]
@@ -48,7 +48,7 @@ def monitoring_routes(config: FarmConfig) -> list[Array]:
 
 
 def collection_routes(world: WorldConfig) -> list[Array]:
-    """Return for each collector boxes around the turning points of its lanes, [2, L, 2] m."""
+    """Return the boxes around the turning points of each collector's lanes, [2, L, 2] m each."""
     size = np.array([world.field_x, world.field_y])
     columns, rows = (max(1, int(np.ceil(length / LANE))) for length in size)
     divisions = [
@@ -61,7 +61,7 @@ def collection_routes(world: WorldConfig) -> list[Array]:
 def divided(uavs: int, columns: int, rows: int) -> list[list[Block]]:
     """Return ways to divide columns x rows cells among UAVs: 1, 2, ... strips of columns, each cut across.
 
-    Where a strip has fewer rows than UAVs, some share a row.
+    If a strip has fewer rows than UAVs, some UAVs share a row.
     """
     ways = []
     for strips in range(1, min(uavs, columns) + 1):
@@ -82,7 +82,7 @@ def shortest(divisions: list[list[Array]], world: WorldConfig) -> list[Array]:
 
 
 def round_steps(route: Array, world: WorldConfig) -> int:
-    """Return the steps of one round through the boxes [2, L, 2] of a closed route."""
+    """Return the steps of one lap through the boxes [2, L, 2] of a closed route."""
     length = route.shape[1]
     position, steps = route[:, 0].mean(axis=0), 0
     for at in range(1, length + 1):
@@ -93,9 +93,9 @@ def round_steps(route: Array, world: WorldConfig) -> int:
 
 
 def woven(block: Block, rows: int) -> list[int]:
-    """Return the plots of a block, in row-major numbers, in the order of a sweep to and fro between its columns.
+    """Return the plots of a block as row-major indices, in the order of a sweep back and forth between its columns.
 
-    A lane ends on the side of the next one.
+    A lane ends on the side of the next lane.
     """
     first, last, low, high = block
     plots: list[int] = []
@@ -109,7 +109,7 @@ def woven(block: Block, rows: int) -> list[int]:
 
 
 def _lanes(block: Block, cell: Array) -> Array:
-    """Return boxes around the turning points of a block of cells of size [2] m; a lane follows each column."""
+    """Return boxes around the turning points of a block of cells of size [2] m. Each column is a lane."""
     first, last, low, high = block
     bottom, top = low * cell[1], high * cell[1]
     inset = min(INSET, (top - bottom) / 2.0)

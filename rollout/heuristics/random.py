@@ -8,13 +8,13 @@ from rollout.envs.base import Environments
 
 
 class RandomPolicy:
-    """Uniform actions. An episode's draws depend on its farm and episode seeds alone, not on its batch."""
+    """Uniform actions. An episode's draws depend only on its farm and episode seeds, not on its batch."""
 
     def __init__(self) -> None:
         self._streams: dict[int, np.random.Generator] = {}
 
     def reset(self, environments: Environments, index: int) -> None:
-        """Start the stream of one environment's episode."""
+        """Start the random stream of one environment's episode."""
         episode = environments.summary(index)
         self._streams[index] = stream("random policy", episode.farm, episode.episode)
 

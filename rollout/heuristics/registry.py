@@ -1,7 +1,8 @@
-"""Every heuristic by its name.
+"""All heuristics by name.
 
 To add one for monitors and collectors, write a module with the functions `monitors` and `collectors` beside this one
-and add a line to TASKS. One for relays is a line in RELAYS. One that flies all UAVs by itself is a line in WHOLE.
+and add a line to TASKS. A heuristic for relays is a line in RELAYS. A heuristic that flies all UAVs by itself is a line
+in WHOLE.
 """
 
 from collections.abc import Callable
@@ -18,7 +19,7 @@ WHOLE: Final[dict[str, Callable[[], Any]]] = {
     "static": StaticPolicy,
     "random": RandomPolicy,
 }
-"""Heuristics of all UAVs together."""
+"""Heuristics that fly all UAVs together."""
 
 TASKS: Final[dict[str, tuple[GroupPolicyFactory, GroupPolicyFactory]]] = {
     "lawnmower": (lawnmower.monitors, lawnmower.collectors),
@@ -27,20 +28,20 @@ TASKS: Final[dict[str, tuple[GroupPolicyFactory, GroupPolicyFactory]]] = {
     "hungarian": (hungarian.monitors, hungarian.collectors),
     "horizon": (horizon.monitors, horizon.collectors),
 }
-"""Heuristics of the monitors and of the collectors."""
+"""Heuristics for the monitors and the collectors."""
 
 RELAYS: Final[dict[str, GroupPolicyFactory]] = {
     "search": SearchRelays,
     "centroid": CentroidRelays,
 }
-"""Heuristics of the relays; the first one flies where none is named."""
+"""Heuristics for the relays; the first is the default."""
 
 HEURISTICS: Final = (*WHOLE, *TASKS)
-"""The names of all heuristics. TASK+RELAYS, as in greedy+centroid, names further combinations."""
+"""Names of all heuristics. TASK+RELAYS, as in greedy+centroid, names a combination."""
 
 
 def heuristic(name: str, config: FarmConfig) -> Any:
-    """Return the heuristic of a name or of TASK+RELAYS, or None when there is none."""
+    """Return the heuristic named `name` or TASK+RELAYS, or None if there is none."""
     if name in WHOLE:
         return WHOLE[name]()
     task, plus, relays = name.partition("+")

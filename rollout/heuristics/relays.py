@@ -1,4 +1,4 @@
-"""Heuristics for the communication UAVs; each combines with any heuristic for the tasks."""
+"""Heuristics for the communication UAVs. Each combines with any task heuristic."""
 
 from typing import Final
 
@@ -13,17 +13,17 @@ from rollout.sim.kernel.constants import LEAST_LINK, RelayConstants, constants
 from rollout.sim.layout import cell_counts
 
 GAIN: Final = 0.02
-"""Share of the distance to its centre that a relay flies in one step."""
+"""Fraction of the distance to its centre that a relay flies in one step."""
 LAST: Final = 30
-"""Last steps of the episode, in which the search runs."""
+"""Number of last steps in which the search runs."""
 STRIDES: Final = (3.0, 6.0, 12.0, 25.0, 50.0)
-"""Lengths of the moves that are tried, m, a different one in each step."""
+"""Lengths of the moves to try, m; each step tries one of them."""
 MOVES: Final = np.array([(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) if x or y])
-"""Directions of the moves that are tried."""
+"""Directions of the moves to try."""
 
 
 class CentroidRelays:
-    """Each relay follows the centre of the UAVs that it serves, and stays in place while it serves none."""
+    """Each relay follows the centre of the UAVs that it serves. A relay that serves none stays in place."""
 
     def __init__(self, _: FarmState) -> None:
         """Keep no state."""
@@ -38,13 +38,13 @@ class CentroidRelays:
 
 
 class SearchRelays:
-    """Local search for the relays' places with the least sum of D_c, reached at the very end of the episode.
+    """Local search for the relay positions with the least sum of D_c, which the relays reach as the episode ends.
 
-    The reward pays changes of D_c, which add up to D_c at the start minus D_c at the end. So a relay has no reason to
-    be anywhere before the end, and flies no faster than it must.
+    The reward pays changes of D_c, which add up to D_c at the start minus D_c at the end. So only the final position
+    matters, and a relay flies no faster than it must.
 
     Args:
-        state: the start.
+        state: state at the start of the episode.
     """
 
     def __init__(self, state: FarmState) -> None:
@@ -52,7 +52,7 @@ class SearchRelays:
         self._places: Array | None = None
 
     def goals(self, state: FarmState) -> Array:
-        """Return places on the way to those that the search has found so far, [n_c, 2] m."""
+        """Return places on the way to the best positions found so far, [n_c, 2] m."""
         first = state.agents[0].stop
         own, served = state.position[:first], state.position[first:]
         left = state.config.world.steps - state.time
@@ -66,7 +66,7 @@ class SearchRelays:
         return goals
 
     def _improved(self, world: WorldConfig, places: Array, served: Array, stride: float) -> Array:
-        """Return the places after each relay in turn has made its best move of one length, or none."""
+        """Return the places after each relay in turn makes its best move of one length or stays."""
         size = np.array([world.field_x, world.field_y])
         for relay in range(len(places)):
             tried = np.repeat(places[None], 1 + len(MOVES), axis=0)
@@ -76,7 +76,7 @@ class SearchRelays:
 
 
 def served_centres(own: Array, served: Array, assignment: NDArray[np.int64]) -> Array:
-    """Return the centre of the UAVs that each relay serves, or its own place when it serves none: [n_c, 2] m."""
+    """Return the centre of the UAVs that each relay serves, or its own position if it serves none: [n_c, 2] m."""
     serves = (assignment == np.arange(len(own))[:, None]).astype(np.float64)
     number = serves.sum(axis=1, keepdims=True)
     centres: Array = np.where(number > 0, serves @ served / np.maximum(number, 1.0), own)
@@ -84,9 +84,9 @@ def served_centres(own: Array, served: Array, assignment: NDArray[np.int64]) -> 
 
 
 def total_service(world: WorldConfig, relay: RelayConstants, places: Array, served: Array) -> float:
-    """Return the sum of D_c over relays [n_c, 2] that stand somewhere, with the assignment that this would bring.
+    """Return the sum of D_c for relays at `places` [n_c, 2], under the assignment that results there.
 
-    Relays nearer to each other than d_safety, which could not get there without risk, add what they lack.
+    Relays closer to each other than d_safety could not get there without risk, so the missing distance is added.
     """
     numbers = world.monitoring_uavs, world.collection_uavs
     heights = np.repeat([world.height_monitoring, world.height_collection], numbers)

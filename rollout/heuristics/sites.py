@@ -1,4 +1,4 @@
-"""Where work can be done: the boxes from which a plot is imaged, and the reach of a sensor's radio."""
+"""Where UAVs can work: the boxes from which a plot can be imaged, and the reach of a sensor's radio."""
 
 import functools
 from typing import Final
@@ -18,19 +18,20 @@ from rollout.sim.layout import cell_counts
 Indices = NDArray[np.int64]
 
 SHARES: Final = np.linspace(0.0, 0.98, 50)
-"""Sizes of an imaging box that are tried, as shares of half a plot."""
+"""Sizes of an imaging box to try, as fractions of half a plot."""
 STOP_CHANCE: Final = 0.95
-"""A stop covers the sensors whose packets arrive there with at least this chance."""
+"""A stop covers the sensors whose packets arrive there with at least this probability."""
 STOP_MARGIN: Final = 4.0
-"""A stop counts as reached within this distance along each axis, m."""
+"""A UAV has reached a stop if it is within this distance along each axis, m."""
 CHANCE_STEP: Final = 0.25
-"""Distances at which the radio link is tabulated, m."""
+"""Spacing of the distances at which the radio link is tabulated, m."""
 
 
 def plot_boxes(config: FarmConfig) -> Array:
-    """Return for each plot, in row-major order, a box from all of which it is imaged: [2, n_px * n_py, 2] m.
+    """Return a box for each plot, in row-major order, that images it from every point: [2, n_px * n_py, 2] m.
 
-    The box is the largest of the plot's own shape around its centre; a point where no place does.
+    The box is the largest one around the plot's centre with the plot's own shape. If no place images the plot, it is a
+    point.
     """
     centre, half = plot_centres(config.world), plot_half(config.world) * imaging_share(config)
     return np.stack([centre - half, centre + half])
@@ -50,7 +51,7 @@ def plot_half(world: WorldConfig) -> Array:
 
 
 def imaging_share(config: FarmConfig) -> float:
-    """Return how far from a plot's centre its image still succeeds everywhere, as a share of half the plot."""
+    """Return how far from a plot's centre every image still succeeds, as a fraction of half the plot."""
     camera, half = constants(config, cell_counts(config.world)).camera, plot_half(config.world)
     far = 0.0
     for share in SHARES:
@@ -63,7 +64,7 @@ def imaging_share(config: FarmConfig) -> float:
 
 
 def images_succeed(config: FarmConfig, places: Array, plots: Indices) -> NDArray[np.bool_]:
-    """Return for each place [P, 2] m whether a UAV over it takes a good image of a plot [P], in row-major order."""
+    """Return whether a UAV over each place [P, 2] m takes a good image of its plot [P], a row-major index."""
     camera, rows = constants(config, cell_counts(config.world)).camera, config.world.plots_y
     pairs = zip(places.tolist(), plots.tolist(), strict=True)
     quality = [plot_quality(camera, x, y, plot // rows, plot % rows) for (x, y), plot in pairs]
@@ -71,7 +72,7 @@ def images_succeed(config: FarmConfig, places: Array, plots: Indices) -> NDArray
 
 
 def packet_chances(config: FarmConfig, distance: Array) -> Array:
-    """Return the chance that a packet arrives over each horizontal distance [...], m, to the nearest CHANCE_STEP."""
+    """Return the probability that a packet arrives over horizontal distances [...], m, to the nearest CHANCE_STEP."""
     chances = _chance_table(config)
     index = np.minimum(np.rint(distance / CHANCE_STEP).astype(np.int64), len(chances) - 1)
     found: Array = chances[index]
@@ -79,18 +80,18 @@ def packet_chances(config: FarmConfig, distance: Array) -> Array:
 
 
 def radio_reach(config: FarmConfig, chance: float) -> float:
-    """Return the horizontal distance within which a packet arrives with at least this chance, m."""
+    """Return the horizontal distance within which a packet arrives with at least this probability, m."""
     return CHANCE_STEP * max(0, int(np.argmin(_chance_table(config) >= chance)) - 1)
 
 
 def radio_range(config: FarmConfig, chance: float) -> float:
-    """Return a horizontal distance beyond which no packet arrives with more than this chance, m."""
+    """Return a horizontal distance beyond which no packet arrives with more than this probability, m."""
     return CHANCE_STEP * (1 + int(np.flatnonzero(_chance_table(config) > chance).max(initial=-1)))
 
 
 @functools.lru_cache(maxsize=8)
 def _chance_table(config: FarmConfig) -> Array:
-    """Return the chance at each multiple of CHANCE_STEP, with a 0 behind the field's diagonal."""
+    """Return the probability at each multiple of CHANCE_STEP, with a final 0 beyond the field's diagonal."""
     radio, height = constants(config, cell_counts(config.world)).radio, config.world.height_collection
     distances = np.arange(0.0, np.hypot(config.world.field_x, config.world.field_y), CHANCE_STEP)
     squares = distances * distances + height * height
@@ -98,18 +99,18 @@ def _chance_table(config: FarmConfig) -> Array:
 
 
 def steps_between(places: Array, others: Array, world: WorldConfig) -> Array:
-    """Return the steps from each place [a, 2] to each other [b, 2], not rounded: [a, b]."""
+    """Return the flight times from each place [a, 2] to each other place [b, 2], in unrounded steps: [a, b]."""
     steps: Array = (np.abs(places[:, None] - others[None]) / reach(world)).max(axis=-1)
     return steps
 
 
 def pairs_within(places: Array, others: Array, far: float) -> tuple[Indices, Indices, Array]:
-    """Return which places [a, 2] m lie within `far` m of which others [b, 2] m, in the order of their numbers.
+    """Return the pairs of places [a, 2] m and others [b, 2] m within `far` m of each other, ordered by index.
 
-    Only pairs that are found take memory, so a field may be as wide as it likes.
+    Only these pairs take memory, so the field may be of any size.
 
     Returns:
-        Numbers of the places [P], of the others [P], and the distances [P], m.
+        Indices of the places [P], indices of the others [P], and the distances [P], m.
     """
     found = cKDTree(places).sparse_distance_matrix(cKDTree(others), far, output_type="ndarray")
     found = found[np.lexsort((found["j"], found["i"]))]
@@ -117,9 +118,9 @@ def pairs_within(places: Array, others: Array, far: float) -> tuple[Indices, Ind
 
 
 def sensor_stops(config: FarmConfig, xy: Array) -> Array:
-    """Return boxes around places from which all sensors [S, 2] are heard well: [2, L, 2] m.
+    """Return boxes around places that together hear all sensors [S, 2] well: [2, L, 2] m.
 
-    Places of an even lattice are taken one after the other, always the one near most of the sensors that are left.
+    The places are chosen greedily from an even lattice: next comes the one near most of the remaining sensors.
     """
     size = np.array([config.world.field_x, config.world.field_y])
     x, y = (np.arange(step / 2.0, width, step) for step, width in zip(reach(config.world), size, strict=True))

@@ -1,6 +1,6 @@
-"""Shared by all heuristics: flying to a place, loitering there, and keeping apart.
+"""Steering for all heuristics: fly to a place, loiter there and keep apart.
 
-Actions are velocities as shares of the largest speed along each axis, so a step moves a UAV by
+Actions are velocities as fractions of the top speed along each axis, so a step moves a UAV by
 action * (V_x-max, V_y-max) * t_step.
 """
 
@@ -17,13 +17,13 @@ from rollout.sim.layout import cell_counts
 Array = NDArray[np.float64]
 
 STANDOFF: Final = 1e-9
-"""Least distance by which a direction is divided, m."""
+"""Least divisor when a direction is normalised, m."""
 EDGE: Final = 1e-3
-"""Least distance from the field's edge, m, so that rounding puts no UAV outside."""
+"""Least distance from the field's edge, m. It keeps rounding from putting a UAV outside."""
 ROUNDING: Final = 1e-2
-"""A box counts as reached from this distance, m: actions are rounded to float32."""
+"""A UAV has reached a box if it is this close, m, because actions are rounded to float32."""
 LOITER_MAX: Final = 1.0
-"""Fastest that a waiting UAV flies, m/s."""
+"""Top speed of a waiting UAV, m/s."""
 
 
 def reach(world: WorldConfig) -> Array:
@@ -32,7 +32,7 @@ def reach(world: WorldConfig) -> Array:
 
 
 def towards(position: Array, target: Array, world: WorldConfig) -> Array:
-    """Return the action that flies straight to a target, at full speed until it can be reached in one step.
+    """Return the action that flies straight to a target, at full speed until one step suffices.
 
     Args:
         position: [..., 2] m.
@@ -48,14 +48,14 @@ def towards(position: Array, target: Array, world: WorldConfig) -> Array:
 
 
 def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
-    """Remove the part of each UAV's motion that closes in on a neighbour of its plane, and stay over the field.
+    """Remove the part of each UAV's motion that closes in on a neighbour in its plane, and keep UAVs over the field.
 
-    A neighbour counts when the step would end nearer to it than now and nearer than d_safety, which is what the
-    safety risk SR charges (W8). Of several, the one that would end up nearest counts.
+    A neighbour counts if the step would end closer to it than now and closer than d_safety, which is what the safety
+    risk SR charges (W8). Of several neighbours, the one that would end up nearest counts.
 
     Args:
         position: UAVs of one plane, [E, n, 2] m.
-        action: [E, n, 2] before the correction.
+        action: [E, n, 2] uncorrected actions.
         world: geometry and speeds.
 
     Returns:
@@ -79,14 +79,14 @@ def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
 
 
 def aim(position: Array, box: Array, onward: Array, world: WorldConfig) -> Array:
-    """Return the place in a box that takes the fewest steps to reach and, among those, lies nearest to the next box.
+    """Return the place in a box that is reached in the fewest steps. Ties go to the place nearest to the next box.
 
     Each axis has its own speed limit, so the axes are independent.
 
     Args:
         position: [..., 2] m.
         box: lowest and highest corner, [2, ..., 2] m.
-        onward: the same of the box to be visited afterwards.
+        onward: the corners of the next box, [2, ..., 2] m.
         world: geometry and speeds.
 
     Returns:
@@ -99,7 +99,7 @@ def aim(position: Array, box: Array, onward: Array, world: WorldConfig) -> Array
 
 
 def steps_to(position: Array, box: Array, world: WorldConfig) -> Array:
-    """Return the least whole number of steps, 1 or more, after which a UAV can be in a box: [...]."""
+    """Return the fewest steps in which a UAV can reach a box, at least 1: [...]."""
     gap = (np.maximum(box[0] - position, position - box[1]) - ROUNDING) / reach(world)
     steps: Array = np.maximum(1.0, np.ceil(gap.max(axis=-1)))
     return steps
@@ -112,19 +112,19 @@ def inside(position: Array, box: Array) -> NDArray[np.bool_]:
 
 
 def loiter_speed(config: FarmConfig) -> float:
-    """Return the speed of least flight power up to LOITER_MAX, m/s: the printed model charges most for hovering."""
+    """Return the speed up to LOITER_MAX with the least flight power, m/s. In the printed model hovering costs most."""
     flight = constants(config, cell_counts(config.world)).flight
     speeds = np.linspace(0.0, LOITER_MAX, 101)
     return float(speeds[np.argmin([flight_power(flight, speed) for speed in speeds])])
 
 
 def loiter(position: Array, goal: Array, time: NDArray[np.int64], step: float) -> Array:
-    """Return the goals, but let a UAV that is nearer than `step` fly that far along x instead, back and forth.
+    """Return the goals, but make a UAV closer than `step` to its goal fly `step` back and forth along x instead.
 
     Args:
         position: [E, n, 2] m.
         goal: [E, n, 2] m.
-        time: [E] steps done; decides between back and forth.
+        time: [E] steps done; it selects the direction.
         step: distance that a loitering UAV flies in one step, m.
 
     Returns:

@@ -10,15 +10,15 @@ from rollout.heuristics.steering import Array
 
 
 class Targets:
-    """Monitors: every plot, with its VDF as value. Collectors: every stop, with the AoI of the sensors nearest to it.
+    """Monitors target plots, valued by VDF. Collectors target stops, valued by the AoI of their nearest sensors.
 
     Args:
-        state: the start.
+        state: state at the start of the episode.
         kind: the type of UAV.
 
     Attributes:
-        box: lowest and highest corners of the box in which a target is reached, [2, K, 2] m.
-        centre: of the boxes, [K, 2] m.
+        box: lowest and highest corners of the box that counts as each target, [2, K, 2] m.
+        centre: centres of the boxes, [K, 2] m.
     """
 
     def __init__(self, state: FarmState, kind: int) -> None:
@@ -31,7 +31,7 @@ class Targets:
         self.centre: Array = self.box.mean(axis=0)
 
     def value(self, state: FarmState) -> Array:
-        """Return the present value of a visit to each target, [K] units."""
+        """Return the current value of a visit to each target, [K] units."""
         if self._stop is None:
             return state.vdf
         value: Array = np.bincount(self._stop, state.aoi, len(self.centre)).astype(np.float64)

@@ -1,6 +1,6 @@
-"""Stops grouped by k-means, one group for each UAV, and a short closed tour through the stops of each group.
+"""Stops grouped by k-means, one group per UAV, and a short closed tour through each group's stops.
 
-Source: k-means and a tour per cluster, as for data ferries; 2-opt of Croes (1958), see Lin (1965).
+Source: k-means with a tour per cluster, as for data ferries; 2-opt (Croes 1958, Lin 1965).
 """
 
 import functools
@@ -21,27 +21,27 @@ from rollout.heuristics.tour_follower import TourFollower
 Indices = NDArray[np.int64]
 
 RESTARTS: Final = 5
-"""Groupings that are tried on each farm; the one whose longest tour is shortest is kept."""
+"""Groupings to try on each farm. The one whose longest tour is shortest wins."""
 PLOT_RESTARTS: Final = 20
-"""The same for plots, which are grouped once for all farms."""
+"""Groupings to try for plots, which are grouped once for all farms."""
 STARTS: Final = 30
-"""About how many places a tour is started from, at most."""
+"""Approximate limit on the places to start a tour from."""
 EASY: Final = 128
-"""Up to so many places of a tour all starts and groupings are tried; of more, fewer: their time grows by the cube."""
+"""Tours of up to this many places get all starts and groupings. Longer ones get fewer, because the time is cubic."""
 SAVING: Final = 1e-9
-"""Least saving for which a tour is changed, steps."""
+"""Least saving that justifies changing a tour, steps."""
 STRAIGHT: Final = 0.001
-"""Weight of the way along both axes inside a block of plots, 1/m: among equal ends, few diagonals are flown."""
+"""Weight of the path length along both axes inside a block of plots, 1/m. It breaks ties against diagonals."""
 
 
 def monitors(state: FarmState) -> GroupPolicy:
-    """Return monitors whose stops are blocks of two by two plots; one plot is imaged per step."""
+    """Return monitors whose stops are blocks of two by two plots. They image one plot per step."""
     boxes = plot_boxes(state.config)
     return TourFollower([boxes[:, list(plots)] for plots in plot_tours(state.config.world)], MONITORS, state)
 
 
 def collectors(state: FarmState) -> GroupPolicy:
-    """Return collectors whose stops are places from which sensors are heard well."""
+    """Return collectors whose stops are places that hear sensors well."""
     world = state.config.world
     boxes = sensor_stops(state.config, state.layout.sensor_xy)
     random = stream("tour", "sensors", *state.seeds)
@@ -51,7 +51,7 @@ def collectors(state: FarmState) -> GroupPolicy:
 
 @functools.lru_cache(maxsize=8)
 def plot_tours(world: WorldConfig) -> tuple[tuple[int, ...], ...]:
-    """Return for each monitor the plots of its tour, in row-major numbers; the same on every farm."""
+    """Return the plots of each monitor's tour as row-major indices. They are the same on every farm."""
     blocks, centres = plot_blocks(world), plot_centres(world)
     stops = np.array([centres[block].mean(axis=0) for block in blocks])
     tours = grouped_tours(stops, world.monitoring_uavs, world, stream("tour", "plots"), PLOT_RESTARTS)
@@ -61,7 +61,7 @@ def plot_tours(world: WorldConfig) -> tuple[tuple[int, ...], ...]:
 def grouped_tours(
     stops: Array, uavs: int, world: WorldConfig, random: np.random.Generator, restarts: int
 ) -> list[Indices]:
-    """Return a closed tour through some of the stops [L, 2] for each UAV; with fewer stops than UAVs some share one."""
+    """Return a closed tour through part of the stops [L, 2] for each UAV. With too few stops, UAVs share one."""
     groups = min(uavs, len(stops))
     best, least = [np.array([stop]) for stop in range(groups)], np.inf
     restarts = tries(restarts, len(stops) // groups)
@@ -77,7 +77,7 @@ def grouped_tours(
 
 
 def short_tour(places: Array, world: WorldConfig) -> tuple[Indices, float]:
-    """Return a short closed tour through places [L, 2] and its steps: from some starts the nearest next, then 2-opt."""
+    """Return a short closed tour through places [L, 2] and its steps: nearest neighbour, many starts, then 2-opt."""
     steps = steps_between(places, places, world)
     best, least = np.arange(len(places)), np.inf
     for start in range(0, len(places), 1 + len(places) // tries(STARTS, len(places))):
@@ -89,12 +89,12 @@ def short_tour(places: Array, world: WorldConfig) -> tuple[Indices, float]:
 
 
 def tries(most: int, places: int) -> int:
-    """Return how many of at most so many tries a tour through so many places is given."""
+    """Return how many tries, `most` at most, a tour through this many places gets."""
     return max(1, min(most, int(STARTS * (EASY / max(1, places)) ** 3)))
 
 
 def nearest_next(steps: Array, start: int) -> Indices:
-    """Return the tour that always goes on to the nearest place that is left, by steps [L, L]."""
+    """Return the tour that always continues to the nearest unvisited place, by steps [L, L]."""
     left, tour = steps.copy(), np.empty(len(steps), np.int64)
     at = start
     for index in range(len(steps)):
@@ -105,7 +105,7 @@ def nearest_next(steps: Array, start: int) -> Indices:
 
 
 def two_opt(tour: Indices, steps: Array) -> Indices:
-    """Return a closed tour after the best exchanges of two of its edges, until none saves anything."""
+    """Improve a closed tour by the best exchange of two edges until no exchange helps; return it."""
     while len(tour) > 3:
         after = np.roll(tour, -1)
         edge = steps[tour, after]
@@ -119,7 +119,7 @@ def two_opt(tour: Indices, steps: Array) -> Indices:
 
 
 def plot_blocks(world: WorldConfig) -> list[list[int]]:
-    """Return the plots, in row-major numbers, of every block of two by two; at an odd border of fewer."""
+    """Return the plots of every two-by-two block as row-major indices. Blocks at an odd border are smaller."""
     columns, rows = (
         [range(first, min(first + 2, plots)) for first in range(0, plots, 2)]
         for plots in (world.plots_x, world.plots_y)
@@ -128,7 +128,7 @@ def plot_blocks(world: WorldConfig) -> list[list[int]]:
 
 
 def plots_along(blocks: list[list[int]], centres: Array, world: WorldConfig) -> list[int]:
-    """Return the plots of blocks in the order of a closed tour: each block is entered and left on the short way."""
+    """Return the blocks' plots in the order of a closed tour that enters and leaves each block by a short path."""
     middle = np.array([centres[block].mean(axis=0) for block in blocks])
     order: list[int] = []
     before = middle[-1]

@@ -1,4 +1,4 @@
-"""UAVs on closed routes: the group policy of every heuristic that plans its routes before it flies."""
+"""UAVs on closed routes: the group policy for heuristics that plan routes before they fly."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -11,7 +11,7 @@ from rollout.heuristics.composite import FarmState
 from rollout.heuristics.steering import Array, aim, inside, steps_to
 
 PATIENCE: Final = 3
-"""Steps without progress, with another UAV in the way, after which a box is skipped until the next lap."""
+"""If another UAV blocks the way for this many steps, the UAV skips the box until the next lap."""
 
 
 class TourFollower:
@@ -20,7 +20,7 @@ class TourFollower:
     Args:
         routes: one for each UAV, [2, L, 2] m: lowest and highest corners of its boxes.
         kind: the UAVs' type.
-        state: the start; routes are assigned so that the UAVs reach them in the fewest steps altogether.
+        state: state at the start of the episode. Routes are assigned to minimise the total steps to reach them.
     """
 
     def __init__(self, routes: Sequence[Array], kind: int, state: FarmState) -> None:
@@ -33,7 +33,7 @@ class TourFollower:
         self._waited = np.zeros(len(routes), np.int64)
 
     def goals(self, state: FarmState) -> Array:
-        """Return a place in the box that is next, on the side of the one after it, [n_v, 2] m."""
+        """Return a place in each UAV's next box, on the side facing the box after it: [n_v, 2] m."""
         position, world = state.of(self._kind), state.config.world
         places = np.empty_like(position)
         for uav, route in enumerate(self._routes):

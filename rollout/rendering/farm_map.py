@@ -1,6 +1,6 @@
 """The farm's map in a matplotlib picture: plots, sensors, reach, trails, links and UAVs.
 
-Every animated picture of a farm has one such map or several; the owner of the figure adds the rest.
+Every animated picture of a farm contains one or more of these maps; the caller adds the rest of the figure.
 """
 
 from typing import Any, Final
@@ -33,14 +33,14 @@ FULL: Final = 0.85
 
 
 class FarmMap:
-    """Draws scenes of one environment into axes, whose farm may change from scene to scene.
+    """Draws scenes of one environment into axes. The farm may change from scene to scene.
 
     Args:
-        axes: where.
-        scene: the first.
+        axes: the axes to draw into.
+        scene: the first scene.
 
     Attributes:
-        artists: what moves, to be drawn over the plots in this order.
+        artists: the moving artists; draw them over the plots in this order.
     """
 
     def __init__(self, axes: Axes, scene: Scene) -> None:
@@ -70,12 +70,12 @@ class FarmMap:
         )
 
     def pixel(self, x: float, y: float) -> tuple[int, int]:
-        """Return row and column of a place of the field in the picture."""
+        """Return the picture's pixel row and column at field position (x, y), m."""
         right, up = self._map.transData.transform((x, y))
         return int(self._map.figure.bbox.height - 1 - int(up)), int(right)
 
     def update(self, scene: Scene) -> None:
-        """Give every moving artist its present data."""
+        """Update every moving artist from the scene."""
         slices = dict(zip(TYPES, farm_team(scene.config).agent_slices(), strict=True))
         for circle, name in zip(self._circles, (MONITORING, COLLECTION), strict=True):
             circle.set_offsets(scene.position[slices[name]])
@@ -95,7 +95,7 @@ class FarmMap:
             numbers.set_offsets(scene.position[wearers])
 
     def _make_plots(self, scene: Scene) -> tuple[slice, slice, Indices, Indices]:
-        """Return the map's rows and columns of pixels, and which plot each of them shows."""
+        """Return the map's pixel rows and columns, and the plot that each of them shows."""
         world = scene.config.world
         bottom, left = self.pixel(0.0, 0.0)
         top, right = self.pixel(world.field_x, world.field_y)
@@ -106,7 +106,7 @@ class FarmMap:
         return rows, columns, across, up
 
     def draw_plots(self, pixels: NDArray[np.uint8], scene: Scene) -> None:
-        """Copy the plots' colours into the picture's pixels [H, W, 4], whose layout is drawn and final."""
+        """Copy the plots' colours into the pixels [H, W, 4]. Draw the figure first: its layout must be final."""
         self._plots = self._plots or self._make_plots(scene)
         rows, columns, across, up = self._plots
         colours = np.full((*scene.vdf.shape, 4), 255, np.uint8)
@@ -115,7 +115,7 @@ class FarmMap:
         pixels.view(np.uint32)[rows, columns, 0] = packed.take(up, axis=0).take(across, axis=1)
 
     def _make_circles(self, scene: Scene) -> list[EllipseCollection]:
-        """Make the reach of cameras and of sensors' radios around the UAVs."""
+        """Make the circles that show how far cameras and sensor radios reach."""
         circles = []
         for name, radius in ((MONITORING, camera_radius(scene.config)), (COLLECTION, radio_radius(scene.config))):
             circle = EllipseCollection(
@@ -136,7 +136,7 @@ class FarmMap:
 
 
 def _trails(scene: Scene, slices: dict[str, slice]) -> tuple[list[Numbers], list[tuple[float, float, float, float]]]:
-    """Return the trails' pieces, [k, 2] each, and their colours, which fade with age."""
+    """Return the pieces of the trails, [k, 2] each, and their colours. Older pieces are fainter."""
     pieces: list[Numbers] = []
     colours: list[tuple[float, float, float, float]] = []
     last = len(scene.trail) - 1
@@ -169,7 +169,7 @@ def _make_sensors(axes: Axes, scene: Scene) -> list[PathCollection]:
 
 
 def _make_uavs(axes: Axes, scene: Scene) -> tuple[list[PathCollection], list[PathCollection]]:
-    """Make a marker for each type, and for each number the sign of it inside the markers."""
+    """Make a marker for each type, and the digits drawn inside the markers for each UAV number."""
     uavs = [
         axes.scatter(
             [], [], color=COLOURS[name], marker=END_MARKERS[name], s=230, linewidths=1.2, edgecolors="white", zorder=5
@@ -185,7 +185,7 @@ def _make_uavs(axes: Axes, scene: Scene) -> tuple[list[PathCollection], list[Pat
 
 
 def _digits(number: int) -> Path:
-    """Return a number's outline as polygons, which are drawn faster than the curves of a font."""
+    """Return a number's outline as polygons, which draw faster than a font's curves."""
     outline = TextPath((0.0, 0.0), str(number))
     centre = outline.get_extents().get_points().mean(axis=0)
     return Path.make_compound_path(*(Path(polygon - centre) for polygon in outline.to_polygons()))
@@ -195,10 +195,10 @@ def make_scales(figure: Figure, scene: Scene, across: tuple[float, float], botto
     """Draw the colour bars of AoI and VDF.
 
     Args:
-        figure: where.
-        scene: of which farm.
-        across: left edge and width, as shares of the figure.
-        bottoms: lower edges of both.
+        figure: the figure to draw into.
+        scene: a scene of the farm.
+        across: left edge and width of both bars, as fractions of the figure.
+        bottoms: lower edge of each bar, as fractions of the figure.
     """
     world = scene.config.world
     bars = (
@@ -215,7 +215,7 @@ def make_scales(figure: Figure, scene: Scene, across: tuple[float, float], botto
 
 
 def make_legend(figure: Figure, scene: Scene, corner: tuple[float, float]) -> None:
-    """Draw what the map's other signs mean, their upper left corner at a place of the figure."""
+    """Draw the legend of the map's other symbols, with its upper left corner at `corner` of the figure."""
     handles = [
         Line2D([], [], color="0.15", linestyle=(0, (1.0, 1.6)), label="relay and whom it serves"),
         Line2D([], [], color="0.4", linewidth=2.0, label=f"path of the last {TRAIL_STEPS} steps"),

@@ -1,7 +1,7 @@
-"""Colours, marks and names that every picture of the farm shares; nothing here needs a drawing library.
+"""Colours, markers and names that all pictures of the farm share. Nothing here needs a drawing library.
 
-The colours of the types are from Okabe and Ito's palette, which works for any colour vision. A marker, a line style or
-a label repeats every difference in colour.
+The colours of the types come from Okabe and Ito's palette, which suits every kind of colour vision. No picture relies
+on colour alone: a marker, a line style or a label repeats each difference.
 """
 
 from typing import Final, Literal
@@ -29,11 +29,11 @@ SENSOR_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
 AGE_MAP: Final = "viridis_r"
 """Matplotlib's colour map of AoI: fresh is yellow, old is dark."""
 AGE_STOPS: Final = ("#FDE725", "#5EC962", "#21918C", "#3B528B", "#440154")
-"""The same map at 0, 1/4, 1/2, 3/4 and 1, for whoever draws without matplotlib."""
+"""The same map at 0, 1/4, 1/2, 3/4 and 1, for drawing without matplotlib."""
 SOIL_STOPS: Final = ("#FCF9F1", "#EBDCB9", "#CBAA75")
 """Colours of a plot from the freshest image to the oldest."""
 PART_COLOURS: Final = ("#4477AA", "#BBBBBB", "#EE6677", "#AA3377", "#228833", "#66CCEE", "#CCBB44")
-"""Colours of a reward's parts in their order: Tol's "bright" set, which shows on light and on dark ground."""
+"""Colours of a reward's parts in their order: Tol's "bright" set, which is legible on light and dark backgrounds."""
 
 
 def shade(stops: tuple[str, ...], share: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -41,7 +41,7 @@ def shade(stops: tuple[str, ...], share: NDArray[np.float64]) -> NDArray[np.uint
 
     Args:
         stops: colours as #RRGGBB.
-        share: [...] where between the first (0) and the last (1).
+        share: [...] position between the first stop (0) and the last (1).
 
     Returns:
         [..., 3] red, green and blue.

@@ -1,8 +1,8 @@
 """One environment as a picture, drawn by matplotlib without a display.
 
-What never changes (axes, legends, colour bars) is drawn once; every frame restores it, copies the plots' colours into
-its pixels and draws the moving artists on top, which is several times faster than drawing the whole figure. Import
-this module only when a picture is wanted.
+The static background (axes, legends, colour bars) is drawn once. Every frame restores it, copies the plots' colours
+into its pixels and draws the moving artists on top. That is several times faster than drawing the whole figure. This
+module loads matplotlib, so import it only when you need a picture.
 """
 
 from typing import Any, Final
@@ -24,18 +24,18 @@ Indices = NDArray[np.int64]
 
 DPI: Final = 100
 SIZE: Final = (10.4, 7.2)
-"""Inches; even numbers of pixels, as video codecs want them."""
+"""Inches. They give even numbers of pixels, which video codecs need."""
 MAP: Final = (0.055, 0.075, 0.612, 0.884)
-"""Left, bottom, width and height of the map, as shares of the figure."""
+"""Left, bottom, width and height of the map, as fractions of the figure."""
 PANEL: Final = 0.705
 """Left edge of everything beside the map."""
 
 
 class FarmPicture:
-    """Draws scenes of one environment, whose farm may change from scene to scene.
+    """Draws scenes of one environment. The farm may change from scene to scene.
 
     Args:
-        scene: the first.
+        scene: the first scene.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -59,7 +59,7 @@ class FarmPicture:
         self._pixels: NDArray[np.uint8] = np.asarray(self._canvas.buffer_rgba())
 
     def draw(self, scene: Scene) -> NDArray[np.uint8]:
-        """Return a scene as [H, W, 3] red, green and blue."""
+        """Return a scene as an RGB image, [H, W, 3] uint8."""
         self._update(scene)
         self._canvas.restore_region(self._background)
         self._map.draw_plots(self._pixels, scene)
@@ -68,11 +68,11 @@ class FarmPicture:
         return self._pixels[..., :3].copy()
 
     def pixel(self, x: float, y: float) -> tuple[int, int]:
-        """Return row and column of a place of the field in the picture."""
+        """Return the picture's pixel row and column at field position (x, y), m."""
         return self._map.pixel(x, y)
 
     def _update(self, scene: Scene) -> None:
-        """Give every moving artist its present data."""
+        """Update every moving artist from the scene."""
         self._map.update(scene)
         self._headline.set_text(scene.headline)
         for name, reading in self._readings.items():
@@ -82,12 +82,12 @@ class FarmPicture:
 
 
 def _make_canvas(figure: Figure) -> Any:
-    """Return a canvas without a display; its methods are not typed."""
+    """Return a canvas that needs no display. Its methods are untyped."""
     return FigureCanvasAgg(figure)
 
 
 def _make_readings(figure: Figure) -> tuple[Text, dict[str, Text]]:
-    """Make the headline and the table of rewards, whose rows are the key to the UAVs' markers."""
+    """Make the headline and the table of rewards. The table's rows double as the legend of the UAV markers."""
     headline = figure.text(PANEL, 0.94, "", fontsize=12, weight="bold", color=INK)
     figure.text(0.985, 0.895, "reward", ha="right", **SMALL)
     readings = {}

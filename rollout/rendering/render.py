@@ -14,16 +14,16 @@ from rollout.rendering.terminal import coloured, fitting_width, terminal_text
 from rollout.sim.batch import FarmBatch
 
 RENDER_MODES: Final = ("rgb_array", "ansi", "human")
-"""rgb_array: a picture [H, W, 3] uint8; ansi: text with colours; human: a window where there is one, or a terminal."""
+"""rgb_array: an image [H, W, 3] uint8; ansi: coloured text; human: a window if one can open, else the terminal."""
 FRAMES_PER_SECOND: Final = 10
-"""At which a film of an episode is pleasant to watch."""
+"""A comfortable speed for watching an episode."""
 
 
 class Picture(Protocol):
     """Draws scenes, as `rollout.rendering.picture.FarmPicture` does."""
 
     def draw(self, scene: Scene) -> NDArray[np.uint8]:
-        """Return a scene as [H, W, 3] red, green and blue."""
+        """Return a scene as an RGB image, [H, W, 3] uint8."""
 
 
 class Screen(Protocol):
@@ -33,13 +33,13 @@ class Screen(Protocol):
         """Show a scene."""
 
     def close(self) -> None:
-        """Take away what is shown."""
+        """Close the display."""
 
 
 def require_mode(mode: str | None) -> None:
-    """Raise ConfigError unless the mode is one of RENDER_MODES, or none."""
+    """Raise ConfigError unless the mode is None or one of RENDER_MODES."""
     if mode is not None and mode not in RENDER_MODES:
-        raise ConfigError(f"there is no render mode {mode!r}; there are {', '.join(RENDER_MODES)}.")
+        raise ConfigError(f"unknown render mode {mode!r}; choose from {', '.join(RENDER_MODES)}.")
 
 
 class Renderer:
@@ -47,7 +47,7 @@ class Renderer:
 
     Args:
         batch: the simulator.
-        index: which environment.
+        index: index of the environment.
     """
 
     def __init__(self, batch: FarmBatch, index: int) -> None:
@@ -56,17 +56,17 @@ class Renderer:
         self._screen: Screen | None = None
 
     def observe(self) -> None:
-        """Note the present state for trails and charts; to be called after every reset and step."""
+        """Record the current state for trails and charts. Call it after every reset and every step."""
         self._observer.observe()
 
     def render(self, mode: str) -> Any:
-        """Show the present state.
+        """Render the current state.
 
         Args:
             mode: one of RENDER_MODES.
 
         Returns:
-            a picture [H, W, 3] uint8, a text, or nothing for "human".
+            an image [H, W, 3] uint8, a text, or None for "human".
 
         Raises:
             SimulationError: the environment was never reset.
@@ -90,19 +90,19 @@ class Renderer:
 
 
 def make_picture(scene: Scene) -> Picture:
-    """Return what draws scenes like this one; matplotlib is imported here, so that workers never load it."""
+    """Return a picture that can draw this farm. matplotlib is imported here so that workers never load it."""
     picture: Picture = importlib.import_module("rollout.rendering.picture").FarmPicture(scene)
     return picture
 
 
 def open_screen() -> Screen:
-    """Return a window where matplotlib can open one, and this process's terminal otherwise."""
+    """Return a window if matplotlib can open one, else this process's terminal."""
     pyplot = importlib.import_module("matplotlib.pyplot")
     return Window(pyplot) if _has_windows(pyplot) else Terminal(Console())
 
 
 class Window:
-    """A window of matplotlib's.
+    """A matplotlib window.
 
     Args:
         pyplot: matplotlib.pyplot with an interactive backend.
@@ -134,10 +134,10 @@ class Window:
 
 
 class Terminal:
-    """Text on a console; on a terminal each scene overwrites the one before.
+    """Text on a console. On a terminal, each scene overwrites the one before.
 
     Args:
-        console: where to write.
+        console: the console to write to.
     """
 
     def __init__(self, console: Console) -> None:
@@ -153,11 +153,11 @@ class Terminal:
         self._shown = True
 
     def close(self) -> None:
-        """Leave the last scene where it stands."""
+        """Leave the last scene on the screen."""
 
 
 def _has_windows(pyplot: Any) -> bool:
-    """Return whether matplotlib's backend opens windows; it falls back to one that does not by itself."""
+    """Return whether matplotlib's backend opens windows. Without a display, matplotlib picks one that does not."""
     backends = importlib.import_module("matplotlib.backends")
     windowed = backends.backend_registry.list_builtin(backends.BackendFilter.INTERACTIVE)
     return pyplot.get_backend().lower() in {name.lower() for name in windowed}

@@ -1,4 +1,4 @@
-"""What a picture of one environment shows: its present state and its course so far."""
+"""What a picture of one environment shows: its current state and its history in this episode."""
 
 import math
 from collections import deque
@@ -17,26 +17,26 @@ from rollout.sim.reference import noise_mw, packet_loss, received_mw
 Numbers = NDArray[np.float64]
 
 TRAIL_STEPS: Final = 40
-"""Steps that a UAV's trail is long."""
+"""Length of a UAV's trail, steps."""
 HALF: Final = 0.5
-"""Least chance of a packet inside the circle that is drawn around a data collection UAV."""
+"""A packet from inside a data collection UAV's circle arrives with at least this probability."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One environment as it is now. The arrays are the caller's own.
+    """Snapshot of one environment. The caller owns the arrays.
 
     Attributes:
         config: the farm.
-        layout: its sensors.
+        layout: the farm's sensors.
         step: steps done.
         position: [n, 2] m.
-        trail: [t + 1, n, 2] the last positions, the present one last, m.
+        trail: [t + 1, n, 2] recent positions, m; the current one comes last.
         assignment: [n_m + n_d] relay of each served UAV.
         aoi: [S] units.
         vdf: [n_px, n_py] units.
-        course: [step + 1, 2] mean AoI and mean VDF of every step that was observed; NaN where none was.
-        reward: mean reward per agent of the episode so far, of each type and, under "mean", of all.
+        course: [step + 1, 2] mean AoI and mean VDF of every step; NaN for steps that were not observed.
+        reward: reward per agent in this episode so far, by type; "mean" is the mean over all agents.
     """
 
     config: FarmConfig
@@ -52,16 +52,16 @@ class Scene:
 
     @property
     def headline(self) -> str:
-        """Return which farm it is, and how far the episode has come."""
+        """The farm's seed and the episode's progress."""
         return f"farm {self.layout.seed}, step {self.step} of {self.config.world.steps}"
 
 
 class Observer:
-    """Keeps what a scene needs beyond the present state.
+    """Records the history that a scene needs beyond the current state.
 
     Args:
         batch: the simulator.
-        index: which environment.
+        index: index of the environment.
     """
 
     def __init__(self, batch: FarmBatch, index: int) -> None:
@@ -70,7 +70,7 @@ class Observer:
         self._course: Numbers = np.full((batch.config.world.steps + 1, 2), np.nan)
 
     def observe(self) -> None:
-        """Note the present state; to be called after every reset and step."""
+        """Record the current state. Call it after every reset and every step."""
         batch, index = self._batch, self._index
         step = int(batch.time[index])
         if step == 0:
@@ -80,7 +80,7 @@ class Observer:
         self._course[step] = batch.aoi[index].mean(), batch.vdf[index].mean()
 
     def scene(self) -> Scene:
-        """Return the present scene; raise SimulationError before the first reset."""
+        """Return the current scene; raise SimulationError before the first reset."""
         batch, index = self._batch, self._index
         layout = batch.layout(index)
         rewards, step = np.array(batch.summary(index).reward), int(batch.time[index])
@@ -103,18 +103,18 @@ class Observer:
 
 
 BISECTIONS: Final = 64
-"""Most halvings of a distance; of fields so large that no two numbers lie as near as is asked for, fewer would do."""
+"""Limit on bisection steps. On huge fields, floating point may never resolve the tolerance that we ask for."""
 
 
 def camera_radius(config: FarmConfig) -> float:
-    """Return the horizontal distance below which a grid cell is photographed well, sqrt(d_th^2 - H_m^2), m."""
+    """Return the horizontal distance within which a grid cell gets a good image, sqrt(d_th^2 - H_m^2), m."""
     return math.sqrt(max(0.0, config.camera.image_distance**2 - config.world.height_monitoring**2))
 
 
 def radio_radius(config: FarmConfig) -> float:
-    """Return the horizontal distance below which a packet arrives with a chance of one half, m.
+    """Return the horizontal distance within which a packet arrives with a probability of at least one half, m.
 
-    It is 0 where not even a sensor right below is heard so well, and at most the field's diagonal.
+    It is 0 if not even a sensor right below the UAV reaches that probability. It never exceeds the field's diagonal.
     """
     near, far = 0.0, math.hypot(config.world.field_x, config.world.field_y)
     if _chance(config, near) < HALF or _chance(config, far) >= HALF:
@@ -128,6 +128,6 @@ def radio_radius(config: FarmConfig) -> float:
 
 
 def _chance(config: FarmConfig, horizontal: float) -> float:
-    """Return 1 - PLR over a horizontal distance, without interference."""
+    """Return 1 - PLR at a horizontal distance, without interference."""
     radio, distance = config.radio, math.hypot(horizontal, config.world.height_collection)
     return 1.0 - float(packet_loss(radio, received_mw(radio, distance) / noise_mw(radio)))

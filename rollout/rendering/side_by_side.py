@@ -15,9 +15,9 @@ from rollout.rendering.scene import Scene
 
 DPI: Final = 100
 SIZE: Final = (16.0, 9.0)
-"""Inches; even numbers of pixels, as video codecs want them."""
+"""Inches. They give even numbers of pixels, which video codecs need."""
 LEFTS: Final = (0.034, 0.448)
-"""Left edges of both maps, as shares of the figure."""
+"""Left edges of both maps, as fractions of the figure."""
 SIDE: Final = (0.3825, 0.68)
 """Width and height of a map: 612 pixels each."""
 BOTTOM: Final = 0.245
@@ -32,8 +32,8 @@ class SideBySidePicture:
     """Draws scenes of two environments that fly the same episode under two policies.
 
     Args:
-        names: of the policies.
-        scenes: the first of each.
+        names: names of the policies.
+        scenes: the first scene of each.
     """
 
     def __init__(self, names: tuple[str, str], scenes: tuple[Scene, Scene]) -> None:
@@ -52,7 +52,7 @@ class SideBySidePicture:
             *(artist for drawn in self._maps for artist in drawn.artists),
             self._headline,
             *(score for scores in self._scores for score in scores.values()),
-            self._lines[0][0].axes,  # all of it, because its scale grows
+            self._lines[0][0].axes,  # the whole chart, because its scale grows
             *(line for lines in self._lines[1:] for line in lines),
         )
         for artist in self._moving:
@@ -63,17 +63,17 @@ class SideBySidePicture:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Return width and height, pixels."""
+        """Width and height, pixels."""
         height, width = self._pixels.shape[:2]
         return width, height
 
     def note(self, scenes: tuple[Scene, Scene]) -> None:
-        """Keep what the charts need of a step; to be called for every step, drawn or not."""
+        """Record a step for the charts. Call it for every step, drawn or not."""
         for which, scene in enumerate(scenes):
             self._reward[which, scene.step] = scene.reward["mean"]
 
     def draw(self, scenes: tuple[Scene, Scene]) -> NDArray[np.uint8]:
-        """Return both scenes as [H, W, 3] red, green and blue."""
+        """Return both scenes as one RGB image, [H, W, 3] uint8."""
         self._update(scenes)
         self._canvas.restore_region(self._background)
         for drawn, scene in zip(self._maps, scenes, strict=True):
@@ -95,14 +95,14 @@ class SideBySidePicture:
         self._rescale()
 
     def _rescale(self) -> None:
-        """Let the scale of the rewards grow with them."""
+        """Grow the reward chart's scale to fit the rewards."""
         axes = self._lines[0][0].axes
         assert axes is not None
         low, high = float(np.nanmin(self._reward)), float(np.nanmax(self._reward))
         axes.set_ylim(-_rounded(-low), max(_rounded(high), 10.0))
 
     def _make_title(self, name: str, left: float) -> dict[str, Text]:
-        """Write a policy's name over its map, and make the numbers of its rewards behind marks of the types."""
+        """Write a policy's name over its map, and make the texts of its rewards beside the types' markers."""
         figure, y = self._figure, 0.951
         figure.text(left, y + 0.019, name, fontsize=13, weight="bold", color=INK)
         figure.text(left, y - 0.009, "reward per agent so far", fontsize=9, color=INK)
@@ -120,7 +120,7 @@ class SideBySidePicture:
         return scores
 
     def _make_chart(self, place: int, scene: Scene) -> list[Line2D]:
-        """Make one of the charts under the maps, a line for each policy."""
+        """Make one of the charts under the maps, with a line for each policy."""
         world, (what, label) = scene.config.world, CHARTS[place]
         axes = self._figure.add_axes((0.034 + 0.2785 * place, 0.052, 0.2395, 0.115))
         axes.set(xlim=(0, world.steps), ylim=(0, {"aoi": world.aoi_max, "vdf": world.vdf_max, "reward": 1.0}[what]))
@@ -132,7 +132,7 @@ class SideBySidePicture:
         return [axes.plot([], [], color=colour, linestyle=style, linewidth=width)[0] for colour, style, width in LINES]
 
     def _make_key(self, names: tuple[str, str], scene: Scene) -> None:
-        """Draw the legend: types, scales, signs and the policies' lines."""
+        """Draw the legend: types, scales, symbols and the policies' lines."""
         for row, kind in enumerate(TYPES):
             y = 0.905 - 0.03 * row
             self._figure.add_artist(
@@ -158,7 +158,7 @@ class SideBySidePicture:
 
 
 def _rounded(value: float) -> float:
-    """Return the next larger one of 1, 2, 3, 5, 7.5 and 10 times a power of ten, 0 for what is not positive."""
+    """Round up to 1, 2, 3, 5, 7.5 or 10 times a power of ten; return 0 unless the value is positive."""
     if value <= 0.0:
         return 0.0
     power = 10.0 ** np.floor(np.log10(value))
@@ -166,5 +166,5 @@ def _rounded(value: float) -> float:
 
 
 def _make_canvas(figure: Figure) -> Any:
-    """Return a canvas without a display; its methods are not typed."""
+    """Return a canvas that needs no display. Its methods are untyped."""
     return FigureCanvasAgg(figure)

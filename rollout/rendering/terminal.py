@@ -1,4 +1,4 @@
-"""One environment as text with colours, for terminals: each character holds two pixels, one above the other."""
+"""One environment as coloured text for terminals. Each character shows two pixels, one above the other."""
 
 import io
 from typing import Final
@@ -18,13 +18,13 @@ Pixels = NDArray[np.uint8]
 Numbers = NDArray[np.float64]
 
 WIDTH: Final = 72
-"""Characters along x unless the terminal is smaller."""
+"""Width of the map in characters, unless the terminal is narrower."""
 LEAST_WIDTH: Final = 16
-"""Characters along x however small the terminal is."""
+"""Least width of the map in characters, however small the terminal is."""
 EXTRA_LINES: Final = 5
 """Lines of text around the map."""
 WAITING: Final = 0.5
-"""AoI from which on a sensor is shown; there are more sensors than there is room."""
+"""Least AoI of a sensor that is shown; not all sensors fit."""
 LINK: Final = (70, 70, 70)
 BLOCK: Final = "\N{UPPER HALF BLOCK}"
 SCALE_CELLS: Final = 12
@@ -34,7 +34,7 @@ def terminal_text(scene: Scene, width: int = WIDTH) -> Text:
     """Return a scene as text.
 
     Args:
-        scene: what to show.
+        scene: the scene to show.
         width: characters along x.
     """
     pixels = _pixels(scene, width)
@@ -53,7 +53,7 @@ def terminal_text(scene: Scene, width: int = WIDTH) -> Text:
 
 
 def coloured(text: Text) -> str:
-    """Return a text with the escape sequences of 24-bit colours in it."""
+    """Return a text with 24-bit colour escape sequences."""
     console = Console(
         file=io.StringIO(), force_terminal=True, color_system="truecolor", width=10_000, legacy_windows=False
     )
@@ -63,7 +63,7 @@ def coloured(text: Text) -> str:
 
 
 def fitting_width(columns: int, lines: int, world: WorldConfig) -> int:
-    """Return how many characters along x fit into a terminal, the map keeping its shape."""
+    """Return the map's width in characters that fits into a terminal and keeps the map's shape."""
     return max(LEAST_WIDTH, min(WIDTH, columns, int(2 * (lines - EXTRA_LINES) * world.field_x / world.field_y)))
 
 
@@ -85,14 +85,14 @@ def _pixels(scene: Scene, width: int) -> Pixels:
 
 
 def _places(world: WorldConfig, xy: Numbers, size: tuple[int, int]) -> NDArray[np.int64]:
-    """Return the pixels of places [k, 2], counted from the field's origin."""
+    """Return the pixels of positions [k, 2], counted from the field's origin."""
     share = xy / (world.field_x, world.field_y)
     places: NDArray[np.int64] = np.minimum((share * size).astype(np.int64), np.array(size) - 1)
     return places
 
 
 def _signs(scene: Scene, rows: int, width: int) -> dict[tuple[int, int], tuple[str, Style]]:
-    """Return what stands at which (row, column) instead of two pixels: each UAV's letter and number."""
+    """Return the characters that replace pixels, by (row, column): each UAV's letter and number."""
     signs = {}
     names = [
         f"{LETTERS[group.name]}{index}" for group in farm_team(scene.config).groups for index in range(group.count)

@@ -1,4 +1,4 @@
-"""A batch of simulated farms that one compiled call steps."""
+"""A batch of simulated farms, stepped by one compiled call."""
 
 import copy
 import functools
@@ -25,28 +25,28 @@ from rollout.sim.layout import Layout, make_layout
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
 
 TRIES: Final = 200
-"""Random places that are tried for a UAV before its least distance shrinks by a tenth."""
+"""Random positions to try for a UAV before the least distance shrinks by a tenth."""
 
 NEVER: Final = 2**30
-"""A step that no episode reaches; cycles are kept in 32 bits."""
+"""A step that no episode reaches and that fits into 32 bits."""
 
 
 class FarmBatch:
     """Farms that share a configuration and nothing else.
 
-    An episode is a pure function of (farm seed, episode seed, actions), bit-equal in a batch of any size and order.
-    There is no automatic reset. All arrays keep their identity over steps and resets; callers must not write to them.
+    An episode is a pure function of (farm seed, episode seed, actions), and is bit-equal in any batch. There is no
+    automatic reset. All arrays stay the same objects over steps and resets; callers must not write to them.
 
     Args:
         config: the farm.
         environments: E.
-        threads: threads that step them, each a share of the environments. Results do not depend on it.
+        threads: number of threads; each steps a share of the environments. The number does not change the results.
 
     Attributes:
         config: the farm.
         team: layout of a row: c, then m, then d.
-        observation: [E, O] float32, present observations of all agents.
-        reward: [E, n] float32, of the last step.
+        observation: [E, O] float32, current observations of all agents.
+        reward: [E, n] float32 rewards of the last step.
         parts: [E, n, K] weighted parts of the last step's reward, named by REWARD_PARTS; they sum to the reward.
         time: [E] steps done in this episode; -1 before the first reset.
         terminated: [E] always False (A5).
@@ -55,11 +55,11 @@ class FarmBatch:
         vdf: [E, n_px, n_py] visual data freshness counters.
         assignment: [E, n_m + n_d] relay (0 .. n_c - 1) of each monitoring, then of each data collection UAV.
         service: [E, n_c] D_c, m.
-        direction: [E, n, 2] D_VDF and D_AoI as seen now; (0, 0) if none, and for relays.
-        energy: [E, n] of the last step, J.
+        direction: [E, n, 2] current D_VDF or D_AoI; (0, 0) if there is none, and for relays.
+        energy: [E, n] energy used in the last step, J.
         utility: [E, n] VMUF or DCUF of the last step, units; 0 for relays.
-        served_sensors: [E, n_d] sensors of AoI above 0 that each UAV served in the last step (sum of the shares
-            delivered when `delivery` is expected).
+        served_sensors: [E, n_d] number of sensors with AoI above 0 that each UAV served in the last step. With expected
+            delivery it is the sum of the shares delivered.
         link_quality: [E, n_m + n_d] signal-to-noise ratio of the link between each served UAV and its relay, dB:
             P_ut minus the free-space loss (km and MHz, as in the assignment's cost) minus the noise k_B T B in dBm.
 
@@ -70,7 +70,7 @@ class FarmBatch:
 
     def __init__(self, config: FarmConfig, environments: int, threads: int = 1) -> None:
         if environments < 1 or threads < 1:
-            raise SimulationError(f"{environments} environments on {threads} threads: both must be at least 1.")
+            raise SimulationError(f"got {environments} environments and {threads} threads; both must be at least 1.")
         self.config = config
         self.spec: EnvironmentSpec = farm_environment(config)
         self.team: TeamSpec = self.spec.team
@@ -110,7 +110,7 @@ class FarmBatch:
 
     @property
     def ended(self) -> NDArray[np.bool_]:
-        """[E] whether the episode is over; on a farm it is truncated and never terminates."""
+        """[E] whether the episode is over. A farm's episode is truncated and never terminates."""
         return self.truncated
 
     @property
@@ -133,11 +133,11 @@ class FarmBatch:
 
         Args:
             index: the environment.
-            farm_seed: which farm.
-            episode_seed: where the UAVs start, and which packets arrive.
+            farm_seed: determines the farm.
+            episode_seed: determines where the UAVs start and which packets arrive.
 
         Raises:
-            ConfigError: so many sensors do not fit at their spacing.
+            ConfigError: the sensors do not fit at their spacing.
         """
         layout = make_layout(self.config, farm_seed)
         state, e, world = self._state, index, self.config.world
@@ -162,11 +162,11 @@ class FarmBatch:
         """Step every environment.
 
         Args:
-            action: [E, A] float32, velocities as shares of the largest ones; clipped to [-1, 1].
+            action: [E, A] float32 velocities as fractions of the top speed; clipped to [-1, 1].
 
         Raises:
-            SimulationError: an environment is finished or was never reset, or the actions have another shape or are
-                not finite.
+            SimulationError: an environment's episode has ended or was never begun, or the actions have the wrong shape
+                or are not finite.
         """
         own = self._action
         if action.shape != own.shape or action.dtype != own.dtype:
@@ -177,12 +177,12 @@ class FarmBatch:
         if objection == NOT_FINITE:
             raise SimulationError("an action is not finite.")
         if objection == OUT_OF_TIME:
-            raise SimulationError("an environment was stepped before its reset or beyond its episode's end.")
+            raise SimulationError("an environment was stepped before its reset or after its episode ended.")
         if self._pool:
             self._step_shares(self._pool)
 
     def _step_shares(self, pool: ThreadPoolExecutor) -> None:
-        """Step a share of the environments on each thread, the first on the caller's own."""
+        """Step a share of the environments on each thread; the caller's own thread takes the first."""
         work = [(packed.address, *share, False) for packed, share in zip(self._arguments, self._shares, strict=True)]
         others = [pool.submit(step_range, *share) for share in work[1:]]
         step_range(*work[0])
@@ -208,7 +208,7 @@ class FarmBatch:
         """Do nothing: farms hold nothing outside this process's memory."""
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "FarmBatch":
-        """Return a copy that continues as this batch would; threads are started anew."""
+        """Return a copy that continues exactly as this batch would, with threads of its own."""
         twin = object.__new__(FarmBatch)
         memo[id(self)] = twin
         fresh = ThreadPoolExecutor(len(self._arguments) - 1, "farms") if self._pool else None
@@ -223,7 +223,7 @@ class FarmBatch:
 
 @functools.lru_cache(maxsize=256)
 def by_rows(layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the sensors row by row of cells, [S], and the first of each cell in that list, [cells + 1]."""
+    """Return the sensors ordered by rows of cells, [S], and where each cell begins in that list, [cells + 1]."""
     columns, rows = layout.cells
     number = np.diff(layout.cell_start)
     cell = np.arange(columns * rows).reshape(columns, rows)
@@ -232,14 +232,14 @@ def by_rows(layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 
 
 def packet_key(farm_seed: int, episode_seed: int) -> int:
-    """Return the 63-bit key that decides, with step and sensor, whether each packet of an episode arrives."""
+    """Return the episode's 63-bit packet key. With step and sensor it decides whether a packet arrives."""
     return derive(farm_seed, episode_seed, "packets")
 
 
 def start_positions(world: WorldConfig, farm_seed: int, episode_seed: int) -> NDArray[np.float64]:
     """Return the start positions of the UAVs, [n, 2] m: uniform, and at least d_safety apart within a plane.
 
-    In a plane that is too crowded for that, the distance shrinks by a tenth until a place is found.
+    If a plane is too crowded for that, the distance shrinks by a tenth until a position is found.
     """
     random = stream(farm_seed, episode_seed, "start")
     places: list[tuple[float, float]] = []

@@ -1,7 +1,7 @@
-"""The densities of sensors over a field: which share of the candidate places at a point is kept.
+"""Sensor densities: the probability of keeping a candidate position at each point of the field.
 
-A density is drawn from a farm's random stream, so it is as much a function of the farm's seed as the places are.
-All but "irregular" are measured in metres and sized by how much room the sensors need at their spacing.
+A density is drawn from a farm's random stream, so the farm's seed determines it, just as it determines the positions.
+All but "irregular" have sizes in metres, which follow from the room that the sensors need at their spacing.
 """
 
 import math
@@ -16,28 +16,28 @@ from common.seeds import stream
 
 Array = NDArray[np.float64]
 Density = Callable[[Array], Array]
-"""Takes candidates [K, 2] as shares of the field's sides; returns the share of each to keep [K], 0..1 or above."""
+"""Maps candidates [K, 2], as fractions of the field's sides, to acceptance probabilities [K]; above 1 counts as 1."""
 
 DENSITY_FLOOR: Final = 0.15
-"""Least acceptance of a candidate place on an irregular farm; 1 in the densest parts."""
+"""Least acceptance on an irregular farm; it is 1 in the densest parts."""
 PACKING: Final = 0.697
-"""Sensors per square of the spacing when no more fit at random: disks of that diameter cover 0.547 of the area."""
+"""Sensors per squared spacing once random sampling can add no more. Disks of that diameter then cover 0.547."""
 PARKING: Final = 0.7476
 """The same along a line: Renyi's parking constant."""
 CHOICES: Final = 8
-"""Places that are drawn for an island's middle; the one farthest from the other islands is taken."""
+"""Candidates for the centre of an island; the one farthest from the other islands is taken."""
 ISLAND_FLOOR: Final = 0.004
-"""Acceptance between the islands of a clustered farm: a few sensors stand alone."""
+"""Acceptance between the islands of a clustered farm, so that a few sensors stand alone."""
 ROW_WIDTH: Final = 0.06
-"""Sensors of a banded farm stand at most this share of the rows' distance from the middle of a row."""
+"""Largest distance of a banded farm's sensors from the middle of their row, as a fraction of the row spacing."""
 PARCELS: Final = (9, 16)
-"""Parcels of a patchy farm: least, and one more than most."""
+"""Range of the number of parcels on a patchy farm; the upper end is exclusive."""
 EMPTY_SHARE: Final = (0.35, 0.6)
-"""Share of a patchy farm that holds no sensor, as far as the spacing leaves room for that."""
+"""Range of the share of a patchy farm without sensors, where the spacing leaves room for it."""
 
 
 def density_of(world: WorldConfig, seed: int) -> str:
-    """Return the density of a farm: the configured one, and for "mixed" the one that the seed draws."""
+    """Return a farm's density: the configured one, or for "mixed" one drawn by the seed."""
     if world.density != "mixed":
         return world.density
     names = list(_DENSITIES)
@@ -45,17 +45,17 @@ def density_of(world: WorldConfig, seed: int) -> str:
 
 
 def make_density(kind: str, world: WorldConfig, random: np.random.Generator) -> Density:
-    """Draw a density of a kind ("mixed" is none) from a farm's stream."""
+    """Draw a density of a kind from a farm's stream; "mixed" is not a kind."""
     return _DENSITIES[kind](world, random)
 
 
 def needed_share(world: WorldConfig) -> float:
-    """Return the share of the field that the sensors fill when they stand as close as random sampling allows."""
+    """Return the share of the field that the sensors fill when packed as tightly as random sampling allows."""
     return world.sensors * world.sensor_spacing**2 / (PACKING * world.field_x * world.field_y)
 
 
 def _irregular(world: WorldConfig, random: np.random.Generator) -> Density:
-    """Three to seven hills over a floor."""
+    """Make three to seven hills over a floor."""
     hills = int(random.integers(3, 8))
     centre = random.uniform(0.0, 1.0, (hills, 2))
     width = random.uniform(0.08, 0.25, hills)
@@ -70,12 +70,12 @@ def _irregular(world: WorldConfig, random: np.random.Generator) -> Density:
 
 
 def _uniform(world: WorldConfig, random: np.random.Generator) -> Density:
-    """Alike everywhere."""
+    """Make the same density everywhere."""
     return lambda candidate: np.ones(len(candidate))
 
 
 def _clustered(world: WorldConfig, random: np.random.Generator) -> Density:
-    """Four to eight islands of unlike size with hardly anything between; together they have the room that is needed."""
+    """Make four to eight islands of different sizes, nearly empty in between. Together they hold the sensors."""
     size = np.array([world.field_x, world.field_y])
     islands = int(random.integers(4, 9))
     centre = _spread(random.uniform(0.08, 0.92, (islands, CHOICES, 2)) * size)
@@ -92,7 +92,7 @@ def _clustered(world: WorldConfig, random: np.random.Generator) -> Density:
 
 
 def _banded(world: WorldConfig, random: np.random.Generator) -> Density:
-    """Crop rows of one direction and distance, which is drawn so that the rows hold the sensors."""
+    """Make parallel crop rows, spaced so that they hold the sensors."""
     size = np.array([world.field_x, world.field_y])
     angle = random.uniform(0.0, math.pi)
     across = np.array([-math.sin(angle), math.cos(angle)])
@@ -108,7 +108,7 @@ def _banded(world: WorldConfig, random: np.random.Generator) -> Density:
 
 
 def _spread(choices: Array) -> Array:
-    """Return one of the choices [K, C, 2] for each of K points, one after another the farthest from those before."""
+    """Pick one of the choices [K, C, 2] for each of K points in turn: the farthest from those already picked."""
     points = choices[:1, 0]
     for choice in choices[1:]:
         distance = np.linalg.norm(choice[:, None] - points, axis=2).min(axis=1)
@@ -117,7 +117,7 @@ def _spread(choices: Array) -> Array:
 
 
 def _patchy(world: WorldConfig, random: np.random.Generator) -> Density:
-    """Parcels around random centres, some of them without any sensor and the others alike."""
+    """Make parcels around random centres. Some hold no sensor; the others share one density."""
     size = np.array([world.field_x, world.field_y])
     centre = random.uniform(0.0, 1.0, (int(random.integers(*PARCELS)), 2)) * size
     wanted = min(random.uniform(*EMPTY_SHARE), 1.0 - needed_share(world) / 0.85)

@@ -1,4 +1,4 @@
-"""Where a farm's sensors stand: a pure function of the farm's integer seed, or given by the configuration."""
+"""Sensor positions of a farm: a pure function of the farm's integer seed, or given by the configuration."""
 
 import functools
 from dataclasses import dataclass
@@ -13,11 +13,11 @@ from rollout.sim.densities import density_of
 from rollout.sim.poisson_disk import sample_positions
 
 CELL: Final = 25.0
-"""Edge of the cells by which sensors are numbered, m; larger when that would give more than MAX_CELLS an axis."""
+"""Edge of the cells that order the sensors, m; larger if an axis would otherwise have more than MAX_CELLS."""
 MAX_CELLS: Final = 128
 """Most cells along one axis."""
 GIVEN: Final = "given"
-"""Density of a layout whose places come from the configuration."""
+"""Density of a layout whose positions come from the configuration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +26,13 @@ class Layout:
 
     Attributes:
         seed: the farm's seed.
-        density: by which the places were sampled, or GIVEN.
-        sensor_xy: [S, 2] places, m; numbered cell by cell, cells in row-major order (x outer).
+        density: density from which the positions were sampled, or GIVEN.
+        sensor_xy: [S, 2] positions, m; numbered cell by cell, cells in row-major order (x outer).
         sensor_type: [S] type, 0 .. I_type - 1.
         sensor_cycle_steps: [S] AoI update cycle T_UA of the sensor's type, steps.
-        sensor_phase: [S] AoI rises at the steps that leave this remainder by the cycle (0 unless phases are random).
+        sensor_phase: [S] AoI rises at steps equal to this modulo the cycle (0 unless phases are random).
         plot_phase: [n_px, n_py] the same for VDF.
-        cells: cells along x and y.
+        cells: number of cells along x and y.
         cell_start: [cells + 1] first sensor of each cell.
     """
 
@@ -51,11 +51,11 @@ class Layout:
 def make_layout(farm: FarmConfig, seed: int) -> Layout:
     """Return the farm of a seed.
 
-    Places are sampled by the configured density, at least `sensor_spacing` apart, and types are balanced. Given places,
-    and types given with them, are kept as they are. Phases always follow from the seed.
+    Positions are sampled from the configured density, at least `sensor_spacing` apart, and types are balanced.
+    Positions and types from the configuration stay as they are. Phases always follow from the seed.
 
     Raises:
-        ConfigError: so many sensors do not fit at that spacing.
+        ConfigError: the sensors do not fit at that spacing.
     """
     world = farm.world
     density = GIVEN if world.sites else density_of(world, seed)
@@ -86,7 +86,7 @@ def cell_counts(world: WorldConfig) -> tuple[int, int]:
 def _number(
     world: WorldConfig, xy: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], tuple[tuple[int, int], NDArray[np.int64]]]:
-    """Return the order that sorts places [S, 2] by cell, the numbers of cells and each cell's first place."""
+    """Return the order that sorts positions [S, 2] by cell, the cells per axis and each cell's first position."""
     cells = cell_counts(world)
     column = np.minimum((xy[:, 0] / world.field_x * cells[0]).astype(np.int64), cells[0] - 1)
     row = np.minimum((xy[:, 1] / world.field_y * cells[1]).astype(np.int64), cells[1] - 1)

@@ -1,4 +1,4 @@
-"""Poisson-disk sampling by a density: a candidate that lies too close to an earlier one is rejected."""
+"""Poisson-disk sampling from a density: a candidate too close to an earlier one is rejected."""
 
 from typing import Final
 
@@ -12,21 +12,21 @@ from rollout.sim.densities import make_density
 from rollout.sim.kernel.compiler.decorators import compiled_entry
 
 BLOCKS: Final = 64
-"""Blocks of candidates that are tried before a layout counts as impossible."""
+"""Blocks of candidates to try before a layout counts as impossible."""
 MAX_BINS: Final = 128
-"""Most bins along one axis in which neighbours are looked for."""
+"""Most bins along one axis of the neighbour search."""
 
 
 def sample_positions(world: WorldConfig, seed: int, kind: str) -> NDArray[np.float64]:
-    """Return sensor positions [S, 2] m: candidates thinned by a density, each kept if far enough from all before it.
+    """Return sensor positions [S, 2] m: candidates thinned by a density, each kept if far enough from earlier ones.
 
     Args:
-        world: counts and sizes.
+        world: sensor count, spacing and field size.
         seed: the farm's seed.
         kind: the density.
 
     Raises:
-        ConfigError: so many sensors do not fit at that spacing.
+        ConfigError: the sensors do not fit at that spacing.
     """
     random = stream(seed, "layout", "sensors")
     size = np.array([world.field_x, world.field_y])
@@ -43,8 +43,8 @@ def sample_positions(world: WorldConfig, seed: int, kind: str) -> NDArray[np.flo
         if placed == world.sensors:
             return place
     raise ConfigError(
-        f"{world.sensors} sensors do not fit into {world.field_x:g} m x {world.field_y:g} m at least "
-        f"{world.sensor_spacing:g} m apart."
+        f"{world.sensors} sensors at least {world.sensor_spacing:g} m apart do not fit into "
+        f"{world.field_x:g} m x {world.field_y:g} m."
     )
 
 
@@ -58,7 +58,7 @@ def _keep_spaced(
     first: NDArray[np.int64],
     after: NDArray[np.int64],
 ) -> int:
-    """Keep the candidates [K, 2] that lie at least `spacing` from all places; return how many places there are."""
+    """Add the candidates [K, 2] at least `spacing` from all kept positions; return how many positions are kept."""
     columns, rows = first.shape
     free = True
     for k in range(len(candidate)):

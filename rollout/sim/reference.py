@@ -1,7 +1,7 @@
-"""The farm written straight from the equations: the readable oracle for tests of the compiled simulator.
+"""The farm written directly from the equations: the readable oracle for tests of the compiled simulator.
 
-One environment, NumPy, slow. It shares only the layout and the start with the kernel. Physics is in dB and metres as in
-the paper, where the kernel uses precomputed linear factors.
+It is plain NumPy, slow, and simulates one environment. It shares only the layout and the start with the kernel. Its
+physics is in dB and metres, as in the paper; the kernel uses precomputed linear factors.
 """
 
 import math
@@ -20,18 +20,18 @@ from rollout.sim.reference_views import observe
 Array = NDArray[np.float64]
 
 NEGLIGIBLE = 1e-12
-"""A packet with a smaller chance to arrive is not sent, and less utility than this is none (ours)."""
+"""A packet with a smaller probability of arrival is not sent, and a smaller utility counts as none (ours)."""
 DIRECTIONS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / math.sqrt(2.0)
 """The four diagonals in the order in which ties are broken (W25)."""
 
 
 def dbm_to_mw(dbm: Array | float) -> Array:
-    """Return dBm as mW."""
+    """Convert dBm to mW."""
     return np.asarray(10.0 ** (np.asarray(dbm) / 10.0))
 
 
 def carrier(radio: RadioConfig) -> float:
-    """Return f_c in the unit of the path losses (W12)."""
+    """Return f_c in the unit that the path losses use (W12)."""
     return radio.carrier_mhz / 1000.0 if radio.frequency_unit == "ghz" else radio.carrier_mhz
 
 
@@ -94,7 +94,7 @@ def other_power(energy: EnergyConfig, kind: int) -> float:
 
 
 def packet_draw(key: int, step: int, sensor: int) -> float:
-    """Return the uniform number of a packet: splitmix64 of the episode's key at the counter (step, sensor)."""
+    """Return a packet's uniform random number: splitmix64 of the episode's key at counter (step, sensor)."""
     mask = 2**64 - 1
     z = (key + 0x9E3779B97F4A7C15 * (step * 2**32 + sensor)) & mask
     z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & mask
@@ -103,7 +103,7 @@ def packet_draw(key: int, step: int, sensor: int) -> float:
 
 
 def safety_risk(reward: RewardConfig, safety: float, now: float, before: float) -> float:
-    """SR from d_U(t) and the same pair's d(t - t_step), m (W8)."""
+    """SR from d_U(t) and d(t - t_step) of the same pair, m (W8)."""
     if now >= safety:
         return 0.0
     return max(0.0, before - now) if reward.risk == "closing" else now - before
@@ -117,12 +117,12 @@ def densest_direction(own: Array, places: Array, value: Array) -> Array:
 
 
 class ReferenceFarm:
-    """One environment.
+    """One simulated farm.
 
     Args:
         config: the farm.
-        layout: where its sensors stand.
-        episode_seed: where the UAVs start and which packets arrive.
+        layout: the farm's sensors.
+        episode_seed: determines where the UAVs start and which packets arrive.
 
     Attributes:
         position: [n, 2] m.
@@ -132,7 +132,7 @@ class ReferenceFarm:
         link_quality: [n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
         direction: [n, 2] D_VDF, D_AoI.
         chance: [S] 1 - PLR of each sensor's packet in the last step.
-        energy: [n] J; utility: [n]; parts: [n, K]; reward: [n]; of the last step.
+        energy: [n] J; utility: [n]; parts: [n, K]; reward: [n]; all of the last step.
         observation: [O] float32.
         time: steps done.
     """
@@ -157,12 +157,12 @@ class ReferenceFarm:
         self._look()
 
     def step(self, action: Float32, assignment: NDArray[np.int64] | None = None) -> None:
-        """Do one step; the order is that of the kernel.
+        """Do one step in the same order as the kernel.
 
         Args:
             action: [2 n].
-            assignment: [n_m + n_d] to fly on with where several assignments cost the same; the best cost is found
-                all the same.
+            assignment: [n_m + n_d] the assignment to use if several cost the same. The least cost is computed either
+                way.
         """
         world = self.config.world
         self.time += 1
@@ -196,7 +196,7 @@ class ReferenceFarm:
         return min(others, key=lambda o: self.distance(u, o, self.position), default=-1)
 
     def served(self, relay: int) -> list[int]:
-        """Return the UAVs that a relay serves."""
+        """Return the indices of the UAVs that a relay serves."""
         first = self.config.world.communication_uavs
         return [first + int(k) for k in np.flatnonzero(self.assignment == relay)]
 
@@ -239,7 +239,7 @@ class ReferenceFarm:
         return weights.weight_centroid * centroid + weights.weight_farthest * farthest + weights.weight_relays * relays
 
     def _photograph(self) -> None:
-        """VMUF and eq. VDF: images by the UAV closest to each plot's centre (W18 to W23)."""
+        """VMUF and eq. VDF: the UAV closest to a plot's centre takes its image (W18 to W23)."""
         world, camera = self.config.world, self.config.camera
         monitors = np.flatnonzero(self.kind == 1)
         cycle = round(world.vdf_cycle / world.step_seconds)
@@ -294,7 +294,7 @@ class ReferenceFarm:
             self.aoi[j] = (1.0 - share) * raised
 
     def _reward(self, before: Array, service_before: Array, motivated: NDArray[np.bool_]) -> None:
-        """r_c, r_m and r_d; every part but the energy is multiplied by t_step as printed."""
+        """r_c, r_m and r_d; every part except the energy is multiplied by t_step, as printed."""
         weight, world, seconds = self.config.reward, self.config.world, self.config.world.step_seconds
         sign = 1.0 if weight.positioning_sign == "printed" else -1.0
         self.parts = np.zeros((world.uavs, 7))
@@ -322,7 +322,7 @@ class ReferenceFarm:
         self.reward = self.parts.sum(axis=1)
 
     def _look(self) -> None:
-        """Find D_VDF and D_AoI, who is too close, and what everybody observes."""
+        """Find D_VDF and D_AoI, the UAVs that are too close, and all observations."""
         self.direction = np.zeros((len(self.kind), 2))
         for u in np.flatnonzero(self.kind == 1):
             self.direction[u] = densest_direction(self.position[u], self.plot_xy, self.vdf.reshape(-1))

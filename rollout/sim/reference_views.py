@@ -24,7 +24,7 @@ def observe(farm: ReferenceFarm) -> Float32:
 
 
 def _self(farm: ReferenceFarm, u: int) -> Array:
-    """Return which of its type a UAV is, one of n_v, and the share of the episode that is over, where it sees these."""
+    """Return a UAV's one-hot index within its type, [n_v], and the elapsed fraction of the episode, if observed."""
     seen, mates = farm.config.observation, np.flatnonzero(farm.kind == farm.kind[u])
     rank = np.equal(mates, u).astype(np.float64) if seen.identity else np.zeros(0)
     clock = [farm.time / farm.config.world.steps] if seen.clock else []
@@ -37,7 +37,7 @@ def _place(farm: ReferenceFarm, u: int) -> Array:
 
 
 def _plot(farm: ReferenceFarm, u: int) -> tuple[NDArray[np.int64], Array]:
-    """Return which plot a UAV is over, and the offset from its middle over half a plot."""
+    """Return the plot under a UAV, and the UAV's offset from the plot's centre divided by half a plot."""
     world = farm.config.world
     size = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
     plot = np.minimum(farm.position[u] // size, (world.plots_x - 1, world.plots_y - 1)).astype(np.int64)
@@ -45,7 +45,7 @@ def _plot(farm: ReferenceFarm, u: int) -> tuple[NDArray[np.int64], Array]:
 
 
 def _signs(farm: ReferenceFarm, u: int) -> Array:
-    """Return the signs of a UAV's axes; 1 and 1 unless views are mirrored."""
+    """Return the signs of a UAV's axes; both are 1 unless views are mirrored."""
     decides = _plot(farm, u)[1] if farm.kind[u] == 1 else _place(farm, u)
     return np.where(farm.config.observation.mirrored & (decides < 0.0), -1.0, 1.0)
 
@@ -56,7 +56,7 @@ def _own(farm: ReferenceFarm, u: int) -> Array:
 
 
 def _towards(farm: ReferenceFarm, u: int, place: Array) -> list[float]:
-    """Return the offset over the field's sides and the 3-D distance over its diagonal to a place [3]."""
+    """Return the offset to a place [3] divided by the field's sides, and the 3-D distance divided by its diagonal."""
     world = farm.config.world
     dx, dy, dz = place - (*farm.position[u], farm.height[u])
     diagonal, (along_x, along_y) = math.hypot(world.field_x, world.field_y), _signs(farm, u)
@@ -64,14 +64,14 @@ def _towards(farm: ReferenceFarm, u: int, place: Array) -> list[float]:
 
 
 def _uav(farm: ReferenceFarm, u: int, other: int) -> list[float]:
-    """Return the view of another UAV; (0, 0, 1) stands for none."""
+    """Return the view of another UAV; (0, 0, 1) if there is none."""
     if other < 0:
         return [0.0, 0.0, 1.0]
     return _towards(farm, u, np.array([*farm.position[other], farm.height[other]]))
 
 
 def _relay_view(farm: ReferenceFarm, u: int) -> Array:
-    """Return U_c, UAV_C-c, GC_c, GC_u, UAV_f-s and UAV_N with their distances."""
+    """Return U_c, then UAV_C-c, GC_c, GC_u, UAV_f-s and UAV_N with their distances."""
     relays = [r for r in np.flatnonzero(farm.kind == 0) if r != u]
     nearest = min(relays, key=lambda r: farm.distance(u, int(r), farm.position), default=-1)
     place = np.column_stack([farm.position, farm.height])
@@ -93,7 +93,7 @@ def _relay_view(farm: ReferenceFarm, u: int) -> Array:
 
 
 def _monitoring_view(farm: ReferenceFarm, u: int) -> Array:
-    """Return U_m, the window of VDF around (0 outside the field), D_VDF, UAV_N with its distance, place in the plot."""
+    """Return U_m, the VDF window (0 outside the field), D_VDF, UAV_N with its distance, and the place in the plot."""
     seen, signs, ((x, y), offset) = farm.config.observation, _signs(farm, u), _plot(farm, u)
     around = np.pad(farm.vdf, seen.window // 2)[x : x + seen.window, y : y + seen.window] / farm.config.world.vdf_max
     turned = np.flip(around, tuple(np.flatnonzero(signs < 0.0).tolist())).reshape(-1)
@@ -102,7 +102,7 @@ def _monitoring_view(farm: ReferenceFarm, u: int) -> Array:
 
 
 def _collection_view(farm: ReferenceFarm, u: int) -> Array:
-    """Return U_d, n sensors near (AoI and offset over 50 m, clipped), D_AoI and UAV_N with its distance."""
+    """Return U_d, the n nearest sensors (AoI, clipped offset over 50 m), D_AoI, and UAV_N with its distance."""
     seen, signs = farm.config.observation, _signs(farm, u)
     offset = farm.layout.sensor_xy - farm.position[u]
     square = (offset**2).sum(axis=1)

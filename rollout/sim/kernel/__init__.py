@@ -1,1 +1,1 @@
-"""The compiled simulator, one module for each subject; `rollout.sim.batch` is its only entrance."""
+"""The compiled simulator, one module per subject. Use it only through `rollout.sim.batch`."""

@@ -1,4 +1,4 @@
-"""The arrays that the compiled simulator works on, all allocated once."""
+"""The arrays of the compiled simulator, each allocated once."""
 
 from typing import Final, NamedTuple
 
@@ -14,42 +14,42 @@ from rollout.sim.layout import cell_counts
 Float32 = NDArray[np.float32]
 
 REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "idle", "motivation")
-"""The weighted parts of a reward in the order in which they are stored; the reward is their sum."""
+"""The weighted parts of a reward in storage order; the reward is their sum."""
 
 
 class State(NamedTuple):
     """State of all environments [E]; UAVs [n] in row order.
 
     Attributes:
-        key: [E] key of the episode's packets.
+        key: [E] packet key of the episode, see `rollout.sim.batch.packet_key`.
         time: [E] steps done; -1 before the first reset.
         position: [E, n, 2] m.
-        direction: [E, n, 2] D_VDF and D_AoI seen now.
+        direction: [E, n, 2] current D_VDF and D_AoI.
         assignment: [E, n_m + n_d] relay of each served UAV.
         service: [E, n_c] D_c, m.
-        sensor: [E, 2, S] m.
+        sensor: [E, 2, S] sensor positions, m.
         cell_start: [E, cells + 1] first sensor of each cell.
         by_row: [E, S] the sensors row by row of cells.
-        row_start: [E, cells + 1] where each cell's begin in that list, row by row.
+        row_start: [E, cells + 1] where each cell's sensors begin in that list, row by row.
         cycle: [E, S] T_UA, steps.
         age: [E, S] AoI.
-        age_due: [E, S] step at which it rises next.
+        age_due: [E, S] step at which AoI rises next.
         level: [E, n_px, n_py] VDF.
-        level_due: [E, n_px, n_py] step at which it rises next.
-        observation: [E, O].
-        reward: [E, n] of the last step.
-        parts: [E, n, K] of the last step.
-        energy: [E, n] of the last step, J.
+        level_due: [E, n_px, n_py] step at which VDF rises next.
+        observation: [E, O] observations.
+        reward: [E, n] reward of the last step.
+        parts: [E, n, K] reward parts of the last step.
+        energy: [E, n] energy used in the last step, J.
         utility: [E, n] VMUF and DCUF of the last step.
-        served: [E, n_d] sensors of AoI above 0 that delivered in the last step.
-        returns: [E, n] sums of rewards of the episode.
+        served: [E, n_d] sensors with AoI above 0 that delivered in the last step.
+        returns: [E, n] sums of the episode's rewards so far.
         sums: [E, 5] sums over the episode's steps: mean AoI, mean VDF, crowded UAVs, UAVs outside, energy in J.
-        rising: [E, 2] step at which any AoI and any VDF rises next.
-        age_below: [E, cells_y + 1, cells_x] tally of AoI over the sensor cells.
-        age_above: [E, cells_y + 1, cells_x].
-        waiting: [E, 1] how many sensors hold data.
+        rising: [E, 2] next step at which any AoI rises, and the same for VDF.
+        age_below: [E, cells_y + 1, cells_x] tally of AoI over the sensor cells, see `spatial.tallies`.
+        age_above: [E, cells_y + 1, cells_x] the tally's other table.
+        waiting: [E, 1] number of sensors that hold data.
         level_below: [E, n_py + 1, n_px] tally of VDF over the plots.
-        level_above: [E, n_py + 1, n_px].
+        level_above: [E, n_py + 1, n_px] the tally's other table.
         listed: [E, n_d, observed sensors] sensors that each data collection UAV sees.
         quality: [E, n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
     """
@@ -128,10 +128,10 @@ class AssignmentScratch(NamedTuple):
 
     Attributes:
         pair: [n_m + n_d, n_c] cost of each pair.
-        exchanges: of UAVs between relays.
-        cost: [n_m + n_d, n_c capacity] cost of each UAV at each place of a relay.
-        numbers: [3, n_c capacity].
-        indices: [4, n_c capacity].
+        exchanges: working memory of the exchanges between relays.
+        cost: [n_m + n_d, n_c capacity] cost of each UAV in each slot of a relay.
+        numbers: [3, n_c capacity] scratch.
+        indices: [4, n_c capacity] scratch.
     """
 
     pair: Array
@@ -147,28 +147,28 @@ class Scratch(NamedTuple):
     Attributes:
         previous: [n, 2] positions before the step, m.
         outside: [n] ACT.
-        motivated: [n] M_V and M_D.
+        motivated: [n] M_V or M_D.
         neighbour: [n] nearest UAV.
         distance: [n] d_U, m.
-        crowded: [n] whether a UAV of the plane is closer than the collision distance.
-        linked: [n_m + n_d] whether the relay is in range.
+        crowded: [n] whether another UAV of the plane is closer than the collision distance.
+        linked: [n_m + n_d] whether the UAV's relay is in range.
         earlier: [n_c] D_c(k-1), m.
-        centroid: [n_c + 1, 3] m.
+        centroid: [n_c + 1, 3] centroids of the served UAVs; the last row is that of all relays, m.
         farthest: [n_c] farthest UAV served.
-        number: [n_c] UAVs served.
-        far: [n_c] distance of the farthest, m.
+        number: [n_c] number of UAVs served.
+        far: [n_c] distance of the farthest UAV, m.
         peer: [n] nearest UAV of the plane.
         apart_square: [n] square of its distance, m^2.
-        x: [n] places, m.
-        y: [n] m.
+        x: [n] positions along x, m.
+        y: [n] positions along y, m.
         around: [S + 1] sensors around a UAV; the last entry is never read.
         square: [S + 1] squares of their distances, m^2.
         nearest_square: [observed sensors] squares of the distances of the nearest, m^2.
-        woken: [n_d] sensor woken by each UAV that is the strongest.
+        woken: [n_d] strongest sensor that each UAV wakes.
         power: [n_d] interference, mW.
         item: [max(S, P)] sensors or plots served.
         share: [S] shares delivered.
-        assigning: of the assignment.
+        assigning: working memory of the assignment.
     """
 
     previous: Array
@@ -280,13 +280,13 @@ def make_scratch(config: FarmConfig) -> Scratch:
 
 
 class Workspace(NamedTuple):
-    """Everything that one thread works with.
+    """All data that one thread works with.
 
     Attributes:
         constants: numbers derived from the configuration.
         state: the environments, which all threads share.
-        scratch: this thread's own.
-        action: [E, 2 n] of the next step.
+        scratch: working memory of this thread.
+        action: [E, 2 n] actions of the next step.
     """
 
     constants: Constants

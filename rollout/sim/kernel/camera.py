@@ -1,4 +1,4 @@
-"""Monitoring: image quality of plots and their visual data freshness counters."""
+"""Monitoring: image quality of plots, and the plots' VDF counters."""
 
 import math
 
@@ -11,7 +11,7 @@ from rollout.sim.kernel.spatial.tallies import add, tally_plots
 
 @allocation_free
 def plot_quality(camera: CameraConstants, x: float, y: float, column: int, row: int) -> float:
-    """Return Q_plot: the share of the plot's grid cells closer than d_th to a UAV over (x, y) (W21, W22)."""
+    """Return Q_plot, the share of the plot's grid cells closer than d_th to a UAV over (x, y) (W21, W22)."""
     good = 0
     for cell in range(len(camera.grid_x)):
         dx = (column + camera.grid_x[cell]) * camera.plot_width - x
@@ -25,8 +25,8 @@ def photograph(c: Constants, farm: Farm, s: Scratch) -> None:
     """Take an image of every plot, credit the good ones and update VDF (W18 to W23).
 
     The UAV closest to a plot's centre photographs the whole plot and is credited with VDF(t - t_step); ties go to the
-    lowest index. Images count only where the relay is in range (W4). A plot with VDF 0 that is not due needs no image,
-    because it stays at 0 either way.
+    lowest index. An image counts only if the UAV's relay is in range (W4). A plot with VDF 0 that is not due needs no
+    image, because it stays at 0 either way.
 
     Updates `level`, `level_due`, `rising` and the tally of VDF. Writes `utility` of the monitoring UAVs: VMUF.
     """
@@ -61,7 +61,7 @@ def photograph(c: Constants, farm: Farm, s: Scratch) -> None:
 def _succeeds(
     fleet: FleetConstants, camera: CameraConstants, position: Array, apart_square: Array, u: int, column: int, row: int
 ) -> bool:
-    """Return whether a UAV is the one to photograph a plot, and its image is good enough."""
+    """Return whether a UAV is the one that photographs a plot and its image is good enough."""
     x, y = position[u, 0], position[u, 1]
     centre_x, centre_y = (column + 0.5) * camera.plot_width, (row + 0.5) * camera.plot_depth
     dx, dy = centre_x - x, centre_y - y
@@ -75,7 +75,7 @@ def _succeeds(
 
 @allocation_free
 def _rise(camera: CameraConstants, step: int, level: Array, due: Int32) -> int:
-    """Let VDF rise where a cycle ends; return the step at which any rises next."""
+    """Raise VDF where a cycle ends; return the next step at which any VDF rises."""
     soonest = step + camera.cycle
     for column in range(camera.plots_x):
         for row in range(camera.plots_y):
@@ -88,7 +88,7 @@ def _rise(camera: CameraConstants, step: int, level: Array, due: Int32) -> int:
 
 @allocation_free
 def _span(place: float, reach: float, size: float, plots: int) -> tuple[int, int]:
-    """Return the first and last plot along an axis that a reach around a place touches."""
+    """Return the first and last plot along an axis within `reach` of a place."""
     low = int(max(0.0, math.floor((place - reach) / size)))
     high = int(min(plots - 1.0, math.floor((place + reach) / size)))
     return low, high

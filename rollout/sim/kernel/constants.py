@@ -1,4 +1,4 @@
-"""What the compiled simulator knows about a farm: numbers derived once from the configuration."""
+"""The compiled simulator's constants: numbers derived once from the configuration."""
 
 import math
 from typing import Any, Final, NamedTuple
@@ -13,10 +13,10 @@ from rollout.sim.kernel.link import RadioConstants, loss_at_one_metre, noise, ra
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Int32 = NDArray[np.int32]
-"""What every environment holds many of, in half the memory."""
+"""For large per-environment arrays; they take half the memory of 64-bit ones."""
 
 LEAST_LINK: Final = 1.0
-"""Least distance that enters the free-space loss between two UAVs, m (ours): there is no loss at distance 0."""
+"""Least distance in the free-space loss between two UAVs, m (ours). At distance 0 the loss is undefined."""
 
 
 class FleetConstants(NamedTuple):
@@ -27,7 +27,7 @@ class FleetConstants(NamedTuple):
         collectors: index of the first data collection UAV, n_c + n_m.
         uavs: n_UAV.
         height: [n] of each UAV, m.
-        payloads: of each type, power beside the flight power: P_comm + P_cmp and P_cam or P_ec, W.
+        payloads: power of each type besides flight power: P_comm + P_cmp and P_cam or P_ec, W.
         width: U_x-max, m.
         depth: U_y-max, m.
         diagonal: of the field, m.
@@ -37,10 +37,10 @@ class FleetConstants(NamedTuple):
         speed_x: V_x-max, m/s.
         speed_y: V_y-max, m/s.
         seconds: t_step, s.
-        steps: of an episode.
+        steps: steps of an episode.
         safety: d_safety, m (W9).
         collision: collision distance, m.
-        any_plane: whether the nearest UAV is looked for in all planes (W10).
+        any_plane: whether the search for the nearest UAV covers all planes (W10).
     """
 
     relays: int
@@ -93,12 +93,12 @@ class RelayConstants(NamedTuple):
     """Assignment and service quality.
 
     Attributes:
-        capacity: UAVs that one relay serves.
+        capacity: most UAVs that one relay serves.
         cost_distance: weight of the distance in the cost, 1/m.
         cost_link: weight of the free-space loss in the cost, 1/dB.
-        loss_scale: free-space loss per natural logarithm of the square of the distance, dB.
+        loss_scale: free-space loss per unit of ln(distance^2), dB.
         loss_offset: free-space loss at 1 m, dB.
-        budget: transmission power over the noise: the signal-to-noise ratio of a link without loss, dB.
+        budget: transmission power over noise, which is the signal-to-noise ratio of a lossless link, dB.
         weight_centroid: epsilon_1.
         weight_farthest: epsilon_2.
         weight_relays: epsilon_3.
@@ -125,12 +125,12 @@ class CameraConstants(NamedTuple):
         plots_y: n_py.
         plot_width: m.
         plot_depth: m.
-        grid_x: [n_gx n_gy] middles of the grid cells along x, shares of the plot.
+        grid_x: [n_gx n_gy] middles of the grid cells along x, as fractions of the plot.
         grid_y: [n_gx n_gy] the same along y.
         ground_square: d_th^2 - H_m^2, the square of the ground radius of a good image, m^2.
         threshold: Q_th.
         reach: horizontal distance from the UAV beyond which no cell matters, m.
-        centre_square: square of the distance from the UAV beyond which no plot whose centre lies there succeeds, m^2.
+        centre_square: square of the distance from the UAV to a plot's centre beyond which no image succeeds, m^2.
         cycle: t_v, steps.
         level_max: VDF_max.
     """
@@ -153,14 +153,14 @@ class RewardConstants(NamedTuple):
     """Weights of the reward parts, signs included.
 
     Attributes:
-        positioning: of D_c(k) - D_c(k-1), 1/m (W1).
-        energy: of the energy, 1/J.
-        risk: of the safety risk, 1/m.
-        boundary: of ACT.
-        utility: of VMUF and DCUF.
-        idle: of P_M and P_C.
-        motivation: of M_V and M_D.
-        closing: SR counts closing in only (W8), not the printed difference.
+        positioning: weight of D_c(k) - D_c(k-1), 1/m (W1).
+        energy: weight of the energy, 1/J.
+        risk: weight of the safety risk, 1/m.
+        boundary: weight of ACT.
+        utility: weight of VMUF and DCUF.
+        idle: weight of P_M and P_C.
+        motivation: weight of M_V and M_D.
+        closing: whether SR counts only closing in (W8), not the printed difference.
     """
 
     positioning: float
@@ -177,16 +177,16 @@ class ObservationConstants(NamedTuple):
     """What the UAVs see.
 
     Attributes:
-        sensors: n.
-        printed: AoI only (W24).
-        waiting: sensors with an AoI above 0 come first.
+        sensors: n, the number of sensors observed.
+        printed: whether sensors are observed by AoI only (W24).
+        waiting: whether sensors with AoI above 0 come first.
         window: plots along each side of the square that a monitoring UAV sees.
-        lattice: a monitoring UAV sees where in its plot it is.
-        mirrored: axes point so that a UAV's place is not below 0, a monitoring UAV's in its plot.
-        identity: an agent sees which of its type it is.
-        clock: an agent sees the time.
-        per_steps: 1 over the steps of an episode.
-        start_square: square of the distance to which the search for the nearest sensors starts, m^2.
+        lattice: whether a monitoring UAV observes its position within its plot.
+        mirrored: whether axes are flipped so that a UAV's position (a monitor's: within its plot) is never below 0.
+        identity: whether an agent observes its index within its type.
+        clock: whether an agent observes the time.
+        per_steps: 1 / steps of an episode.
+        start_square: square of the initial radius of the search for the nearest sensors, m^2.
         cells_x: sensor cells along x.
         cells_y: sensor cells along y.
     """
@@ -206,7 +206,7 @@ class ObservationConstants(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """All of them."""
+    """All constants."""
 
     fleet: FleetConstants
     flight: FlightConstants
@@ -225,7 +225,7 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         cells: sensor cells along x and y.
 
     Raises:
-        ConfigError: the field is so small that its diagonal has no free-space loss.
+        ConfigError: the field's diagonal is too short to have a free-space loss.
     """
     what, world = config.observation, config.world
     start = 1.5 * what.sensors * world.field_x * world.field_y / (math.pi * world.sensors)
@@ -255,13 +255,13 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
 
 
 def _cast(part: Any) -> Any:
-    """Make every number of the declared type, so that a whole number in a configuration compiles nothing anew."""
+    """Cast every number to its declared type, so that an integer in a configuration triggers no recompilation."""
     numbers = {name: kind for name, kind in part.__annotations__.items() if kind in (int, float, bool)}
     return part._replace(**{name: kind(getattr(part, name)) for name, kind in numbers.items()})
 
 
 def watts(dbm: float) -> float:
-    """Return a power given in dBm in W."""
+    """Convert dBm to W."""
     return math.pow(10.0, dbm / 10.0) / 1000.0
 
 

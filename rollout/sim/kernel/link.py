@@ -1,4 +1,4 @@
-"""What the compiled simulator knows about the sensors' radio link."""
+"""The compiled simulator's constants of the sensors' radio link."""
 
 import math
 from typing import Final, NamedTuple
@@ -11,29 +11,28 @@ from common.config import FarmConfig
 Array = NDArray[np.float64]
 
 NEGLIGIBLE: Final = 1e-12
-"""A packet with a smaller chance to arrive is not sent (ours); it bounds the sensors that a UAV has to look at.
-
-Less utility than this counts as none."""
+"""A packet with a smaller probability of arrival is not sent (ours); this bounds the sensors that a UAV has to check. A
+smaller utility counts as none."""
 CHANCES: Final = 256
-"""Pieces of the reach for which the chance of a packet is bounded beforehand."""
+"""Intervals of the reach with precomputed bounds on a packet's probability of arrival."""
 
 
 class RadioConstants(NamedTuple):
     """The sensor link and AoI.
 
     Attributes:
-        power: power received over 1 m of free space, mW.
+        power: power received at 1 m in free space, mW.
         vegetation: ln(10)/10 a_1 f_c^a_2, so that vegetation multiplies the power by exp(-vegetation d^a_3).
         half_exponent: a_3 / 2.
         noise: k_B T B, mW.
         bits: 8 L.
-        interference: W14.
-        exact: exact Q function (W15).
-        expected: expected delivery (W17).
-        reach: horizontal distance beyond which no packet has more than a NEGLIGIBLE chance, m.
+        interference: whether UAVs interfere (W14).
+        exact: whether the Q function is exact (W15).
+        expected: whether delivery is expected (W17).
+        reach: horizontal distance beyond which a packet's probability of arrival is at most NEGLIGIBLE, m.
         level_max: AoI_max.
-        chances: bounds of the chance that a packet arrives if nothing interferes, over equal pieces of the square of
-            the reach: the least chance in piece b is above chances[b, 0], the largest below chances[b, 1].
+        chances: bounds on a packet's probability of arrival without interference, over equal intervals of the squared
+            distance up to the reach. In interval b it lies between chances[b, 0] and chances[b, 1].
     """
 
     power: float
@@ -50,7 +49,7 @@ class RadioConstants(NamedTuple):
 
 
 def _frequency(config: FarmConfig) -> float:
-    """Return f_c in the unit in which it enters the path losses (W12)."""
+    """Return f_c in the unit that the path losses use (W12)."""
     return config.radio.carrier_mhz / (1000.0 if config.radio.frequency_unit == "ghz" else 1.0)
 
 
@@ -88,7 +87,7 @@ def radio_constants(config: FarmConfig) -> RadioConstants:
 
 
 def _chance(radio: RadioConstants, square: float) -> float:
-    """Return 1 - PLR over a distance given by its square, m^2, if nothing interferes."""
+    """Return 1 - PLR without interference at a distance whose square is given, m^2."""
     signal = radio.power / square * math.exp(-radio.vegetation * square**radio.half_exponent)
     sinr = signal / radio.noise
     error = 0.5 * (math.erfc(math.sqrt(sinr)) if radio.exact else math.exp(-sinr))
@@ -96,10 +95,10 @@ def _chance(radio: RadioConstants, square: float) -> float:
 
 
 def _chances(radio: RadioConstants, height: float) -> Array:
-    """Return [CHANCES, 2] bounds, a little wider than the function, so that rounding cannot break them."""
+    """Return bounds [CHANCES, 2]. They are slightly wider than the function, so rounding cannot break them."""
     bounds = np.tile((0.0, 1.0), (CHANCES, 1))
     if radio.half_exponent < 0.0 or radio.interference or radio.expected:
-        return bounds  # not monotonous, or not known beforehand, or not drawn
+        return bounds  # the probability is not monotonic, is not known beforehand, or is not drawn from
     squares = np.linspace(0.0, radio.reach * radio.reach, CHANCES + 1) + height * height
     chance = np.array([_chance(radio, square) for square in squares.tolist()])
     bounds[:, 0] = chance[1:] * (1.0 - 1e-6) - 1e-11
@@ -108,9 +107,9 @@ def _chances(radio: RadioConstants, height: float) -> Array:
 
 
 def _reach(radio: RadioConstants, height: float) -> float:
-    """Return the horizontal distance beyond which packets have no chance: bisection on the monotonous power."""
+    """Return the horizontal distance beyond which no packet arrives, by bisection on the monotonic power."""
     if radio.half_exponent < 0.0:
-        return radio.reach  # vegetation that thins out with distance makes the power fall and rise
+        return radio.reach  # vegetation that thins out with distance makes the power non-monotonic
     low, high = 0.0, radio.reach
     for _ in range(200):
         middle = 0.5 * (low + high)

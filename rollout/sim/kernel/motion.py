@@ -1,4 +1,4 @@
-"""Flight: speed, energy, the field's border, and the other UAVs nearby."""
+"""Flight: speed, energy, the field's border and nearby UAVs."""
 
 import math
 
@@ -29,15 +29,15 @@ def flight_power(flight: FlightConstants, speed: float) -> float:
 def fly(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
     """Fly one step with the commanded velocity v = action * (V_x-max, V_y-max).
 
-    Reads the directions that the UAVs saw before the step. Updates `position`, clipped to the field (W11). Writes
-    `energy` at the commanded velocity (W6, W7), and in the scratch `previous`, `outside` (ACT) and `motivated`, which
-    is 1 where v . D > 0 (W25).
+    Reads the directions observed before the step. Updates `position`, clipped to the field (W11). Writes `energy` for
+    the commanded velocity (W6, W7). Writes to the scratch `previous`, `outside` (ACT) and `motivated`, which is 1 where
+    v . D > 0 (W25).
 
     Args:
         c: constants.
         farm: the environment.
         s: scratch.
-        action: [2 n] commanded velocities as shares of the largest ones; clipped to [-1, 1].
+        action: [2 n] commanded velocities as fractions of the top speed; clipped to [-1, 1].
     """
     fleet, flight, position, direction, energy = c.fleet, c.flight, farm.position, farm.direction, farm.energy
     previous, outside, motivated = s.previous, s.outside, s.motivated
@@ -67,8 +67,8 @@ def separation(fleet: FleetConstants, position: Array, a: int, b: int) -> float:
 def find_nearest(c: Constants, farm: Farm, s: Scratch) -> None:
     """Find each UAV's closest UAV, UAV_N (W10).
 
-    Writes in the scratch `peer` and `apart_square` (the closest of the same plane), `neighbour` and `distance` (the
-    closest in the plane or anywhere), `crowded`, and the positions along each axis, `x` and `y`. Ties go to the lowest
+    Writes to the scratch `peer` and `apart_square` (the closest in the same plane), `neighbour` and `distance` (the
+    closest in the plane or anywhere), `crowded`, and `x` and `y` (the positions along each axis). Ties go to the lowest
     index.
     """
     fleet, position, x, y, peer, apart_square = c.fleet, farm.position, s.x, s.y, s.peer, s.apart_square
@@ -88,7 +88,7 @@ def find_nearest(c: Constants, farm: Farm, s: Scratch) -> None:
 
 @allocation_free
 def _find_peers(first: int, x: Array, y: Array, peer: Indices, apart_square: Array) -> None:
-    """Let the UAVs of one plane, of which the first is given, learn of each other; several at once."""
+    """Find the nearest neighbours within one plane whose first UAV is given, several at once."""
     for u in range(len(x)):
         own_x, own_y = x[u], y[u]
         for other in range(len(x)):
@@ -101,7 +101,7 @@ def _find_peers(first: int, x: Array, y: Array, peer: Indices, apart_square: Arr
 
 @allocation_free
 def _nearest_anywhere(fleet: FleetConstants, position: Array, u: int) -> tuple[int, float]:
-    """Return the UAV closest to a UAV, -1 if there is none, and its distance."""
+    """Return the closest UAV to a UAV, -1 if there is none, and its distance, m."""
     nearest, least = -1, math.inf
     for other in range(len(position)):
         apart = separation(fleet, position, u, other)
@@ -116,8 +116,8 @@ def safety_risk(
 ) -> float:
     """Return SR of a UAV, m, for the pair that is closest now (W8).
 
-    The default counts max(0, d(t - t_step) - d(t)); printed is d(t) - d(t - t_step) of the same pair. Both are 0
-    from d_safety on, or when there is no other UAV.
+    The default counts max(0, d(t - t_step) - d(t)). The paper prints d(t) - d(t - t_step) for the same pair. Both are 0
+    if the pair is d_safety or more apart, or if there is no other UAV.
     """
     if neighbour[u] < 0 or distance[u] >= fleet.safety:
         return 0.0

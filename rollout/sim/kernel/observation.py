@@ -1,13 +1,13 @@
 """Observations of each type of UAV, scaled to about [-1, 1] (W24).
 
-Positions are 2 x / X - 1; offsets dx / X, dy / Y; distances are three-dimensional, over the field's diagonal; VDF and
-AoI are over their maxima. A UAV that does not exist is (0, 0, 1). Which of its type an agent is and the share of the
-episode that is over come last.
+A position is 2 x / X - 1 and an offset is dx / X, dy / Y. A distance is three-dimensional and divided by the field's
+diagonal. VDF and AoI are divided by their maxima. A UAV that does not exist is (0, 0, 1). The agent's index within its
+type and the elapsed fraction of the episode come last.
 
-Where the view is mirrored, the axes are turned so that one position is never below 0: for a relay or a collector its
-position in the field, for a monitor its position in its plot, each from the middle. The signs of both axes follow the
-own position. Everything along an axis is multiplied by the axis' sign, and the window of VDF is turned. The farm still
-takes actions along the field's axes; `MirroredAxes.adapt` turns what actors command.
+A mirrored view flips the axes so that one position, measured from the middle, is never below 0. For a relay or a
+collector it is the position in the field; for a monitor it is the position in its plot. Everything along an axis is
+multiplied by the axis's sign, and the VDF window is flipped. The signs of both axes come right after the agent's
+position. The farm still takes actions along the field's axes; `MirroredAxes.adapt` flips the actors' commands.
 """
 
 import math
@@ -25,7 +25,7 @@ from rollout.sim.kernel.spatial.neighbours import ALL, EMPTY, HOLDING, nearest_s
 Float32 = NDArray[np.float32]
 
 SENSOR_SCALE: Final = 50.0
-"""Offset of an observed sensor that is seen as 1, m; farther ones are clipped (ours, so that near ones differ)."""
+"""Offset to a sensor that is observed as 1, m; larger ones are clipped (ours, so that near sensors stay distinct)."""
 PER_SCALE: Final = 1.0 / SENSOR_SCALE
 
 
@@ -95,17 +95,17 @@ def _put_sensor(what: ObservationConstants, level: float, dx: float, dy: float, 
 def see_relays(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> int:
     """Write o_c of all relays: own place; nearest relay, all relays' and served centroid, farthest served, nearest UAV.
 
-    Zeros are seen for the centroid and the farthest UAV of a relay that serves nobody.
+    A relay that serves no UAV observes zeros for the centroid and the farthest UAV.
 
     Args:
         c: constants.
-        farm: the environment; its row of observations is written.
+        farm: the environment; the function writes to its row of observations.
         s: scratch.
-        time: share of the episode that is over.
+        time: elapsed fraction of the episode.
         at: where to begin in the row.
 
     Returns:
-        where the next type begins.
+        where the next type begins in the row.
     """
     fleet, what, position, seen = c.fleet, c.observation, farm.position, farm.observation
     peer, neighbour, centroid, farthest = s.peer, s.neighbour, s.centroid, s.farthest
@@ -131,10 +131,10 @@ def see_relays(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> in
 
 @inlined
 def see_plots(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> int:
-    """Write o_m of all monitoring UAVs: own place, VDF of the window of plots around, D_VDF, nearest UAV.
+    """Write o_m of all monitoring UAVs: own place, VDF of the plots around, D_VDF, nearest UAV.
 
-    Plots outside the field are seen with VDF 0: they are worth as little as one just photographed. Arguments and result
-    as for `see_relays`.
+    Plots outside the field have VDF 0, because they are worth as little as a plot just photographed. Arguments and
+    result are those of `see_relays`.
     """
     fleet, what, camera, position, seen = c.fleet, c.observation, c.camera, farm.position, farm.observation
     neighbour, direction, level = s.neighbour, farm.direction, farm.level
@@ -165,10 +165,10 @@ def see_plots(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> int
 
 @inlined
 def see_sensors(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> None:
-    """Write o_d of all data collection UAVs: own place, n sensors near, D_AoI, nearest UAV.
+    """Write o_d of all data collection UAVs: own place, n nearest sensors, D_AoI, nearest UAV.
 
-    Updates `listed`, the sensors that each UAV sees: those of the step before bound how far one has to look. Arguments
-    as for `see_relays`.
+    Updates `listed`, the sensors that each UAV observes. The previous step's sensors bound the search. Arguments are
+    those of `see_relays`.
     """
     fleet, what, position, neighbour, direction = c.fleet, c.observation, farm.position, s.neighbour, farm.direction
     sensor, cell_start, age, waiting, seen = farm.sensor, farm.cell_start, farm.age, farm.waiting, farm.observation

@@ -28,9 +28,9 @@ LEAST_AGE: Final = sys.float_info.min
 
 @allocation_free
 def draw(key: np.uint64, step: int, sensor: int) -> float:
-    """Return the uniform number in [0, 1) of a packet: splitmix64 of the episode's key at counter (step, sensor).
+    """Return a packet's uniform number in [0, 1): splitmix64 of the episode's key at counter (step, sensor).
 
-    It depends on nothing else, so results do not depend on the batch or on the order of the draws.
+    The number depends on nothing else, so neither the batch nor the order of draws changes the results.
     """
     state = key + GOLDEN * ((np.uint64(step) << SHIFT_32) | np.uint64(sensor))
     state = (state ^ (state >> SHIFT_30)) * MIX_1
@@ -42,13 +42,13 @@ def draw(key: np.uint64, step: int, sensor: int) -> float:
 
 @allocation_free
 def received_power(radio: RadioConstants, square: float) -> float:
-    """Return the power received over a distance given by its square, m^2, in mW: free space and vegetation (W12)."""
+    """Return the power received at a distance whose square is given, m^2, in mW: free space and vegetation (W12)."""
     return radio.power / square * math.exp(-radio.vegetation * math.exp(radio.half_exponent * math.log(square)))
 
 
 @allocation_free
 def delivery(radio: RadioConstants, signal: float, interference: float) -> float:
-    """Return 1 - PLR = (1 - BER)^(8 L) from the signal's and the interferers' power, mW; 0 below NEGLIGIBLE."""
+    """Return 1 - PLR = (1 - BER)^(8 L) from the signal and interference power, mW; 0 below NEGLIGIBLE."""
     sinr = signal / (interference + radio.noise)
     error = 0.5 * (math.erfc(math.sqrt(sinr)) if radio.exact else math.exp(-sinr))
     chance = math.exp(radio.bits * math.log1p(-error))
@@ -67,8 +67,8 @@ def _square(position: Array, u: int, sensor: Array, j: int) -> float:
 def interfere(c: Constants, farm: Farm, s: Scratch) -> None:
     """Sum up the interference at each data collection UAV (W14).
 
-    Writes into `power` what arrives from the strongest woken sensor of each other UAV, mW; 0 without the switch. The
-    nearest sensor that each UAV wakes stands in `woken`, -1 for none.
+    Writes to `power` the power from the strongest sensor that each other UAV wakes, mW; 0 if interference is off.
+    Writes to `woken` the nearest sensor that each UAV wakes, -1 for none.
     """
     fleet, radio, position, sensor, woken, power = c.fleet, c.radio, farm.position, farm.sensor, s.woken, s.power
     for k in range(len(power)):
@@ -81,7 +81,7 @@ def interfere(c: Constants, farm: Farm, s: Scratch) -> None:
 
 @allocation_free
 def _wake(fleet: FleetConstants, position: Array, sensor: Array, woken: Indices) -> None:
-    """Find for each data collection UAV the nearest of the sensors to which it is the nearest."""
+    """For each data collection UAV, find the nearest of the sensors that send to it."""
     first, count = fleet.collectors, len(woken)
     for j in range(sensor.shape[1]):
         owner, apart = 0, math.inf
@@ -97,7 +97,7 @@ def _wake(fleet: FleetConstants, position: Array, sensor: Array, woken: Indices)
 def _disturb(
     fleet: FleetConstants, radio: RadioConstants, position: Array, sensor: Array, woken: Indices, power: Array
 ) -> None:
-    """Add up the power that the woken sensors of the others bring to each UAV, mW."""
+    """Add up the power that each UAV receives from the sensors that other UAVs wake, mW."""
     first, count = fleet.collectors, len(power)
     height = height_of(fleet, first)
     for k in range(count):
@@ -111,9 +111,9 @@ def _disturb(
 def _share_delivered(
     radio: RadioConstants, square: float, height: float, interference: float, key: np.uint64, step: int, sensor: int
 ) -> float:
-    """Return T_S: 1 or 0 by the packet's draw, or its chance itself in expected delivery (W17).
+    """Return T_S: 1 or 0 by the packet's draw, or the probability itself in expected delivery (W17).
 
-    Most draws are outside the bounds of the chance at that distance, so the chance itself is not computed.
+    Most draws fall outside the probability's bounds at that distance, so the probability is rarely computed.
     """
     uniform = draw(key, step, sensor)
     piece = min(CHANCES - 1, int(square * (CHANCES / (radio.reach * radio.reach))))
@@ -131,7 +131,7 @@ def _share_delivered(
 def _belongs(
     fleet: FleetConstants, position: Array, apart_square: Array, u: int, sensor: Array, j: int, square: float
 ) -> bool:
-    """Return whether a data collection UAV is the one that a sensor sends to."""
+    """Return whether a sensor sends to this data collection UAV."""
     x, y = sensor[0, j], sensor[1, j]
     nearest: bool = is_nearest(position, apart_square, fleet.collectors, fleet.uavs, u, x, y, square)
     return nearest
@@ -139,17 +139,17 @@ def _belongs(
 
 @inlined
 def send(c: Constants, farm: Farm, s: Scratch) -> int:
-    """Let every sensor send to its nearest data collection UAV, and credit AoI(t - t_step) of what arrives (W17, W19).
+    """Let every sensor send to its nearest data collection UAV; credit AoI(t - t_step) of what arrives (W17, W19).
 
-    A sensor with AoI 0 that is not due needs no packet, because it stays at 0 either way. Deliveries count only where
-    the relay is in range (W4).
+    A sensor with AoI 0 that is not due needs no packet, because it stays at 0 either way. A delivery counts only if the
+    UAV's relay is in range (W4).
 
-    Writes `utility` of the data collection UAVs (DCUF), `served` (sensors of AoI above 0 that delivered; the sum of
-    their shares in expected delivery), and in the scratch `item` and `share`: the sensors that delivered, and which
-    share.
+    Writes `utility` of the data collection UAVs (DCUF) and `served`, the number of sensors with AoI above 0 that
+    delivered (in expected delivery, the sum of their shares). Writes to the scratch `item`, the sensors that delivered,
+    and `share`, the share that each delivered.
 
     Returns:
-        how many sensors delivered.
+        the number of sensors that delivered.
     """
     fleet, seen, radio, position, sensor, age, due = (
         c.fleet,
@@ -186,7 +186,7 @@ def send(c: Constants, farm: Farm, s: Scratch) -> int:
 
 @inlined
 def update_age(c: Constants, farm: Farm, s: Scratch, delivered: int) -> None:
-    """Let AoI rise by 1, up to AoI_max, where a cycle ends, and fall to 0 where data arrived (W18).
+    """Raise AoI by 1, up to AoI_max, where a cycle ends; reset it to 0 where data arrived (W18).
 
     Updates `age`, `age_due`, `rising`, `waiting` and the tally of AoI.
 
@@ -194,7 +194,7 @@ def update_age(c: Constants, farm: Farm, s: Scratch, delivered: int) -> None:
         c: constants.
         farm: the environment.
         s: scratch, with the sensors that delivered.
-        delivered: how many delivered.
+        delivered: the number of sensors that delivered.
     """
     fleet, seen, radio, sensor, cell_start, step = (
         c.fleet,

@@ -1,4 +1,4 @@
-"""Communication UAVs: whom each serves, and how well it stands."""
+"""Communication UAVs: which UAVs each one serves, and its quality of service D_c."""
 
 import math
 
@@ -16,8 +16,8 @@ from rollout.sim.kernel.planes import height_of
 def assign_relays(c: Constants, farm: Farm, s: Scratch, fresh: bool) -> None:
     """Assign every monitoring and data collection UAV to a relay (W2, W3).
 
-    The cost of a pair is cost_distance d / diagonal + cost_link FSPL(d) / FSPL(diagonal). Every relay stands in
-    `capacity` columns. The assignment of the step before is kept where a few swaps show that it is the only best one.
+    The cost of a pair is cost_distance d / diagonal + cost_link FSPL(d) / FSPL(diagonal). Every relay has
+    `capacity` columns. The previous assignment is repaired by a few exchanges if that proves a unique optimum.
 
     Updates `assignment` and writes `quality`, the signal-to-noise ratio of each link, and `linked`, 1 where the relay
     is within link range (W4).
@@ -26,7 +26,7 @@ def assign_relays(c: Constants, farm: Farm, s: Scratch, fresh: bool) -> None:
         c: constants.
         farm: the environment.
         s: scratch.
-        fresh: whether the episode begins, so that there is no step before.
+        fresh: whether the episode begins, so that there is no previous assignment.
     """
     fleet, relay, position, work, assignment = c.fleet, c.relay, farm.position, s.assigning, farm.assignment
     linked, quality = s.linked, farm.quality
@@ -47,7 +47,7 @@ def _loss(relay: RelayConstants, distance: float) -> float:
 
 @allocation_free
 def _weigh_pairs(fleet: FleetConstants, relay: RelayConstants, x: Array, y: Array, pair: Array) -> None:
-    """Write the cost of each pair, up to a constant and to 1e-12, several pairs at once."""
+    """Write the cost of each pair, up to a constant and within 1e-12, several pairs at once."""
     link = relay.cost_link * relay.loss_scale
     for served in range(len(pair)):
         u, costs = fleet.relays + served, pair[served]
@@ -62,7 +62,7 @@ def _weigh_pairs(fleet: FleetConstants, relay: RelayConstants, x: Array, y: Arra
 def _assign_anew(
     fleet: FleetConstants, relay: RelayConstants, position: Array, work: AssignmentScratch, assignment: Indices
 ) -> None:
-    """Assign from scratch, so that ties fall as in the reference."""
+    """Assign from scratch, breaking ties as the reference does."""
     for served in range(len(assignment)):
         for i in range(fleet.relays):
             distance = separation(fleet, position, i, fleet.relays + served)
@@ -78,9 +78,9 @@ def _assign_anew(
 def measure_service(c: Constants, farm: Farm, s: Scratch) -> None:
     """Compute D_c = epsilon_1 D_cg + epsilon_2 D_cf + epsilon_3 D_cc of every relay, in three dimensions.
 
-    Writes D_c into `service` after keeping D_c(k-1) in `earlier`. A relay that serves nobody has D_cg = D_cf = 0.
-    Writes in the scratch `centroid`, whose last row is the centroid of all relays, and `farthest`, -1 where nobody is
-    served.
+    Writes D_c to `service` after saving D_c(k-1) in `earlier`. A relay that serves no UAV has D_cg = D_cf = 0. Writes
+    to the scratch `centroid`, whose last row is the centroid of all relays, and `farthest`, -1 for a relay that serves
+    none.
     """
     fleet, relay, position, assignment, service = c.fleet, c.relay, farm.position, farm.assignment, farm.service
     centroid, farthest, number, far = s.centroid, s.farthest, s.number, s.far

@@ -5,12 +5,12 @@
     collectors   r_d = + alpha_8 DCUF t_step - alpha_9 P_C t_step + alpha_10 M_D t_step     utility, idle, motivation
     everybody    ... - alpha_2 (E(k) - E(k-1)) - alpha_3 SR t_step - alpha_4 ACT t_step     energy, risk, boundary
 
-A relay earns what D_c, its distance from where it serves well, falls in the step.
-P_M and P_C are 1 in a step that serves nothing. The energy is an amount already and is not multiplied by t_step (W7).
-The sign of alpha_1 is that of `farm.reward.positioning_sign`; `RewardConstants` holds all weights with their signs.
+D_c is a relay's distance from where it serves well, and the relay earns the decrease of D_c in the step. P_M and P_C
+are 1 in a step that serves nothing. The energy is already an amount, so t_step does not multiply it (W7).
+`farm.reward.positioning_sign` sets the sign of alpha_1; `RewardConstants` holds all weights with their signs.
 
-Two other places change with these equations: the oracle `rollout/sim/reference.py`, and, for the positioning part,
-`FarmBatch.potential`, with which `rollout/worker/reward_shaping.py` shapes the rewards.
+If you change these equations, change the oracle `rollout/sim/reference.py` too. If you change the positioning part,
+change `FarmBatch.potential`, which `rollout/worker/reward_shaping.py` uses.
 """
 
 from typing import Final
@@ -35,8 +35,7 @@ MOTIVATION: Final = 6
 def reward_step(c: Constants, farm: Farm, s: Scratch) -> None:
     """Write the weighted parts of every UAV's reward into `parts` [n, K], and their sums into `reward` [n].
 
-    A utility below NEGLIGIBLE counts as none. That matters in expected delivery alone, where shares never quite reach
-    0.
+    A utility below NEGLIGIBLE counts as none. That matters only in expected delivery, where shares never quite reach 0.
     """
     fleet, weight, parts, seconds = c.fleet, c.reward, farm.parts, c.fleet.seconds
     for u in range(fleet.uavs):

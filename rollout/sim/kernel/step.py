@@ -1,11 +1,15 @@
 """The simulator's entry points: the start of an episode, the check of a step and the step itself.
 
-Order inside step k, t = k t_step: motivation judges the commanded velocity by the direction seen before the step; the
-UAVs move; relays are assigned and D_c(k) is taken at the new positions; sensors send and plots are photographed there,
-credited with AoI(t - t_step) and VDF(t - t_step); counters rise or fall; then everybody observes.
+Inside step k, at t = k t_step, the order is:
+1. Motivation compares the commanded velocity with the direction observed before the step.
+2. The UAVs move.
+3. Relays are assigned, and D_c(k) is computed at the new positions.
+4. Sensors send and plots are photographed, for credit of AoI(t - t_step) and VDF(t - t_step).
+5. Counters rise or fall.
+6. All UAVs observe.
 
-Every stage takes the same three records: `Constants` of the configuration, `Farm` with the state of one environment,
-and `Scratch`, which is overwritten in every step.
+Every stage takes the same three records: `Constants` from the configuration, `Farm` with the state of one environment,
+and `Scratch`, which every step overwrites.
 """
 
 from typing import Final
@@ -30,7 +34,7 @@ from rollout.sim.kernel.spatial.tallies import tally_plots, tally_sensors, total
 Float32 = NDArray[np.float32]
 
 POSSIBLE: Final = 0
-"""Nothing forbids the step."""
+"""The step is allowed."""
 NOT_FINITE: Final = 1
 """An action is not finite."""
 OUT_OF_TIME: Final = 2
@@ -78,7 +82,7 @@ def _farm(state: State, e: int) -> Farm:
 
 @inlined
 def _update_geometry(c: Constants, farm: Farm, s: Scratch, fresh: bool) -> None:
-    """Find nearest UAVs, relays and D_c at the present positions."""
+    """Find nearest UAVs, relays and D_c at the current positions."""
     find_nearest(c, farm, s)
     assign_relays(c, farm, s, fresh)
     measure_service(c, farm, s)
@@ -86,7 +90,7 @@ def _update_geometry(c: Constants, farm: Farm, s: Scratch, fresh: bool) -> None:
 
 @inlined
 def _serve_tasks(c: Constants, farm: Farm, s: Scratch) -> None:
-    """Photograph plots and collect data at the present positions."""
+    """Photograph plots and collect data at the current positions."""
     photograph(c, farm, s)
     interfere(c, farm, s)
     delivered = send(c, farm, s)
@@ -119,7 +123,7 @@ def _add_up(c: Constants, farm: Farm, s: Scratch) -> None:
 
 @allocation_free
 def _begin(c: Constants, farm: Farm, s: Scratch) -> None:
-    """Start an episode at the positions and levels that are in its state."""
+    """Start an episode at the positions and levels in the state."""
     tally_plots(farm.level, farm.level_below, farm.level_above)
     tally_sensors(c.observation, farm.cell_start, farm.age, farm.age_below, farm.age_above, farm.waiting)
     for k in range(len(farm.listed)):
@@ -141,7 +145,7 @@ def _step(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
 
 @allocation_free
 def _objection(state: State, action: Float32, steps: int) -> int:
-    """Return what forbids a step of all environments, or POSSIBLE."""
+    """Return why the environments cannot be stepped, or POSSIBLE."""
     for e in range(len(action)):
         if state.time[e] < 0 or state.time[e] >= steps:
             return OUT_OF_TIME
@@ -157,7 +161,7 @@ def begin_episode(address: int, e: int) -> None:
     """Start the episode of environment e at the positions and levels in its state.
 
     Args:
-        address: of a workspace, see `PackedArguments`.
+        address: address of a workspace, see `PackedArguments`.
         e: the environment.
     """
     c, state, scratch, _ = unpack(address)
@@ -166,10 +170,10 @@ def begin_episode(address: int, e: int) -> None:
 
 @allocation_free_entry
 def check_step(address: int) -> int:
-    """Return what forbids a step of all environments with the workspace's actions: NOT_FINITE, OUT_OF_TIME or POSSIBLE.
+    """Return whether the workspace's actions can step all environments: NOT_FINITE, OUT_OF_TIME or POSSIBLE.
 
     Args:
-        address: of a workspace.
+        address: address of a workspace.
     """
     c, state, _, action = unpack(address)
     return _objection(state, action, c.fleet.steps)
@@ -177,13 +181,13 @@ def check_step(address: int) -> int:
 
 @allocation_free_entry
 def step_range(address: int, first: int, last: int, check: bool) -> int:
-    """Step environments `first` to `last` - 1 with the workspace's actions; none sees another.
+    """Step environments `first` to `last` - 1 independently with the workspace's actions.
 
     Args:
-        address: of a workspace.
+        address: address of a workspace.
         first: first environment.
         last: one past the last.
-        check: whether to do what `check_step` does first, and to step nothing if something forbids it.
+        check: whether to run `check_step` first and step nothing if it finds a problem.
 
     Returns:
         NOT_FINITE, OUT_OF_TIME or POSSIBLE.

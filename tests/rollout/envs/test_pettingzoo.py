@@ -106,9 +106,9 @@ def test_an_episode_is_a_function_of_its_seeds():
         (EnvConfig("nowhere:env"), "there is no environment nowhere:env"),
         (EnvConfig("toy_env:absent"), "there is no environment toy_env:absent"),
         (EnvConfig("toy_env:np"), "neither a callable nor a module with a parallel_env"),
-        (EnvConfig("toy_env:Whole"), "no PettingZoo ParallelEnv but Whole"),
+        (EnvConfig("toy_env:Whole"), "is a Whole, not a PettingZoo ParallelEnv"),
         (relay('{"speed": 3}'), "cannot be made with"),
-        (EnvConfig("toy_env:shy", arguments='{"continuous_actions": false}'), "other actions than bounded boxes"),
+        (EnvConfig("toy_env:shy", arguments='{"continuous_actions": false}'), "actions other than bounded boxes"),
     ],
 )
 def test_what_cannot_be_trained_is_said_in_one_sentence(config, text):
@@ -138,7 +138,7 @@ def test_whatever_somebody_elses_code_raises_is_a_configuration_error():
     """A constructor may raise anything; boxes wider than float32 are not bounded."""
     with pytest.raises(ConfigError, match="RuntimeError: no licence"):
         PettingZooBatch(EnvConfig("toy_env:broken"), 1)
-    with pytest.raises(ConfigError, match="other actions than bounded boxes"):
+    with pytest.raises(ConfigError, match="actions other than bounded boxes"):
         PettingZooBatch(EnvConfig("toy_env:wide"), 1)
 
 

@@ -184,7 +184,7 @@ def test_environments_out_of_step(mode):
             assert envs.batch.time.tolist() == [0, 6, 0]
             assert not rewards[[0, 2]].any()
         if mode is AutoresetMode.DISABLED and step == 4:
-            with pytest.raises(SimulationError, match=r"environments \[0, 2\] are over"):
+            with pytest.raises(SimulationError, match=r"environments \[0, 2\] have ended"):
                 envs.step(actions(0))
             envs.reset(options={"reset_mask": ~mask})
     assert envs.batch.time[0] == 3 - resets
@@ -224,7 +224,7 @@ def test_misuse_is_refused():
         with pytest.raises(SimulationError):
             envs.step(wrong)
     sample = envs.action_space.sample()
-    with pytest.raises(SimulationError, match="type monitoring have the shape"):
+    with pytest.raises(SimulationError, match="type monitoring have shape"):
         envs.step({**sample, "monitoring": sample["monitoring"][:2]})
     with pytest.raises(SimulationError, match="2 seeds for 3"):
         envs.reset(seed=[1, 2])

@@ -93,7 +93,7 @@ def test_what_does_not_fit_is_refused(density):
     """More sensors than the field holds at that spacing are refused with the same sentence under every density."""
     with pytest.raises(ConfigError) as caught:
         make_layout(farm(density, sensors=1400), 0)
-    assert str(caught.value) == "1400 sensors do not fit into 400 m x 400 m at least 10 m apart."
+    assert str(caught.value) == "1400 sensors at least 10 m apart do not fit into 400 m x 400 m."
 
 
 def test_counts_in_a_raster_distinguish_the_densities():

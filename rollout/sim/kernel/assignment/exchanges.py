@@ -1,10 +1,10 @@
-"""Repair of an assignment with capacities by exchanges, and the proof that no other is as good.
+"""Repair of an assignment with capacities by exchanges, and the proof that it is the unique optimum.
 
-The nodes are the columns. The arc from a to b is the row of a that can move to b at the least extra cost. Where the
-columns have more places than there are rows, one more node stands for the free places: every column with a free place
-has an arc to it, and it has an arc to every column. An assignment is optimal if and only if no cycle has a cost below 0
-(Klein 1967), and the only optimum if every cycle costs more than 0. Prices of the nodes show both (Bellman and Ford).
-Where there are none, the arcs that lowered the prices close a cycle, and exchanges along it improve the assignment.
+The columns are the nodes of a graph. The arc from a to b is the row of a that can move to b at the least extra cost. If
+the columns have more slots than there are rows, one more node, the room, stands for the free slots: every column with a
+free slot has an arc to it, and it has an arc to every column. An assignment is optimal if and only if no cycle has a
+negative cost (Klein 1967); it is the unique optimum if every cycle has a positive cost. Bellman-Ford node prices prove
+both. If no prices exist, the arcs that lowered them form a cycle, and exchanges along it improve the assignment.
 """
 
 import math
@@ -21,7 +21,7 @@ Indices = NDArray[np.int64]
 TIE: Final = 1e-9
 """Costs that differ by less count as equal when a solution is checked."""
 MARGIN: Final = 2.0 * TIE
-"""What every exchange is made cheaper by, so that prices exist only where every cycle costs more than TIE."""
+"""Amount by which every exchange is made cheaper, so that prices exist only if every cycle costs more than TIE."""
 
 
 class Exchanges(NamedTuple):
@@ -31,12 +31,12 @@ class Exchanges(NamedTuple):
         load: [C] rows in each column.
         head: [C] one of a column's rows, -1 if it has none.
         next: [R] another row of the same column, -1 after the last.
-        cost: [C + 1, C + 1] of moving one row from a column to another, less MARGIN.
-        mover: [C, C] which row that is.
-        price: [C + 1] of a place in each column.
+        cost: [C + 1, C + 1] cost of moving one row from a column to another, less MARGIN.
+        mover: [C, C] the row that would move.
+        price: [C + 1] price of a slot in each column.
         source: [C + 1] the node from which each price follows, -1 if none.
         used: [C + 1] the price from which others were last derived.
-        mark: [C + 1] of a search for cycles.
+        mark: [C + 1] marks of the search for cycles.
     """
 
     load: Indices
@@ -68,12 +68,12 @@ def make_exchanges(rows: int, columns: int) -> Exchanges:
 
 @allocation_free
 def settle(pair: Array, chosen: Indices, capacity: int, work: Exchanges) -> bool:
-    """Improve an assignment until no cycle of exchanges does; return whether it is the only optimum.
+    """Improve an assignment until no cycle of exchanges helps; return whether it is the unique optimum.
 
     Args:
         pair: [R, C] cost of each row in each column.
-        chosen: [R] column of each row, no column with more than its capacity; updated.
-        capacity: of each column.
+        chosen: [R] column of each row, within capacity; updated in place.
+        capacity: capacity of each column.
         work: scratch.
     """
     columns = len(work.load)
@@ -104,7 +104,7 @@ def _list_rows(chosen: Indices, work: Exchanges) -> None:
 
 @allocation_free
 def _find_exchanges(pair: Array, capacity: int, work: Exchanges, column: int, nodes: int) -> None:
-    """Find the least cost of moving one row from a column to each other column, and the column's arcs of the room."""
+    """Find the least cost of moving one row from a column to each other, and the arcs between column and room."""
     columns, has_room = len(work.load), work.load[column] < capacity
     cost, mover = work.cost[column], work.mover[column]
     for other in range(nodes):
@@ -128,7 +128,7 @@ def _find_exchanges(pair: Array, capacity: int, work: Exchanges, column: int, no
 
 @allocation_free
 def _lower_prices(work: Exchanges, nodes: int) -> bool:
-    """Lower prices that exceed another by more than the exchange costs; return whether any node was looked at."""
+    """Lower prices that exceed another price plus the cost of the exchange; return whether any node was examined."""
     looked = False
     for node in range(nodes):
         price, costs = work.price[node], work.cost[node]
@@ -144,7 +144,7 @@ def _lower_prices(work: Exchanges, nodes: int) -> bool:
 
 @allocation_free
 def _improve(pair: Array, chosen: Indices, capacity: int, work: Exchanges, nodes: int) -> bool:
-    """Make the exchanges of every cycle by which prices fell; return False if one of them saves nothing."""
+    """Make the exchanges of every cycle that lowered prices; return False if one of them saves nothing."""
     found = False
     for node in range(nodes):
         work.mark[node] = -1

@@ -1,6 +1,6 @@
 """The Hungarian assignment: shortest augmenting paths (Jonker and Volgenant) on a rectangular cost matrix.
 
-The scan order is that of `scipy.optimize.linear_sum_assignment` (Crouse 2016), so that ties fall alike.
+The scan order is that of `scipy.optimize.linear_sum_assignment` (Crouse 2016), so that ties break the same way.
 """
 
 import math
@@ -43,7 +43,7 @@ def _augment(
 
 @allocation_free
 def assign(cost: Array, numbers: Array, indices: Indices, chosen: Indices) -> None:
-    """Give each row a column of its own so that the sum of costs is least.
+    """Assign each row its own column with the least total cost.
 
     Args:
         cost: [R, C] finite, R <= C.

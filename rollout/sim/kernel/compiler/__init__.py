@@ -1,6 +1,6 @@
-"""What makes the simulator fast beyond plain compiled Python, one module each.
+"""Techniques that make the simulator faster than plain compiled Python, one module each.
 
-`decorators`: how functions are compiled, and the key of the machine code on disk. `argument_pack`: arguments unpacked
-once, not at every call. `prefetch`: memory of the next environment, requested early. `logarithm`: a logarithm that the
-compiler can vectorise.
+`decorators` compiles functions and keys the machine code on disk. `argument_pack` unpacks arguments once instead of at
+every call. `prefetch` requests the next environment's memory early. `logarithm` is a logarithm that the compiler can
+vectorise.
 """

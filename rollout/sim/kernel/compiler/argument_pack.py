@@ -1,7 +1,7 @@
-"""Arguments that are unpacked once, not at every call.
+"""Arguments that are unpacked once instead of at every call.
 
 Unpacking some sixty arrays and a hundred numbers from Python objects costs more than a step of a farm. So a workspace
-is written to memory once, in the form in which compiled code holds it, and entry points take its address alone.
+is written to memory once, in compiled code's own representation, and entry points take only its address.
 """
 
 import copy
@@ -36,7 +36,7 @@ WORKSPACE: Final = typeof(make_workspace(FarmConfig(), 1))
 
 
 def _type_size(typing: Any, workspace: Any) -> Any:
-    """Return how many bytes a workspace takes."""
+    """Return the size of a workspace in bytes."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return context.get_constant(types.int64, context.get_abi_sizeof(context.get_value_type(WORKSPACE)))
@@ -72,34 +72,34 @@ unpack: Final = cast(Callable[[int], Workspace], intrinsic(_type_unpack))
 
 @allocation_free_entry
 def _pack(workspace: Workspace, address: int) -> int:
-    """Write a workspace to an address unless that is 0; return how many bytes it takes."""
+    """Write a workspace to an address unless that is 0; return the size in bytes."""
     if address != 0:
         _store(address, workspace)
     return _size(workspace)
 
 
 class PackedArguments:
-    """A workspace in the form in which compiled code holds it.
+    """A workspace in compiled code's own representation.
 
     Args:
-        workspace: what to pack; it is kept, so that its arrays live as long as this object.
+        workspace: the workspace to pack; this object keeps its arrays alive.
 
     Attributes:
-        workspace: what is packed.
-        address: where it is, for the entry points.
+        workspace: the packed workspace.
+        address: its address, for the entry points.
 
     Raises:
-        SimulationError: an array has another type than in every workspace.
+        SimulationError: an array's type differs from the compiled one.
     """
 
     def __init__(self, workspace: Workspace) -> None:
         if typeof(workspace) != WORKSPACE:
-            raise SimulationError("the simulator's arrays have types that it was not compiled for.")
+            raise SimulationError("the simulator was not compiled for its arrays' types.")
         self.workspace = workspace
         self._memory = np.zeros(_pack(workspace, 0) // 8 + 1, np.int64)
         self.address: int = self._memory.ctypes.data
         _pack(workspace, self.address)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "PackedArguments":
-        """Return the arguments of a copied workspace: packed bytes point at arrays and cannot be copied as they are."""
+        """Pack a copy of the workspace. Packed bytes point at arrays, so copying the bytes would not do."""
         return PackedArguments(copy.deepcopy(self.workspace, memo))

@@ -6,8 +6,8 @@
     @compiled_entry          a function that Python calls; its machine code is kept on disk
     @allocation_free_entry   the same, allocation-free
 
-Numba keys the machine code on disk by the file of the entry alone, not by those of the functions that it calls. The two
-entry decorators add a digest of all kernel sources to that key, so a change anywhere compiles the entries anew.
+Numba keys the machine code on disk only by the entry's own file, not by the files of the functions that it calls. The
+two entry decorators add a digest of all kernel sources to that key, so any change recompiles the entries.
 """
 
 import functools
@@ -23,21 +23,21 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 STRICT: Final[dict[str, Any]] = {"nogil": True, "fastmath": False, "error_model": "numpy"}
 """Strict arithmetic, so that results are bit-equal everywhere."""
 ALLOCATION_FREE: Final[dict[str, Any]] = {**STRICT, "_nrt": False}
-"""Without the compiler's runtime: what would allocate memory or count references is refused by the compiler."""
+"""Compile without Numba's runtime, so that the compiler refuses code that allocates memory or counts references."""
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function that others call."""
+    """Compile a function that other compiled functions call."""
     return cast(Function, numba.njit(**STRICT)(function))
 
 
 def allocation_free(function: Function) -> Function:
-    """Compile a function of the step, which must not allocate."""
+    """Compile a function that must not allocate memory."""
     return cast(Function, numba.njit(**ALLOCATION_FREE)(function))
 
 
 def inlined(function: Function) -> Function:
-    """Copy an allocation-free function into those that call it; passing whole records would cost more than it does."""
+    """Inline an allocation-free function into its callers, because passing whole records costs more than its work."""
     return cast(Function, numba.njit(inline="always", **ALLOCATION_FREE)(function))
 
 
@@ -47,7 +47,7 @@ def compiled_entry(function: Function) -> Function:
 
 
 def allocation_free_entry(function: Function) -> Function:
-    """Do the same with a function that must not allocate."""
+    """Compile an entry as `compiled_entry` does; it must not allocate memory."""
     return cast(Function, _keyed_by_sources(numba.njit(cache=True, **ALLOCATION_FREE)(function)))
 
 

@@ -1,4 +1,4 @@
-"""A natural logarithm that the compiler can take of several numbers at once, which the C library's it cannot."""
+"""A natural logarithm that the compiler can vectorise, unlike the C library's."""
 
 import math
 from collections.abc import Callable
@@ -13,15 +13,15 @@ from rollout.sim.kernel.compiler.decorators import allocation_free
 MANTISSA: Final = 52
 """Bits of a float64's fraction."""
 LEAST: Final = int(np.float64(math.sqrt(0.5)).view(np.int64))
-"""The bits of the least fraction that is split off."""
+"""Bits of the least mantissa, sqrt(1/2)."""
 MAGIC: Final = 2.0**52
-"""Its bits and a whole number below 2^52 are those of their sum."""
+"""OR-ing an integer below 2^52 into this number's bits gives the bits of their sum."""
 MAGIC_BITS: Final = int(np.float64(MAGIC).view(np.int64))
 LOG_2: Final = math.log(2.0)
 
 
 def _reinterpreted(source: Any, target: Any) -> Any:
-    """Return a function that takes the bits of one type for another's."""
+    """Return a function that reinterprets the bits of one type as another."""
 
     def typing_of(typing: Any, number: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -38,7 +38,7 @@ _number: Final = cast(Callable[[int], float], _reinterpreted(types.int64, types.
 
 @allocation_free
 def vectorisable_log(x: float) -> float:
-    """Return ln x of a finite x from 1 on, to 1e-13 of 1 + ln x.
+    """Return ln x for finite x >= 1, to within 1e-13 (1 + ln x).
 
     x = 2^k m with m from sqrt(1/2) to sqrt(2); ln m = 2 artanh z with z = (m - 1) / (m + 1), by its series.
     """

@@ -1,4 +1,4 @@
-"""Prefetching the next environment while this one is stepped: in a large batch its memory has left the caches."""
+"""Prefetches the next environment while this one steps. In a large batch its memory has left the caches."""
 
 from collections.abc import Callable
 from typing import Any, Final, cast
@@ -12,12 +12,12 @@ from rollout.sim.kernel.arrays import State
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 
 LINE: Final = 64
-"""Bytes that the processor fetches together."""
+"""Size of a cache line, bytes."""
 READ, SECOND_LEVEL, DATA = 0, 2, 1
 
 
 def _type_prefetch(typing: Any, address: Any) -> Any:
-    """Prefetch the cache line at an address. An address without memory does no harm."""
+    """Prefetch the cache line at an address. An invalid address does no harm."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         number = ir.IntType(32)
@@ -43,11 +43,11 @@ def _prefetch_array(array: NDArray[Any]) -> None:
 
 @inlined
 def prefetch(state: State, e: int) -> None:
-    """Prefetch what a step of an environment reads most of.
+    """Prefetch the memory that a step of an environment reads most.
 
     Args:
         state: the environments.
-        e: which.
+        e: index of the environment.
     """
     _prefetch_array(state.sensor[e])
     _prefetch_array(state.cell_start[e])

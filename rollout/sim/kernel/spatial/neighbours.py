@@ -18,7 +18,7 @@ WAITING: Final = 0.5
 
 @allocation_free
 def cell_of(share: float, cells: int) -> int:
-    """Return the cell at a share of the axis, by the same product with which the layout numbers sensors."""
+    """Return the cell at a fraction of the axis, by the same product as the layout's numbering."""
     return int(min(cells - 1.0, max(0.0, share * cells)))
 
 
@@ -28,17 +28,17 @@ def is_nearest(
 ) -> bool:
     """Return whether a UAV is the closest of its plane to a place; ties go to the lowest index.
 
-    A place less than half as far as the plane's next UAV needs no comparison.
+    A place less than half as far away as the next UAV of the plane needs no comparison.
 
     Args:
         position: [n, 2] m.
-        apart_square: [n] square of the distance to the next UAV of the plane, m^2.
+        apart_square: [n] square of the distance to the nearest UAV of the plane, m^2.
         first: first UAV of the plane.
         last: one past the last.
         u: the UAV.
-        x: of the place, m.
-        y: of the place, m.
-        square: of the distance between them, m^2.
+        x: x of the place, m.
+        y: y of the place, m.
+        square: square of the distance between UAV and place, m^2.
     """
     if 4.000001 * square < apart_square[u]:
         return True
@@ -66,18 +66,18 @@ def gather(
     around: Indices,
     square: Array,
 ) -> int:
-    """List the sensors of a block of cells that are near enough and have an AoI in a range, by rising number.
+    """List the near sensors of a block of cells with AoI in a range, in ascending order.
 
-    The cells of one column are consecutive, so each column is one run. Nothing branches on a sensor, because no
-    processor could predict the branch.
+    The cells of one column are consecutive, so each column is one run. The loop has no branch per sensor, because the
+    processor could not predict it.
 
     Args:
         seen: the sensor cells.
         block: first and last column, first and last row.
-        x: of the place, m.
-        y: of the place, m.
+        x: x of the place, m.
+        y: y of the place, m.
         least: least AoI.
-        below: bound above all AoI that count.
+        below: AoI must be below this.
         limit: largest square of the distance, m^2.
         sensor: [2, S] m.
         cell_start: first sensor of each cell.
@@ -86,7 +86,7 @@ def gather(
         square: [S + 1] out: squares of their distances, m^2.
 
     Returns:
-        how many are listed.
+        the number of sensors listed.
     """
     west, east, south, north = block
     found = 0
@@ -103,7 +103,7 @@ def gather(
 def block_around(
     fleet: FleetConstants, seen: ObservationConstants, x: float, y: float, reach: float
 ) -> tuple[int, int, int, int]:
-    """Return first and last column, first and last row of the cells that a reach around a place touches."""
+    """Return first and last column, first and last row of the cells within `reach` of a place."""
     return (
         cell_of((x - reach) / fleet.width, seen.cells_x),
         cell_of((x + reach) / fleet.width, seen.cells_x),
@@ -128,28 +128,28 @@ def nearest_sensors(
     nearest: Indices,
     nearest_square: Array,
 ) -> int:
-    """List the sensors of a sort that are nearest to a place, nearest first; ties go to the lowest index.
+    """List the sensors of a sort nearest to a place, nearest first; ties go to the lowest index.
 
-    The sensors in the list before the call bound the search: it reaches as far as the farthest of them, if enough of
-    them are of the sort. In the list of the step before, they mostly are.
+    The list from before the call bounds the search: if enough of its sensors are of the sort, the search goes no
+    farther than the farthest of them. The previous step's list usually qualifies.
 
     Args:
         fleet: the field.
         seen: the sensor cells.
-        x: of the place, m.
-        y: of the place, m.
+        x: x of the place, m.
+        y: y of the place, m.
         sort: ALL, HOLDING or EMPTY.
         sensor: [2, S] m.
         cell_start: first sensor of each cell.
         age: [S] AoI.
-        total: how many sensors of the sort there are.
+        total: number of sensors of the sort.
         around: [S + 1] scratch.
         square: [S + 1] scratch.
-        nearest: [wanted] different sensors; out: the nearest.
+        nearest: [wanted] in: distinct sensors; out: the nearest.
         nearest_square: [wanted] out: squares of their distances, m^2.
 
     Returns:
-        how many are listed: fewer than wanted only if there are no more.
+        the number of sensors listed; fewer than wanted only if there are no more.
     """
     wanted = min(len(nearest), total)
     if wanted == 0:
@@ -173,7 +173,7 @@ def nearest_sensors(
 
 @allocation_free
 def _select(around: Indices, square: Array, found: int, wanted: int, nearest: Indices, nearest_square: Array) -> int:
-    """Write the entries with the least squares, in rising order; return how many. The list is by rising number."""
+    """Write the entries with the least squares in ascending order; return their number. The input ascends by index."""
     held = 0
     for entry in range(found):
         apart = square[entry]

@@ -1,7 +1,7 @@
 """D_VDF and D_AoI: the quadrant around a UAV with the largest sum (W25).
 
-Quadrants are numbered (+,+), (-,+), (-,-), (+,-). A sensor or plot level with the UAV belongs to the positive side. Of
-equal sums the first wins. Where every sum is 0 there is no direction.
+Quadrants are numbered (+,+), (-,+), (-,-), (+,-). A sensor or plot level with the UAV belongs to the positive side.
+Ties go to the first quadrant. If every sum is 0, there is no direction.
 """
 
 import math
@@ -16,7 +16,7 @@ DIAGONAL: Final = math.sqrt(0.5)
 
 
 CLEAR: Final = 1e-6
-"""Lead of a sum beyond which its sensors need no closer look, AoI; more than rounding can cause."""
+"""If a sum leads by this much AoI, its sensors need no closer look; rounding cannot cause such a lead."""
 
 
 @allocation_free
@@ -34,8 +34,8 @@ def diagonal(sums: tuple[float, float, float, float]) -> tuple[float, float]:
 def point_to_age(c: Constants, farm: Farm) -> None:
     """Write D_AoI of every data collection UAV into `direction`.
 
-    Whole cells are summed first, by the tally of AoI. A UAV's quadrants divide only the cells of its own column and
-    row; their sensors are looked at only where they could change which sum is largest.
+    The tally of AoI sums whole cells first. A UAV's quadrants divide only the cells of its own column and row. Their
+    sensors are examined only if they could change which sum is largest.
     """
     fleet, seen, position, sensor, cell_start, by_row, row_start, age = (
         c.fleet,
@@ -71,7 +71,7 @@ def point_to_age(c: Constants, farm: Farm) -> None:
 
 @allocation_free
 def _decided(sums: tuple[float, float, float, float], more: tuple[float, float, float, float]) -> bool:
-    """Return whether one sum stays larger than all others, whatever of `more` is added to each."""
+    """Return whether one sum stays the largest, however much of `more` is added to each."""
     best = 0
     for quadrant in range(1, 4):
         if sums[quadrant] > sums[best]:
@@ -96,7 +96,7 @@ def _divide(
     age: Array,
     sums: tuple[float, float, float, float],
 ) -> tuple[float, float, float, float]:
-    """Return the sums of the quadrants around (x, y) with the sensors of column i and row k of cells added."""
+    """Return the quadrants' sums around (x, y), with the sensors in cell column i and cell row k added."""
     rows, (northeast, northwest, southwest, southeast) = seen.cells_y, sums
     first, last = cell_start[i * rows + k], cell_start[i * rows + k + 1]
     for j in range(cell_start[i * rows], first):
@@ -145,7 +145,7 @@ def point_to_level(c: Constants, farm: Farm) -> None:
 
 @allocation_free
 def _first_centre(place: float, size: float, plots: int) -> int:
-    """Return the first plot along an axis whose centre does not lie before a place."""
+    """Return the first plot along an axis whose centre is at or beyond a place."""
     first = int(min(float(plots), max(0.0, math.floor(place / size - 0.5))))
     while first < plots and (first + 0.5) * size < place:
         first += 1

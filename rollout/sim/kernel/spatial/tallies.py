@@ -1,8 +1,8 @@
 """Running sums of VDF over plots and of AoI over sensor cells, from which quadrants are summed without a scan.
 
-A tally is two tables [rows + 1, columns]: `below` holds at [r, i] the sum over the rows under r of column i, `above`
-the sum over row r and all rows over it. The sum of a quadrant is the sum of a piece of one of their rows. Counters are
-whole numbers unless delivery is expected, so adding to a tally gives the same bits as a fresh count.
+A tally is two tables [rows + 1, columns]. For column i, `below[r, i]` sums the rows below r, and `above[r, i]` sums row
+r and the rows above it. A quadrant's sum is then the sum of part of one table row. Counters are integers unless
+delivery is expected, so adding to a tally gives the same bits as a recount.
 """
 
 from rollout.sim.kernel.compiler.decorators import allocation_free
@@ -12,7 +12,7 @@ from rollout.sim.kernel.spatial.neighbours import WAITING, cell_of
 
 @allocation_free
 def add(below: Array, above: Array, column: int, row: int, amount: float) -> None:
-    """Add an amount at a place of the grid."""
+    """Add an amount at one grid cell."""
     for r in range(row + 1, len(below)):
         below[r, column] += amount
     for r in range(row + 1):
@@ -21,7 +21,7 @@ def add(below: Array, above: Array, column: int, row: int, amount: float) -> Non
 
 @allocation_free
 def _accumulate(below: Array, above: Array) -> None:
-    """Turn the amounts of all places, given in `above`, into the tally."""
+    """Turn the amounts of all cells, given in `above`, into the tally."""
     rows, columns = len(above) - 1, above.shape[1]
     for column in range(columns):
         below[0, column], above[rows, column] = 0.0, 0.0
@@ -35,7 +35,7 @@ def _accumulate(below: Array, above: Array) -> None:
 
 @allocation_free
 def tally_plots(level: Array, below: Array, above: Array) -> None:
-    """Count VDF [n_px, n_py] afresh."""
+    """Recount VDF [n_px, n_py]."""
     for column in range(level.shape[0]):
         for row in range(level.shape[1]):
             above[row, column] = level[column, row]
@@ -46,7 +46,7 @@ def tally_plots(level: Array, below: Array, above: Array) -> None:
 def tally_sensors(
     seen: ObservationConstants, cell_start: Int32, age: Array, below: Array, above: Array, waiting: Indices
 ) -> None:
-    """Count AoI [S] afresh, and how many sensors hold data, in `waiting` [1]."""
+    """Recount AoI [S], and write the number of sensors that hold data to `waiting` [1]."""
     waiting[0] = 0
     for column in range(seen.cells_x):
         for row in range(seen.cells_y):
@@ -70,7 +70,7 @@ def add_sensor(
     above: Array,
     waiting: Indices,
 ) -> None:
-    """Add an amount to the AoI of the sensor at (x, y), and `holders` to the number of sensors that hold data."""
+    """Add an amount to the AoI at (x, y), and `holders` to the number of sensors that hold data."""
     column, row = cell_of(x / fleet.width, seen.cells_x), cell_of(y / fleet.depth, seen.cells_y)
     add(below, above, column, row, amount)
     waiting[0] += holders
