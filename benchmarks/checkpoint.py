@@ -32,7 +32,7 @@ from common.transitions import TRANSITION, Chunk, Rows  # noqa: E402  (as above)
 from deploy.exit_codes import run_command  # noqa: E402  (as above)
 from deploy.reports.provenance import provenance  # noqa: E402  (as above)
 from learner.checkpoint.storage import RunStorage  # noqa: E402  (as above)
-from learner.intake.ledger import Intake  # noqa: E402  (as above)
+from learner.intake.ledger import Ledger  # noqa: E402  (as above)
 from learner.trainer import Trainer  # noqa: E402  (as above)
 
 SETTLE_TURNS = 20
@@ -74,7 +74,7 @@ def measure(width: int, checkpoints: int, capacity: int, folder: Path) -> dict[s
     quiet = [turn(trainer, chunk) for _ in range(3 * SETTLE_TURNS)][SETTLE_TURNS:]
     pauses, turns, seconds = [], [], []
     for number in range(1, checkpoints + 1):
-        storage.save(trainer, Intake(), 0.0, 0)
+        storage.save(trainer, Ledger(), 0.0, 0)
         pauses.append(storage.pause)
         turns.append(turn(trainer, chunk))
         while storage.statistics()["checkpoints"] < number and not storage.alarm:

@@ -21,7 +21,7 @@ class PolicyStore:
         event: number of imitation events applied to them.
         environment_steps: environment steps that the learner had accepted when it sent them.
         progress: share of the run's episodes that were finished at that time, 0..1.
-        stale: messages that were ignored because they were not newer.
+        ignored: messages that were ignored because they were not newer.
     """
 
     def __init__(self, team: TeamSpec) -> None:
@@ -32,7 +32,7 @@ class PolicyStore:
         self.event = 0
         self.environment_steps = 0
         self.progress = 0.0
-        self.stale = 0
+        self.ignored = 0
         self._latest: ImitationEvent | None = None
         self._latest_epoch = 0
 
@@ -46,7 +46,7 @@ class PolicyStore:
         if message.team != self.team.digest:
             raise VersionError(f"parameters for team {message.team[:16]} offered to team {self.team.digest}.")
         if (message.epoch, message.version) <= (self.epoch, self.version):
-            self.stale += 1
+            self.ignored += 1
             return False
         arrays = tuple(flat.copy() for flat in message.flat)
         actors = TeamActors(self.team, message.hidden, arrays, checked_head(message.head))
@@ -67,7 +67,7 @@ class PolicyStore:
             self._latest_epoch = epoch
             self._latest = event
             return self._apply()
-        self.stale += 1
+        self.ignored += 1
         return False
 
     def follow_lower_epoch(self, epoch: int) -> None:

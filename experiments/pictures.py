@@ -29,7 +29,7 @@ from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.monitor.web.hub import Hub
 from deploy.monitor.web.server import WebServer
 from deploy.monitor.web.source import Source
-from deploy.policies.replay import Contest, scenes_of
+from deploy.policies.replay import Comparison, scenes_of
 from deploy.reports.provenance import provenance
 from rollout.policies import TRAINED
 from rollout.rendering.side_by_side import SideBySidePicture
@@ -53,10 +53,10 @@ def replay_picture(path: Path) -> None:
     from matplotlib import image  # noqa: PLC0415  (loaded only where a picture is made)
 
     names = ("EIA-SEC (shipped policy)", "horizon")
-    contest = Contest(preset("default").farm, ("trained", "horizon"), names, FARM, 0)
+    comparison = Comparison(preset("default").farm, ("trained", "horizon"), names, FARM, 0)
     picture = None
-    for scenes in scenes_of(contest):
-        picture = picture or SideBySidePicture(contest.names, scenes)
+    for scenes in scenes_of(comparison):
+        picture = picture or SideBySidePicture(comparison.names, scenes)
         picture.note(scenes)
         if scenes[0].step == STEP:
             image.imsave(path, picture.draw(scenes))

@@ -32,7 +32,7 @@ COLUMNS: Final = ("supply", "paid", "left", "service", "cap", "border")
 Array = NDArray[np.float64]
 
 
-class Ledger:
+class SupplyLog:
     """Follows the counters of one farm, all plots or all sensors, through an episode.
 
     Args:
@@ -78,8 +78,8 @@ def follow(config: FarmConfig, policy: Policy, farm: int) -> dict[str, dict[str,
     border = np.ones((world.plots_x, world.plots_y), bool)
     border[1:-1, 1:-1] = False
     cycles = np.asarray(batch.layout(0).sensor_cycle_steps, np.float64)
-    plots = Ledger(np.full(border.shape, round(world.vdf_cycle / world.step_seconds), float), world.vdf_max, border)
-    sensors = Ledger(cycles, world.aoi_max, np.zeros(len(cycles), bool))
+    plots = SupplyLog(np.full(border.shape, round(world.vdf_cycle / world.step_seconds), float), world.vdf_max, border)
+    sensors = SupplyLog(cycles, world.aoi_max, np.zeros(len(cycles), bool))
     first, last = world.communication_uavs, world.communication_uavs + world.monitoring_uavs
     for step in range(1, world.steps + 1):
         batch.step(policy.act(batch))

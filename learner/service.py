@@ -24,10 +24,10 @@ from learner.checkpoint.storage import RunStorage
 from learner.control.command_server import CommandServer
 from learner.control.epoch import SuccessorWatch, next_epoch
 from learner.control.imitation_server import ImitationServer
-from learner.control.publisher import Publisher
+from learner.control.parameter_publisher import ParameterPublisher
 from learner.intake.chunk_rules import ChunkRules
 from learner.intake.feed import ExperienceFeed
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 from learner.intake.receiver import Receiver
 from learner.options import LearnerOptions
 from learner.reporting.phase_times import PhaseTimes
@@ -87,18 +87,18 @@ class Learner:
         if options.resume:
             self._reporter.log_resume()
 
-    def _restore(self) -> tuple[Intake, float]:
+    def _restore(self) -> tuple[Ledger, float]:
         """Resume from the newest checkpoint, if asked to; return the ledger and the seconds that the run has taken."""
-        ledger, resume, directory = Intake(), self._options.resume, self._options.run_dir
+        ledger, resume, directory = Ledger(), self._options.resume, self._options.run_dir
         elapsed, epoch = self._storage.restore(self.trainer, ledger) if resume else (0.0, 0)
         self._history = History(directory / HISTORY if directory else None)
         self._epoch = next_epoch(max(epoch, last_epoch(self._history.before)))
         recover_losses(self._history, ledger, self._epoch, resumed=resume)
         return ledger, elapsed
 
-    def _open_control(self, config: RunConfig, team: TeamSpec, control: Bus, ledger: Intake) -> None:
+    def _open_control(self, config: RunConfig, team: TeamSpec, control: Bus, ledger: Ledger) -> None:
         run, lockstep = self._options.run, self._options.lockstep
-        self._publisher = Publisher(control, run, self._epoch, config, self.trainer)
+        self._publisher = ParameterPublisher(control, run, self._epoch, config, self.trainer)
         self._successor = SuccessorWatch(control, run, self._epoch)
         configuration = ConfigurationMessage(self._epoch, to_toml(config), team.to_dict(), lockstep)
         commands = control.serve(keys.COMMAND.pattern(run), 64)
@@ -106,7 +106,7 @@ class Learner:
         server = control.serve(keys.IMITATION.key(run), 4)
         self._imitations = ImitationServer(server, self.trainer, self._commands.lease, self._epoch, self._on_imitation)
 
-    def _open_bulk(self, config: RunConfig, environment: EnvironmentSpec, bulk: Bus, ledger: Intake) -> None:
+    def _open_bulk(self, config: RunConfig, environment: EnvironmentSpec, bulk: Bus, ledger: Ledger) -> None:
         server = bulk.serve(keys.TRANSITION.pattern(self._options.run), 256)
         absorbed = ledger.now()
         rules, lockstep, version = ChunkRules.of(config, environment), self._options.lockstep, self.trainer.version
@@ -202,7 +202,7 @@ class Learner:
 
     def _publish(self) -> None:
         self._schedule.publish_timer.restart(time.monotonic())
-        if self._publisher.stale or self._options.lockstep:
+        if self._publisher.has_unpublished_changes or self._options.lockstep:
             self._receiver.set_version(self.trainer.next_version())  # before any worker can fly with it
             self._publisher.publish_parameters()
             self._publish_progress()

@@ -18,7 +18,7 @@ from common.transport.endpoint import Endpoint
 from deploy.local.memory import keep_freed_memory
 from learner.data.replay import Replay
 from learner.intake.chunk_rules import ChunkRules
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 from learner.intake.receiver import Receiver
 
 RUN = "intake"
@@ -45,7 +45,7 @@ def main() -> None:
             bus.serve(keys.TRANSITION.pattern(RUN), WAITING),
             team,
             ChunkRules.of(configuration(options.bytes), environment),
-            Intake(),
+            Ledger(),
             ReplayConfig(capacity=CAPACITY),
             lockstep=False,
         )

@@ -82,7 +82,7 @@ class Router:
 
 
 @dataclass(frozen=True)
-class Learner:
+class LearnerSpec:
     """The learner."""
 
     host: str = ""
@@ -149,7 +149,7 @@ class FleetSpec:
     training: Training = field(default_factory=Training)
     network: Network = field(default_factory=Network)
     router: Router | None = None
-    learner: Learner = field(default_factory=Learner)
+    learner: LearnerSpec = field(default_factory=LearnerSpec)
     coordinator: Coordinator = field(default_factory=Coordinator)
     hosts: dict[str, Host] = field(default_factory=dict)
     containers: Containers = field(default_factory=Containers)

@@ -13,7 +13,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from deploy.monitor.snapshot import Imitation, Ledger, Snapshot
+from deploy.monitor.snapshot import Imitation, LedgerCounts, Snapshot
 from deploy.monitor.sparkline import Sparkline
 from deploy.monitor.tables import EventTable, ProcessTable, duration, number
 
@@ -124,7 +124,7 @@ def _flow(snapshot: Snapshot) -> Panel:
     return _panel("flow", grid)
 
 
-def _ledger(ledger: Ledger) -> Panel:
+def _ledger(ledger: LedgerCounts) -> Panel:
     rows = (
         (("produced", ledger.produced, ""), ("rejected", ledger.rejected, "yellow")),
         (("accepted", ledger.accepted, ""), ("lost", ledger.lost or 0, "yellow")),

@@ -10,7 +10,7 @@ from common.errors import SchemaError
 from common.protocol.messages import MetricMessage
 from deploy.monitor.environment_labels import plotted, type_label
 from deploy.monitor.sanitised import metrics
-from deploy.monitor.snapshot import ImitationRow, Ledger
+from deploy.monitor.snapshot import ImitationRow, LedgerCounts
 
 RATE_SECONDS: Final = 10.0
 """Time over which rates are taken: a worker reports chunks, and one second may hold none."""
@@ -116,11 +116,11 @@ def _check(values: Mapping[str, Any]) -> None:
         raise SchemaError("an alarm is not a text.")
 
 
-def ledger_of(values: Mapping[str, Any]) -> Ledger:
+def ledger_of(values: Mapping[str, Any]) -> LedgerCounts:
     """Return a ledger from reported metrics; what is missing is 0."""
     counts = {name: int(values.get(name, 0)) for name in _LEDGER if name != "lost"}
     lost = values.get("lost", 0)
-    return Ledger(**counts, lost=None if lost is None else int(lost))
+    return LedgerCounts(**counts, lost=None if lost is None else int(lost))
 
 
 def imitation_row(event: Mapping[str, Any], learner: Mapping[str, Any]) -> ImitationRow:

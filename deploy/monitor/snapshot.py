@@ -35,7 +35,7 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Ledger:
+class LedgerCounts:
     """Where the produced environment steps are: produced = accepted + lost + rejected + in flight + unexplained.
 
     Attributes:
@@ -128,7 +128,7 @@ class ProcessRow:
     queue: int | None = None
     age: float = 0.0
     alive: bool = True
-    ledger: Ledger | None = None
+    ledger: LedgerCounts | None = None
     trouble: bool = False
     left: bool = False
 
@@ -180,8 +180,8 @@ class Snapshot:
     staleness: float | None = None
     learner_wait: float | None = None
     worker_wait: float | None = None
-    ledger: Ledger = field(default_factory=Ledger)
-    others: tuple[int, Ledger] | None = None
+    ledger: LedgerCounts = field(default_factory=LedgerCounts)
+    others: tuple[int, LedgerCounts] | None = None
     imitation: Imitation = field(default_factory=Imitation)
     processes: tuple[ProcessRow, ...] = ()
     alarms: tuple[str, ...] = ()

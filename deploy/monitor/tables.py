@@ -8,7 +8,7 @@ from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
 
-from deploy.monitor.snapshot import ImitationRow, Ledger, ProcessRow, Snapshot
+from deploy.monitor.snapshot import ImitationRow, LedgerCounts, ProcessRow, Snapshot
 
 NARROW: Final = 0
 MIDDLE: Final = 96
@@ -56,7 +56,7 @@ def _count(value: int | None, style: str = "") -> Text:
     return Text(short(value), style if value else "")
 
 
-def _of(field: Callable[[Ledger], int | None], style: str = "") -> Callable[[ProcessRow], Text]:
+def _of(field: Callable[[LedgerCounts], int | None], style: str = "") -> Callable[[ProcessRow], Text]:
     return lambda row: Text("") if row.ledger is None else _count(field(row.ledger), style)
 
 
@@ -152,7 +152,7 @@ def _summed(rows: Sequence[ProcessRow]) -> ProcessRow:
         queue=sum(row.queue or 0 for row in rows),
         age=max(row.age for row in rows),
         alive=all(row.alive or row.left for row in rows),
-        ledger=Ledger(
+        ledger=LedgerCounts(
             produced=sum(ledger.produced for ledger in ledgers),
             accepted=sum(ledger.accepted for ledger in ledgers),
             rejected=sum(ledger.rejected for ledger in ledgers),

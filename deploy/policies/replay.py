@@ -8,7 +8,7 @@ from pathlib import Path
 from common.config import FarmConfig
 from common.errors import UsageError
 from deploy.reports.film import Film
-from deploy.reports.plots import save_contest
+from deploy.reports.plots import save_comparison
 from rollout.evaluation import episode_seed, record
 from rollout.policies import policy_of
 from rollout.rendering.scene import Observer, Scene
@@ -17,7 +17,7 @@ from rollout.sim.batch import FarmBatch
 
 
 @dataclass(frozen=True)
-class Contest:
+class Comparison:
     """Two policies, and the episode that both fly.
 
     Attributes:
@@ -35,17 +35,19 @@ class Contest:
     episode: int
 
 
-def scenes_of(contest: Contest) -> Iterator[tuple[Scene, Scene]]:
+def scenes_of(comparison: Comparison) -> Iterator[tuple[Scene, Scene]]:
     """Yield both farms after the reset and after each step."""
-    own, other = (_flight(contest, policy) for policy in contest.policies)
+    own, other = (_flight(comparison, policy) for policy in comparison.policies)
     yield from zip(own, other, strict=True)
 
 
-def film(contest: Contest, path: Path, rate: float, every: int, done: Callable[[int], None] = lambda _: None) -> None:
+def film(
+    comparison: Comparison, path: Path, rate: float, every: int, done: Callable[[int], None] = lambda _: None
+) -> None:
     """Write a film with a frame every few steps, and one of the last step.
 
     Args:
-        contest: the policies and the episode.
+        comparison: the policies and the episode.
         path: the file, .mp4 or .gif.
         rate: frames per second.
         every: environment steps per frame.
@@ -55,11 +57,11 @@ def film(contest: Contest, path: Path, rate: float, every: int, done: Callable[[
         PolicyError: a policy does not exist or does not fit the farm.
         UsageError: there is no ffmpeg, or the file cannot be written.
     """
-    last, picture = contest.config.world.steps, None
+    last, picture = comparison.config.world.steps, None
     with ExitStack() as stack:
-        for scenes in scenes_of(contest):
+        for scenes in scenes_of(comparison):
             if picture is None:
-                picture = SideBySidePicture(contest.names, scenes)
+                picture = SideBySidePicture(comparison.names, scenes)
                 reel = stack.enter_context(Film(path, picture.size, rate))
             picture.note(scenes)
             if scenes[0].step % every == 0 or scenes[0].step == last:
@@ -67,7 +69,7 @@ def film(contest: Contest, path: Path, rate: float, every: int, done: Callable[[
             done(scenes[0].step)
 
 
-def paper_pictures(contest: Contest, paths: list[Path]) -> None:
+def paper_pictures(comparison: Comparison, paths: list[Path]) -> None:
     """Save the final state with all paths, both policies side by side, PNG or PDF by the files' endings.
 
     Raises:
@@ -75,21 +77,21 @@ def paper_pictures(contest: Contest, paths: list[Path]) -> None:
         UsageError: a file cannot be written.
     """
     flown = [
-        record(contest.config, policy_of(policy, contest.config), contest.farm, contest.episode)
-        for policy in contest.policies
+        record(comparison.config, policy_of(policy, comparison.config), comparison.farm, comparison.episode)
+        for policy in comparison.policies
     ]
     try:
         for path in paths:
             path.parent.mkdir(parents=True, exist_ok=True)
-            save_contest(dict(zip(contest.names, flown, strict=True)), path)
+            save_comparison(dict(zip(comparison.names, flown, strict=True)), path)
     except OSError as error:
         raise UsageError(f"{path} cannot be written: {error.strerror}.") from error
 
 
-def _flight(contest: Contest, name: str) -> Iterator[Scene]:
-    batch, policy = FarmBatch(contest.config, 1), policy_of(name, contest.config)
+def _flight(comparison: Comparison, name: str) -> Iterator[Scene]:
+    batch, policy = FarmBatch(comparison.config, 1), policy_of(name, comparison.config)
     observer = Observer(batch, 0)
-    batch.reset(0, contest.farm, episode_seed(contest.farm, contest.episode))
+    batch.reset(0, comparison.farm, episode_seed(comparison.farm, comparison.episode))
     policy.reset(batch, 0)
     observer.observe()
     yield observer.scene()

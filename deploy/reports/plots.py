@@ -29,7 +29,7 @@ PIECE_STEPS: Final = 25
 """Steps of a fading path that share one opacity."""
 OLDEST: Final = 0.1
 """Opacity of a fading path where it begins."""
-CONTEST_DPI: Final = 220
+COMPARISON_DPI: Final = 220
 """Higher than DPI, because maps side by side are small."""
 SMALL: Final = 0.7
 """Size of markers and lines on such a map, relative to a single map."""
@@ -118,18 +118,18 @@ def trajectories_figure(trajectory: Trajectory) -> Figure:
     return figure
 
 
-def save_contest(trajectories: Mapping[str, Trajectory], path: Path) -> None:
+def save_comparison(trajectories: Mapping[str, Trajectory], path: Path) -> None:
     """Draw the same episode under several policies side by side: final state, and paths that fade with age.
 
     Args:
         trajectories: recorded episodes of one farm by the policies' names.
         path: the picture; its ending says the format, PNG or PDF for instance.
     """
-    contest_figure(trajectories).savefig(path, dpi=CONTEST_DPI)
+    comparison_figure(trajectories).savefig(path, dpi=COMPARISON_DPI)
 
 
-def contest_figure(trajectories: Mapping[str, Trajectory]) -> Figure:
-    """Return the figure that `save_contest` saves."""
+def comparison_figure(trajectories: Mapping[str, Trajectory]) -> Figure:
+    """Return the figure that `save_comparison` saves."""
     flown = list(trajectories.values())
     figure = Figure(figsize=(4.7 * len(flown), 6.6), layout="constrained")
     grid = figure.add_gridspec(2, 2 * len(flown), height_ratios=(1.0, 0.03))

@@ -13,7 +13,7 @@ from common.protocol.codec import Message
 from common.protocol.frame import PROTOCOL
 from common.protocol.messages import Envelope
 from common.protocol.metrics import METRICS
-from deploy.monitor.snapshot import Imitation, ImitationRow, Ledger, ProcessRow, Snapshot
+from deploy.monitor.snapshot import Imitation, ImitationRow, LedgerCounts, ProcessRow, Snapshot
 from docs.tools.blocks import table
 
 EXAMPLE: Final = Path("docs/examples/subscriber.py")
@@ -69,7 +69,7 @@ def metrics_tables() -> str:
 
 def snapshot_tables() -> str:
     """Return one table for each record in a line of `eia-sec monitor --json`."""
-    kinds = (Snapshot, Ledger, Imitation, ImitationRow, ProcessRow)
+    kinds = (Snapshot, LedgerCounts, Imitation, ImitationRow, ProcessRow)
     return "".join(_kind(kind, f"### {kind.__name__}") for kind in kinds)
 
 

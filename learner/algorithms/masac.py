@@ -34,7 +34,7 @@ from learner.networks.optimiser import Adam
 from learner.networks.stacked import Forward
 
 
-class Sample(NamedTuple):
+class ActionSample(NamedTuple):
     """Actions sampled from the actors; all but the last two in the action layout.
 
     Attributes:
@@ -118,7 +118,7 @@ class Masac(Algorithm[MasacConfig]):
             temperature=alpha[:, 0], log_probability=log_probability, entropy_regularised=True
         )
 
-    def _sample(self, inputs: Inputs, noise: Tensor) -> Sample:
+    def _sample(self, inputs: Inputs, noise: Tensor) -> ActionSample:
         forward = self.actors.outputs(inputs)
         raw = forward.output.index_select(0, self._log_std)
         log_std = raw.clamp(*LOG_STD_RANGE)
@@ -128,9 +128,9 @@ class Masac(Algorithm[MasacConfig]):
         density = noise.square() * -0.5 - log_std - correction - 0.5 * math.log(2.0 * math.pi)
         rows = self.team.agents * self.config.batch
         log_probability = density.new_zeros(rows).index_add_(0, self._row, density).view(-1, self.config.batch)
-        return Sample(u.tanh_(), scaled_noise, (raw == log_std).to(raw.dtype), log_probability, forward)
+        return ActionSample(u.tanh_(), scaled_noise, (raw == log_std).to(raw.dtype), log_probability, forward)
 
-    def _output_gradients(self, sample: Sample, action_gradient: Tensor, alpha: Tensor) -> Tensor:
+    def _output_gradients(self, sample: ActionSample, action_gradient: Tensor, alpha: Tensor) -> Tensor:
         """Return the gradient of the actor loss by m and log s, given that of its Q term by the actions.
 
         With g the latter, c = alpha / B and d log pi / du = 2 a (n being given), dL/du = g (1 - a^2) + 2 c a,

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 from common.history.history import Entry, History, Record, Resume, Start
 from common.protocol.messages import Envelope
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 
 
 def last_epoch(records: Iterable[Record]) -> int:
@@ -17,12 +17,12 @@ def last_epoch(records: Iterable[Record]) -> int:
     return max(starts, default=0)
 
 
-def recover_losses(history: History, intake: Intake, epoch: int, *, resumed: bool) -> int:
+def recover_losses(history: History, ledger: Ledger, epoch: int, *, resumed: bool) -> int:
     """Record a start of the learner in its history, and book what an earlier start accepted after the checkpoint.
 
     Args:
         history: the learner's own.
-        intake: the ledger of the checkpoint, or an empty one; the losses are booked in it.
+        ledger: the ledger of the checkpoint, or an empty one; the losses are booked in it.
         epoch: this start's fencing epoch.
         resumed: whether this start continues an earlier one.
 
@@ -32,36 +32,36 @@ def recover_losses(history: History, intake: Intake, epoch: int, *, resumed: boo
     history.add(Start("learner", "learner", epoch))
     if not resumed:
         return 0
-    history.add(Resume({name: (ledger.incarnation, ledger.expected) for name, ledger in intake.workers.items()}))
-    before = intake.totals()["lost"]
+    history.add(Resume({name: (worker.incarnation, worker.expected) for name, worker in ledger.workers.items()}))
+    before = ledger.totals()["lost"]
     for record in history.before:
         if isinstance(record, Entry) and record.verdict in ("accepted", "refused"):
-            _book(intake, record)
-    return intake.totals()["lost"] - before
+            _book(ledger, record)
+    return ledger.totals()["lost"] - before
 
 
-def _book(intake: Intake, entry: Entry) -> None:
+def _book(ledger: Ledger, entry: Entry) -> None:
     """Book the chunks of an entry that the ledger does not know yet, in time that does not depend on their number."""
-    known = intake.workers.get(entry.worker)
+    known = ledger.workers.get(entry.worker)
     if known is not None and entry.incarnation < known.incarnation:
         return
     first = max(entry.first, known.expected if known is not None and entry.incarnation == known.incarnation else 0)
     if first > entry.last:
         return
     # Only the first chunk can follow a gap. Those behind it continue the counts, so they are booked as one.
-    _book_chunks(intake, entry, first, first)
+    _book_chunks(ledger, entry, first, first)
     if first < entry.last:
-        _book_chunks(intake, entry, first + 1, entry.last)
+        _book_chunks(ledger, entry, first + 1, entry.last)
 
 
-def _book_chunks(intake: Intake, entry: Entry, first: int, last: int) -> None:
+def _book_chunks(ledger: Ledger, entry: Entry, first: int, last: int) -> None:
     """Book chunks `first` to `last` of an entry at once."""
     chunks, behind = last - first + 1, (entry.last - last) * entry.steps
     steps, produced, flown = chunks * entry.steps, entry.produced - behind, max(0, entry.flown - behind)
     sender = Envelope("rollout", entry.worker, entry.incarnation, last)
     if entry.verdict == "accepted":
-        intake.lose(sender, steps, produced, flown)
+        ledger.lose(sender, steps, produced, flown)
     elif entry.produced:
-        intake.refuse_aged(sender, steps, produced, flown, chunks)
+        ledger.refuse_aged(sender, steps, produced, flown, chunks)
     else:
-        intake.refuse(sender, chunks)
+        ledger.refuse(sender, chunks)

@@ -13,7 +13,7 @@ from learner.checkpoint import files
 from learner.checkpoint.trainer_state import counter, finite, mapping
 from learner.checkpoint.writer import CheckpointWriter
 from learner.data.replay import LARGE, SMALL
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 from learner.trainer import Trainer
 
 SLACK_BYTES: Final = 64 * 2**20
@@ -22,7 +22,7 @@ CHECKPOINTS = "checkpoints"
 POLICY = "policy.safetensors"
 
 
-class Ledger(Protocol):
+class SavableLedger(Protocol):
     """A ledger of accepted chunks that a checkpoint can hold."""
 
     def state(self) -> dict[str, Any]:
@@ -71,7 +71,7 @@ class RunStorage:
         if (now := _identity(self._directory)) is not None and now != self._identity:
             raise RunDirError(f"another directory has taken the place of the run directory {self._directory}.")
 
-    def save(self, trainer: Trainer, ledger: Ledger, elapsed: float, epoch: int, *, wait: bool = False) -> None:
+    def save(self, trainer: Trainer, ledger: SavableLedger, elapsed: float, epoch: int, *, wait: bool = False) -> None:
         """Begin to write a checkpoint of this instant, or count it as skipped while the previous one is being written.
 
         Training continues meanwhile, and also after a failure (see `alarm`): the previous checkpoint is still whole.
@@ -123,7 +123,7 @@ class RunStorage:
             "checkpoint_bytes": self._writer.bytes,
         }
 
-    def restore(self, trainer: Trainer, intake: Intake) -> tuple[float, int]:
+    def restore(self, trainer: Trainer, ledger: Ledger) -> tuple[float, int]:
         """Resume from the newest whole checkpoint; return the seconds that the run has taken, and its epoch.
 
         Without any checkpoint nothing changes, and both are 0: the run was killed before its first one.
@@ -143,7 +143,7 @@ class RunStorage:
         if manifest.get("method", self._method) != self._method:
             raise RunDirError(f"the checkpoint in {self._directory} belongs to another configuration.")
         elapsed, epoch = finite(manifest, "elapsed"), counter(manifest, "epoch")
-        intake.restore(mapping(manifest, "intake"))
+        ledger.restore(mapping(manifest, "intake"))
         trainer.restore(found.tensors, mapping(manifest, "trainer"))
         return elapsed, epoch
 

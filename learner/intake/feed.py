@@ -83,12 +83,12 @@ class ExperienceFeed:
 
     def metrics(self) -> dict[str, Any]:
         """Return the metrics of the intake."""
-        ledger, ledgers = self._receiver.intake.accounts()
+        totals, ledgers = self._receiver.ledger.accounts()
         unexplained = self._receiver.unexplained(self._trainer.environment_steps)
         return {
             "lag_versions": self._lag,
             **self._receiver.metrics(),
-            "ledger": {**ledger, "unexplained": unexplained},
+            "ledger": {**totals, "unexplained": unexplained},
             "ledgers": ledgers,
         }
 

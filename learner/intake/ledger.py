@@ -1,4 +1,4 @@
-"""What the learner takes in: each chunk once, in order, and a ledger that accounts for every environment step."""
+"""The ledger: it takes each chunk once, in order, and accounts for every environment step."""
 
 import heapq
 import threading
@@ -85,7 +85,7 @@ class WorkerLedger:
         return replace(self, lost=self.lost + self.in_flight, produced=self.flown)
 
     def sums(self) -> dict[str, int]:
-        """Return the account over all starts; see `Intake.totals`."""
+        """Return the account over all starts; see `Ledger.totals`."""
         return _summed([self] if self.earlier is None else [self, self.earlier])
 
 
@@ -105,7 +105,7 @@ class LedgerSnapshot(NamedTuple):
         return {"closed": asdict(self.closed), "workers": {name: asdict(w) for name, w in self.workers.items()}}
 
 
-class Intake:
+class Ledger:
     """Deduplication by (worker, incarnation, sequence), and the ledger of all workers.
 
     A worker sends its chunks in sequence and repeats one until it is answered. So a number below the expected one is a

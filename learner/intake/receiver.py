@@ -23,7 +23,7 @@ from common.transitions import Chunk
 from common.transport.bus import Incoming, Server
 from learner.intake.arrival import Arrival, OwedAnswer
 from learner.intake.chunk_rules import ChunkRules, EpisodeTracker, provable
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 from learner.intake.peer_penalties import BLOCK_SECONDS, PeerPenalties
 from learner.intake.throttle import Throttle
 
@@ -53,7 +53,7 @@ class Receiver:
 
     Attributes:
         arrivals: the queue.
-        intake: deduplication and ledger.
+        ledger: deduplication and the account of every worker.
         malformed: requests that belong to no worker.
         replaced: requests of starts that a newer start of the same worker has replaced.
         uncounted_episodes: finished episodes that did not count, because this learner has not seen all their steps.
@@ -68,7 +68,7 @@ class Receiver:
         server: where chunks come in.
         team: layout of their rows.
         rules: what the run's configuration lets a chunk be.
-        intake: deduplication and ledger; the receiver's from now on.
+        ledger: deduplication and the account of every worker; the receiver's from now on.
         replay: size of the queue and most versions of lag.
         lockstep: whether the learner itself answers, after it has trained; a request then holds one chunk.
         history: where each verdict is written before it is sent.
@@ -80,14 +80,14 @@ class Receiver:
         server: Server,
         team: TeamSpec,
         rules: ChunkRules,
-        intake: Intake,
+        ledger: Ledger,
         replay: ReplayConfig,
         lockstep: bool,
         history: History | None = None,
         version: int = 0,
     ) -> None:
         self.arrivals: queue.Queue[Arrival] = queue.Queue(replay.intake_chunks)
-        self.server, self.intake = server, intake
+        self.server, self.ledger = server, ledger
         self.malformed = self.replaced = self.uncounted_episodes = 0
         self.peer_penalties, self.throttle = PeerPenalties(), Throttle()
         self.required_version, self.version = 0, version
@@ -140,7 +140,7 @@ class Receiver:
             absorbed: environment steps that have left the queue for replay.
         """
         with self.gate:
-            accepted, unclosed = self.intake.totals()["accepted"], self.intake.unexplained()
+            accepted, unclosed = self.ledger.totals()["accepted"], self.ledger.unexplained()
             queued = sum(arrival.chunk.rows.steps for arrival in list(self.arrivals.queue))
         return abs(int(accepted - absorbed - queued)) + unclosed
 
@@ -185,7 +185,7 @@ class Receiver:
             self.throttle.hold(incoming, refusal)
             return
         sender = self._identified(incoming, worker)
-        if sender.incarnation < self.intake.newest_start(worker):
+        if sender.incarnation < self.ledger.newest_start(worker):
             # No penalty: it would hit the newer start, which has the same name.
             self.replaced += 1
             incoming.reply(ChunkAck(("replaced",), ("a newer start of this worker delivers now.",), 1, 0).encode())
@@ -207,7 +207,7 @@ class Receiver:
 
     def _owes(self, incoming: Incoming, sender: Envelope, verdict: Verdict) -> bool:
         """Return whether the learner answers a request in lockstep: its chunk is new, or is still being trained on."""
-        again = verdict[0] == "duplicate" and sender.sequence == self.intake.expected(sender) - 1
+        again = verdict[0] == "duplicate" and sender.sequence == self.ledger.expected(sender) - 1
         return verdict == TAKEN or (again and self._owed is not None and self._owed.renew(incoming))
 
     def _identified(self, incoming: Incoming, worker: str) -> Envelope:
@@ -216,15 +216,15 @@ class Receiver:
             sender = Envelope.decode(incoming.attachment)
             if (sender.role, sender.name) != ("rollout", worker) or not 1 <= sender.sequence <= MOST_COUNT:
                 raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}, {sender.sequence}.")
-            if not plausible(sender.incarnation, self.intake.newest_start(worker)):
+            if not plausible(sender.incarnation, self.ledger.newest_start(worker)):
                 raise ProtocolError(f"no clock gives a start the number {sender.incarnation}.")
         except ProtocolError as error:
             self._bad(worker, str(error))
             raise
-        known = self.intake.workers.get(sender.name)
-        if self._lockstep and known is None and any(worker.accepted for worker in self.intake.workers.values()):
+        known = self.ledger.workers.get(sender.name)
+        if self._lockstep and known is None and any(worker.accepted for worker in self.ledger.workers.values()):
             raise ProtocolError("a lockstep run has exactly one worker.")
-        if known is None and len(self.intake.workers) >= MOST_WORKERS:
+        if known is None and len(self.ledger.workers) >= MOST_WORKERS:
             raise ProtocolError(f"{MOST_WORKERS} workers have accounts already.")
         return sender
 
@@ -243,7 +243,7 @@ class Receiver:
             return self._send_again(sender, error)
         # A worker holds each chunk until it is settled, so it can give none up that this receiver has not settled.
         met = self._met.get(sender.name) == sender.incarnation
-        status = self.intake.judge(sender, 0 if met else delivery.oldest)
+        status = self.ledger.judge(sender, 0 if met else delivery.oldest)
         if status != "accepted":
             if status == "duplicate":
                 self._record("duplicate", sender, 1)
@@ -259,7 +259,7 @@ class Receiver:
         counts = chunk.rows.steps, message.produced, delivery.flown
         lag = self.version - sender.version
         if 0 < self._most_lag < lag:
-            self._record_taken("refused", sender, counts, self.intake.refuse_aged(sender, *counts))
+            self._record_taken("refused", sender, counts, self.ledger.refuse_aged(sender, *counts))
             self._settle(sender, since)
             return "refused", f"its policy is {lag} versions old, more than {self._most_lag}."
         verdict = self._queue(sender, chunk, counts, OwedAnswer(incoming) if self._lockstep else None)
@@ -277,9 +277,9 @@ class Receiver:
 
         A number that is not the next one is never spent here: the worker may still hold those before it.
         """
-        self.intake.note_damaged(sender)
+        self.ledger.note_damaged(sender)
         self._log(f"a chunk of worker {sender.name} came damaged: {error}")
-        expected = self.intake.expected(sender)
+        expected = self.ledger.expected(sender)
         if sender.sequence < expected:
             self._record("duplicate", sender, 1)  # the answer is the same as for a whole copy
             return "duplicate", ""
@@ -293,10 +293,10 @@ class Receiver:
 
     def _refuse(self, sender: Envelope, error: ProtocolError) -> Verdict:
         self._damaged.pop(sender.name, None)
-        if sender.sequence > self.intake.expected(sender):
+        if sender.sequence > self.ledger.expected(sender):
             # How many steps are missing will be known with the next good chunk; that they are is known now.
             self._record("missing", sender, 0)
-        self.intake.refuse(sender)
+        self.ledger.refuse(sender)
         self._met[sender.name] = sender.incarnation
         self._record("refused", sender, 0)
         self._log(f"refused a chunk of worker {sender.name}: {error}")
@@ -308,7 +308,7 @@ class Receiver:
         names, reasons = zip(*verdicts, strict=True)
         if not set(names) & WORTH_LOOKING:
             self._bad(sender.name, f"chunk {sender.sequence} is a {names[0]}.")
-        incoming.reply(ChunkAck(names, reasons, self.intake.expected(sender), version).encode())
+        incoming.reply(ChunkAck(names, reasons, self.ledger.expected(sender), version).encode())
 
     def _record(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:
         """Write a verdict into the history."""
@@ -330,16 +330,16 @@ class Receiver:
                     return "closed", ""
                 if not self.arrivals.full():
                     # This thread alone puts, so the free place stays free.
-                    counted = provable(chunk.episodes, self.intake.room(sender) + counts[0])
+                    counted = provable(chunk.episodes, self.ledger.room(sender) + counts[0])
                     if uncounted := len(chunk.episodes) - len(counted):
                         self.uncounted_episodes += uncounted
                         self._log(f"{uncounted} episodes of worker {sender.name} do not count: their steps never came.")
-                    lost = self.intake.accept(sender, *counts, counted=sum(episode.steps for episode in counted))
+                    lost = self.ledger.accept(sender, *counts, counted=sum(episode.steps for episode in counted))
                     self._record_taken("accepted", sender, counts, lost)
                     self.peer_penalties.good(sender.name)
                     self._owed = owed
                     chunk = replace(chunk, episodes=counted)
-                    self.arrivals.put_nowait(Arrival(chunk, sender, self.intake.now(), owed))
+                    self.arrivals.put_nowait(Arrival(chunk, sender, self.ledger.now(), owed))
                     return TAKEN
             self._dealt_with.set()
             self._closing.wait(FULL_SECONDS)

@@ -24,12 +24,12 @@ class CollectionGate:
         lockstep: whether worker and learner take turns.
 
     Attributes:
-        stale: why the actors are too old to collect with, or empty. It is an alarm.
+        pause_reason: why the actors are too old to collect with, or empty. It is an alarm.
     """
 
     def __init__(self, config: RolloutConfig, learner: LearnerLink, sender: Sender, lockstep: bool) -> None:
         self._config, self._learner, self._sender, self._lockstep = config, learner, sender, lockstep
-        self.stale = ""
+        self.pause_reason = ""
 
     def actors(self) -> TeamActors | None:
         """Return the actors to collect the next chunk with, or None to wait."""
@@ -39,10 +39,11 @@ class CollectionGate:
         if self._lockstep:
             answered = sender.spooled == 0
             return store.actors if answered and store.version >= max(1, sender.required_version) else None
-        self.stale = self._staleness()
-        return None if self.stale or sender.full else store.actors
+        self.pause_reason = self._too_old()
+        return None if self.pause_reason or sender.full else store.actors
 
-    def _staleness(self) -> str:
+    def _too_old(self) -> str:
+        """Return why the actors are too old to collect with, or an empty text."""
         learner, config = self._learner, self._config
         lag = learner.newest_version - learner.store.version
         if 0 < config.max_lag_versions < lag and learner.store.epoch == learner.epoch:

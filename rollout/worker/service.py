@@ -72,7 +72,7 @@ class WorkerOptions:
 class _Times:
     collecting: float = 0.0
     waiting: float = 0.0
-    stale: float = 0.0
+    paused: float = 0.0
     reported: float = field(default_factory=time.monotonic)
     denied: float = 0.0
 
@@ -174,8 +174,8 @@ class Worker:
     def _wait(self) -> None:
         time.sleep(IDLE_SECONDS)
         self._times.waiting += IDLE_SECONDS
-        if self._gate.stale:
-            self._times.stale += IDLE_SECONDS
+        if self._gate.pause_reason:
+            self._times.paused += IDLE_SECONDS
 
     def _report(self) -> None:
         self._log_denial()
@@ -199,19 +199,19 @@ class Worker:
             "epoch": learner.store.epoch,
             "version": learner.store.version,
             "event": learner.store.event,
-            "stale": learner.store.stale,
+            "stale": learner.store.ignored,
             "missed": learner.missed,
             "malformed": learner.malformed,
             "watchers": self._view_service.watchers,
             "shown": self._view_service.shown,
             "skipped": self._view_service.skipped,
-            "paused": self._gate.stale,
-            "paused_seconds": times.stale,
+            "paused": self._gate.pause_reason,
+            "paused_seconds": times.paused,
             "alarms": self._alarms(),
         }
 
     def _alarms(self) -> list[str]:
-        found = (self._history.failure, self._gate.stale, self._clock_alarm, self._learner.alarm)
+        found = (self._history.failure, self._gate.pause_reason, self._clock_alarm, self._learner.alarm)
         return [text for text in found if text]
 
     def _log_denial(self) -> None:

@@ -9,7 +9,7 @@ from common.history.summary import MOST_STARTS, summarised
 from deploy.monitor.audit import audit
 from learner.checkpoint import compaction
 from learner.checkpoint.compaction import HistoryCompaction
-from learner.intake.ledger import Intake, LedgerSnapshot, WorkerLedger
+from learner.intake.ledger import Ledger, LedgerSnapshot, WorkerLedger
 
 
 def entry(verdict: str, first: int, last: int, steps: int = 10, start: int = 1) -> Entry:
@@ -17,7 +17,7 @@ def entry(verdict: str, first: int, last: int, steps: int = 10, start: int = 1) 
 
 
 def ledger(start: int, expected: int) -> LedgerSnapshot:
-    return LedgerSnapshot(Intake().closed, {"w": WorkerLedger(start, expected)})
+    return LedgerSnapshot(Ledger().closed, {"w": WorkerLedger(start, expected)})
 
 
 def test_a_summary_comes_back_from_its_line():
@@ -58,15 +58,15 @@ def test_starts_without_end_share_a_line():
     assert sum(part.accepted_steps for part in found if isinstance(part, Summary)) == 500 * 20
 
 
-def alternate(path: Path, chunks: int, every: int) -> tuple[History, Intake]:
+def alternate(path: Path, chunks: int, every: int) -> tuple[History, Ledger]:
     """Accept and refuse chunks in turn, with a checkpoint every so many; return the history and the ledger."""
-    history, intake = History(path), Intake()
+    history, kept = History(path), Ledger()
     compacted = HistoryCompaction(history, kept=2)
     for number in range(1, chunks + 1):
         history.add(entry("accepted" if number % 2 else "refused", number, number, 10))
         if number % every == 0:
             compacted.on_checkpoint(ledger(1, number + 1), failed=False)
-    return history, intake
+    return history, kept
 
 
 def test_chunks_that_never_join_do_not_grow_a_history_without_end(tmp_path, monkeypatch):

@@ -25,12 +25,12 @@ def event(number: int, rate: float = 0.25) -> ImitationEvent:
 
 
 def test_newer_parameters_are_taken_and_older_ones_counted() -> None:
-    """Versions only grow; an equal or older one changes nothing and is counted as stale."""
+    """Versions only grow; an equal or older one changes nothing and is counted as ignored."""
     store = PolicyStore(TEAM)
     assert store.offer_parameters(parameters(5))
     assert not store.offer_parameters(parameters(5, seed=1))
     assert not store.offer_parameters(parameters(4, seed=1))
-    assert (store.version, store.stale) == (5, 2)
+    assert (store.version, store.ignored) == (5, 2)
     assert store.actors is not None
     assert store.actors.digest() == TeamActors.initial(TEAM, 8, 0, per_type=False).digest()
 
@@ -71,12 +71,12 @@ def test_an_event_follows_parameters_that_lack_it() -> None:
 
 
 def test_an_event_of_another_epoch_waits_or_is_dropped() -> None:
-    """An event of a learner that was replaced is stale; one of a newer learner waits for that learner's parameters."""
+    """An event of a learner that was replaced is ignored; one of a newer learner waits for its parameters."""
     store = PolicyStore(TEAM)
     store.offer_parameters(parameters(1, epoch=5))
     assert not store.offer_imitation(event(1), 4)
     assert not store.offer_imitation(event(1), 6)
-    assert (store.event, store.stale) == (0, 1)
+    assert (store.event, store.ignored) == (0, 1)
     store.offer_parameters(parameters(1, epoch=6))
     assert store.event == 1
 

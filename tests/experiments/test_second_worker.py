@@ -12,7 +12,7 @@ import pytest
 from common.errors import EiaSecError, UsageError
 from common.transport.endpoint import free_endpoint
 from deploy.local.supervisor import Child
-from deploy.monitor.snapshot import Ledger, ProcessRow
+from deploy.monitor.snapshot import LedgerCounts, ProcessRow
 from docs.tools.measurements import second_worker_block
 from experiments.network import second_worker
 from experiments.network.second_worker import Arguments, WorkerPool, measure, memory, wait_for
@@ -71,7 +71,7 @@ class AFleet:
 
     def snapshot(self):
         """Return the state with a row for each worker that was ever seen, and one for the learner."""
-        rows = [ProcessRow("rollout", n, "h", 1, 1.0, ledger=Ledger(accepted=k)) for n, k in self.accepted.items()]
+        rows = [ProcessRow("rollout", n, "h", 1, 1, ledger=LedgerCounts(accepted=k)) for n, k in self.accepted.items()]
         return SimpleNamespace(processes=(ProcessRow("learner", "learner", "h", 1, 1.0), *rows))
 
     def learner_values(self):

@@ -9,7 +9,7 @@ import pytest
 
 from common.config.presets import PRESETS
 from common.errors import ConfigError
-from experiments.supply import COLUMNS, KINDS, Ledger, follow, main, mean, page
+from experiments.supply import COLUMNS, KINDS, SupplyLog, follow, main, mean, page
 from rollout.evaluation import episode_seed, record
 from rollout.heuristics.registry import HEURISTICS
 from rollout.policies import policy_of
@@ -22,7 +22,7 @@ FARM = replace(SMALL, observation=PRESETS["default"].farm.observation)
 
 def test_every_unit_is_booked_once():
     """Four counters with a cycle of 2 and a cap of 1: served in time, at its rise, never, and at the cap."""
-    ledger = Ledger(np.full(4, 2.0), 1.0, np.array([False, False, True, False]))
+    ledger = SupplyLog(np.full(4, 2.0), 1.0, np.array([False, False, True, False]))
     courses = [[0, 1, 0, 1, 1, 1], [0, 0, 0, 1, 1, 1], [0, 1, 1, 1, 1, 1], [0, 1, 1, 0, 0, 1]]
     for step, level in enumerate(np.array(courses, float).T, 1):
         ledger.note(step, level, 1.0 if step in (3, 4) else 0.0)

@@ -35,10 +35,10 @@ def test_every_kind_is_answered_and_no_ledger_is_spoilt():
         if index % 10 == 0:
             honest += 1
             assert door.pass_on(parcel(of(a_chunk(honest), honest), number=honest)).verdict == "accepted"
-    totals = receiver.intake.totals()
+    totals = receiver.ledger.totals()
     assert receiver.alive
-    assert receiver.intake.unexplained() == 0
-    assert (receiver.intake.workers["w"].accepted, receiver.intake.workers["w"].lost) == (honest, 0)
+    assert receiver.ledger.unexplained() == 0
+    assert (receiver.ledger.workers["w"].accepted, receiver.ledger.workers["w"].lost) == (honest, 0)
     # A start may say that its spool is full when it ends, and no more than that.
     assert totals["lost"] <= RULES.spool_chunks * RULES.steps
     # What is still lawful, another seed of a farm for instance, is taken.

@@ -16,7 +16,7 @@ def bad_road(workers: int, chunks: int, path: Any = None) -> dict[str, Any]:
     receiver, door = front_door(history=History(path))
     out = travel(road, workers, chunks, receiver, door)
     shut(receiver, door)
-    totals, answers = receiver.intake.totals(), out["answers"]
+    totals, answers = receiver.ledger.totals(), out["answers"]
     wanted = {(str(worker), number) for worker in range(workers) for number in range(1, chunks + 1)}
     assert set(out["accepted"]) == wanted
     assert set(out["accepted"].values()) == {1}

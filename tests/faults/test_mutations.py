@@ -10,7 +10,7 @@ from common.protocol import frame
 from common.protocol.messages import ParametersMessage
 from learner.checkpoint import recovery
 from learner.control.lease import Lease
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 from tests.faults.test_messages import bad_road
 from tests.faults.tools.channel import TEAM
 from tests.learner.checkpoint import test_recovery
@@ -27,18 +27,18 @@ def stale_parameters_are_refused() -> None:
         )
     assert store.actors is not None
     assert np.array_equal(store.actors.flat[0], both_actors[0].flat[0])
-    assert store.stale == 1
+    assert store.ignored == 1
 
 
 def test_the_road_without_deduplication(monkeypatch):
     """Without deduplication the bad road delivers something twice, and its test fails."""
-    judge = Intake.judge
+    judge = Ledger.judge
 
     def credulous(self, sender, oldest):
         status = judge(self, sender, oldest)
         return "accepted" if status == "duplicate" else status
 
-    monkeypatch.setattr(Intake, "judge", credulous)
+    monkeypatch.setattr(Ledger, "judge", credulous)
     with pytest.raises(AssertionError):
         bad_road(2, 200)
 
@@ -73,7 +73,7 @@ def test_the_lease(monkeypatch):
 
 def test_the_history_of_losses(tmp_path, monkeypatch):
     """A resumed learner that does not look into its history fails the test of exact losses."""
-    monkeypatch.setattr(recovery, "_book", lambda intake, entry: None)
+    monkeypatch.setattr(recovery, "_book", lambda ledger, entry: None)
     with pytest.raises(AssertionError):
         test_recovery.test_what_was_acknowledged_after_the_checkpoint_is_lost_exactly(tmp_path, 2)
 

@@ -82,7 +82,7 @@ def test_what_does_not_fit_is_refused_and_the_next_chunk_taken(what):
         assert (answer.verdicts, answer.expected) == (("refused",), 2)
         assert answer.reasons[0]
         assert door.pass_on(parcel(of(a_chunk(2), 2), number=2)).verdict == "accepted"
-        totals = receiver.intake.totals()
+        totals = receiver.ledger.totals()
         assert (totals["refused"], totals["rejected"], totals["accepted"], totals["lost"]) == (1, 1, 1, 0)
     finally:
         shut(receiver, door)
@@ -116,7 +116,7 @@ def test_one_bad_chunk_among_good_ones_is_refused_alone():
     assert answer.verdicts == ("accepted", "refused", "accepted")
     assert [bool(reason) for reason in answer.reasons] == [False, True, False]
     assert answer.expected == 4
-    totals = receiver.intake.totals()
+    totals = receiver.ledger.totals()
     assert (totals["accepted"], totals["rejected"], totals["lost"], totals["in_flight"]) == (2, 1, 0, 0)
     assert receiver.peer_penalties.counts() == {"w": 1}
     assert [receiver.arrivals.get_nowait().sender.sequence for _ in range(2)] == [1, 3]
@@ -131,7 +131,7 @@ def test_a_damaged_chunk_stops_its_request_there():
     answer = door.pass_on(parcel(whole[0], torn, whole[2])).answer
     assert (answer.verdicts, answer.expected) == (("accepted", "damaged"), 2)
     assert door.pass_on(parcel(*whole)).answer.verdicts == ("duplicate", "accepted", "accepted")
-    totals = receiver.intake.totals()
+    totals = receiver.ledger.totals()
     assert (totals["accepted"], totals["damaged"], totals["duplicates"], totals["lost"]) == (3, 1, 1, 0)
     shut(receiver, door)
 
@@ -253,10 +253,10 @@ def test_chunks_of_a_policy_that_is_too_old_are_refused_and_counted():
     receiver.version = 10
     assert door.pass_on(parcel(of(a_chunk(1), 1, 4))).verdict == "refused"
     assert "6 versions old" in door.pass_on(parcel(of(a_chunk(2), 2, 4), number=2)).answer.reasons[0]
-    totals = receiver.intake.totals()
+    totals = receiver.ledger.totals()
     assert (totals["aged"], totals["rejected"], totals["produced"], totals["in_flight"]) == (2, 2, 2, 0)
     assert door.pass_on(parcel(of(a_chunk(3), 3, 5), number=3)).verdict == "accepted"
-    assert receiver.intake.totals()["lost"] == 0
+    assert receiver.ledger.totals()["lost"] == 0
     shut(receiver, door)
 
 

@@ -11,7 +11,7 @@ from common.protocol.messages import Envelope
 from common.transport.bus import Bus, Sample, Server, Subscription
 from common.transport.endpoint import free_endpoint
 from learner.intake.chunk_rules import ChunkRules
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 from learner.intake.peer_penalties import BLOCK_SECONDS, LIMIT, MOST_PEERS, PeerPenalties
 from learner.intake.receiver import Receiver
 from learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Throttle
@@ -102,7 +102,7 @@ def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
             bus.serve(keys.TRANSITION.pattern(RUN), 16),
             ENVIRONMENT.team,
             ChunkRules.of(RunConfig(), ENVIRONMENT),
-            Intake(),
+            Ledger(),
             ReplayConfig(),
             lockstep=False,
         )

@@ -16,7 +16,7 @@ from deploy.commands.policies.evaluate import EvaluateArguments, configuration_o
 from deploy.exit_codes import DONE
 from deploy.local.run_directory import own_folder
 from deploy.options import parse
-from deploy.policies.replay import Contest, film, paper_pictures
+from deploy.policies.replay import Comparison, film, paper_pictures
 from deploy.reports.film import find_ffmpeg
 
 FOLDER: Final = "replay"
@@ -62,24 +62,24 @@ def command(arguments: Sequence[str]) -> int:
     within(1, 10_000, every=every)
     if not 0.1 <= options.rate <= 240.0:
         raise UsageError(f"--rate must be 0.1 to 240 frames per second, not {options.rate:g}.")
-    contest = _contest(options)
+    comparison = _comparison(options)
     base = (options.out or own_folder(options.run_dir or Path(), FOLDER)) / f"farm-{options.farm}"
     console = Console(highlight=False, soft_wrap=True, markup=False)
     if options.film != "none":
         find_ffmpeg()
     pictures = [base.with_suffix(suffix) for suffix in (".png", ".pdf")]
-    paper_pictures(contest, pictures)
+    paper_pictures(comparison, pictures)
     for path in pictures:
         console.print(f"written: {path}")
     if options.film != "none":
         slower = every if options.film == "gif" and options.every is None else 1
         path = base.with_suffix(f".{options.film}")
-        _film(contest, path, options.rate / slower, every, console)
+        _film(comparison, path, options.rate / slower, every, console)
         console.print(f"written: {path}")
     return DONE
 
 
-def _contest(options: ReplayArguments) -> Contest:
+def _comparison(options: ReplayArguments) -> Comparison:
     """Return the policies and the episode; raise UsageError if a named thing does not exist."""
     if options.run_dir is None and options.policy is None:
         raise UsageError("nothing to replay: give a run directory or --policy NAME.")
@@ -94,7 +94,7 @@ def _contest(options: ReplayArguments) -> Contest:
     farm = require_farm(config, "this run is about {}; only the farm can be replayed.")
     shown = options.run_dir.resolve().name if options.run_dir is not None and options.policy is None else _called(name)
     names = _apart(shown, _called(options.against), name, options.against)
-    return Contest(farm, (name, options.against), names, options.farm, options.episode)
+    return Comparison(farm, (name, options.against), names, options.farm, options.episode)
 
 
 def _apart(one: str, other: str, path: str, other_path: str) -> tuple[str, str]:
@@ -111,7 +111,7 @@ def _called(name: str) -> str:
     return Path(name).stem if Path(name).suffix else name
 
 
-def _film(contest: Contest, path: Path, rate: float, every: int, console: Console) -> None:
+def _film(comparison: Comparison, path: Path, rate: float, every: int, console: Console) -> None:
     with Progress(console=console, transient=True) as progress:
-        task = progress.add_task(f"filming farm {contest.farm}", total=contest.config.world.steps)
-        film(contest, path, rate, every, lambda step: progress.update(task, completed=step))
+        task = progress.add_task(f"filming farm {comparison.farm}", total=comparison.config.world.steps)
+        film(comparison, path, rate, every, lambda step: progress.update(task, completed=step))

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from common.config import FarmConfig
 from common.farm import COLLECTION, COMMUNICATION, MONITORING
-from deploy.reports.plots import DPI, TEXT, save_contest
+from deploy.reports.plots import DPI, TEXT, save_comparison
 from experiments.studies.analysis.statistics import Numbers
 from experiments.studies.bench import Bench
 from experiments.studies.flights import agents_by_type, flights
@@ -28,7 +28,7 @@ def save_flights(bench: Bench, folder: Path) -> list[str]:
     """Draw every flight; return the files' names."""
     names = []
     for farm, flown in flights(bench).items():
-        save_contest(flown, folder / f"farm-{farm}.png")
+        save_comparison(flown, folder / f"farm-{farm}.png")
         held = {name: path_of(trajectory) for name, trajectory in flown.items()}
         space_figure(held, bench.base().farm).savefig(folder / f"farm-{farm}-3d.png", dpi=DPI)
         collected_figure(flown).savefig(folder / f"farm-{farm}-collected.png", dpi=DPI)

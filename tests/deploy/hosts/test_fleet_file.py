@@ -13,7 +13,7 @@ from common.errors import ConfigError, CredentialsError
 from deploy.commands.training.learner import LearnerArguments
 from deploy.commands.training.train import TrainArguments
 from deploy.hosts import operations
-from deploy.hosts.fleet_file import Containers, Coordinator, Host, Learner, Network, Router, Training, read
+from deploy.hosts.fleet_file import Containers, Coordinator, Host, LearnerSpec, Network, Router, Training, read
 from deploy.hosts.plan import here, processes
 from deploy.hosts.render import render
 from docs.tools.configuration_tables import field_docs
@@ -36,7 +36,7 @@ def test_the_example_names_every_key_and_its_default():
         "training": (Training, table["training"]),
         "network": (Network, table["network"]),
         "router": (Router, table["router"]),
-        "learner": (Learner, table["learner"]),
+        "learner": (LearnerSpec, table["learner"]),
         "coordinator": (Coordinator, table["coordinator"]),
         "hosts.farm-1": (Host, table["hosts"]["farm-1"]),
         "containers": (Containers, table["containers"]),

@@ -13,11 +13,11 @@ import pytest
 from common.errors import ConfigError, HostError, UsageError
 from deploy.cli import dispatch
 from deploy.hosts import history_collection, operations, remote
-from deploy.hosts.fleet_file import FleetSpec, Host, Learner, read
+from deploy.hosts.fleet_file import FleetSpec, Host, LearnerSpec, read
 from deploy.hosts.history_collection import own_names, pack, unpack
 from deploy.hosts.remote import Link
 
-FLEET = FleetSpec(learner=Learner("one"), hosts={"one": Host(), "one-1": Host()})
+FLEET = FleetSpec(learner=LearnerSpec("one"), hosts={"one": Host(), "one-1": Host()})
 
 
 def archive(*entries, **options):

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from deploy.monitor.alarms import BEHIND_VERSIONS, examine
 from deploy.monitor.live_view import MOST_ALARMS, render, summary
-from deploy.monitor.snapshot import Imitation, ImitationRow, Ledger, ProcessRow, Series, Snapshot, record
+from deploy.monitor.snapshot import Imitation, ImitationRow, LedgerCounts, ProcessRow, Series, Snapshot, record
 from deploy.monitor.sparkline import bars, buckets
 from deploy.monitor.tables import ProcessTable, duration, short
 
@@ -28,7 +28,7 @@ def worker(index: int, **changes) -> ProcessRow:
         queue=1,
         age=0.2,
         behind=2,
-        ledger=Ledger(produced=52_480, accepted=52_000, in_flight=480),
+        ledger=LedgerCounts(produced=52_480, accepted=52_000, in_flight=480),
     )
     return dataclasses.replace(row, **changes)
 
@@ -54,7 +54,7 @@ SNAPSHOT = Snapshot(
     staleness=1.7,
     learner_wait=0.02,
     worker_wait=0.41,
-    ledger=Ledger(produced=406_480, accepted=406_000, duplicates=3, rejected=120, lost=140, in_flight=220),
+    ledger=LedgerCounts(produced=406_480, accepted=406_000, duplicates=3, rejected=120, lost=140, in_flight=220),
     imitation=Imitation(
         events=6,
         rate=0.003125,
@@ -137,7 +137,7 @@ def test_processes_in_trouble_come_first_and_the_others_are_summed():
     rows = [worker(index) for index in range(20)]
     rows[17] = worker(17, alive=False)
     rows[19] = worker(19, age=7.4)
-    rows[11] = worker(11, trouble=True, ledger=Ledger(produced=10, accepted=4, lost=6))
+    rows[11] = worker(11, trouble=True, ledger=LedgerCounts(produced=10, accepted=4, lost=6))
     table = ProcessTable(dataclasses.replace(SNAPSHOT, processes=tuple(rows)), 6)
     shown, hidden = table.parts()
     assert [row.name for row in shown] == ["worker-11", "worker-17", "worker-19", "worker-0", "worker-1"]
@@ -181,7 +181,9 @@ def test_every_kind_of_trouble_is_named():
 
 def test_a_worker_that_left_before_is_in_the_ledger_and_no_alarm():
     """A worker known from the learner's ledger alone has its row, comes last of all, and is not called gone."""
-    left = ProcessRow("rollout", "old", "-", 0, 0.0, alive=False, ledger=Ledger(produced=70, accepted=70), left=True)
+    left = ProcessRow(
+        "rollout", "old", "-", 0, 0.0, alive=False, ledger=LedgerCounts(produced=70, accepted=70), left=True
+    )
     rows, sentences = examine([left, worker(0)], training=True)
     assert sentences == []
     assert not any(row.trouble for row in rows)

@@ -15,7 +15,7 @@ from deploy.cli import dispatch
 from deploy.commands.policies import replay as command
 from deploy.exit_codes import run_command
 from deploy.local.run_directory import POLICY, RunDirectory
-from deploy.policies.replay import Contest, paper_pictures, scenes_of
+from deploy.policies.replay import Comparison, paper_pictures, scenes_of
 from deploy.reports import film
 from deploy.reports.film import Film, find_ffmpeg
 from rollout.evaluation import evaluate
@@ -24,7 +24,7 @@ from rollout.rendering.side_by_side import SideBySidePicture
 from tests.deploy.monitor.web.stage import CONFIG, some_actors
 
 WORLD = CONFIG.farm.world
-BOTH = Contest(CONFIG.farm, ("greedy", "lawnmower"), ("one", "other"), 1003, 1)
+BOTH = Comparison(CONFIG.farm, ("greedy", "lawnmower"), ("one", "other"), 1003, 1)
 
 
 @pytest.fixture
@@ -156,7 +156,7 @@ def test_a_run_is_replayed_with_its_own_policy(tmp_path, ffmpeg, capsys):
     assert len(read) == 1 + 12 // 4
     shown = imread(made / "farm-1004.png")
     other = tmp_path / "other.png"
-    flown = Contest(short.farm, (str(run / POLICY), "lawnmower"), ("mine", "lawnmower"), 1004, 0)
+    flown = Comparison(short.farm, (str(run / POLICY), "lawnmower"), ("mine", "lawnmower"), 1004, 0)
     paper_pictures(flown, [other])
     np.testing.assert_array_equal(shown, imread(other))
     paper_pictures(replace(flown, policies=("static", "lawnmower")), [other])

@@ -9,7 +9,7 @@ import pytest
 
 from common.config import FarmConfig, WorldConfig
 from deploy.reports import plots
-from deploy.reports.plots import FADING, contest_figure, smooth
+from deploy.reports.plots import FADING, comparison_figure, smooth
 from experiments.studies.analysis.paper import REWARD_BY_MEMBERS
 from experiments.studies.flights import described
 from experiments.studies.pages import flight_plots
@@ -285,7 +285,7 @@ def test_paths_in_space_are_drawn_from_results_alike(flown):
 
 def test_maps_say_that_paths_fade(flown):
     """The pieces of a path grow stronger towards its end, and the legend says so."""
-    figure = contest_figure(flown)
+    figure = comparison_figure(flown)
     assert legend_of(figure)[-1] == FADING
     blue = [line for line in figure.axes[0].lines if line.get_color() == COLOURS["communication"]]
     strength = [line.get_alpha() for line in blue if line.get_alpha() is not None][:4]

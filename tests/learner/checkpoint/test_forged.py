@@ -13,7 +13,7 @@ import torch
 from common.errors import CheckpointError, RunDirError
 from learner.checkpoint import files
 from learner.checkpoint.storage import CHECKPOINTS, RunStorage, largest_state
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 from learner.trainer import Trainer
 from tests.learner.checkpoint.test_resume import CONFIG, TEAM, play, recorded
 
@@ -24,9 +24,9 @@ ODD = (None, True, -1, 2**62, 2**63, 2**70, 1e300, "7", "", [], {}, [[]], {"a": 
 def saved(tmp_path_factory):
     """A run directory with one checkpoint, and the trainer behind it."""
     directory = tmp_path_factory.mktemp("run")
-    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(directory, CONFIG)
-    play(trainer, intake, recorded(12), 0, 12)
-    storage.save(trainer, intake, 1.0, 3, wait=True)
+    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(directory, CONFIG)
+    play(trainer, ledger, recorded(12), 0, 12)
+    storage.save(trainer, ledger, 1.0, 3, wait=True)
     assert storage.alarm == ""
     return directory, trainer
 
@@ -52,21 +52,21 @@ def put(body, path, value):
 def restored(directory, tensors, body):
     """Write a checkpoint with valid checksums; return a trainer and a ledger that resumed from it, or None."""
     files.save(directory / CHECKPOINTS, tensors, body, keep=1)
-    trainer, intake = Trainer(CONFIG, TEAM), Intake()
+    trainer, ledger = Trainer(CONFIG, TEAM), Ledger()
     try:
-        RunStorage(directory, CONFIG).restore(trainer, intake)
+        RunStorage(directory, CONFIG).restore(trainer, ledger)
     except (CheckpointError, RunDirError):
         return None
-    return trainer, intake
+    return trainer, ledger
 
 
-def works(trainer, intake):
+def works(trainer, ledger):
     """Train on, publish and write another checkpoint, as a learner would after it resumed."""
-    play(trainer, Intake(), recorded(4, 1), 0, 4)
+    play(trainer, Ledger(), recorded(4, 1), 0, 4)
     assert trainer.next_version() < 2**63
     trainer.statistics()
-    intake.accounts()
-    RunStorage(None, CONFIG).save(trainer, intake, 0.0, 1)
+    ledger.accounts()
+    RunStorage(None, CONFIG).save(trainer, ledger, 0.0, 1)
     return all(torch.isfinite(tensor).all() for tensor in trainer.engine.algorithm.actors.flat)
 
 
@@ -191,7 +191,7 @@ def test_a_hostile_header_is_refused(saved, tmp_path, kind):
     trainer = Trainer(CONFIG, TEAM)
     before = trainer.actors().digest()
     with pytest.raises(CheckpointError):
-        RunStorage(tmp_path, CONFIG).restore(trainer, Intake())
+        RunStorage(tmp_path, CONFIG).restore(trainer, Ledger())
     assert trainer.actors().digest() == before
 
 
@@ -206,7 +206,7 @@ def test_a_file_larger_than_any_state_of_the_run_is_not_read(saved, tmp_path, mo
         with tensors.open("r+b") as file:
             file.truncate(size)
         with pytest.raises(CheckpointError, match="is larger than"):
-            RunStorage(tmp_path, CONFIG).restore(trainer, Intake())
+            RunStorage(tmp_path, CONFIG).restore(trainer, Ledger())
 
 
 @pytest.mark.parametrize("times", [1, 2])
@@ -228,10 +228,10 @@ def test_a_disk_that_returns_wrong_bytes(saved, tmp_path, monkeypatch, times):
 
     monkeypatch.setattr(files, "_read", wrong)
     if times == 1:
-        assert RunStorage(tmp_path, CONFIG).restore(Trainer(CONFIG, TEAM), Intake()) == (1.0, 3)
+        assert RunStorage(tmp_path, CONFIG).restore(Trainer(CONFIG, TEAM), Ledger()) == (1.0, 3)
     else:
         with pytest.raises(CheckpointError, match="checksums"):
-            RunStorage(tmp_path, CONFIG).restore(Trainer(CONFIG, TEAM), Intake())
+            RunStorage(tmp_path, CONFIG).restore(Trainer(CONFIG, TEAM), Ledger())
     assert len(reads) == 2
 
 
@@ -245,7 +245,7 @@ def test_a_run_directory_that_is_replaced_stops_the_learner(tmp_path):
     run.rename(tmp_path / "away")
     storage.require_same_directory()
     assert "is gone; nothing is kept" in storage.alarms()[1]
-    storage.save(Trainer(CONFIG, TEAM), Intake(), 0.0, 1, wait=True)
+    storage.save(Trainer(CONFIG, TEAM), Ledger(), 0.0, 1, wait=True)
     assert "no checkpoint could be written" in storage.alarm
     assert not run.exists()
     run.mkdir()
@@ -254,5 +254,5 @@ def test_a_run_directory_that_is_replaced_stops_the_learner(tmp_path):
     run.rmdir()
     (tmp_path / "away").rename(run)
     storage.require_same_directory()
-    storage.save(Trainer(CONFIG, TEAM), Intake(), 0.0, 1, wait=True)
+    storage.save(Trainer(CONFIG, TEAM), Ledger(), 0.0, 1, wait=True)
     assert storage.alarms() == ["", ""]

@@ -9,35 +9,35 @@ from common.history.history import Entry, History
 from common.protocol.messages import Envelope
 from learner.checkpoint import recovery
 from learner.checkpoint.recovery import recover_losses
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 
 
-def accepted(intake: Intake, history: History, worker: str, number: int, incarnation: int = 1) -> None:
+def accepted(ledger: Ledger, history: History, worker: str, number: int, incarnation: int = 1) -> None:
     sender = Envelope("rollout", worker, incarnation, number)
-    intake.judge(sender, number)
-    intake.accept(sender, 10, number * 10, number * 10)
+    ledger.judge(sender, number)
+    ledger.accept(sender, 10, number * 10, number * 10)
     history.add(Entry("accepted", worker, incarnation, number, number, 10, number * 10, number * 10))
 
 
 @pytest.mark.parametrize("kept", range(6))
 def test_what_was_acknowledged_after_the_checkpoint_is_lost_exactly(tmp_path, kept):
     """Whatever the cut, accepted and lost together are what had been acknowledged, before any worker comes back."""
-    path, intake = tmp_path / "learner.jsonl", Intake()
+    path, ledger = tmp_path / "learner.jsonl", Ledger()
     history = History(path)
-    recover_losses(history, intake, 1, resumed=False)
-    saved = intake.state()
+    recover_losses(history, ledger, 1, resumed=False)
+    saved = ledger.state()
     for number in range(1, 6):
-        accepted(intake, history, "a", number)
+        accepted(ledger, history, "a", number)
         if number == 3:
-            accepted(intake, history, "b", 1)
+            accepted(ledger, history, "b", 1)
         if number == kept:
-            saved = intake.state()
-    again = Intake()
+            saved = ledger.state()
+    again = Ledger()
     again.restore(saved)
     lost = recover_losses(History(path), again, 2, resumed=True)
     totals = again.totals()
     assert totals["accepted"] + totals["lost"] == 60
-    assert totals["lost"] == lost == 60 - Intake.totals(again)["accepted"]
+    assert totals["lost"] == lost == 60 - Ledger.totals(again)["accepted"]
     assert totals["in_flight"] == 0
     assert again.judge(Envelope("rollout", "a", 1, 5), 5) == "duplicate"
     assert again.judge(Envelope("rollout", "a", 1, 6), 6) == "accepted"
@@ -45,14 +45,14 @@ def test_what_was_acknowledged_after_the_checkpoint_is_lost_exactly(tmp_path, ke
 
 def test_a_new_start_of_a_worker_after_the_checkpoint(tmp_path):
     """Chunks of a start that the checkpoint does not know are lost too, and its own are not forgotten."""
-    path, intake = tmp_path / "learner.jsonl", Intake()
+    path, ledger = tmp_path / "learner.jsonl", Ledger()
     history = History(path)
-    recover_losses(history, intake, 1, resumed=False)
-    accepted(intake, history, "a", 1)
-    saved = intake.state()
-    accepted(intake, history, "a", 2)
-    accepted(intake, history, "a", 1, incarnation=2)
-    again = Intake()
+    recover_losses(history, ledger, 1, resumed=False)
+    accepted(ledger, history, "a", 1)
+    saved = ledger.state()
+    accepted(ledger, history, "a", 2)
+    accepted(ledger, history, "a", 1, incarnation=2)
+    again = Ledger()
     again.restore(saved)
     assert recover_losses(History(path), again, 2, resumed=True) == 20
     assert (again.totals()["accepted"], again.totals()["lost"]) == (10, 20)
@@ -61,17 +61,17 @@ def test_a_new_start_of_a_worker_after_the_checkpoint(tmp_path):
 
 def test_killed_twice_before_the_next_checkpoint(tmp_path):
     """A second kill before a new checkpoint books the losses of the first once more in the old ledger, not twice."""
-    path, intake = tmp_path / "learner.jsonl", Intake()
+    path, ledger = tmp_path / "learner.jsonl", Ledger()
     history = History(path)
-    recover_losses(history, intake, 1, resumed=False)
-    accepted(intake, history, "a", 1)
-    saved = intake.state()
-    accepted(intake, history, "a", 2)
-    second, history = Intake(), History(path)
+    recover_losses(history, ledger, 1, resumed=False)
+    accepted(ledger, history, "a", 1)
+    saved = ledger.state()
+    accepted(ledger, history, "a", 2)
+    second, history = Ledger(), History(path)
     second.restore(saved)
     assert recover_losses(history, second, 2, resumed=True) == 10
     accepted(second, history, "a", 3)
-    third = Intake()
+    third = Ledger()
     third.restore(saved)
     assert recover_losses(History(path), third, 3, resumed=True) == 20
     assert third.totals()["produced"] == 30
@@ -79,17 +79,17 @@ def test_killed_twice_before_the_next_checkpoint(tmp_path):
 
 def test_a_long_range_is_gone_through_from_where_the_checkpoint_ends(tmp_path):
     """What the checkpoint knows already is skipped at once, and only the rest is lost."""
-    path, intake = tmp_path / "learner.jsonl", Intake()
+    path, ledger = tmp_path / "learner.jsonl", Ledger()
     many = 2**24
-    intake.accept(Envelope("rollout", "a", 1, many - 1), 10, (many - 1) * 10, (many - 1) * 10)
+    ledger.accept(Envelope("rollout", "a", 1, many - 1), 10, (many - 1) * 10, (many - 1) * 10)
     path.write_text(
         f'["start","learner","learner",1]\n["accepted","a",1,1,{many},10,{many * 10},{many * 10}]\n', encoding="utf-8"
     )
     history = History(path)
     assert len(history.before) == 2
-    before = intake.totals()["lost"]
-    assert recover_losses(history, intake, 2, resumed=True) == 10
-    assert intake.totals()["lost"] == before + 10
+    before = ledger.totals()["lost"]
+    assert recover_losses(history, ledger, 2, resumed=True) == 10
+    assert ledger.totals()["lost"] == before + 10
 
 
 def test_a_forged_line_of_many_chunks_takes_no_time(tmp_path):
@@ -98,37 +98,37 @@ def test_a_forged_line_of_many_chunks_takes_no_time(tmp_path):
     lines = [f'["accepted","w{index}",1,1,{many},10,{many * 10},{many * 10}]' for index in range(8)]
     lines += [f'["refused","r{index}",1,1,{many},10,{many * 10},{many * 10}]' for index in range(4)]
     lines += [f'["refused","n{index}",1,1,{many},0,0,0]' for index in range(4)]
-    path, intake = tmp_path / "learner.jsonl", Intake()
+    path, ledger = tmp_path / "learner.jsonl", Ledger()
     path.write_text("\n".join(lines) + "\n")
     started = time.perf_counter()
-    assert recover_losses(History(path), intake, 2, resumed=True) == 8 * 10 * many
+    assert recover_losses(History(path), ledger, 2, resumed=True) == 8 * 10 * many
     assert time.perf_counter() - started < 1.0
-    totals = intake.totals()
+    totals = ledger.totals()
     assert (totals["rejected"], totals["refused"], totals["aged"]) == (4 * 10 * many, 8 * many, 4 * many)
-    assert {ledger.expected for ledger in intake.workers.values()} == {many + 1}
-    assert intake.unexplained() == 0
+    assert {ledger.expected for ledger in ledger.workers.values()} == {many + 1}
+    assert ledger.unexplained() == 0
 
 
-def booked_one_by_one(intake, entry):
+def booked_one_by_one(ledger, entry):
     """Book an entry's chunks singly, in order."""
-    known = intake.workers.get(entry.worker)
+    known = ledger.workers.get(entry.worker)
     for number in range(max(entry.first, known.expected if known else 0), entry.last + 1):
         sender = Envelope("rollout", entry.worker, entry.incarnation, number)
         behind = (entry.last - number) * entry.steps
         counts = entry.steps, entry.produced - behind, max(0, entry.flown - behind)
         if entry.verdict == "accepted":
-            intake.lose(sender, *counts)
+            ledger.lose(sender, *counts)
         elif entry.produced:
-            intake.refuse_aged(sender, *counts)
+            ledger.refuse_aged(sender, *counts)
         else:
-            intake.refuse(sender)
+            ledger.refuse(sender)
 
 
 @pytest.mark.parametrize("seed", range(40))
 def test_chunks_booked_at_once_count_as_chunks_booked_one_by_one(seed):
     """Random histories with gaps, refusals and overlaps give the same account of every worker."""
     draw = random.Random(seed)
-    at_once, singly = Intake(), Intake()
+    at_once, singly = Ledger(), Ledger()
     number, produced = 1, 0
     for _ in range(30):
         number += draw.choice([0, 0, 0, 3])

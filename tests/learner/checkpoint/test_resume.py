@@ -18,7 +18,7 @@ from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Episode
 from learner.algorithms import ALGORITHMS
 from learner.checkpoint import files
 from learner.checkpoint.storage import CHECKPOINTS, RunStorage
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 from learner.trainer import Trainer
 from tests.learner.algorithms.variants import variant
 
@@ -62,12 +62,12 @@ def recorded(count, seed=0):
     return chunks
 
 
-def play(trainer, intake, chunks, first, last):
+def play(trainer, ledger, chunks, first, last):
     """Absorb chunks, do the updates that they allow, publish, and imitate after every fifth."""
     for number in range(first, last):
         sender = Envelope("rollout", f"w{number % 2}", 1, number // 2 + 1, trainer.version)
         steps = chunks[number].rows.steps
-        intake.accept(sender, steps, steps * sender.sequence, steps * sender.sequence)
+        ledger.accept(sender, steps, steps * sender.sequence, steps * sender.sequence)
         trainer.absorb(chunks[number], max(0, trainer.version - number % 3), sender.name, sender.sequence)
         trainer.train(max(0, trainer.updates_due()))
         trainer.next_version()
@@ -91,14 +91,14 @@ def check_resume(directory, cut, updates, config=CONFIG):
     torch.set_num_threads(1)
     more = int(updates / (config.replay.updates_per_step * ENVIRONMENTS * STEPS)) + (8 if cut == 1 else 1)
     chunks = recorded(cut + more)
-    whole, ledger, storage = Trainer(config, TEAM), Intake(), RunStorage(directory, config)
+    whole, ledger, storage = Trainer(config, TEAM), Ledger(), RunStorage(directory, config)
     play(whole, ledger, chunks, 0, cut)
     kept, before = ledger.state(), whole.updates
     storage.save(whole, ledger, 12.5, 3)
     play(whole, ledger, chunks, cut, cut + more)
     storage.close()
     assert storage.alarm == ""
-    resumed, again = Trainer(replace(config, seed=config.seed), TEAM), Intake()
+    resumed, again = Trainer(replace(config, seed=config.seed), TEAM), Ledger()
     assert RunStorage(directory, config).restore(resumed, again) == (12.5, 3)
     assert (again.state(), resumed.updates) == (kept, before)
     play(resumed, again, chunks, cut, cut + more)
@@ -138,13 +138,13 @@ def test_a_checkpoint_is_of_its_instant_however_slow_the_disk(tmp_path, monkeypa
 
     monkeypatch.setattr(files, "_pieces", slow)
     chunks = recorded(90)
-    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(tmp_path, CONFIG)
-    play(trainer, intake, chunks, 0, 40)
+    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
+    play(trainer, ledger, chunks, 0, 40)
     tensors, plain = trainer.state()
-    storage.save(trainer, intake, 0.0, 1)
-    play(trainer, intake, chunks, 40, 90)
+    storage.save(trainer, ledger, 0.0, 1)
+    play(trainer, ledger, chunks, 40, 90)
     assert storage.statistics()["checkpoints"] == 0
-    storage.save(trainer, intake, 0.0, 1)
+    storage.save(trainer, ledger, 0.0, 1)
     assert storage.skipped == 1
     gate.set()
     storage.close()
@@ -158,17 +158,17 @@ def test_a_checkpoint_is_of_its_instant_however_slow_the_disk(tmp_path, monkeypa
 
 def test_a_number_that_is_not_finite_is_an_alarm_and_no_checkpoint(tmp_path):
     """The checkpoint before stands, the alarm says why, and goes away with the next whole one."""
-    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(tmp_path, CONFIG)
-    play(trainer, intake, recorded(6), 0, 6)
-    storage.save(trainer, intake, 0.0, 1, wait=True)
+    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
+    play(trainer, ledger, recorded(6), 0, 6)
+    storage.save(trainer, ledger, 0.0, 1, wait=True)
     good = trainer.engine.algorithm.actors.flat[5].clone()
     trainer.engine.algorithm.actors.flat[5] = float("nan")
-    storage.save(trainer, intake, 1.0, 1, wait=True)
+    storage.save(trainer, ledger, 1.0, 1, wait=True)
     assert "engine.actors holds a number that is not finite" in storage.alarm
     assert files.load_latest(tmp_path / CHECKPOINTS).manifest["elapsed"] == 0.0
     assert [path.name for path in (tmp_path / CHECKPOINTS).iterdir()] == ["checkpoint-00000001"]
     trainer.engine.algorithm.actors.flat[5] = good
-    storage.save(trainer, intake, 2.0, 1, wait=True)
+    storage.save(trainer, ledger, 2.0, 1, wait=True)
     assert storage.alarm == ""
     assert files.load_latest(tmp_path / CHECKPOINTS).manifest["elapsed"] == 2.0
 
@@ -176,18 +176,18 @@ def test_a_number_that_is_not_finite_is_an_alarm_and_no_checkpoint(tmp_path):
 @pytest.mark.parametrize("step", ["_write_tensors", "_write", "_flush_folder"])
 def test_a_disk_that_refuses_is_an_alarm_and_training_goes_on(tmp_path, monkeypatch, step):
     """At each step of a write an I/O error is an alarm, and the checkpoint before is the one that is found."""
-    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(tmp_path, CONFIG)
+    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
     chunks = recorded(12)
-    play(trainer, intake, chunks, 0, 6)
-    storage.save(trainer, intake, 0.0, 1, wait=True)
+    play(trainer, ledger, chunks, 0, 6)
+    storage.save(trainer, ledger, 0.0, 1, wait=True)
 
     def refuse(*arguments):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(files, step, refuse)
-    storage.save(trainer, intake, 1.0, 1, wait=True)
+    storage.save(trainer, ledger, 1.0, 1, wait=True)
     assert "No space left" in storage.alarm
-    play(trainer, intake, chunks, 6, 12)
+    play(trainer, ledger, chunks, 6, 12)
     assert trainer.updates > 0
     assert files.load_latest(tmp_path / CHECKPOINTS).manifest["elapsed"] == 0.0
 
@@ -195,11 +195,11 @@ def test_a_disk_that_refuses_is_an_alarm_and_training_goes_on(tmp_path, monkeypa
 def check_damage(directory, times, capfd):
     """Damage the newest of two checkpoints at random places; each time the one before is taken up, with a message."""
     draw = random.Random(times)
-    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(directory, CONFIG)
+    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(directory, CONFIG)
     chunks = recorded(3)
     for number in range(2):
-        play(trainer, intake, chunks, number, number + 1)
-        storage.save(trainer, intake, float(number), 1, wait=True)
+        play(trainer, ledger, chunks, number, number + 1)
+        storage.save(trainer, ledger, float(number), 1, wait=True)
     newest = directory / CHECKPOINTS / "checkpoint-00000002"
     aside = newest.with_name(f"damaged-{newest.name}")
     files = {path: path.read_bytes() for path in newest.iterdir()}
@@ -210,12 +210,12 @@ def check_damage(directory, times, capfd):
         flipped = whole[:place] + bytes([whole[place] ^ 1 << draw.randrange(8)]) + whole[place + 1 :]
         path.write_bytes(draw.choice([whole[:place], flipped]))
         capfd.readouterr()
-        assert RunStorage(directory, CONFIG).restore(fresh, Intake())[0] == 0.0
+        assert RunStorage(directory, CONFIG).restore(fresh, Ledger())[0] == 0.0
         assert "checkpoint-00000002 is damaged" in "".join(capfd.readouterr())
         assert not newest.exists()
         aside.rename(newest)
         path.write_bytes(whole)
-    assert RunStorage(directory, CONFIG).restore(fresh, Intake())[0] == 1.0
+    assert RunStorage(directory, CONFIG).restore(fresh, Ledger())[0] == 1.0
 
 
 def test_a_damaged_checkpoint_is_noticed_and_the_one_before_used(tmp_path, capfd):
@@ -232,42 +232,42 @@ def test_a_damaged_checkpoint_is_noticed_a_thousand_times(tmp_path, capfd):
 
 def test_any_fault_of_a_write_is_an_alarm_and_the_next_one_is_written(tmp_path, monkeypatch):
     """An error that nobody thought of, of the device for instance, does not come up again at the next checkpoint."""
-    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(tmp_path, CONFIG)
+    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
 
     def fail(*arguments):
         raise RuntimeError("out of memory")
 
     with monkeypatch.context() as patched:
         patched.setattr(files, "_write_tensors", fail)
-        storage.save(trainer, intake, 0.0, 1, wait=True)
+        storage.save(trainer, ledger, 0.0, 1, wait=True)
     assert "out of memory" in storage.alarm
-    storage.save(trainer, intake, 1.0, 1, wait=True)
+    storage.save(trainer, ledger, 1.0, 1, wait=True)
     assert storage.alarm == ""
     assert files.load_latest(tmp_path / CHECKPOINTS).manifest["elapsed"] == 1.0
 
 
 def test_a_run_goes_on_with_other_settings_of_its_process(tmp_path):
     """How many checkpoints are kept, how often, threads and the evaluation at the end may change."""
-    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(tmp_path, CONFIG)
-    storage.save(trainer, intake, 3.0, 1, wait=True)
+    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
+    storage.save(trainer, ledger, 3.0, 1, wait=True)
     learner = LearnerConfig(threads=2, checkpoint_seconds=7.0, keep_checkpoints=5)
     other = replace(CONFIG, learner=learner, evaluation=EvaluationConfig(farms=3))
-    assert RunStorage(tmp_path, other).restore(Trainer(other, TEAM), Intake()) == (3.0, 1)
+    assert RunStorage(tmp_path, other).restore(Trainer(other, TEAM), Ledger()) == (3.0, 1)
 
 
 def test_a_checkpoint_that_names_the_whole_configuration_goes_on(tmp_path):
     """Earlier versions did not leave out the settings of the process."""
-    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(tmp_path, CONFIG)
+    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
     tensors, state = trainer.snapshot()
-    body = {"configuration": digest(CONFIG), "trainer": state, "intake": intake.state(), "elapsed": 4.0, "epoch": 2}
+    body = {"configuration": digest(CONFIG), "trainer": state, "intake": ledger.state(), "elapsed": 4.0, "epoch": 2}
     files.save(tmp_path / CHECKPOINTS, tensors, body, keep=1)
-    assert storage.restore(Trainer(CONFIG, TEAM), Intake()) == (4.0, 2)
+    assert storage.restore(Trainer(CONFIG, TEAM), Ledger()) == (4.0, 2)
 
 
 def test_a_checkpoint_of_another_configuration_is_refused(tmp_path):
     """Resuming with other settings raises RunDirError."""
-    trainer, intake, storage = Trainer(CONFIG, TEAM), Intake(), RunStorage(tmp_path, CONFIG)
-    storage.save(trainer, intake, 0.0, 1, wait=True)
+    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
+    storage.save(trainer, ledger, 0.0, 1, wait=True)
     other = RunStorage(tmp_path, replace(CONFIG, seed=12))
     with pytest.raises(RunDirError, match="another configuration"):
-        other.restore(trainer, intake)
+        other.restore(trainer, ledger)

@@ -10,7 +10,7 @@ from learner.checkpoint.recovery import last_epoch
 from learner.checkpoint.storage import RunStorage
 from learner.control import epoch
 from learner.control.epoch import SPREAD, SuccessorWatch, next_epoch
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 from learner.service import HISTORY, Learner
 from learner.trainer import Trainer
 from tests.learner.checkpoint.test_resume import CONFIG, TEAM
@@ -37,7 +37,7 @@ def test_the_epoch_grows_although_the_clock_was_set_back(tmp_path, monkeypatch, 
     epochs = [start(tmp_path, trainer, now + DAY, monkeypatch)]
     assert epochs == [now + DAY]
     if checkpoint:
-        RunStorage(tmp_path, CONFIG).save(trainer, Intake(), 0.0, epochs[0], wait=True)
+        RunStorage(tmp_path, CONFIG).save(trainer, Ledger(), 0.0, epochs[0], wait=True)
         (tmp_path / HISTORY).unlink()
     epochs += [start(tmp_path, trainer, clock, monkeypatch) for clock in (now, now + 1, now - DAY)]
     assert sorted(set(epochs)) == epochs

@@ -16,7 +16,7 @@ from common.seeds import stream
 from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from deploy.monitor.audit import audit
 from learner.intake.chunk_rules import ChunkRules, EpisodeTracker
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 from learner.intake.peer_penalties import LIMIT
 from learner.intake.receiver import Receiver
 from rollout.worker.collector import Collector
@@ -58,7 +58,7 @@ def parcel(*chunks: Chunk, number: int = 1, name: str = "w", version: int = 0, *
 
 def front_door(rules: ChunkRules = FARM, history: History | None = None) -> tuple[Receiver, Door]:
     door, bounds = Door(), ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=64)
-    return Receiver(door, TEAM, rules, Intake(), bounds, lockstep=False, history=history), door  # type: ignore[arg-type]  # a door is all that it uses
+    return Receiver(door, TEAM, rules, Ledger(), bounds, lockstep=False, history=history), door  # type: ignore[arg-type]  # a door is all that it uses
 
 
 def finished(receiver: Receiver) -> int:
@@ -186,12 +186,12 @@ def test_a_liar_is_named_and_the_ledger_stays_exact(claims, tmp_path):
     assert door.pass_on(parcel(a_chunk({}), name="honest")).verdict == "accepted"
     assert door.pass_on(parcel(a_chunk({}), name="liar")).verdict == "accepted"
     for _ in range(LIMIT):
-        lie = {"number": receiver.intake.workers["liar"].expected, **claims}
+        lie = {"number": receiver.ledger.workers["liar"].expected, **claims}
         door.pass_on(parcel(a_chunk({}), name="liar", **lie))
     assert "worker liar is blocked" in receiver.peer_penalties.alarms()[0]
     assert door.pass_on(parcel(a_chunk({}), name="honest", number=2)).verdict == "accepted"
-    totals, rows = receiver.intake.accounts()
-    assert receiver.intake.unexplained() == 0
+    totals, rows = receiver.ledger.accounts()
+    assert receiver.ledger.unexplained() == 0
     assert (rows["honest"]["accepted"], totals["accepted"], totals["lost"]) == (40, 60, 0)
     shut(receiver, door)
     history.close()
@@ -205,7 +205,7 @@ def test_one_chunk_many_times_in_a_delivery_is_taken_once(tmp_path):
     receiver, door = front_door()
     copies = parcel(*[a_chunk({})] * 64, produced=20, flown=20)
     assert door.pass_on(copies).answer.verdicts == ("accepted",) + ("refused",) * 63
-    assert (receiver.intake.totals()["accepted"], receiver.intake.unexplained()) == (20, 0)
+    assert (receiver.ledger.totals()["accepted"], receiver.ledger.unexplained()) == (20, 0)
     shut(receiver, door)
 
 

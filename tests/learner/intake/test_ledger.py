@@ -1,4 +1,4 @@
-"""The intake takes each chunk once, in order, and its ledger explains every environment step."""
+"""The ledger takes each chunk once, in order, and explains every environment step."""
 
 import queue
 import threading
@@ -9,7 +9,7 @@ import pytest
 
 from common.errors import CheckpointError
 from common.protocol.messages import Envelope
-from learner.intake.ledger import OTHERS, Intake
+from learner.intake.ledger import OTHERS, Ledger
 from learner.intake.receiver import Receiver
 
 
@@ -18,107 +18,107 @@ def sender(sequence: int, incarnation: int = 1, name: str = "w") -> Envelope:
 
 
 def deliver(
-    intake: Intake, sequence: int, *, oldest: int | None = None, steps: int = 10, incarnation: int = 1, flown: int = 0
+    ledger: Ledger, sequence: int, *, oldest: int | None = None, steps: int = 10, incarnation: int = 1, flown: int = 0
 ) -> str:
     who = sender(sequence, incarnation)
-    status = intake.judge(who, sequence if oldest is None else oldest)
+    status = ledger.judge(who, sequence if oldest is None else oldest)
     if status == "accepted":
-        intake.accept(who, steps, produced=sequence * steps, flown=max(flown, sequence * steps))
+        ledger.accept(who, steps, produced=sequence * steps, flown=max(flown, sequence * steps))
     return status
 
 
 def test_in_order_chunks_are_accepted_once() -> None:
     """A number that was taken before is a duplicate, however often it comes."""
-    intake = Intake()
-    assert [deliver(intake, k) for k in (1, 2, 2, 1, 3)] == [
+    ledger = Ledger()
+    assert [deliver(ledger, k) for k in (1, 2, 2, 1, 3)] == [
         "accepted",
         "accepted",
         "duplicate",
         "duplicate",
         "accepted",
     ]
-    totals = intake.totals()
+    totals = ledger.totals()
     assert (totals["produced"], totals["accepted"], totals["duplicates"], totals["in_flight"]) == (30, 30, 2, 0)
 
 
 def test_a_gap_that_the_worker_can_close_is_refused() -> None:
     """A chunk that overtook an older one, which the worker still holds, has to wait."""
-    intake = Intake()
-    deliver(intake, 1)
-    assert deliver(intake, 3, oldest=2) == "gap"
-    assert [deliver(intake, 2), deliver(intake, 3)] == ["accepted", "accepted"]
-    assert intake.totals()["lost"] == 0
+    ledger = Ledger()
+    deliver(ledger, 1)
+    assert deliver(ledger, 3, oldest=2) == "gap"
+    assert [deliver(ledger, 2), deliver(ledger, 3)] == ["accepted", "accepted"]
+    assert ledger.totals()["lost"] == 0
 
 
 def test_what_can_no_longer_arrive_is_declared_lost() -> None:
     """When the worker no longer holds what is missing, the steps between are lost and counted."""
-    intake = Intake()
-    deliver(intake, 1)
-    assert deliver(intake, 4) == "accepted"
-    totals = intake.totals()
+    ledger = Ledger()
+    deliver(ledger, 1)
+    assert deliver(ledger, 4) == "accepted"
+    totals = ledger.totals()
     assert (totals["accepted"], totals["lost"], totals["produced"], totals["in_flight"]) == (20, 20, 40, 0)
 
 
 def test_a_refused_chunk_is_booked_as_rejected() -> None:
     """The number of a refused chunk is spent, and its steps are rejected, not lost."""
-    intake = Intake()
-    deliver(intake, 1)
-    intake.refuse(sender(2))
-    assert deliver(intake, 3) == "accepted"
-    totals = intake.totals()
+    ledger = Ledger()
+    deliver(ledger, 1)
+    ledger.refuse(sender(2))
+    assert deliver(ledger, 3) == "accepted"
+    totals = ledger.totals()
     assert (totals["rejected"], totals["lost"], totals["refused"], totals["in_flight"]) == (10, 0, 1, 0)
 
 
 def test_a_refused_chunk_behind_a_gap_does_not_explain_the_gap() -> None:
     """Nobody knows which of the missing steps were in refused chunks, so all up to the next good one are lost."""
-    intake = Intake()
-    deliver(intake, 1)
-    intake.refuse(sender(5))
-    intake.refuse(sender(6))
-    assert deliver(intake, 7) == "accepted"
-    totals = intake.totals()
+    ledger = Ledger()
+    deliver(ledger, 1)
+    ledger.refuse(sender(5))
+    ledger.refuse(sender(6))
+    assert deliver(ledger, 7) == "accepted"
+    totals = ledger.totals()
     assert (totals["lost"], totals["rejected"], totals["refused"], totals["unexplained"]) == (50, 0, 2, 0)
-    intake.refuse(sender(8))
-    assert deliver(intake, 9) == "accepted"
-    assert (intake.totals()["lost"], intake.totals()["rejected"]) == (50, 10)
+    ledger.refuse(sender(8))
+    assert deliver(ledger, 9) == "accepted"
+    assert (ledger.totals()["lost"], ledger.totals()["rejected"]) == (50, 10)
 
 
 def test_a_new_start_counts_from_one_again() -> None:
     """A worker that was restarted keeps what it delivered before, and its sequence begins anew."""
-    intake = Intake()
-    deliver(intake, 1)
-    deliver(intake, 2)
-    assert deliver(intake, 1, incarnation=2) == "accepted"
-    assert intake.totals()["accepted"] == 30
+    ledger = Ledger()
+    deliver(ledger, 1)
+    deliver(ledger, 2)
+    assert deliver(ledger, 1, incarnation=2) == "accepted"
+    assert ledger.totals()["accepted"] == 30
 
 
 def test_what_a_killed_worker_still_held_is_lost_and_counted() -> None:
     """Steps that a start had flown when it last sent are in flight, and lost once a new start has taken its place."""
-    intake = Intake()
-    deliver(intake, 1, flown=90)
-    totals = intake.totals()
+    ledger = Ledger()
+    deliver(ledger, 1, flown=90)
+    totals = ledger.totals()
     assert (totals["produced"], totals["accepted"], totals["in_flight"], totals["lost"]) == (90, 10, 80, 0)
-    deliver(intake, 1, incarnation=2)
-    totals = intake.totals()
+    deliver(ledger, 1, incarnation=2)
+    totals = ledger.totals()
     assert (totals["produced"], totals["accepted"], totals["in_flight"], totals["lost"]) == (100, 20, 0, 80)
 
 
 def test_state_and_restore() -> None:
     """A restored ledger still knows what it has, so nothing is counted twice after a restart."""
-    intake, again = Intake(), Intake()
-    deliver(intake, 1)
-    deliver(intake, 2)
-    again.restore(intake.state())
+    ledger, again = Ledger(), Ledger()
+    deliver(ledger, 1)
+    deliver(ledger, 2)
+    again.restore(ledger.state())
     assert deliver(again, 2) == "duplicate"
-    assert again.totals()["accepted"] == intake.totals()["accepted"]
+    assert again.totals()["accepted"] == ledger.totals()["accepted"]
     with pytest.raises(CheckpointError):
         again.restore({"closed": {}, "workers": {"w": {"nonsense": 1}}})
 
 
-def produce(intake: Intake, name: str, sequence: int, steps: int, incarnation: int = 1, flown: int = 0) -> None:
+def produce(ledger: Ledger, name: str, sequence: int, steps: int, incarnation: int = 1, flown: int = 0) -> None:
     who = sender(sequence, incarnation, name)
-    assert intake.judge(who, sequence) == "accepted"
-    intake.accept(who, steps, produced=sequence * steps, flown=flown)
+    assert ledger.judge(who, sequence) == "accepted"
+    ledger.accept(who, steps, produced=sequence * steps, flown=flown)
 
 
 def assert_columns_add_up(totals: dict[str, int], rows: dict[str, dict[str, int]], flown: int) -> None:
@@ -132,14 +132,14 @@ def assert_columns_add_up(totals: dict[str, int], rows: dict[str, dict[str, int]
 
 def test_every_worker_has_an_account_over_all_its_starts() -> None:
     """Rows of single workers hold earlier starts too, and add up to the totals, also after a checkpoint."""
-    intake, again = Intake(), Intake()
-    produce(intake, "a", 1, 10, flown=50)
-    produce(intake, "a", 1, 10, incarnation=2)
-    produce(intake, "a", 1, 10, incarnation=3, flown=30)
-    produce(intake, "b", 1, 7)
-    again.restore(intake.state())
-    for ledger in (intake, again):
-        totals, rows = ledger.accounts()
+    ledger, again = Ledger(), Ledger()
+    produce(ledger, "a", 1, 10, flown=50)
+    produce(ledger, "a", 1, 10, incarnation=2)
+    produce(ledger, "a", 1, 10, incarnation=3, flown=30)
+    produce(ledger, "b", 1, 7)
+    again.restore(ledger.state())
+    for one in (ledger, again):
+        totals, rows = one.accounts()
         assert list(rows) == ["a", "b"]
         assert [rows["a"][name] for name in ("produced", "accepted", "lost", "in_flight")] == [90, 30, 40, 20]
         assert (rows["b"]["produced"], rows["b"]["accepted"]) == (7, 7)
@@ -148,12 +148,12 @@ def test_every_worker_has_an_account_over_all_its_starts() -> None:
 
 def test_of_many_workers_those_in_trouble_and_the_busiest_are_listed_and_the_others_summed() -> None:
     """With more workers than rows the unlucky come first, then the busiest, and one row sums all others."""
-    intake = Intake()
+    ledger = Ledger()
     for index in range(60):
-        produce(intake, f"w{index}", 1, 10 + index)
-    produce(intake, "w3", 1, 5, incarnation=2)
-    produce(intake, "w5", 4, 15)
-    totals, rows = intake.accounts(4)
+        produce(ledger, f"w{index}", 1, 10 + index)
+    produce(ledger, "w3", 1, 5, incarnation=2)
+    produce(ledger, "w5", 4, 15)
+    totals, rows = ledger.accounts(4)
     assert list(rows) == ["w5", "w59", "w58", "w57", OTHERS]
     assert rows["w5"]["lost"] == 30
     assert rows[OTHERS]["workers"] == 56
@@ -162,43 +162,43 @@ def test_of_many_workers_those_in_trouble_and_the_busiest_are_listed_and_the_oth
 
 def test_a_checkpoint_without_single_accounts_still_adds_up() -> None:
     """What a checkpoint of an older form knows only in sum stands in the row of the others, and is explained."""
-    intake, again = Intake(), Intake()
-    produce(intake, "a", 1, 10, flown=50)
-    produce(intake, "a", 1, 10, incarnation=2)
-    state = intake.state()
+    ledger, again = Ledger(), Ledger()
+    produce(ledger, "a", 1, 10, flown=50)
+    produce(ledger, "a", 1, 10, incarnation=2)
+    state = ledger.state()
     for entry in state["workers"].values():
         del entry["earlier"]
     state["closed"]["produced"] = 10  # what a killed start still held was not in it
     again.restore(state)
     totals, rows = again.accounts()
-    assert totals == intake.totals()
+    assert totals == ledger.totals()
     assert (rows["a"]["produced"], rows[OTHERS]["lost"], rows[OTHERS]["workers"]) == (10, 40, 0)
     assert_columns_add_up(totals, rows, flown=60)
     assert again.unexplained() == 0
 
 
-def flight(intake: Intake) -> int:
+def flight(ledger: Ledger) -> int:
     """Book all that can become of steps, also out of order and over two starts; return what the workers have flown."""
-    produce(intake, "a", 1, 10, flown=90)
-    assert intake.judge(sender(1, name="a"), 1) == "duplicate"
-    intake.refuse(sender(2, name="a"))
-    produce(intake, "a", 3, 10, flown=40)  # an older request, which says less than the first one
-    produce(intake, "a", 6, 10, flown=90)
-    intake.refuse_aged(sender(7, name="a"), 10, 70, 90)
-    intake.lose(sender(8, name="a"), 10, 80, 95)
-    produce(intake, "b", 1, 7, flown=3)  # flown is written after the chunk is made
-    produce(intake, "a", 1, 10, incarnation=2, flown=30)
+    produce(ledger, "a", 1, 10, flown=90)
+    assert ledger.judge(sender(1, name="a"), 1) == "duplicate"
+    ledger.refuse(sender(2, name="a"))
+    produce(ledger, "a", 3, 10, flown=40)  # an older request, which says less than the first one
+    produce(ledger, "a", 6, 10, flown=90)
+    ledger.refuse_aged(sender(7, name="a"), 10, 70, 90)
+    ledger.lose(sender(8, name="a"), 10, 80, 95)
+    produce(ledger, "b", 1, 7, flown=3)  # flown is written after the chunk is made
+    produce(ledger, "a", 1, 10, incarnation=2, flown=30)
     return 95 + 7 + 30
 
 
 def test_the_ledger_closes_against_what_workers_say() -> None:
     """Duplicates, refusals, losses, requests out of order and a killed start leave nothing unexplained."""
-    intake = Intake()
-    flown = flight(intake)
-    totals, rows = intake.accounts()
+    ledger = Ledger()
+    flown = flight(ledger)
+    totals, rows = ledger.accounts()
     assert [totals[name] for name in ("accepted", "lost", "rejected", "in_flight")] == [47, 45, 20, 20]
     assert_columns_add_up(totals, rows, flown)
-    assert intake.unexplained() == 0
+    assert ledger.unexplained() == 0
 
 
 @pytest.mark.parametrize("times", [0, 2])
@@ -206,35 +206,35 @@ def test_the_ledger_closes_against_what_workers_say() -> None:
 @pytest.mark.parametrize("ends", [False, True])
 def test_a_ledger_that_books_wrongly_is_unexplained(times: int, fate: str, ends: bool) -> None:
     """Each fate that is booked twice, or not at all, shows by exactly its steps, also after the start has ended."""
-    intake = Intake()
-    produce(intake, "w", 1, 10)
-    before = getattr(intake.workers["w"], fate)
-    {"accepted": intake.accept, "lost": intake.lose, "rejected": intake.refuse_aged}[fate](sender(2), 10, 20, 20)
-    intake.workers["w"] = replace(intake.workers["w"], **{fate: before + 10 * times})
-    produce(intake, "w", 3, 10, flown=50)
+    ledger = Ledger()
+    produce(ledger, "w", 1, 10)
+    before = getattr(ledger.workers["w"], fate)
+    {"accepted": ledger.accept, "lost": ledger.lose, "rejected": ledger.refuse_aged}[fate](sender(2), 10, 20, 20)
+    ledger.workers["w"] = replace(ledger.workers["w"], **{fate: before + 10 * times})
+    produce(ledger, "w", 3, 10, flown=50)
     if ends:
-        produce(intake, "w", 1, 10, incarnation=2)
-    totals, rows = intake.accounts()
-    assert intake.unexplained() == 10
+        produce(ledger, "w", 1, 10, incarnation=2)
+    totals, rows = ledger.accounts()
+    assert ledger.unexplained() == 10
     assert totals["unexplained"] == rows["w"]["unexplained"] == 10 * (1 - times)
     assert totals["in_flight"] == (0 if ends else 20)
 
 
 def test_two_errors_do_not_make_up_for_each_other() -> None:
     """Steps forgotten of one worker and as many booked twice of another are both counted."""
-    intake = Intake()
+    ledger = Ledger()
     for name, accepted in (("a", 0), ("b", 20)):
-        produce(intake, name, 1, 10)
-        intake.workers[name] = replace(intake.workers[name], accepted=accepted)
-    assert intake.totals()["unexplained"] == 0
-    assert intake.unexplained() == 20
+        produce(ledger, name, 1, 10)
+        ledger.workers[name] = replace(ledger.workers[name], accepted=accepted)
+    assert ledger.totals()["unexplained"] == 0
+    assert ledger.unexplained() == 20
 
 
 @pytest.mark.parametrize(("booked", "in_replay", "said"), [(10, 10, 0), (10, 7, 3), (20, 20, 10), (0, 10, 20)])
 def test_unexplained_adds_up_both_defects(booked: int, in_replay: int, said: int) -> None:
     """Its figure holds what the accounts fail to close by, and what of the accepted is not in replay; sizes add up."""
-    intake = Intake()
-    produce(intake, "w", 1, 10)
-    intake.workers["w"] = replace(intake.workers["w"], accepted=booked)
-    receiver = SimpleNamespace(gate=threading.Lock(), intake=intake, arrivals=queue.Queue())
+    ledger = Ledger()
+    produce(ledger, "w", 1, 10)
+    ledger.workers["w"] = replace(ledger.workers["w"], accepted=booked)
+    receiver = SimpleNamespace(gate=threading.Lock(), ledger=ledger, arrivals=queue.Queue())
     assert Receiver.unexplained(receiver, in_replay) == said

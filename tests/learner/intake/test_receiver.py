@@ -7,7 +7,7 @@ from common.protocol import keys
 from common.protocol.chunk_messages import to_message, to_request
 from common.protocol.messages import ChunkAck, Envelope
 from common.starts import LATEST, STRIDE, next_start
-from learner.intake.ledger import Intake
+from learner.intake.ledger import Ledger
 from learner.intake.receiver import Receiver
 from tests.faults.tools.channel import RULES, RUN, TEAM, Door, Parcel, Sending, a_chunk, front_door, shut
 from tests.system.fleet import until
@@ -39,13 +39,13 @@ def test_a_chunk_brings_the_accounts_of_its_moment():
         accepted = []
         for _ in range(3):
             arrival = until(lambda: receiver.next_arrival(0.05), "a chunk")
-            kept = Intake()
+            kept = Ledger()
             kept.restore(arrival.ledger.state())
             accepted.append(kept.totals()["accepted"])
         assert accepted == [1, 2, 3]
-        again = Intake()
+        again = Ledger()
         again.restore(arrival.ledger.state())
-        assert again.totals() == receiver.intake.totals()
+        assert again.totals() == receiver.ledger.totals()
         assert again.unexplained() == 0
     finally:
         shut(receiver, door)
@@ -60,8 +60,8 @@ def test_an_older_start_learns_that_it_was_replaced():
             assert door.pass_on(parcel("a", 1, 1)).verdict == "replaced"
         assert door.pass_on(parcel("a", 2, 2)).verdict == "accepted"
         assert (receiver.replaced, receiver.malformed) == (200, 0)
-        assert receiver.intake.newest_start("a") == 2
-        assert receiver.intake.newest_start("b") == 0
+        assert receiver.ledger.newest_start("a") == 2
+        assert receiver.ledger.newest_start("b") == 0
     finally:
         shut(receiver, door)
 
@@ -74,9 +74,9 @@ def test_no_start_takes_all_numbers_with_it():
         assert "no clock gives" in door.pass_on(parcel("a", LATEST + STRIDE + 1, 1)).refused
         assert door.pass_on(parcel("a", LATEST, 1)).verdict == "accepted"
         for _ in range(3):
-            known = receiver.intake.newest_start("a")
+            known = receiver.ledger.newest_start("a")
             assert door.pass_on(parcel("a", next_start(known), 1)).verdict == "accepted"
-            assert known < receiver.intake.newest_start("a") <= known + STRIDE
+            assert known < receiver.ledger.newest_start("a") <= known + STRIDE
     finally:
         shut(receiver, door)
 
@@ -85,7 +85,7 @@ def test_a_stray_message_keeps_no_worker_out_of_a_lockstep_run():
     """Whoever sends junk before the one worker has no place in the run; the worker that delivers first has it."""
     door = Door()
     bounds = ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=16)
-    receiver = Receiver(door, TEAM, RULES, Intake(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
+    receiver = Receiver(door, TEAM, RULES, Ledger(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
     try:
         stray = parcel("stranger", 1, 1)
         stray.payload = b"junk"
@@ -105,7 +105,7 @@ def test_there_are_accounts_for_so_many_workers(monkeypatch):
         assert [door.pass_on(parcel(name, 1, 1)).verdict for name in ("a", "b")] == ["accepted"] * 2
         assert "2 workers have accounts already" in door.pass_on(parcel("c", 1, 1)).refused
         assert door.pass_on(parcel("a", 1, 2)).verdict == "accepted"
-        assert set(receiver.intake.workers) == {"a", "b"}
+        assert set(receiver.ledger.workers) == {"a", "b"}
     finally:
         shut(receiver, door)
 
@@ -114,7 +114,7 @@ def test_in_lockstep_a_second_copy_waits_for_the_training_too():
     """A worker whose link broke while its chunk was trained on hears of it when that is done, and not before."""
     door, sending = Door(), Sending("0", 2)
     bounds = ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=16)
-    receiver = Receiver(door, TEAM, RULES, Intake(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
+    receiver = Receiver(door, TEAM, RULES, Ledger(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
     try:
         first, second = sending.parcel([1]), sending.parcel([1])
         door.push(first)
@@ -128,6 +128,6 @@ def test_in_lockstep_a_second_copy_waits_for_the_training_too():
         assert second.answered.is_set()
         assert (second.answer.verdicts, second.answer.required_version) == (("accepted",), 7)
         assert door.pass_on(sending.parcel([1])).verdict == "duplicate"
-        assert receiver.intake.totals()["accepted"] == 1
+        assert receiver.ledger.totals()["accepted"] == 1
     finally:
         shut(receiver, door)

@@ -7,7 +7,7 @@ from common.transport.bus import Bus
 from learner.trainer import Trainer
 
 
-class Publisher:
+class ParameterPublisher:
     """Publishes on the control lane; both messages are states, so a late subscriber gets the newest one.
 
     Args:
@@ -25,7 +25,7 @@ class Publisher:
         self._published = -1
 
     @property
-    def stale(self) -> bool:
+    def has_unpublished_changes(self) -> bool:
         """Whether the actors have changed since they were last published."""
         return self._published != self._trainer.updates + self._trainer.events
 
