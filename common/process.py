@@ -134,11 +134,6 @@ def _clamped(value: Any) -> Any:
     return max(-LARGEST, min(LARGEST, value)) if type(value) is int else value
 
 
-def incarnation() -> int:
-    """Return the number of this start: the wall clock in microseconds."""
-    return time.time_ns() // 1000
-
-
 def fetch_configuration(
     bus: Bus, run: str, sender: str, keep_waiting: Callable[[], bool], patience: float
 ) -> ConfigurationMessage | None:

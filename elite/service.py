@@ -11,7 +11,8 @@ from common.config.presets import read_saved
 from common.config.run import RunConfig
 from common.errors import BusClosedError, BusError, ProtocolError
 from common.imitation import ImitationEvent, ImitationSchedule
-from common.process import Presence, StopSignal, connect, denial, fetch_configuration, incarnation, log
+from common.incarnation import new_incarnation
+from common.process import Presence, StopSignal, connect, denial, fetch_configuration, log
 from common.protocol import keys
 from common.protocol.epoch_fence import EpochFence
 from common.protocol.messages import (
@@ -72,7 +73,7 @@ class Coordinator:
         self._progress = control.subscribe_state(keys.PROGRESS.key(options.run))
         self._tokens = control.watch(keys.LIVE.pattern(options.run, role="rollout"), 1024)
         self._announcer = control.publish_state(keys.IMITATION_EVENT.key(options.run))
-        start = incarnation()
+        start = new_incarnation()
         self._presence = Presence(control, options.run, "elite", options.name, start)
         self._envelope = Envelope("elite", options.name, start, 1).encode()
         self._leads, self._claimed = False, 0.0

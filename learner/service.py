@@ -102,7 +102,7 @@ class Learner:
         self._successor = SuccessorWatch(control, run, self._epoch)
         configuration = ConfigurationMessage(self._epoch, to_toml(config), team.to_dict(), lockstep)
         commands = control.serve(keys.COMMAND.pattern(run), 64)
-        self._commands = CommandServer(commands, configuration, ledger.newest_start)
+        self._commands = CommandServer(commands, configuration, ledger.newest_incarnation)
         server = control.serve(keys.IMITATION.key(run), 4)
         self._imitations = ImitationServer(server, self.trainer, self._commands.lease, self._epoch, self._on_imitation)
 

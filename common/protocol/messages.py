@@ -26,7 +26,7 @@ class Envelope(Message):
     Attributes:
         role: rollout, learner, elite, flight or vehicle.
         name: the sender's name, unique inside its role.
-        incarnation: start number; each start of a process of this name has a greater one.
+        incarnation: number of the start; each start of a process of this name has a greater one.
         sequence: number of this message on this key, counted from 1; the coordinator always sends 1.
         version: parameter version that the sender held.
     """
@@ -158,7 +158,7 @@ class ConfigurationMessage(Message):
         toml: the run's configuration.
         team: the team's layout, see `common.team.TeamSpec.to_dict`.
         lockstep: whether worker and learner take turns.
-        newest_start: greatest start number (incarnation) that the learner knows of the asking worker, or 0.
+        newest_incarnation: greatest incarnation that the learner knows of the asking worker, or 0.
     """
 
     KIND, MOST_HEADER = 7, MAX_HEADER
@@ -166,7 +166,7 @@ class ConfigurationMessage(Message):
     toml: str
     team: dict[str, Any]
     lockstep: bool
-    newest_start: int = 0
+    newest_incarnation: int = 0
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from common.process import Presence, StopSignal, incarnation
+from common.incarnation import new_incarnation
+from common.process import Presence, StopSignal
 from common.protocol import keys
 from common.protocol.messages import Envelope, SetpointMessage
 from common.transport.admission import admission
@@ -59,7 +60,7 @@ class FlightNode:
         run = options.run
         self._incoming = {v: bus.subscribe(keys.OBSERVATION.key(run, vehicle=v), WAITING) for v in vehicles}
         self._outgoing = {v: bus.publish(keys.SETPOINT.key(run, vehicle=v)) for v in vehicles}
-        self._start = incarnation()
+        self._start = new_incarnation()
         self._presence = Presence(bus, run, "flight", options.name, self._start)
         self._reported = 0.0
         self.overruns = 0

@@ -180,7 +180,7 @@ class Pilot:
         sender, message = Envelope.decode(attachment), ObservationMessage.decode(payload)
         if (sender.role, sender.name) != ("vehicle", vehicle):
             raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}.")
-        # A start number from a clock that was ahead, or an invented one, shuts nobody out for longer than `age`.
+        # An incarnation from a clock that was ahead, or an invented one, shuts nobody out for longer than `age`.
         waited = message.stamp > held.stamp + self._limits.age * 1e6
         if (sender.incarnation, sender.sequence) <= held.mark and not waited:
             raise ProtocolError(f"observation {sender.sequence} is not newer than {held.mark[1]}.")

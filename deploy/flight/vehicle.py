@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from common.errors import ProtocolError, SchemaError
-from common.process import incarnation
+from common.incarnation import new_incarnation
 from common.protocol import keys
 from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
 from common.team import Float32
@@ -16,7 +16,7 @@ from common.transport.bus import Bus
 WAITING: Final = 4
 """Set-points that wait to be read; the oldest are dropped."""
 RELEASE_SECONDS: Final = 2.0
-"""Silence of a flight node after which one with a lower start number is obeyed: the first one's clock was ahead."""
+"""Silence of a flight node after which one with a lower incarnation is obeyed: the first one's clock was ahead."""
 
 
 class VehicleLink:
@@ -46,7 +46,7 @@ class VehicleLink:
         self._publisher = bus.publish(keys.OBSERVATION.key(run, vehicle=vehicle))
         self._setpoints = bus.subscribe(keys.SETPOINT.key(run, vehicle=vehicle), WAITING)
         self._vehicle, self._agent, self._fastest, self._clock = vehicle, agent, fastest, clock
-        self._start, self._sequence = incarnation(), 0
+        self._start, self._sequence = new_incarnation(), 0
         self._mark, self._obeyed = (0, 0), float("-inf")
         self.refused = 0
 

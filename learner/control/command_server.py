@@ -21,7 +21,7 @@ class CommandServer:
     Args:
         server: where they come in.
         configuration: the answer to a process that joins the run.
-        newest_start: returns the greatest start number that is known of a worker, 0 for none.
+        newest_incarnation: returns the greatest incarnation that is known of a worker, 0 for none.
 
     Attributes:
         lease: which coordinator leads.
@@ -29,8 +29,10 @@ class CommandServer:
         malformed: requests that could not be decoded.
     """
 
-    def __init__(self, server: Server, configuration: ConfigurationMessage, newest_start: Callable[[str], int]) -> None:
-        self._server, self._configuration, self._newest_start = server, configuration, newest_start
+    def __init__(
+        self, server: Server, configuration: ConfigurationMessage, newest_incarnation: Callable[[str], int]
+    ) -> None:
+        self._server, self._configuration, self._newest_incarnation = server, configuration, newest_incarnation
         self.lease, self.draining, self.malformed = Lease(), False, 0
         self._verbs: dict[str, Callable[[Incoming, str], None]] = {
             "configuration": self._send_configuration,
@@ -54,7 +56,7 @@ class CommandServer:
                 incoming.refuse(f"the learner knows no command {verb}.")
 
     def _send_configuration(self, incoming: Incoming, sender: str) -> None:
-        incoming.reply(replace(self._configuration, newest_start=self._newest_start(sender)).encode())
+        incoming.reply(replace(self._configuration, newest_incarnation=self._newest_incarnation(sender)).encode())
 
     def _drain(self, incoming: Incoming, sender: str) -> None:
         log(f"draining, as {sender[:SHOWN_NAME]} asked.")

@@ -1,31 +1,27 @@
 """The learner's fencing epoch: a number that is higher for every later start of a run's learner."""
 
-import secrets
 from typing import Final
 
 from common.errors import ProtocolError
-from common.process import incarnation
+from common.incarnation import new_incarnation
 from common.protocol import keys
 from common.protocol.messages import ProgressMessage
 from common.transport.bus import Bus
 
 MOST_EPOCH: Final = 2**62
 """Epochs from here on are refused where they are read: no clock shows them, and later starts need higher ones."""
-SPREAD: Final = 2**20
-"""A start whose clock is behind takes one of so many epochs above the last one known."""
 
 
 def next_epoch(last: int) -> int:
     """Return the epoch of a new start of the learner.
 
-    It is the wall clock in microseconds, unless the clock is behind the last epoch; then it is a little above that, by
-    a random amount, so that two copies of one run directory do not start with the same epoch.
+    It is the incarnation of this start, see `common.incarnation`. A clock that was set back does no harm, and two
+    copies of one run directory do not start with the same epoch.
 
     Args:
         last: the highest epoch known from the checkpoint and the history; 0 for none.
     """
-    now = incarnation()
-    return now if now > last else last + 1 + secrets.randbelow(SPREAD)
+    return new_incarnation(last)
 
 
 class SuccessorWatch:

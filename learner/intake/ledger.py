@@ -184,8 +184,8 @@ class Ledger:
         ledger = self._ledger(sender)
         self.workers[sender.name] = replace(ledger, damaged=ledger.damaged + 1)
 
-    def newest_start(self, worker: str) -> int:
-        """Return the greatest start number of a worker that is known, 0 for none; any thread may ask."""
+    def newest_incarnation(self, worker: str) -> int:
+        """Return the greatest incarnation of a worker that is known, 0 for none; any thread may ask."""
         ledger = self.workers.get(worker)
         return 0 if ledger is None else ledger.incarnation
 

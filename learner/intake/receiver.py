@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from common.config import ReplayConfig
 from common.errors import ProtocolError, SchemaError
 from common.history.history import Entry, History
+from common.incarnation import plausible
 from common.process import log
 from common.protocol import keys
 from common.protocol.chunk_messages import MOST_COUNT, from_message, from_request
 from common.protocol.frame import Data
 from common.protocol.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
-from common.starts import plausible
 from common.team import TeamSpec
 from common.transitions import Chunk
 from common.transport.bus import Incoming, Server
@@ -185,7 +185,7 @@ class Receiver:
             self.throttle.hold(incoming, refusal)
             return
         sender = self._identified(incoming, worker)
-        if sender.incarnation < self.ledger.newest_start(worker):
+        if sender.incarnation < self.ledger.newest_incarnation(worker):
             # No penalty: it would hit the newer start, which has the same name.
             self.replaced += 1
             incoming.reply(ChunkAck(("replaced",), ("a newer start of this worker delivers now.",), 1, 0).encode())
@@ -216,8 +216,8 @@ class Receiver:
             sender = Envelope.decode(incoming.attachment)
             if (sender.role, sender.name) != ("rollout", worker) or not 1 <= sender.sequence <= MOST_COUNT:
                 raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}, {sender.sequence}.")
-            if not plausible(sender.incarnation, self.ledger.newest_start(worker)):
-                raise ProtocolError(f"no clock gives a start the number {sender.incarnation}.")
+            if not plausible(sender.incarnation, self.ledger.newest_incarnation(worker)):
+                raise ProtocolError(f"no clock gives the incarnation {sender.incarnation}.")
         except ProtocolError as error:
             self._bad(worker, str(error))
             raise

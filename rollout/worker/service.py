@@ -19,9 +19,9 @@ from common.config.presets import read_saved
 from common.config.run import RunConfig
 from common.errors import UsageError
 from common.history.history import History, Start
+from common.incarnation import new_incarnation, seconds_ahead
 from common.process import Presence, StopSignal, connect, denial, fetch_configuration, log
 from common.protocol.messages import ConfigurationMessage
-from common.starts import next_start, seconds_ahead
 from common.transport.bus import Bus
 from common.transport.endpoint import Endpoint
 from rollout.worker.collection_gate import CollectionGate
@@ -89,7 +89,7 @@ class Worker:
         stop: ends the loop.
 
     Raises:
-        UsageError: the learner's team is another one than the environment has here, or no start number is left.
+        UsageError: the learner's team is another one than the environment has here, or no incarnation is left.
     """
 
     def __init__(
@@ -101,9 +101,9 @@ class Worker:
         bulk: Bus,
         stop: StopSignal,
     ) -> None:
-        run, name, start = options.run, options.name, next_start(answer.newest_start)
+        run, name, start = options.run, options.name, new_incarnation(answer.newest_incarnation)
         self._options, self._config, self._control, self._stop = options, config, control, stop
-        self._clock_alarm = _clock_alarm(answer.newest_start)
+        self._clock_alarm = _clock_alarm(answer.newest_incarnation)
         self._collector = Collector(config, name, 0 if answer.lockstep else start)
         team = self._collector.team
         if team.to_dict() != answer.team:
@@ -223,8 +223,8 @@ class Worker:
                 log(f"worker {self._options.name}: {sentence}")
 
 
-def _clock_alarm(newest_start: int) -> str:
-    ahead = seconds_ahead(newest_start)
+def _clock_alarm(newest_incarnation: int) -> str:
+    ahead = seconds_ahead(newest_incarnation)
     if ahead < CLOCK_SECONDS:
         return ""
     return f"an earlier start of this worker had a clock {ahead:.0f} s ahead of this machine's; one of them is wrong"

@@ -49,7 +49,7 @@ def test_only_newer_set_points_of_the_own_agent_within_the_speed_are_obeyed(both
 
 
 def test_a_node_whose_clock_was_ahead_gives_way_when_it_is_silent(both, monkeypatch):
-    """A start number that nobody reaches any more is no lock-out: after a silence a lower one is obeyed."""
+    """An incarnation that nobody reaches any more is no lock-out: after a silence a lower one is obeyed."""
     assert both(2**63 - 1, 1)
     assert not both(5, 1)
     monkeypatch.setattr(vehicle, "RELEASE_SECONDS", 0.0)

@@ -24,11 +24,14 @@ def kill_workers(directory: Path, kills: int, workers: int, toml: str = LONG) ->
         recovery, before = [], memory(fleet.running["learner"])
         for index in range(kills):
             name = names[index % workers]
-            start = fleet.newest_start(name)
+            start = fleet.newest_incarnation(name)
             fleet.kill(f"rollout-{name}")
             started = time.monotonic()
             fleet.worker(name)
-            until(lambda name=name, start=start: fleet.newest_start(name) > start, f"chunks of the new worker {name}")
+            until(
+                lambda name=name, start=start: fleet.newest_incarnation(name) > start,
+                f"chunks of the new worker {name}",
+            )
             recovery.append(time.monotonic() - started)
         grown = memory(fleet.running["learner"]) - before
         fleet.end()

@@ -29,20 +29,20 @@ def test_a_worker_whose_earlier_start_had_a_clock_ahead_gets_in(tmp_path, monkey
     with run(tmp_path) as fleet:
         fleet.learner()
         start_with_a_clock_ahead(fleet, monkeypatch, DAY)
-        until(lambda: fleet.newest_start("0"), "chunks of the first start", 120.0)
-        first = fleet.newest_start("0")
+        until(lambda: fleet.newest_incarnation("0"), "chunks of the first start", 120.0)
+        first = fleet.newest_incarnation("0")
         assert first > (time.time() + DAY / 2) * 1e6
         fleet.kill("rollout-0")
         with fleet.metrics("rollout", "0") as reports:
             fleet.worker()
-            until(lambda: fleet.newest_start("0") > first, "a chunk of the second start", 60.0)
+            until(lambda: fleet.newest_incarnation("0") > first, "a chunk of the second start", 60.0)
             until(lambda: reports() and reports()[-1]["accepted"], "a report", 30.0)
             assert any("had a clock 86" in alarm for alarm in reports()[-1]["alarms"])
-        assert fleet.newest_start("0") < first + 2**20 + 1
+        assert fleet.newest_incarnation("0") < first + 2**20 + 1
         fleet.kill("rollout-0")
-        second = fleet.newest_start("0")
+        second = fleet.newest_incarnation("0")
         fleet.worker()
-        until(lambda: fleet.newest_start("0") > second, "a chunk of the third start", 60.0)
+        until(lambda: fleet.newest_incarnation("0") > second, "a chunk of the third start", 60.0)
         fleet.end()
         fleet.audit()
 
@@ -52,12 +52,12 @@ def test_a_worker_that_was_frozen_and_replaced_ends(tmp_path):
     with run(tmp_path) as fleet:
         fleet.learner()
         old = fleet.worker()
-        until(lambda: fleet.newest_start("0"), "chunks of the first start", 120.0)
-        first = fleet.newest_start("0")
+        until(lambda: fleet.newest_incarnation("0"), "chunks of the first start", 120.0)
+        first = fleet.newest_incarnation("0")
         old.send_signal(signal.SIGSTOP)
         fleet.running["rollout-frozen"] = fleet.running.pop("rollout-0")
         fleet.worker()
-        until(lambda: fleet.newest_start("0") > first, "a chunk of the second start", 60.0)
+        until(lambda: fleet.newest_incarnation("0") > first, "a chunk of the second start", 60.0)
         old.send_signal(signal.SIGCONT)
         assert fleet.wait("rollout-frozen", 30.0) == 2
         fleet.running.pop("rollout-frozen")
@@ -66,7 +66,7 @@ def test_a_worker_that_was_frozen_and_replaced_ends(tmp_path):
             metrics = bus.subscribe(keys.METRIC.key(RUN, role="rollout", name="0"), 64)
             seen = []
             until(lambda: seen.extend(metrics.drain()) or len(seen) >= 4, "reports", 30.0)
-        assert {Envelope.decode(sample.attachment).incarnation for sample in seen} == {fleet.newest_start("0")}
+        assert {Envelope.decode(sample.attachment).incarnation for sample in seen} == {fleet.newest_incarnation("0")}
         fleet.until_more("0")
         fleet.end()
         fleet.audit()
@@ -83,13 +83,13 @@ def test_a_frozen_worker_with_a_history_of_its_own_is_ended_by_the_learner(tmp_p
     with run(tmp_path) as fleet:
         fleet.learner()
         old = fleet.worker()
-        until(lambda: fleet.newest_start("0"), "chunks of the first start", 120.0)
-        first = fleet.newest_start("0")
+        until(lambda: fleet.newest_incarnation("0"), "chunks of the first start", 120.0)
+        first = fleet.newest_incarnation("0")
         old.send_signal(signal.SIGSTOP)
         fleet.running["rollout-frozen"] = fleet.running.pop("rollout-0")
         elsewhere = ("--run", RUN, "--connect", str(fleet.endpoint), "--name", "0")
         fleet.start("rollout-0", "rollout", *elsewhere)
-        until(lambda: fleet.newest_start("0") > first, "a chunk of the second start", 60.0)
+        until(lambda: fleet.newest_incarnation("0") > first, "a chunk of the second start", 60.0)
         old.send_signal(signal.SIGCONT)
         assert fleet.wait("rollout-frozen", 30.0) == 2
         fleet.running.pop("rollout-frozen")

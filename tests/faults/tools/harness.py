@@ -95,7 +95,7 @@ class FaultRun(Processes):
 
             yield listen
 
-    def newest_start(self, worker: str) -> int:
+    def newest_incarnation(self, worker: str) -> int:
         """Return the incarnation of a worker's newest chunk that the learner has taken, 0 before the first."""
         return max((entry.incarnation for entry in self.accepted(worker)), default=0)
 

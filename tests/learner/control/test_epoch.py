@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import pytest
 
 from common.history.history import History, Start
+from common.incarnation import STRIDE
 from common.protocol.messages import ProgressMessage
 from learner.checkpoint.recovery import last_epoch
 from learner.checkpoint.storage import RunStorage
-from learner.control import epoch
-from learner.control.epoch import SPREAD, SuccessorWatch, next_epoch
+from learner.control.epoch import SuccessorWatch, next_epoch
 from learner.intake.ledger import Ledger
 from learner.service import HISTORY, Learner
 from learner.trainer import Trainer
@@ -20,7 +20,7 @@ DAY = 86_400 * 10**6
 
 def start(directory, trainer, clock, monkeypatch):
     """Resume a learner's state in a directory under a faked clock; return its epoch and the ledger's losses."""
-    monkeypatch.setattr(epoch, "incarnation", lambda: clock)
+    monkeypatch.setattr("common.incarnation.time.time_ns", lambda: clock * 1000)
     learner = Learner.__new__(Learner)
     learner._options, learner.trainer = SimpleNamespace(run_dir=directory, resume=True), trainer
     learner._storage = RunStorage(directory, CONFIG)
@@ -41,7 +41,7 @@ def test_the_epoch_grows_although_the_clock_was_set_back(tmp_path, monkeypatch, 
         (tmp_path / HISTORY).unlink()
     epochs += [start(tmp_path, trainer, clock, monkeypatch) for clock in (now, now + 1, now - DAY)]
     assert sorted(set(epochs)) == epochs
-    assert epochs[-1] <= now + DAY + 3 * SPREAD
+    assert epochs[-1] <= now + DAY + 3 * STRIDE
     assert start(tmp_path, trainer, now + 2 * DAY, monkeypatch) == now + 2 * DAY
 
 
@@ -49,7 +49,7 @@ def test_two_copies_of_a_run_directory_get_different_epochs():
     """Both know the same last epoch, which is ahead of both clocks; one of the two learners has to be the newer one."""
     last = 2**61
     assert len({next_epoch(last) for _ in range(20)}) > 1
-    assert all(last < next_epoch(last) <= last + SPREAD for _ in range(20))
+    assert all(last < next_epoch(last) <= last + STRIDE for _ in range(20))
 
 
 def test_only_starts_of_the_learner_count(tmp_path):

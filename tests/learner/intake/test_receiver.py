@@ -3,10 +3,10 @@
 import numpy as np
 
 from common.config import ReplayConfig
+from common.incarnation import LATEST, STRIDE, new_incarnation
 from common.protocol import keys
 from common.protocol.chunk_messages import to_message, to_request
 from common.protocol.messages import ChunkAck, Envelope
-from common.starts import LATEST, STRIDE, next_start
 from learner.intake.ledger import Ledger
 from learner.intake.receiver import Receiver
 from tests.faults.tools.channel import RULES, RUN, TEAM, Door, Parcel, Sending, a_chunk, front_door, shut
@@ -60,8 +60,8 @@ def test_an_older_start_learns_that_it_was_replaced():
             assert door.pass_on(parcel("a", 1, 1)).verdict == "replaced"
         assert door.pass_on(parcel("a", 2, 2)).verdict == "accepted"
         assert (receiver.replaced, receiver.malformed) == (200, 0)
-        assert receiver.ledger.newest_start("a") == 2
-        assert receiver.ledger.newest_start("b") == 0
+        assert receiver.ledger.newest_incarnation("a") == 2
+        assert receiver.ledger.newest_incarnation("b") == 0
     finally:
         shut(receiver, door)
 
@@ -74,9 +74,9 @@ def test_no_start_takes_all_numbers_with_it():
         assert "no clock gives" in door.pass_on(parcel("a", LATEST + STRIDE + 1, 1)).refused
         assert door.pass_on(parcel("a", LATEST, 1)).verdict == "accepted"
         for _ in range(3):
-            known = receiver.ledger.newest_start("a")
-            assert door.pass_on(parcel("a", next_start(known), 1)).verdict == "accepted"
-            assert known < receiver.ledger.newest_start("a") <= known + STRIDE
+            known = receiver.ledger.newest_incarnation("a")
+            assert door.pass_on(parcel("a", new_incarnation(known), 1)).verdict == "accepted"
+            assert known < receiver.ledger.newest_incarnation("a") <= known + STRIDE
     finally:
         shut(receiver, door)
 

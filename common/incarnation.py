@@ -1,4 +1,4 @@
-"""Start numbers: each start of a process gets a greater number than the one before, whatever the clock shows.
+"""Incarnations: each start of a process gets a greater number than the one before, whatever the clock shows.
 
 A start takes its number from the clock. If the receiver already knows a greater one, because the clock of an earlier
 start was ahead, the new start takes a slightly greater number instead.
@@ -18,8 +18,8 @@ LIMIT: Final = 2**63
 """First number that no message can carry."""
 
 
-def next_start(known: int = 0) -> int:
-    """Return the number of a new start.
+def new_incarnation(known: int = 0) -> int:
+    """Return the incarnation of a new start.
 
     Args:
         known: the greatest number of an earlier start of the same name, 0 for none.
