@@ -46,6 +46,7 @@ def _account(prefix: str, whose: str) -> tuple[Metric, ...]:
         ),
         Metric(f"{prefix}/accepted", _STEPS, "accepted: in replay, or on the way there inside the learner"),
         Metric(f"{prefix}/lost", _STEPS, "steps that can no longer arrive"),
+        Metric(f"{prefix}/claimed", _STEPS, "lost steps of chunks that a worker says it skipped; no record shows them"),
         Metric(f"{prefix}/rejected", _STEPS, "steps of refused chunks"),
         Metric(
             f"{prefix}/in_flight", _STEPS, "steps produced after the last chunk that the learner took, and not lost"

@@ -16,6 +16,7 @@ OTHERS: Final = "(others)"
 _REPORTED: Final = (
     "accepted",
     "lost",
+    "claimed",
     "rejected",
     "in_flight",
     "unexplained",
@@ -41,6 +42,7 @@ class WorkerLedger:
             start has ended.
         accepted: steps that entered replay.
         lost: steps that were produced and can no longer arrive.
+        claimed: those of them in chunks that the worker skipped. Only its word says that it ever flew them.
         rejected: steps in chunks that were refused.
         duplicates: chunks that came again.
         refused: chunks that were refused.
@@ -59,6 +61,7 @@ class WorkerLedger:
     produced: int = 0
     accepted: int = 0
     lost: int = 0
+    claimed: int = 0
     rejected: int = 0
     duplicates: int = 0
     refused: int = 0
@@ -247,6 +250,7 @@ class Ledger:
         missing = max(0, produced - steps - ledger.produced)
         rejected = missing if ledger.pending_rejected and sender.sequence == ledger.expected else 0
         booked["lost"] = booked.get("lost", 0) + missing - rejected
+        booked["claimed"] = missing - rejected
         booked["rejected"] = booked.get("rejected", 0) + rejected
         booked["delivered"] = steps
         self.workers[sender.name] = replace(
@@ -318,6 +322,7 @@ def _add(total: WorkerLedger, part: WorkerLedger) -> WorkerLedger:
         produced=total.produced + part.produced,
         accepted=total.accepted + part.accepted,
         lost=total.lost + part.lost,
+        claimed=total.claimed + part.claimed,
         rejected=total.rejected + part.rejected,
         duplicates=total.duplicates + part.duplicates,
         refused=total.refused + part.refused,

@@ -196,9 +196,31 @@ def test_the_ledger_closes_against_what_workers_say() -> None:
     ledger = Ledger()
     flown = flight(ledger)
     totals, rows = ledger.accounts()
-    assert [totals[name] for name in ("accepted", "lost", "rejected", "in_flight")] == [47, 45, 20, 20]
+    assert [totals[name] for name in ("accepted", "lost", "claimed", "rejected", "in_flight")] == [47, 45, 20, 20, 20]
     assert_columns_add_up(totals, rows, flown)
     assert ledger.unexplained() == 0
+
+
+def test_losses_that_only_a_worker_claims_are_shown_apart() -> None:
+    """A start that is met for the first time may claim any number of earlier steps; real losses can still be seen."""
+    ledger, far = Ledger(), 2**40
+    assert ledger.judge(sender(far, name="liar"), far) == "accepted"
+    assert ledger.accept(sender(far, name="liar"), 10, far * 10, far * 10) == (far - 1) * 10
+    produce(ledger, "honest", 1, 10, flown=30)
+    ledger.lose(sender(2, name="honest"), 10, 20, 30)
+    for start in (2, 3):  # the claims of an ended start stay apart
+        totals, rows = ledger.accounts()
+        assert totals["claimed"] == rows["liar"]["claimed"] == rows["liar"]["lost"] == (far - 1) * 10
+        assert (rows["honest"]["claimed"], rows["honest"]["lost"], totals["lost"] - totals["claimed"]) == (0, 10, 10)
+        produce(ledger, "liar", 1, 10, incarnation=start)
+    state = ledger.state()
+    again = Ledger()
+    again.restore(state)
+    assert again.totals() == ledger.totals()
+    for entry in (state["closed"], *state["workers"].values()):
+        del entry["claimed"]  # as earlier versions wrote it
+    again.restore(state)
+    assert again.totals()["lost"] == ledger.totals()["lost"]
 
 
 @pytest.mark.parametrize("times", [0, 2])
