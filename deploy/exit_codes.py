@@ -13,9 +13,9 @@ DONE: Final = 0
 FAILED: Final = 1
 USAGE: Final = 2
 INTERRUPTED: Final = 130
-"""128 + SIGINT, as shells have it."""
+"""128 + SIGINT, as in shells."""
 PIPE_CLOSED: Final = 141
-"""128 + SIGPIPE: the reader of the output went away, `| head` for instance."""
+"""128 + SIGPIPE: the reader of the output, such as `| head`, has exited."""
 
 
 def run_command(command: Callable[[], int | None]) -> int:

@@ -1,4 +1,4 @@
-"""Noise-free evaluation of a policy on farms, or on scenarios of another environment."""
+"""Noise-free evaluation of a policy on farms or on scenarios of another environment."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -47,12 +47,12 @@ class Evaluation:
     """Scores of a policy on a set of farms, or of scenarios of another environment.
 
     Attributes:
-        policy: its name.
+        policy: name of the policy.
         farms: seeds of the farms.
         episodes: episodes on each farm.
         total: means over all farms.
         per_farm: means over the episodes of each farm, in the order of `farms`.
-        environment: what names and labels the types of agents and the episode metrics.
+        environment: names and labels of the types of agents and the episode metrics.
     """
 
     policy: str
@@ -84,7 +84,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One episode, as a picture needs it.
+    """The data of one episode for a picture.
 
     Attributes:
         config: the farm.
@@ -96,10 +96,10 @@ class Trajectory:
         sensor_type: [S] index of the sensor's type.
         aoi: [T + 1] mean over the sensors, units.
         vdf: [T + 1] mean over the plots, units.
-        collected: [T + 1, n] VMUF or DCUF that each UAV has served up to then, units; 0 for relays.
+        collected: [T + 1, n] cumulative VMUF or DCUF of each UAV, units; 0 for relays.
         final_aoi: [S] units.
         final_vdf: [n_px, n_py] units.
-        summary: of the episode.
+        summary: summary of the episode.
     """
 
     config: FarmConfig
@@ -129,7 +129,7 @@ def evaluate_environments(
     """Evaluate a policy on farms, or on scenarios of another environment.
 
     Args:
-        make: returns that many environments.
+        make: makes the given number of environments.
         policy: the policy.
         farms: seeds of the farms.
         episodes: episodes on each farm; number k has the seed `episode_seed(farm, k)`.

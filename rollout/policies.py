@@ -1,4 +1,4 @@
-"""Policies: they decide the actions of all agents in a batch of environments.
+"""Policies, which select the actions of all agents in a batch of environments.
 
 A policy is called in this loop:
 
@@ -33,13 +33,13 @@ World_contra = TypeVar("World_contra", contravariant=True)
 
 
 class BatchPolicy(Protocol[World_contra]):
-    """Decides the actions of all agents of all environments of a batch."""
+    """Selects the actions of all agents in all environments of a batch."""
 
     def reset(self, world: World_contra, index: int, /) -> None:
         """Prepare for the episode that environment `index` has just begun."""
 
     def act(self, world: World_contra, /) -> Float32:
-        """Return the actions [E, A] in [-1, 1] for the present state of all environments."""
+        """Return the actions [E, A] in [-1, 1] for the current state of all environments."""
 
 
 Policy = BatchPolicy[FarmBatch]
@@ -63,27 +63,27 @@ class ActorPolicy:
     def act(self, environments: Environments) -> Float32:
         """Return the actors' actions.
 
-        Environments are computed one at a time. A matrix product sums in another order for another number of rows, and
-        an episode must not depend on the others in its batch.
+        Environments are computed one at a time, because an episode must not depend on the rest of its batch: the number
+        of rows changes the order in which a matrix product sums.
         """
         return np.concatenate([self._actors.environment_actions(row[None]) for row in environments.observation])
 
 
 def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:
-    """Return the actors as those of a team, with the team's action adapters: a field may have another size.
+    """Return the actors for a team, with the team's action adapters. The team's field may have another size.
 
     Raises:
-        PolicyError: they are for other types, counts, observations or actions, or for another kind of control.
+        PolicyError: the actors are for other types, counts, observations or actions, or for another kind of control.
     """
     if actors.team == team:
         return actors
     if [_interface(group) for group in actors.team.groups] != [_interface(group) for group in team.groups]:
-        raise PolicyError(f"the policy is for {_describe(actors.team)}; here are {_describe(team)}.")
+        raise PolicyError(f"the policy is for {_describe(actors.team)}, but this environment has {_describe(team)}.")
     return TeamActors(team, actors.hidden, actors.flat, actors.head)
 
 
 def _interface(group: GroupSpec) -> tuple[Any, ...]:
-    """Return what a group must share with another one to be flown by its actors; adapters' numbers may differ."""
+    """Return what two groups must have in common to use the same actors; the adapters' numbers may differ."""
     kinds = tuple(adapter.kind for adapter in group.adapters)
     return group.name, group.count, group.observation_size, group.action_size, kinds
 
@@ -106,17 +106,17 @@ def _shipped(config: FarmConfig) -> Policy:
 
 TRAINED_NAME: Final = "trained"
 POLICIES: Final = (*HEURISTICS, TRAINED_NAME)
-"""Every policy that has a name; `rollout.heuristics.registry` lists the heuristics."""
+"""The names of all policies; `rollout.heuristics.registry` lists the heuristics."""
 
 REFERENCES: Final = ("lawnmower", "greedy", "static", "random")
 """Policies that a run's report compares with. Heuristics that plan ahead take minutes, so they are left out."""
 
 
 def policy_of(name: str, config: FarmConfig) -> Policy:
-    """Return the policy of a name, of TASK+RELAYS, or of the file at that path.
+    """Return the policy with this name, the combination TASK+RELAYS, or the policy in the file at this path.
 
     Raises:
-        PolicyError: there is none, or it cannot be used.
+        PolicyError: the policy does not exist or cannot be used.
     """
     if name == TRAINED_NAME:
         return _shipped(config)
@@ -134,7 +134,7 @@ def run_policy(name: str, config: RunConfig) -> BatchPolicy[Any]:
     """Return a policy for a run's environment: on the farm as `policy_of`, elsewhere random or a policy file.
 
     Raises:
-        PolicyError: there is none of that name, or it cannot be used.
+        PolicyError: the policy does not exist or cannot be used.
     """
     if (farm := farm_of(config)) is not None:
         return policy_of(name, farm)
@@ -151,7 +151,7 @@ def reference_policies(config: RunConfig) -> tuple[str, ...]:
 
 
 def _describe(team: TeamSpec) -> str:
-    """Return a team in words: how many of each type, how many numbers each of them observes, and its adapters."""
+    """Describe a team in words: its types' agent counts, observation sizes and adapters."""
     groups = []
     for group in team.groups:
         kinds = ", ".join(adapter.kind for adapter in group.adapters)

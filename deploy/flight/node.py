@@ -52,7 +52,7 @@ class FlightNode:
         bus: the control lane.
 
     Attributes:
-        overruns: periods that were skipped because the one before took too long.
+        overruns: periods that were skipped because the previous one took too long.
     """
 
     def __init__(self, options: NodeOptions, pilot: Pilot, vehicles: tuple[str, ...], bus: Bus) -> None:

@@ -38,7 +38,7 @@ class Limits:
     """Limits of the watchdog.
 
     Attributes:
-        hold: periods for which an observation stays valid, including the one in which it arrived.
+        hold: periods for which an observation stays valid, including the one of its arrival.
         age: largest difference between an observation's time stamp and this machine's clock, s.
     """
 
@@ -67,7 +67,7 @@ class Pilot:
     Args:
         actors: the actors.
         agents: for each vehicle, the agent that flies it.
-        speed: what an action of 1 means along x and along y, m/s.
+        speed: speed along x and y that an action of 1 commands, m/s.
         limits: limits of the watchdog.
         clock: a monotonic clock for latencies, s.
 
@@ -180,7 +180,7 @@ class Pilot:
         sender, message = Envelope.decode(attachment), ObservationMessage.decode(payload)
         if (sender.role, sender.name) != ("vehicle", vehicle):
             raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}.")
-        # An incarnation from a clock that was ahead, or an invented one, shuts nobody out for longer than `age`.
+        # An incarnation that is invented or from a fast clock locks nobody out for longer than `age`.
         waited = message.stamp > held.stamp + self._limits.age * 1e6
         if (sender.incarnation, sender.sequence) <= held.mark and not waited:
             raise ProtocolError(f"observation {sender.sequence} is not newer than {held.mark[1]}.")

@@ -16,7 +16,7 @@ from common.transport.bus import Bus
 WAITING: Final = 4
 """Set-points that wait to be read; the oldest are dropped."""
 RELEASE_SECONDS: Final = 2.0
-"""Silence of a flight node after which one with a lower incarnation is obeyed: the first one's clock was ahead."""
+"""After this silence of a flight node, a lower incarnation is obeyed, because the first clock was ahead."""
 
 
 class VehicleLink:

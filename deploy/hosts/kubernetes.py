@@ -22,12 +22,12 @@ Object = dict[str, Any]
 def kubernetes(fleet: FleetSpec) -> dict[str, str]:
     """Return the manifests: fleet.yaml, and secrets.yaml when there are keys.
 
-    With certificates every worker is a Deployment of its own, because it has a key of its own; without, one Deployment
-    for each host of the file has as many replicas as that has workers.
+    With certificates every worker is its own Deployment, because it has its own key. Without certificates each host of
+    the file is one Deployment with a replica for each of its workers.
 
     Raises:
-        ConfigError: without certificates, when nobody said that this is meant; a name that Kubernetes does not take;
-            transitions through memory, which pods do not share.
+        ConfigError: there are no certificates and `insecure` is not set, Kubernetes does not accept a name, or the
+            fleet shares transitions through memory, which pods cannot do.
         CredentialsError: a certificate is missing or cannot be used.
     """
     if fleet.network.shared_memory:
@@ -59,7 +59,7 @@ def kubernetes(fleet: FleetSpec) -> dict[str, str]:
 def _label(text: str) -> str:
     name = re.sub(r"[._]", "-", text.lower())
     if not _LABEL.fullmatch(name):
-        raise ConfigError(f"{name!r} is no name for Kubernetes: a letter, then at most 62 letters, digits and '-'.")
+        raise ConfigError(f"{name!r} is no valid Kubernetes name: a letter, then at most 62 letters, digits and '-'.")
     return name
 
 
@@ -80,7 +80,7 @@ def _secret(fleet: FleetSpec, name: str, process: Process) -> Object:
 
 
 def _service(fleet: FleetSpec) -> Object:
-    """Return the service under which the listener is reached, both lanes."""
+    """Return the Service through which both lanes of the listener are reached."""
     role, port = fleet.listener[0], port_of(fleet)
     ports = [{"name": lane, "port": port + k, "targetPort": port + k} for k, lane in enumerate(("control", "bulk"))]
     spec = {"selector": _selector(fleet, service_name(fleet, role)), "ports": ports}
@@ -88,7 +88,7 @@ def _service(fleet: FleetSpec) -> Object:
 
 
 def _headless(fleet: FleetSpec, name: str) -> Object:
-    """Return the Service that a StatefulSet must have, headless; others reach the learner by the listener's, if any."""
+    """Return the headless Service that a StatefulSet requires. Others reach the learner by the listener's, if any."""
     spec = {"clusterIP": "None", "selector": _selector(fleet, name)}
     return _object("v1", "Service", _headless_name(name), fleet, spec=spec)
 
@@ -98,7 +98,7 @@ def _headless_name(name: str) -> str:
 
 
 def _stays(process: Process) -> bool:
-    """Return whether a process keeps a volume, and is a StatefulSet for it."""
+    """Return whether a process keeps a volume and is therefore a StatefulSet."""
     return process.role == "learner"
 
 

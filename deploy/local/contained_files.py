@@ -28,12 +28,12 @@ def checked_parts(name: str) -> tuple[str, ...]:
 
 @contextmanager
 def writing(folder: Path, name: str, mode: int = 0o600) -> Iterator[IO[bytes]]:
-    """Open a new file, which takes the place of an old one when it is whole, and of nothing after an error.
+    """Open a new file that replaces an old one once it is complete; after an error the old one stays.
 
     Args:
         folder: made if missing.
-        name: path in the folder, with "/" between its parts; missing folders on the way are made.
-        mode: permissions of the file; folders get the same for those who may read, plus the right to enter.
+        name: path in the folder, with "/" between its parts; missing folders are made.
+        mode: permissions of the file. Folders get the same, plus the right to enter for those who may read.
 
     Raises:
         UsageError: the name leaves the folder, or a folder on the way is a symbolic link.

@@ -16,13 +16,13 @@ CONFIG = "config.toml"
 METRICS = "metrics.jsonl"
 POLICY = "policy.safetensors"
 LAST_LINE_BYTES = 2**16
-"""Part of the end of metrics.jsonl that holds its last line; a record of the end is far shorter."""
+"""Bytes at the end of metrics.jsonl that are read to find its last line; the final record is far shorter."""
 HISTORY = "history"
 """Folder of the processes' histories, see `common.history.history`."""
 
 
 def own_folder(run_dir: Path, name: str) -> Path:
-    """Return a folder inside a run directory, which may come from somebody else.
+    """Return a folder inside a run directory. The run directory may come from somebody else.
 
     Raises:
         RunDirError: it is a symbolic link, which may lead anywhere.
@@ -46,8 +46,8 @@ class RunDirectory:
         A resumed run may change the settings of its processes, see `common.config.files.method_of`.
 
         Raises:
-            RunDirError: the folder holds another configuration, or a run although `resume` is False, or none although
-                it is True; or this user cannot read and write it.
+            RunDirError: the folder holds another configuration; `resume` is False and it holds a run; `resume` is True
+                and it holds none; or this user cannot read and write it.
         """
         try:
             self._prepare(config, resume=resume)
@@ -69,7 +69,7 @@ class RunDirectory:
         held.write_text(to_toml(config), encoding="utf-8")
 
     def lock(self, name: str, *, directory: bool = False) -> None:
-        """Reserve the folder for this process; the lock ends with the process.
+        """Reserve the folder for this process. The lock ends with the process.
 
         Args:
             name: file in the folder that is locked; processes with different names do not exclude each other.

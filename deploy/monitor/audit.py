@@ -50,9 +50,9 @@ class Audit:
         unexplained: one sentence for each range of ids, number or line without explanation.
         doubled: one sentence for each range of ids that was accepted twice.
         damaged: unreadable lines of histories, each of them named.
-        torn: last lines that were torn off when their process was killed or its disk was full, which is no defect.
-        summed: chunks of which the learner's history holds totals alone.
-        held: lines that are held in memory, those of all histories together.
+        torn: incomplete last lines, left when a process was killed or its disk was full; not a defect.
+        summed: chunks for which the learner's history holds only totals.
+        held: lines of all histories held in memory.
     """
 
     chunks: Counter[str] = field(default_factory=Counter)
@@ -79,7 +79,7 @@ class Audit:
         return not self.unexplained and not self.doubled
 
     def named(self) -> list[str]:
-        """Return a sentence for whatever is unexplained or doubled."""
+        """Return one sentence for each unexplained or doubled item."""
         return [*self.unexplained, *self.doubled]
 
     def book(self, worker: str, fate: str, steps: int, chunks: int = 1) -> None:

@@ -1,4 +1,4 @@
-"""How a view labels types of agents and episode metrics: as the learner's environment says in its metric messages."""
+"""Labels of agent types and episode metrics in a view, taken from the learner's metric messages."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ class Curve:
 
 
 LENGTH: Final = Curve("steps", "episode steps", 0)
-"""What is shown where the environment wants nothing plotted."""
+"""Shown if the environment plots no episode metric."""
 
 
 def plotted(learner: Mapping[str, Any]) -> list[Curve]:

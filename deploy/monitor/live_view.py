@@ -1,8 +1,8 @@
 """The live view of a run, the same for `eia-sec train` and `eia-sec monitor`: a pure function of a snapshot.
 
 `deploy.monitor.run_monitor` assembles a `Snapshot` from metric messages; `render` draws it at any width from 80 columns
-and any height from 24 lines on, and `summary` says the essence in one line where there is no terminal. What is not
-known yet is drawn as "-".
+and any height from 24 lines on, and `summary` condenses it to one line where there is no terminal. Unknown values
+are drawn as "-".
 """
 
 from typing import Final
@@ -22,7 +22,7 @@ HEIGHT: Final = 30
 MOST_ALARMS: Final = 8
 """Most alarms that are shown, whatever the terminal's height."""
 EVENTS_FROM: Final = 18
-"""Lines that must be left to list imitation events; the processes come first."""
+"""Lines that must remain before imitation events are listed; processes take precedence."""
 _STATE_STYLES: Final = {"training": "green", "draining": "yellow", "finished": "green"}
 
 
@@ -31,8 +31,8 @@ def render(snapshot: Snapshot, height: int = HEIGHT) -> RenderableType:
 
     Args:
         snapshot: what to show.
-        height: lines that it may take; the more, the more processes, imitation events and alarms are shown. From 24
-            lines on it keeps to them.
+        height: lines that it may take. More lines show more processes, imitation events and alarms. The view respects
+            heights of 24 lines and above.
     """
     learning = _learning(snapshot)
     used = 2 + max(8, 2 + len(snapshot.reward) + len(snapshot.freshness)) + 5

@@ -1,4 +1,4 @@
-"""What is kept of one process of a run: its newest report, checked, and the counters that rates are taken from."""
+"""The newest checked report of one process, and the counters from which its rates are computed."""
 
 import time
 from collections import deque
@@ -13,11 +13,11 @@ from deploy.monitor.sanitised import metrics
 from deploy.monitor.snapshot import ImitationRow, LedgerCounts
 
 RATE_SECONDS: Final = 10.0
-"""Time over which rates are taken: a worker reports chunks, and one second may hold none."""
+"""Time over which rates are computed. It is long because a worker may report no chunk in a second."""
 COUNTED: Final = {"learner": "updates", "rollout": "environment_steps", "flight": "decisions"}
 """What each role makes, by the name of its counter."""
 TRACK: Final = 64
-"""Most messages over which a rate is taken."""
+"""Most messages over which a rate is computed."""
 COUNTERS: Final = ("environment_steps", *COUNTED.values())
 """Metrics of which rates are shown."""
 MOST_ALARMS: Final = 16
@@ -27,21 +27,21 @@ _SHOWN: Final = frozenset((*COUNTERS, *_LEDGER, "alarms", "episodes", "queue", "
 """The metrics of a worker or flight node that a view shows; the rest of its report is dropped."""
 _OF_ELITE: Final = frozenset(("rate", "next_episode", "elites", "failures"))
 _WHOLE: Final = "learner"
-"""The role of which the whole report is kept."""
+"""The role whose whole report is kept."""
 
 
 @dataclass
 class ProcessReport:
-    """What is kept of one process.
+    """The newest report and state of one process.
 
     Attributes:
-        values: the newest metrics, as far as a view shows them.
-        message: the message that brought them, without them.
+        values: the newest metrics that a view shows.
+        message: the message that brought them, without the metrics.
         version: the parameter version that the process holds.
         at: when it came, s.
         missed: messages that did not arrive.
-        alive: whether the liveliness token stands.
-        announced: whether there ever was one.
+        alive: whether the process has a liveliness token.
+        announced: whether it ever had one.
         change: when it appeared or vanished, s.
     """
 
@@ -56,7 +56,7 @@ class ProcessReport:
     _track: deque[tuple[float, dict[str, Any]]] = field(default_factory=lambda: deque(maxlen=TRACK))
 
     def follow(self, role: str, message: MetricMessage, version: int, now: float) -> None:
-        """Take in a newer message of the process, or the first one of its next start.
+        """Process a newer message of the process, or the first message of its next start.
 
         Raises:
             SchemaError: its metrics are malformed.

@@ -35,7 +35,7 @@ MOST_CURVES: Final = 64
 MOST_TEXT: Final = 200
 """Most characters of an alarm."""
 UNREADABLE: Final = (ProtocolError, TypeError, ValueError, LookupError, AttributeError, OverflowError)
-"""What reading malformed metrics raises."""
+"""Errors that reading malformed metrics raises."""
 
 
 class _TurnedAwayError(ProtocolError):
@@ -117,11 +117,11 @@ class RunMonitor:
                     part.setdefault(kind, deque(maxlen=HISTORY)).append(float(value))
 
     def snapshot(self, alarms: tuple[str, ...] = ()) -> Snapshot:
-        """Return the present state for `deploy.monitor.live_view.render`, with the caller's alarms first."""
+        """Return the current state for `deploy.monitor.live_view.render`, with the caller's alarms first."""
         try:
             return self._snapshot(alarms)
         except UNREADABLE:
-            # Somebody's metrics cannot be shown: the view goes on without any until the next reports.
+            # One process's metrics cannot be shown, so the view continues without any until the next reports.
             self._malformed += 1
             for seen in self._reports.values():
                 seen.drop()

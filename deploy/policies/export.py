@@ -79,7 +79,7 @@ def description(config: RunConfig, actors: TeamActors, metadata: Mapping[str, st
 
 
 def tensor_names(config: RunConfig, group: GroupSpec) -> TensorNames:
-    """Return the environment's names of what a type observes and does, or numbered ones where it has none."""
+    """Return the environment's names of a type's observations and actions, or numbered names if it has none."""
     farm = farm_of(config)
     known = {} if farm is None else farm_environment(farm).tensor_names
     if group.name in known:

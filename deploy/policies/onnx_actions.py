@@ -46,7 +46,7 @@ MIRRORED_AXES: Final[tuple[Node, ...]] = (
 def adapter_nodes(group: GroupSpec) -> tuple[list[Node], Numbers]:
     """Return the nodes between the network's `output` and the `action`, and their constants by name.
 
-    There are none where the output is the action.
+    There are none if the output is the action.
     """
     nodes: list[Node] = []
     numbers: Numbers = {}
@@ -88,4 +88,4 @@ NODES: Final[dict[str, Callable[[ActionAdapter], tuple[tuple[Node, ...], Numbers
     Lattice.kind: _lattice,
     MirroredAxes.kind: _mirrored_axes,
 }
-"""Each kind of adapter's nodes, the last of which gives the adapted action, and their constants."""
+"""The nodes and constants of each kind of adapter. The last node returns the adapted action."""

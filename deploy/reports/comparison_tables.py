@@ -26,7 +26,7 @@ def comparison_markdown(evaluations: Sequence[Evaluation]) -> str:
 
 
 def _columns(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return the headings: reward over all agents and over each type, then the metrics or the length of episodes."""
+    """Return the headings: reward of all agents and of each type, then the metrics or the episode length."""
     first, environment = evaluations[0].total, evaluations[0].environment
     metrics = [metric.label for metric in environment.episode_metrics] or ["steps"]
     return ["policy", "reward", *(environment.short_names.get(name, name) for name in first.types), *metrics]
@@ -50,7 +50,7 @@ def _rows(evaluations: Sequence[Evaluation]) -> list[list[str]]:
 
 
 def _title(evaluations: Sequence[Evaluation]) -> str:
-    """Return what the means are taken over, if that is the same for all."""
+    """Return the sample that the means cover, if it is the same for all evaluations."""
     conditions = {(evaluation.farms, evaluation.episodes) for evaluation in evaluations}
     if len(conditions) != 1:
         return "mean per episode"

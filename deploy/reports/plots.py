@@ -53,8 +53,8 @@ def curves(
     """Draw reward, and the episode metrics or the length of episodes, against training episodes.
 
     Args:
-        metrics: the run's records; those of kind "episodes" are drawn, those of kind "imitation" become ticks, all
-            others are left out.
+        metrics: the run's records. Records of kind "episodes" are drawn, those of kind "imitation" become ticks, and
+            all others are ignored.
         path: the picture, PNG.
         levels: mean reward per agent of other policies by name, drawn as labelled lines.
         episode_metrics: the environment's; those that it wants plotted are drawn below the rewards.
@@ -123,7 +123,7 @@ def save_comparison(trajectories: Mapping[str, Trajectory], path: Path) -> None:
 
     Args:
         trajectories: recorded episodes of one farm by the policies' names.
-        path: the picture; its ending says the format, PNG or PDF for instance.
+        path: the picture; its suffix selects the format, for example PNG or PDF.
     """
     comparison_figure(trajectories).savefig(path, dpi=COMPARISON_DPI)
 

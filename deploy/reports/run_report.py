@@ -66,8 +66,8 @@ def evaluate_all(config: RunConfig, policy: Path, farms: Sequence[int]) -> list[
 def read_metrics(path: Path) -> list[dict[str, Any]]:
     """Return the records of metrics.jsonl.
 
-    Lines that a crash cut are left out, and so are records after the checkpoint of a resume: that part of the run was
-    repeated.
+    Lines that a crash cut short are left out. So are records after the checkpoint of a resume, because that part of the
+    run was repeated.
     """
     records: list[dict[str, Any]] = []
     for line in path.read_text(encoding="utf-8").splitlines():

@@ -15,7 +15,7 @@ COLUMNS: Final[dict[Frame, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "planar": (("easting", "east"), ("northing", "north")),
     "geographic": (("lon", "longitude", "lng"), ("lat", "latitude")),
 }
-"""Names of the two columns of each frame; upper and lower case are alike."""
+"""Names of the two columns of each frame, case-insensitive."""
 DELIMITERS: Final = (",", ";", "\t")
 
 _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -31,7 +31,7 @@ def parse_csv(text: str, name: str) -> Survey:
         name: the file, for error messages.
 
     Raises:
-        ConfigError: a line is not that of a farm; the message names it.
+        ConfigError: a line does not describe a farm; the message names the line.
     """
     field: tuple[Pair, int] | None = None
     table: _Table | None = None
@@ -47,9 +47,9 @@ def parse_csv(text: str, name: str) -> Survey:
             else:
                 table.add(where, line)
     if table is None:
-        raise ConfigError(f"{name} holds no line with the names of the columns.")
+        raise ConfigError(f"{name} has no header line with the column names.")
     if field and table.frame != "farm":
-        raise ConfigError(f"{name}, line {field[1]}: the field's size goes with the columns x and y only.")
+        raise ConfigError(f"{name}, line {field[1]}: the field's size is allowed only with the columns x and y.")
     return Survey(
         name, table.frame, table.points, table.where, table.mark, tuple(table.marks), field=field[0] if field else None
     )

@@ -1,9 +1,9 @@
 """Longitude and latitude to metres on a plane that touches the WGS 84 ellipsoid in the middle of the farm.
 
 The ellipsoidal orthographic projection (EPSG method 9840; IOGP guidance note 7-2): east and north are those of the
-tangent plane, and heights are left out. Distances shrink with the square of the farm's size: by less than 0.001 mm
-across 400 m and less than 1 mm across 5 km, which the tests hold against PROJ. It is some twenty lines of closed
-formulas, for which no user needs ten megabytes of PROJ.
+tangent plane, and heights are ignored. Distances come out short, by less than 0.001 mm across 400 m and less than 1 mm
+across 5 km; the relative error grows with the square of the farm's size. The tests compare the results with PROJ. The
+closed formulas take some twenty lines, which spares users ten megabytes of PROJ.
 """
 
 import math

@@ -23,13 +23,13 @@ Mark = Literal["type", "cycle", ""]
 MARKS: Final = {"type": (0, 255), "cycle": (1, 1_000_000)}
 """Least and largest value of each mark."""
 MARGIN: Final = 10.0
-"""Room around the sensors where a file does not say how large the field is, m."""
+"""Margin around the sensors if a file does not give the field's size, m."""
 STEP: Final = 10.0
-"""A field whose size a file does not say is rounded up to a multiple of this, m."""
+"""A field's size that the file does not give is rounded up to a multiple of this, m."""
 MAX_EXTENT: Final = 20_000.0
-"""Largest width and depth of a field from a file, m; a wrong column or unit is mostly beyond it."""
+"""Largest width and depth of a field from a file, m. A wrong column or unit usually exceeds it."""
 TOLERANCE: Final = 0.002
-"""By so much may a sensor lie outside its field, from rounding, m; it is put onto the edge."""
+"""Rounding may put a sensor this far outside its field, m. The sensor is moved to the edge."""
 MAX_PLOTS: Final = 256
 """Most plots along one axis."""
 
@@ -40,10 +40,10 @@ class Survey:
 
     Attributes:
         name: the file.
-        frame: what the points are.
+        frame: coordinate frame of the points.
         points: one for each sensor.
-        where: where each of them stands in the file, "line 17" for instance.
-        mark: what the marks are.
+        where: location of each sensor in the file, for example "line 17".
+        mark: meaning of the marks.
         marks: one for each sensor, or none at all.
         field: width and depth of the field where the file gives them, m; farm frame only.
         boundary: corners of the field where the file gives them; geographic frame only.
@@ -59,7 +59,7 @@ class Survey:
     boundary: Sequence[Pair] = ()
 
     def refuse(self, sensor: int, sentence: str) -> NoReturn:
-        """Raise ConfigError with the file and the place of a sensor."""
+        """Raise ConfigError with the file and the sensor's location in it."""
         raise ConfigError(f"{self.name}, {self.where[sensor]}: {sentence}")
 
 
@@ -80,7 +80,7 @@ class GivenFarm:
     field_y: float
 
     def on(self, farm: FarmConfig) -> FarmConfig:
-        """Return a farm with these sensors on this field; its plots keep about the size that they had.
+        """Return a farm with these sensors on this field. Its plots keep roughly their size.
 
         Raises:
             ConfigError: a sensor's type is none of the farm's, or the farm cannot have these sensors.
@@ -111,7 +111,7 @@ class GivenFarm:
 
 
 def quote(text: str) -> str:
-    """Return a text from a file as messages show it: cut, and without control characters."""
+    """Return a text from a file for a message, shortened and without control characters."""
     return ascii(text if len(text) <= 40 else text[:37] + "...")
 
 
@@ -119,8 +119,7 @@ def settle(survey: Survey) -> GivenFarm:
     """Place the contents of a file on a field.
 
     Raises:
-        ConfigError: there are no sensors or too many, a point that is none, one that is far off, outside the field or
-            there twice.
+        ConfigError: there are no sensors or too many, or a point is invalid, far off, outside the field or a duplicate.
     """
     if not 1 <= len(survey.points) <= MAX_SENSORS:
         raise ConfigError(f"{survey.name} holds {len(survey.points)} sensors; a farm has 1 to {MAX_SENSORS}.")
@@ -136,7 +135,7 @@ def settle(survey: Survey) -> GivenFarm:
 
 
 def _from_corner(survey: Survey, points: Array) -> tuple[Array, Pair]:
-    """Return points that are in the farm's own frame, and the field: as given, or up to the farthest sensor."""
+    """Return points in the farm's own frame, and the field: as given, or up to the farthest sensor."""
     below = np.flatnonzero((points < 0.0).any(axis=1))
     if len(below):
         survey.refuse(
@@ -164,7 +163,7 @@ def _from_degrees(survey: Survey, points: Array) -> tuple[Array, Pair]:
     outline = both[len(points) :] if survey.boundary else both
     middle = (outline.min(axis=0) + outline.max(axis=0)) / 2.0
     metres = TangentPlane(float(middle[0]), float(middle[1])).to_metres(both)
-    # The height under the plane is looked at as well: the far side of the Earth projects onto the same plane.
+    # The far side of the Earth projects onto the same plane, so the height below the plane is checked too.
     _check_extent(survey, metres)
     metres = metres[:, :2]
     if not survey.boundary:
@@ -197,7 +196,7 @@ def _check_extent(survey: Survey, points: Array) -> None:
 
 
 def _checked(survey: Survey, xy: Array, field: Pair) -> GivenFarm:
-    """Return the farm with places rounded to 1 mm, once they are known to be inside and all different."""
+    """Check that all positions are distinct and inside the field; return the farm with them rounded to 1 mm."""
     if not (0.0 < field[0] <= MAX_EXTENT and 0.0 < field[1] <= MAX_EXTENT):
         raise ConfigError(
             f"{survey.name}: a field of {field[0]:g} m x {field[1]:g} m is none: above 0, at most {MAX_EXTENT:g} m."

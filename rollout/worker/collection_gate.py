@@ -1,4 +1,4 @@
-"""Whether a worker collects its next chunk or waits, decided before every chunk."""
+"""Decides before every chunk whether a worker collects or waits."""
 
 from common.actors import TeamActors
 from common.config import RolloutConfig
@@ -7,24 +7,24 @@ from rollout.worker.sender import Sender
 
 
 class CollectionGate:
-    """Holds a worker back in these cases.
+    """Makes a worker wait in each of these cases.
 
     - No parameters have come yet, or the run drains.
-    - The spool is full: the workers make more than the learner takes in. A worker waits and drops nothing.
+    - The spool is full, because the workers produce more than the learner takes in. Nothing is dropped.
     - Its actors are more than `rollout.max_lag_versions` versions behind the learner's.
     - The learner has published nothing for more than `rollout.max_silence_seconds`.
 
-    While the learner is gone a worker collects until its spool is full, then waits for it to come back. In lockstep it
-    waits after every chunk for the answer and for the parameters that the answer asks for.
+    While the learner is gone, a worker collects until its spool is full, then waits for the learner to come back. In
+    lockstep it waits after every chunk for the answer and for the parameters that the answer requires.
 
     Args:
         config: the limits.
-        learner: what is known of the learner.
+        learner: the state of the learner.
         sender: the spool.
         lockstep: whether worker and learner take turns.
 
     Attributes:
-        pause_reason: why the actors are too old to collect with, or empty. It is an alarm.
+        pause_reason: alarm that says why the actors are too old to collect with, or empty.
     """
 
     def __init__(self, config: RolloutConfig, learner: LearnerLink, sender: Sender, lockstep: bool) -> None:
@@ -49,5 +49,5 @@ class CollectionGate:
         if 0 < config.max_lag_versions < lag and learner.store.epoch == learner.epoch:
             return f"its actors are {lag} versions old, more than {config.max_lag_versions}"
         if 0 < config.max_silence_seconds < learner.silence:
-            return f"nothing was heard of the learner for {learner.silence:.0f} s"
+            return f"the learner has been silent for {learner.silence:.0f} s"
         return ""

@@ -16,7 +16,7 @@ from rollout.envs.registry import make_environments
 from rollout.worker.reward_shaping import RewardShaping
 
 BLOCK: Final = 128
-"""Steps of random numbers that are drawn at once."""
+"""Steps for which random numbers are drawn at once."""
 
 
 class StepObserver(Protocol):
@@ -25,14 +25,14 @@ class StepObserver(Protocol):
     index: int
 
     def record(self) -> None:
-        """Record the present state; called after every reset of the environment and every step."""
+        """Record the current state; called after every reset and every step of the environment."""
 
 
 class Collector:
     """One worker's environments.
 
-    A chunk is `chunk_steps` steps of every environment. An episode's farm or scenario, its seed and its noise are a
-    function of (run seed, worker, start, environment, number of the episode), never of what other processes do.
+    A chunk is `chunk_steps` steps of every environment. An episode's farm or scenario, its seed and its noise
+    depend only on (run seed, worker, start, environment, episode number), never on other processes.
 
     Args:
         config: the run.
@@ -42,7 +42,7 @@ class Collector:
     Attributes:
         environments: the batch.
         team: layout of a row.
-        environment_steps: steps collected, all environments together.
+        environment_steps: steps collected in all environments.
         probe: records one environment while somebody watches, else None; the experience does not depend on it.
 
     Raises:
@@ -73,8 +73,8 @@ class Collector:
             uniform: draw actions uniformly instead (warm-up).
 
         Returns:
-            The rows of all environments, one environment's segments after the other, and the episodes that ended. The
-            rewards in the rows may be shaped (`rollout.worker.reward_shaping`); those of the episodes are not.
+            The rows of all environments, one environment after the other, and the episodes that ended. Rewards in rows
+            may be shaped (`rollout.worker.reward_shaping`); rewards of episodes are not.
         """
         environments, steps = self.environments, self._config.rollout.chunk_steps
         rows = _ChunkRows(len(environments.time), steps, self.team.observation_size, self.team.action_size)
@@ -125,14 +125,14 @@ class _ChunkRows:
         self._inserted: list[tuple[int, Float32]] = []
 
     def end(self, index: int, step: int, terminated: bool) -> None:
-        """Mark the end of an environment's episode in a step; the final observation is written already."""
+        """Mark the end of an environment's episode in a step. The final observation must already be written."""
         self._flag[index, step] |= TERMINATED if terminated else TRUNCATED
         if step + 1 < self._steps:
             place = index * (self._steps + 1) + step + 1
             self._inserted.append((place, self.observation[index, step + 1].copy()))
 
     def rows(self, reward: Float32) -> Rows:
-        """Return all rows; each episode's final observation has a row of its own before the next episode's first."""
+        """Return all rows. Each episode's final observation has its own row, before the next episode's first row."""
         count = self._flag.size
         observation, action, earned = (a.reshape(count, -1) for a in (self.observation, self.action, reward))
         flag = self._flag.reshape(count)
@@ -146,7 +146,7 @@ class _ChunkRows:
 
 
 class _NoiseRows:
-    """Random numbers for every step of an episode, independent of those for other episodes and steps."""
+    """Random numbers for every step of an episode, independent across episodes and steps."""
 
     def __init__(self, name: tuple[Any, ...], count: int, size: int) -> None:
         self._name = name

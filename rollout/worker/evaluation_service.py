@@ -1,4 +1,4 @@
-"""Noise-free episodes that the elite coordinator asks a worker for."""
+"""Noise-free episodes that the elite coordinator requests from a worker."""
 
 from common.config import RunConfig
 from common.errors import ProtocolError
@@ -15,7 +15,7 @@ MOST_FARMS = 256
 
 
 class EvaluationService:
-    """Answers the newest order as soon as the worker holds parameters that are new enough.
+    """Answers the newest order as soon as the worker's parameters are new enough.
 
     Args:
         control: the control lane.
@@ -35,11 +35,11 @@ class EvaluationService:
         self.episodes = 0
 
     def poll(self) -> None:
-        """Take in new orders and answer one, if it can be answered now."""
+        """Receive new orders, and answer the newest if that is possible now."""
         for incoming in self._orders.waiting():
-            # The coordinator has given up its older orders before it makes a newer one.
+            # The coordinator abandons its older orders before it sends a newer one.
             if self._waiting is not None:
-                self._waiting.refuse("a newer order has come.")
+                self._waiting.refuse("a newer order has arrived.")
             self._waiting = incoming
         order, self._waiting = self._waiting, None
         if order is not None:
@@ -55,7 +55,7 @@ class EvaluationService:
             return
         store = self._store
         if store.actors is not None and order.epoch < store.epoch:
-            incoming.refuse("the order is of a learner that has been replaced.")
+            incoming.refuse("the order comes from a learner that has been replaced.")
             return
         if store.actors is None or (store.epoch, store.version) < (order.epoch, order.version):
             self._waiting = incoming

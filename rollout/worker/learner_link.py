@@ -1,4 +1,4 @@
-"""What a worker knows of its learner: parameters, imitation events and progress, as the learner publishes them."""
+"""A worker's view of its learner: the parameters, imitation events and progress that the learner publishes."""
 
 import time
 
@@ -16,14 +16,14 @@ COLLECTING = ("starting", "training")
 
 
 class LearnerLink:
-    """Follows the learner between two chunks.
+    """Follows the learner between chunks.
 
-    New parameters replace the worker's actors at once. Older ones, and those of a learner that has been replaced, are
-    dropped and counted. An imitation event changes the actors once, whether it comes before or after the parameters
-    that contain it. `PolicyStore` does both.
+    New parameters replace the worker's actors at once. Older parameters, and those of a replaced learner, are dropped
+    and counted. An imitation event changes the actors once, whether it arrives before or after the parameters that
+    contain it. `PolicyStore` does both.
 
-    A higher epoch in the progress means that a new learner has taken over. The worker goes on with it, if its
-    configuration is the same. It follows a lower epoch only when nothing is heard of the higher one, see `EpochFence`.
+    A higher epoch in the progress means that a new learner has taken over. The worker follows it if its configuration
+    is the same. It follows a lower epoch only if the higher one has gone silent, see `EpochFence`.
 
     Args:
         control: the control lane.
@@ -35,7 +35,7 @@ class LearnerLink:
 
     Attributes:
         store: the actors.
-        state: what the run does: starting, training, draining or finished.
+        state: state of the run: starting, training, draining or finished.
         epoch: the learner's fencing epoch, 0 before the first progress.
         newest_version: newest parameter version that the learner has published.
         malformed: messages that were dropped.
@@ -55,21 +55,21 @@ class LearnerLink:
 
     @property
     def alarm(self) -> str:
-        """Return that a learner with a lower epoch is being ignored, or an empty string."""
+        """The alarm that a learner with a lower epoch is being ignored, or an empty string."""
         return self._fence.alarm
 
     @property
     def silence(self) -> float:
-        """Return the seconds since the learner last published its progress."""
+        """Seconds since the learner last published its progress."""
         return time.monotonic() - self._heard
 
     @property
     def missed(self) -> int:
-        """Return how many parameter messages were overtaken or lost."""
+        """Number of parameter messages that were overtaken or lost."""
         return self._parameters.missed
 
     def poll(self) -> None:
-        """Take in what has come; raise UsageError when a new learner has another configuration."""
+        """Process the messages that have arrived; raise UsageError if a new learner has another configuration."""
         try:
             if (sample := self._progress.poll()) is not None:
                 self._follow(ProgressMessage.decode(sample.payload))

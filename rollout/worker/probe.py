@@ -1,4 +1,4 @@
-"""Records one environment of a batch of farms step by step, for people who watch."""
+"""Records one environment of a batch of farms step by step, for people watching."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,7 +11,7 @@ from common.protocol.view_checks import FRAMES
 from rollout.sim.batch import FarmBatch
 
 HELD: Final = 1024
-"""Most frames that are held until they are taken; a full probe closes."""
+"""Most frames held before they are taken. A full probe closes."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,12 @@ class Probe:
 
     Args:
         batch: the simulator.
-        index: which environment.
+        index: index of the environment.
 
     Attributes:
-        index: which environment.
-        again: whether it continues with the next episode when one is over.
-        is_open: whether it keeps frames or waits for an episode to begin.
+        index: index of the environment.
+        again: whether it continues with the next episode when one ends.
+        is_open: whether it records frames or waits for an episode to begin.
     """
 
     def __init__(self, batch: FarmBatch, index: int) -> None:
@@ -50,15 +50,15 @@ class Probe:
         self._counts = np.array([part.stop - part.start for part in slices])[None, :, None]
 
     def open(self, *, at_once: bool) -> None:
-        """Keep frames from now on, or from the next episode's first step on."""
+        """Record frames from now on, or from the next episode's first step."""
         self.is_open, self._waiting = True, not at_once
 
     def close(self) -> None:
-        """Keep no more frames."""
+        """Stop recording frames."""
         self.is_open = False
 
     def record(self) -> None:
-        """Keep a frame of the present state; to be called after every reset of the environment and every step."""
+        """Record a frame of the current state. Call it after every reset and every step of the environment."""
         batch, e = self._batch, self.index
         step = int(batch.time[e])
         if self._waiting and step == 0:
@@ -84,7 +84,7 @@ class Probe:
             self.is_open = self.again
 
     def take(self, skipped: int, noise_std: float, uniform: bool) -> list[ViewMessage]:
-        """Return and forget the frames, in messages of consecutive frames of one episode.
+        """Return the frames as messages of consecutive frames of one episode, and drop them here.
 
         Args:
             skipped: steps that were collected and not shown.

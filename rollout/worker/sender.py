@@ -19,16 +19,16 @@ from common.transport.bus import Bus
 ANSWER_SECONDS = 30.0
 """Time after which an unanswered request is resent. A learner that is behind answers late on purpose."""
 LOCKSTEP_ANSWER_SECONDS = 3600.0
-"""The same in lockstep, where the answer comes after the training that the chunk allows."""
+"""The same in lockstep, where the answer follows the training that the chunk allows."""
 FAST_RESEND_SECONDS = 0.25
-"""First such time when the run or the worker ends; it doubles with each resend. A router that takes an answer down with
-it must not cost what the spool still holds, and a draining learner does not wait long for the next chunk."""
+"""First resend time when the run or the worker ends; it doubles with each resend. It is short because a router may fail
+and lose an answer, and a draining learner does not wait long for the next chunk."""
 SAME_ERROR_SECONDS = 10.0
 """Pause before the same error is logged again."""
 MOST_UNTAKEN = 5
-"""Requests in a row that nobody takes after which a worker that ends waits for no learner any more."""
+"""An ending worker gives up on the learner after this many requests in a row that nobody takes."""
 RETRY_SECONDS = 0.2
-"""Pause before chunks that were not settled are sent again."""
+"""Pause before unsettled chunks are sent again."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class _Held:
 class Sender:
     """Sends the chunks of the spool in sequence, from a thread of its own.
 
-    A request holds all chunks that wait, the oldest first. A chunk leaves the spool once the learner has accepted or
-    refused it, or knows it already. Nothing is ever dropped: when the spool is full the worker waits.
+    A request holds all waiting chunks, oldest first. A chunk leaves the spool once the learner has accepted it, refused
+    it or reported it as a duplicate. Nothing is ever dropped: when the spool is full, the worker waits.
 
     Args:
         bus: the lane for chunks.
@@ -57,13 +57,13 @@ class Sender:
         history: where chunks and verdicts are recorded.
 
     Attributes:
-        flown: environment steps that the worker has collected, those of the chunk that is offered next included.
+        flown: environment steps that the worker has collected, including those of the chunk offered next.
         produced: environment steps offered so far.
         accepted: environment steps that the learner has acknowledged.
         rejected: environment steps in chunks that the learner refused.
         retries: requests that had to be repeated.
-        learner_closed: whether the learner takes no more chunks, by its last answer.
-        replaced: whether a newer start of this worker delivers now. Nothing is sent any more then.
+        learner_closed: whether the learner's last answer said that it takes no more chunks.
+        replaced: whether a newer start of this worker now delivers. If so, nothing more is sent.
         required_version: parameter version that the learner asks for before the next chunk (lockstep), else 0.
         waiting: seconds that requests have waited for their answers.
         untaken: requests in a row that nobody took.
@@ -136,7 +136,7 @@ class Sender:
     def wait_empty(self, timeout: float) -> bool:
         """Wait until the spool is empty; return whether it is.
 
-        Gives up after `timeout` seconds, when the learner takes no more, and when nobody takes MOST_UNTAKEN requests.
+        Gives up after `timeout` seconds, when the learner takes no more chunks, or after MOST_UNTAKEN untaken requests.
         """
         self.resend_fast()
         deadline, before = time.monotonic() + timeout, self.untaken
@@ -175,7 +175,7 @@ class Sender:
                 time.sleep(RETRY_SECONDS)
 
     def _deliver(self, batch: list[_Held]) -> bool:
-        """Send chunks, the oldest first, and let go of those that are settled; return whether all are."""
+        """Send chunks, oldest first, and drop the settled ones; return whether all are settled."""
         head = batch[0]
         envelope = Envelope("rollout", self._worker, self._incarnation, head.sequence, head.version)
         flown = max(self.flown, batch[-1].produced)
@@ -195,7 +195,7 @@ class Sender:
         return len(settled) >= len(batch)
 
     def _request(self, payload: bytes, attachment: bytes) -> tuple[ChunkAck | None, bool]:
-        """Return the answer, and whether there was any, a refusal included."""
+        """Return the answer, and whether there was one; a refusal counts."""
         self._resend_after = FAST_RESEND_SECONDS
         try:
             answer = self._bus.ask(self.key, payload, self._patience, attachment, self._resend_now)
@@ -220,7 +220,7 @@ class Sender:
             self._last_error, self._last_error_at = text, now
 
     def _settle(self, held: _Held, verdict: str, reason: str, required_version: int) -> None:
-        """Let go of the oldest chunk."""
+        """Record the verdict and remove the oldest chunk."""
         number, steps = held.sequence, held.steps
         with self._changed:
             # In lockstep the worker collects as soon as the spool is empty, so the version must be known before that.

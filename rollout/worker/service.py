@@ -1,6 +1,6 @@
 """The worker process: collects chunks with the newest actors and delivers them to the learner.
 
-What it does when something goes wrong:
+When something goes wrong:
 
 - The spool is full, or the actors are too old: it waits (`CollectionGate`).
 - Parameters come, or a new learner takes over: `LearnerLink`.
@@ -35,11 +35,11 @@ REPORT_SECONDS = 1.0
 DRAIN_SECONDS = 5.0
 IDLE_SECONDS = 0.002
 UNTAKEN = 20
-"""Requests in a row that nobody took before the worker asks itself whether it is denied."""
+"""Requests in a row that nobody took before the worker checks whether it is denied."""
 CLOCK_SECONDS = 5.0
-"""How far clocks of two starts may differ before it is an alarm."""
+"""Difference between the clocks of two starts that raises an alarm."""
 DENIED_SECONDS = 10.0
-"""Pause before it says so again."""
+"""Pause before the denial is logged again."""
 
 
 class ReplacedError(UsageError):
@@ -54,10 +54,10 @@ class WorkerOptions:
         run: the run's name.
         name: the worker's name, unique in the run.
         endpoint: where the learner or a router listens.
-        patience: seconds to wait for somebody to listen there.
+        patience: seconds to wait for a listener there.
         env: the one environment besides the farm that this worker may load, or None. A configuration comes over the
             network, and loading an environment runs its code.
-        history: file for the worker's own account of its chunks, see `common.history.history`, or None.
+        history: file for the worker's record of its chunks, see `common.history.history`, or None.
     """
 
     run: str
@@ -107,7 +107,7 @@ class Worker:
         self._collector = Collector(config, name, 0 if answer.lockstep else start)
         team = self._collector.team
         if team.to_dict() != answer.team:
-            raise UsageError(f"the learner of run {run} is for another team than {config.env.name} has here.")
+            raise UsageError(f"the learner of run {run} is for a different team than {config.env.name} has here.")
         self._history = History(options.history)
         self._history.add(Start("rollout", name, start))
         patience = LOCKSTEP_ANSWER_SECONDS if answer.lockstep else ANSWER_SECONDS
@@ -234,7 +234,7 @@ def serve(options: WorkerOptions) -> None:
     """Run one worker until the run is finished or a signal comes.
 
     Raises:
-        EndpointError: nobody listens at the endpoint in time.
+        EndpointError: nothing listens at the endpoint in time.
         ReplacedError: a newer start of this worker has taken its place.
         UsageError: the learner's configuration cannot be read, changed with a new learner, or names an environment that
             this worker may not load or that has another team here.
@@ -251,7 +251,7 @@ def serve(options: WorkerOptions) -> None:
             raise UsageError(f"the learner of run {options.run} sent a configuration that fails: {error}") from error
         if config.env.is_third_party and config.env.name != options.env:
             raise UsageError(
-                f"run {options.run} is about {config.env.name}; a worker loads it when started with "
+                f"run {options.run} uses {config.env.name}; a worker loads it only if started with "
                 f"--env {config.env.name}."
             )
         with connect(options.endpoint, "bulk", stop, options.patience) as bulk:

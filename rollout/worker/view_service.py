@@ -1,8 +1,8 @@
-"""Watching a worker: who watches, until when, and which frames are published.
+"""Watching a worker: its watchers, their leases, and the frames that it publishes.
 
 Nothing is recorded or published unless somebody has asked in the last LEASE_SECONDS. A worker simulates an episode in a
-fraction of a second, and people watch it for many. So it shows one whole episode, step by step, and pauses until
-STEPS_PER_SECOND allows for the next. Steps in between are counted as skipped and never queued.
+fraction of a second, but people need many seconds to watch it. So the service shows one whole episode, step by step,
+and pauses until STEPS_PER_SECOND allows the next. Steps in between count as skipped and are never queued.
 """
 
 import time
@@ -23,7 +23,7 @@ LEASE_SECONDS: Final = 4.0
 STEPS_PER_SECOND: Final = 25.0
 """Frames published in a second, on average."""
 SLACK_SECONDS: Final = 1.0
-"""How far publishing may be ahead of STEPS_PER_SECOND before the probe pauses after an episode."""
+"""How far publishing may run ahead of STEPS_PER_SECOND before the probe pauses after an episode."""
 GREETING_SECONDS: Final = 2.0
 """Least time between two episodes that are shown early because a new watcher came."""
 MAX_WATCHERS: Final = 16
@@ -39,7 +39,7 @@ class ViewService:
         run: the run's name.
         worker: the worker's name.
         incarnation: number of this start.
-        collector: whose environments are shown.
+        collector: the collector whose environments are shown.
         toml: the run's configuration.
         clock: returns seconds.
 
@@ -106,7 +106,7 @@ class ViewService:
             request = WatchRequest.decode(incoming.payload)
             check_name(request.watcher, "watcher")
             if self._probe is None:
-                raise ConfigError("this run is not about the farm, and only the farm has a picture.")
+                raise ConfigError("this run does not use the farm, and only the farm can be drawn.")
             if request.stay and request.watcher not in self._until and len(self._until) >= MAX_WATCHERS:
                 raise ConfigError(f"{MAX_WATCHERS} watchers are watching already.")
         except (ProtocolError, ConfigError) as error:

@@ -112,7 +112,7 @@ def test_a_worker_that_hears_nothing_of_the_learner_stands_still(tmp_path):
     """After `rollout.max_silence_seconds` without word it stops and says so, and goes on as soon as it hears again."""
     with scripted(tmp_path, f"max_silence_seconds = {SILENCE}") as learner:
         learner.talks = False
-        learner.expect_standing("nothing was heard of the learner for")
+        learner.expect_standing("the learner has been silent for")
         learner.talks = True
         learner.expect_flying()
 

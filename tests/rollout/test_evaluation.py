@@ -101,5 +101,7 @@ def test_nothing_to_fly_is_refused(farms, episodes, batch):
 def test_actors_of_another_team_are_refused():
     """Actors that do not fit the farm are refused before the first step."""
     other = dataclasses.replace(SMALL, world=dataclasses.replace(SMALL.world, monitoring_uavs=3))
-    with pytest.raises(PolicyError, match=r"here are 1 communication agents with \d+ inputs.*, 3 monitoring"):
+    with pytest.raises(
+        PolicyError, match=r"this environment has 1 communication agents with \d+ inputs.*, 3 monitoring"
+    ):
         evaluate(other, policy("actors"), [1], 1, name="actors")

@@ -67,7 +67,7 @@ def test_actors_of_another_team_are_refused():
     policy = ActorPolicy(TeamActors.initial(farm_team(FarmConfig()), 16, 3))
     farms = FarmBatch(SMALL, 1)
     farms.reset(0, 1, 1)
-    with pytest.raises(PolicyError, match=r"4 monitoring agents .* here are .* 2 monitoring agents"):
+    with pytest.raises(PolicyError, match=r"4 monitoring agents .* this environment has .* 2 monitoring agents"):
         policy.reset(farms, 0)
 
 
@@ -87,7 +87,7 @@ def test_the_trained_policy_is_that_of_the_package(tmp_path, monkeypatch):
         policy_of("trained", SMALL)
     save_policy(policies.TRAINED, TeamActors.initial(farm_team(SMALL), 16, 3), {})
     assert isinstance(policy_of("trained", SMALL), ActorPolicy)
-    with pytest.raises(PolicyError, match="here are 4 communication agents"):
+    with pytest.raises(PolicyError, match="this environment has 4 communication agents"):
         policy_of("trained", FarmConfig())
 
 

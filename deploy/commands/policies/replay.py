@@ -98,7 +98,7 @@ def _comparison(options: ReplayArguments) -> Comparison:
 
 
 def _apart(one: str, other: str, path: str, other_path: str) -> tuple[str, str]:
-    """Return distinct names for two policies: equal names get their folder in front, or a number behind."""
+    """Return distinct names for two policies: equal names get their folder as a prefix or a number as a suffix."""
     if one == other:
         one, other = (f"{Path(place).resolve().parent.name}/{one}" for place in (path, other_path))
     return (one, other) if one != other else (f"{one} (1)", f"{other} (2)")

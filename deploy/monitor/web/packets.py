@@ -3,7 +3,7 @@
     header bytes u32 little-endian | header, padded with spaces to a multiple of four | arrays
 
 The header's "arrays" gives for each array its name, dtype (f4 or u1), shape and place behind the header, bytes; each
-begins at a multiple of four, so that the browser looks at them without copying.
+begins at a multiple of four, so that the browser can view it without a copy.
 """
 
 import json
@@ -112,5 +112,5 @@ def frames(message: ViewMessage, layout: Layout, version: int) -> Packet:
 
 
 def state(sentence: str, counts: Mapping[str, int]) -> Packet:
-    """Return how things stand: a sentence, empty when frames are coming, and what was lost where."""
+    """Return the state: a sentence, empty while frames arrive, and the losses by place."""
     return pack("state", {"sentence": sentence, **counts}, {})

@@ -49,7 +49,7 @@ class WebServer:
         refused: requests that were refused.
 
     Raises:
-        EndpointError: the address is taken or not of this machine.
+        EndpointError: the address is taken or does not belong to this machine.
     """
 
     def __init__(self, hub: Hub, host: str, port: int, *, strangers: bool = False) -> None:

@@ -120,7 +120,7 @@ def test_mistakes_are_usage_errors(run_dir, tmp_path):
         run(EvaluateArguments(run_dir=tmp_path / "nowhere"))
     with pytest.raises(ConfigError, match="unknown configuration key"):
         run(EvaluateArguments(policy="random", set=("farm.world.colour=3",)))
-    with pytest.raises(PolicyError, match="here are"):
+    with pytest.raises(PolicyError, match="this environment has"):
         run(EvaluateArguments(run_dir=run_dir, set=("farm.world.monitoring_uavs=2",)))
     (run_dir / "policy.safetensors").unlink()
     with pytest.raises(RunDirError, match="not saved a policy yet"):

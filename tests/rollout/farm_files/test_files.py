@@ -152,8 +152,8 @@ def test_ten_thousand_sensors_are_read_and_one_more_is_not(tmp_path):
 
 
 BAD_CSV = [
-    ("", "{} holds no line with the names of the columns."),
-    ("# nothing\n\n,,\n", "{} holds no line with the names of the columns."),
+    ("", "{} has no header line with the column names."),
+    ("# nothing\n\n,,\n", "{} has no header line with the column names."),
     ("x,y\n", "{} holds 0 sensors; a farm has 1 to 10000."),
     ("1,2\n3,4\n", "{}, line 1: the header must name exactly one of x,y and easting,northing and lon,lat, each once, "),
     ("x,y,lon,lat\n1,2,3,4\n", "{}, line 1: the header must name exactly one of"),
@@ -178,7 +178,7 @@ BAD_CSV = [
     ("# field: 10 x ten m\nx,y\n1,1\n", "{}, line 1: 'ten' is not a number."),
     ("# field: 0 x 10 m\nx,y\n0,1\n", "{}: a field of 0 m x 10 m is none: above 0, at most 20000 m."),
     ("# field: 30000 x 10 m\nx,y\n0,1\n", "{}: a field of 30000 m x 10 m is none: above 0, at most 20000 m."),
-    ("# field: 10 x 10 m\nlon,lat\n1,1\n", "{}, line 1: the field's size goes with the columns x and y only."),
+    ("# field: 10 x 10 m\nlon,lat\n1,1\n", "{}, line 1: the field's size is allowed only with the columns x and y."),
     ("x,y\n1,1\n2,2\n\n1.0001,1\n", "{}, line 5: the sensor stands where that of line 2 does."),
     ("x,y\n1,1\n30000,1\n", "{} spans 30 km; a farm spans at most 20 km."),
     ("easting,northing\n1,1\n1e300,1\n", "{} spans 1e+297 km; a farm spans at most 20 km."),
