@@ -5,7 +5,7 @@ from common.seeds import derive, stream
 
 
 def evaluation_plan(config: RunConfig, event: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the training farms and the episode seeds of an event; a pure function of run seed and event number."""
+    """Return an event's training farms and episode seeds, a pure function of the run's seed and the event number."""
     generator = stream(config.seed, "imitation", event)
     count = min(config.elite.farms, config.rollout.train_farms)
     farms = generator.choice(config.rollout.train_farms, size=count, replace=False).tolist()

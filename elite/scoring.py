@@ -1,4 +1,4 @@
-"""omega, the score of each agent from the mean and the variance of its rewards, and the elite of each type."""
+"""Scores each agent by the mean and variance of its rewards (omega), and picks each type's elite."""
 
 from collections.abc import Sequence
 
@@ -14,8 +14,8 @@ from common.team import Float32, TeamSpec
 def scores(reward: Float32, config: EliteConfig) -> NDArray[np.float64]:
     """Return omega of each agent of one type, eq. (er).
 
-    mu is the mean of the agent's step rewards R_v-i. Before the variance is taken, step rewards are divided by the
-    type's mean absolute step reward, so that its weight means the same for every type and throughout the training.
+    mu is the mean of the agent's step rewards R_v-i. For the variance sigma^2, step rewards are divided by the type's
+    mean absolute step reward, so that beta_2 means the same for every type and throughout training.
 
     Args:
         reward: [..., n_v] step rewards of noise-free episodes.
@@ -33,7 +33,7 @@ def scores(reward: Float32, config: EliteConfig) -> NDArray[np.float64]:
 def decide(
     team: TeamSpec, config: EliteConfig, event: int, version: int, episode: int, rewards: Sequence[Float32]
 ) -> ImitationEvent:
-    """Return the imitation event that an evaluation leads to.
+    """Return the imitation event that follows from an evaluation.
 
     Args:
         team: the layout.

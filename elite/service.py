@@ -1,4 +1,4 @@
-"""The elite coordinator: when an imitation event is due, it has the actors evaluated and announces the elites."""
+"""The elite coordinator: when an event is due, it has workers evaluate the actors and announces the elites."""
 
 import threading
 import time
@@ -31,13 +31,13 @@ from elite.evaluation_plan import evaluation_plan
 from elite.scoring import decide
 
 ANSWER_SECONDS = 30.0
-"""First time limit for a worker's evaluation; after it, the worker's farms go to another worker."""
+"""Initial time limit for a worker's evaluation; after it, the worker's farms go to other workers."""
 LONGEST_SECONDS = 3600.0
-"""Largest time limit; each attempt in which nobody answers doubles the limit."""
+"""Largest time limit; each attempt that nobody answers doubles the limit."""
 RETRY_SECONDS = 0.5
-"""Pause after an attempt in which no worker could be reached; they may have just died."""
+"""Pause after an attempt that reached no worker; the workers may have just died."""
 CLAIM_SECONDS = 1.0
-"""Time between two claims to lead."""
+"""Time between two claims to the lead."""
 REPORT_SECONDS = 1.0
 IDLE_SECONDS = 0.02
 
@@ -50,7 +50,7 @@ class CoordinatorOptions:
         run: the run's name.
         name: the coordinator's name.
         endpoint: where the learner or a router listens.
-        patience: seconds to wait for somebody to listen there.
+        patience: seconds to wait for a listener there.
     """
 
     run: str
@@ -106,7 +106,7 @@ class Coordinator:
         self._report()
 
     def _claim(self) -> None:
-        """Ask the learner for the lead, or to keep it, when it is time to."""
+        """Claim the lead from the learner, or renew the claim, every CLAIM_SECONDS."""
         if time.monotonic() - self._claimed < CLAIM_SECONDS:
             return
         key, payload = keys.COMMAND.key(self._options.run, verb="lead"), CommandMessage(self._options.name).encode()
@@ -116,7 +116,7 @@ class Coordinator:
         except BusClosedError:
             raise
         except (BusError, ProtocolError) as error:
-            log(f"coordinator: the learner grants no lead: {error}")
+            log(f"coordinator: the learner does not grant the lead: {error}")
             leads = False
         self._claimed = time.monotonic()
         if leads != self._leads:
@@ -158,15 +158,15 @@ class Coordinator:
     def _deliver(self, message: ImitationMessage) -> bool:
         """Ask the learner to apply the event; return whether it applied exactly this one.
 
-        Only then may the event be announced. If the learner had already applied an event of this number, that may have
-        been a different one: its answer to an earlier delivery was lost, and a new evaluation chose other elites.
+        Only then may the event be announced. An event of this number that the learner had already applied may be a
+        different one: if its answer to an earlier delivery was lost, a new evaluation may have chosen other elites.
         """
         try:
             answer = self._bus.ask(keys.IMITATION.key(self._options.run), message.encode(), 10.0, self._envelope)
             receipt = None if answer is None else ReceiptMessage.decode(answer)
             if answer is None:
                 key = keys.IMITATION.key(self._options.run)
-                log(denial(self._bus, self._options.run, key) or f"coordinator: nobody took event {message.event}.")
+                log(denial(self._bus, self._options.run, key) or f"coordinator: event {message.event} got no answer.")
         except (BusError, ProtocolError) as error:
             log(f"coordinator: event {message.event}: {error}")
             return False
@@ -184,7 +184,7 @@ class Coordinator:
             time.sleep(IDLE_SECONDS)
 
     def _evaluate(self, event: int, now: ProgressMessage, stop: StopSignal) -> tuple[list[Float32], int] | None:
-        """Return each episode's step rewards in plan order and the oldest version flown, or None without an answer."""
+        """Return each episode's step rewards in plan order and the oldest version evaluated, or None if abandoned."""
         farms, episodes = evaluation_plan(self._config, event)
         found: dict[int, Float32] = {}
         versions: list[int] = []
@@ -214,9 +214,9 @@ class Coordinator:
         return [found[index] for index in range(len(farms))], min(versions)
 
     def _note_late(self, event: int, late: Sequence[str], silent: set[str], asked: int, waited: float) -> None:
-        """Leave workers that did not answer out of the next attempts; wait longer from now on if nobody did."""
+        """Leave out workers that did not answer from the next attempts; if nobody answered, lengthen the time limit."""
         self._failures += len(late)
-        log(f"coordinator: event {event}: no evaluation after {waited:.1f} s by {', '.join(late)}; asking on.")
+        log(f"coordinator: event {event}: no evaluation after {waited:.1f} s from {', '.join(late)}; trying again.")
         silent.update(late)
         if len(late) == asked:
             silent.clear()
@@ -230,7 +230,7 @@ class Coordinator:
         self, orders: Sequence[tuple[str, list[int], EvaluationOrder]], versions: list[int], stop: StopSignal
     ) -> dict[int, Float32]:
         answers: dict[int, Float32] = {}
-        # Not daemon threads: after a stop they go on until the bus closes, and the process must not end before them.
+        # No daemon threads: after a stop they run until the bus closes, and the process must not end before them.
         threads = [
             threading.Thread(target=self._ask_one, args=(worker, share, order, answers, versions))
             for worker, share, order in orders
@@ -282,7 +282,7 @@ class Coordinator:
 
 
 def _fits(result: EvaluationResult, episodes: int, team: TeamSpec) -> bool:
-    """Return whether an evaluation holds so many whole episodes of finite rewards."""
+    """Return whether an evaluation holds this many whole episodes of finite rewards."""
     reward, steps = result.reward, result.steps
     if reward.ndim != 3 or reward.shape[::2] != (episodes, team.agents) or steps.shape != (episodes,):
         return False

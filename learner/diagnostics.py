@@ -1,12 +1,12 @@
-"""Running means of what updates measure, for each agent, and a comparison of the critics with realised returns.
+"""Running means of the updates' diagnostics for each agent, and a comparison of the critics with realised returns.
 
-    critic_loss         mean of the squared TD errors in the local critic's loss, of two critics the first
-    critic_error        mean of their sizes
+    critic_loss         mean of the squared TD errors of the agent's (first) critic
+    critic_error        mean of their absolute values
     q_mean              mean Q of the batch's own actions, before the update's step; see below
     target_mean         mean Y
     actor_objective     mean of what the actor maximises
-    critic_gradient     Euclidean norm of the gradient of the agent's critic, of two critics the mean, before any clip
-    actor_gradient      the same of its actor
+    critic_gradient     Euclidean norm of the gradient of the agent's critic (mean over two critics), before any clip
+    actor_gradient      Euclidean norm of its actor's gradient, before any clip
     member_loss         mean of (Q_s,k - Y)^2 over the members and the agent's rows
     member_gradient     Euclidean norm of the gradient of a member of the agent's type, mean over them, before any clip
     member_spread       standard deviation over the members of Q_s,k at the actor's own action, mean over the batch
@@ -15,10 +15,9 @@
     realised_return     discounted, scaled rewards of the rows that followed those of the batch (see `newest_returns`)
     overestimation      mean Q of these rows' actions less their realised return
 
-Q is the mixture Q_P with an ensemble, whatever its losses, and the agent's (first) critic without one. Where it counts
-entropy as well (MASAC), there is no `overestimation`: which entropy would have followed a row is not in replay.
-All but norms, temperature and log_probability are in the units of the targets, rewards times `reward_scale`, or their
-squares.
+With an ensemble, Q is the mixture Q_P, whatever the losses are; without one, it is the agent's (first) critic. MASAC
+has no `overestimation`: its values include entropy, and replay does not hold the entropy that followed a row. All but
+norms, temperature and log_probability are in the units of the targets (rewards times `reward_scale`) or their squares.
 """
 
 import math
@@ -54,17 +53,17 @@ NAMES: Final = (
     "overestimation",
 )
 PREFIX: Final = "diagnostics."
-"""What the names of the running means begin with in a checkpoint."""
+"""Prefix of the running means' names in a checkpoint."""
 SHARE: Final = 0.05
-"""Share of the newest diagnostics in the running means."""
+"""Weight of the newest diagnostics in the running means."""
 RETURN_SHARE: Final = 0.2
-"""The same for what is compared with realised returns, which is done more rarely."""
+"""Weight of the newest comparison with realised returns, which is made less often."""
 RETURN_PERIOD: Final = 128
-"""Every this many updates Q is compared with realised returns."""
+"""Every this many updates, Q is compared with realised returns."""
 RETURN_ROWS: Final = 0.25
-"""Share of the rows with a realised return that are compared, those of the newest policies."""
+"""Share of the rows with a realised return that are compared; the newest policies' rows are chosen."""
 REMAINDER: Final = 0.01
-"""Weight gamma^H below which later rewards are left out of a realised return."""
+"""A realised return leaves out rewards whose weight gamma^k is below this."""
 MAX_HORIZON: Final = 1000
 
 
@@ -76,10 +75,10 @@ def horizon(discount: float) -> int:
 
 
 def realised_returns(replay: Replay, places: Places, discount: float) -> tuple[Tensor, NDArray[np.bool_]]:
-    """Return what followed rows of replay: sum_{k < H} gamma^k r_{t+k}, under the policies that acted then.
+    """Return the realised returns of rows of replay: sum_{k < H} gamma^k r_{t+k}, under the policies that acted then.
 
-    A return counts only where all its rewards are in the ring: H steps follow, or fewer that end in a terminal state.
-    Where a time limit, or the newest row, comes before, nobody knows how it would have gone on.
+    A return counts only if the ring holds all its rewards: H steps follow, or fewer that end in a terminal state. If a
+    time limit or the newest row comes first, the rest of the return is unknown.
 
     Args:
         replay: the ring.
@@ -105,13 +104,13 @@ def realised_returns(replay: Replay, places: Places, discount: float) -> tuple[T
 
 
 def newest_returns(replay: Replay, places: Places, discount: float) -> tuple[Tensor, Places]:
-    """Return realised returns of rows of replay, and which rows of these to compare.
+    """Return realised returns of rows of replay, and which of these rows to compare.
 
-    The more the policy has changed since a row, the less its return says about the present critics; so of the rows
-    that have a return, the quarter of the newest policy versions is chosen.
+    The more the policy has changed since a row, the less its return says about the present critics. So the quarter of
+    the rows with the newest policy versions is chosen among those with a return.
 
     Returns:
-        [R, agents] returns, and the chosen indices into R, none where no return is known.
+        [R, agents] returns, and the chosen indices into R, empty if no return is known.
     """
     returns, counted = realised_returns(replay, places, discount)
     rows = np.flatnonzero(counted)
@@ -127,8 +126,8 @@ class RunningDiagnostics:
         device: torch device.
 
     Attributes:
-        means: by name [agents].
-        updates: updates whose diagnostics were taken in.
+        means: running means [agents] by name.
+        updates: number of updates whose diagnostics they include.
         comparisons: comparisons with realised returns.
     """
 
@@ -138,7 +137,7 @@ class RunningDiagnostics:
         self.updates = self.comparisons = 0
 
     def note(self, diagnostics: Diagnostics) -> None:
-        """Take in the diagnostics of one update."""
+        """Add the diagnostics of one update to the running means."""
         rows = {
             "critic_loss": diagnostics.td_error.square().mean(dim=1),
             "actor_objective": diagnostics.objective.mean(dim=1),
@@ -157,7 +156,7 @@ class RunningDiagnostics:
         self.updates += 1
 
     def compare(self, diagnostics: Diagnostics, returns: Tensor, chosen: Places) -> None:
-        """Take in how Q of an update's batch compares with the realised returns [B, agents] of the chosen rows."""
+        """Compare Q of an update's batch with the realised returns [B, agents] of the chosen rows."""
         if chosen.size == 0:
             return
         rows = torch.from_numpy(chosen).to(returns.device)
@@ -183,9 +182,9 @@ class RunningDiagnostics:
         return {f"{PREFIX}{name}": mean.clone().cpu() for name, mean in self.means.items()}
 
     def kept(self, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return the means [agents] that a checkpoint holds, by name; those that it lacks begin anew.
+        """Return the means [agents] in a checkpoint, by name; missing ones start anew.
 
-        Checkpoints of early versions hold one tensor for all of them; it is ignored, because some had another meaning.
+        Checkpoints of early versions hold one tensor for all means. It is ignored, because some had another meaning.
 
         Raises:
             CheckpointError: when one does not fit the team, or is not finite.
@@ -196,12 +195,12 @@ class RunningDiagnostics:
         return {name: found[f"{PREFIX}{name}"].to(self._device, copy=True) for name in names}
 
     def by_type(self) -> dict[str, float]:
-        """Return NAME/TYPE: means over the type's agents; without diagnostics that the algorithm does not report."""
+        """Return the means over each type's agents as NAME/TYPE, for the diagnostics that the algorithm reports."""
         parts = list(zip(self._team.groups, self._team.agent_slices(), strict=True))
         return {f"{name}/{group.name}": float(row[part].mean()) for name, row in self._rows() for group, part in parts}
 
     def by_agent(self) -> dict[str, float]:
-        """Return NAME/AGENT for each agent, named by its type and its number inside the type; likewise."""
+        """Return each agent's means as NAME/TYPE-INDEX, for the diagnostics that the algorithm reports."""
         agents = [f"{group.name}-{index}" for group in self._team.groups for index in range(group.count)]
         return {
             f"{name}/{agent}": value

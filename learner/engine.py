@@ -1,7 +1,7 @@
 """The engine of off-policy algorithms: a batch in, one update of all agents, actors out.
 
-The engine holds what algorithms share: statistics, the noise of an update, the number of updates, and on an accelerator
-the captured graphs. What an update computes stands in `learner/algorithms`.
+The engine holds what algorithms share: normalisation statistics, the noise of an update, the update count, and on an
+accelerator the captured graphs. The modules in `learner/algorithms` define what an update computes.
 """
 
 from typing import Final
@@ -24,7 +24,7 @@ from learner.networks.normalisation import Normalisation
 __all__ = ["Batch", "Diagnostics", "Engine"]
 
 NOISE: Final = "round noise"
-"""Name of the random stream that updates draw from; it seeds runs, so it stays as it was first written."""
+"""Name of the random stream that updates draw from; renaming it would change every run."""
 
 
 class Engine:
@@ -35,15 +35,15 @@ class Engine:
         team: the layout of the team.
         seed: seed of the run; every initialisation follows from it.
         device: torch device.
-        dtype: type of all arithmetic.
-        cores: processor cores to compute on by compiled kernels; 0 to compute by torch. By default torch's threads, as
-            far as numba may use as many, on a CPU, and 0 elsewhere.
+        dtype: dtype of all arithmetic.
+        cores: processor cores for the compiled kernels; 0 to compute with torch. The default is torch's thread count on
+            a CPU, limited to numba's, and 0 elsewhere.
 
     Attributes:
-        cores: processor cores that compiled kernels compute on; 0 where torch computes.
+        cores: processor cores that compiled kernels use; 0 if torch computes.
         algorithm: the algorithm with its networks.
         updates: updates done, int64 [].
-        random: the generator of the updates' noise; its state is part of a run's state.
+        random: the generator of the updates' noise; checkpoints include its state.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Engine:
 
     @torch.inference_mode()
     def update(self, batch: Batch, *, diagnostics: bool = False) -> Diagnostics | None:
-        """Do one update; return its diagnostics where asked for, valid until the next update."""
+        """Do one update; return its diagnostics if requested, valid until the next update."""
         if self.algorithm.noise_blocks:
             drawn = self.random.standard_normal(self._noise.shape, np.float32)
             self._noise.copy_(torch.from_numpy(drawn))
@@ -84,14 +84,14 @@ class Engine:
                 reward=normal.rewarded(batch.reward),
             )
         if self.cores > 1:
-            numba.set_num_threads(usable_cores(self.cores))  # a setting of the thread that calls
+            numba.set_num_threads(usable_cores(self.cores))  # numba keeps this setting per calling thread
         self.updates.add_(1)
         actor_step = int(self.updates) % self.algorithm.actor_period(self.config) == 0
         updater = self.algorithm if self._graphs is None else self._graphs
         return updater.update(batch, self._noise, actor_step=actor_step, diagnostics=diagnostics)
 
     def observe(self, observation: Float32, reward: Float32) -> None:
-        """Take rows of observations [R, O] and rewards [R, agents] into the running statistics, where there are any."""
+        """Add observations [R, O] and rewards [R, agents] to the running statistics, if normalisation is on."""
         if self.normalisation.observations or self.normalisation.rewards:
             self.normalisation.add(observation, reward)
 
@@ -102,7 +102,7 @@ class Engine:
     def export_actors(self) -> tuple[Float32, ...]:
         """Return a copy of the actors' parameters, [n_v, P_v] for each type in the order of `common.actors`.
 
-        They take raw observations: the running statistics are folded into them.
+        They take raw observations; the running statistics are folded into their first layers.
         """
         return self.normalisation.fold(self.algorithm.actors.export(), self.config.hidden, out=True)
 
@@ -111,9 +111,9 @@ class Engine:
         return TeamActors(self.team, self.config.hidden, self.export_actors(), self.algorithm.head)
 
     def tensors(self) -> dict[str, Tensor]:
-        """Return the whole state by name but for `random`; whoever writes into them calls `restored`."""
+        """Return the whole state except `random`, by name; call `restored` after writing into the tensors."""
         return {**self.algorithm.tensors(), **self.normalisation.tensors(), "updates": self.updates}
 
     def restored(self) -> None:
-        """Take over what was written into `tensors`."""
+        """Update derived values after the tensors of `tensors` were overwritten."""
         self.normalisation.refresh()

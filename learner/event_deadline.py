@@ -1,8 +1,8 @@
-"""How late imitation events are, and for how long new experience waits for them.
+"""How late imitation events are, and how long new experience waits for them.
 
-A free-running learner does not wait for the coordinator, so an event is applied some episodes after it falls due. With
+A free-running learner does not wait for the coordinator, so it applies an event some episodes after it falls due. With
 a fast environment, or while a coordinator starts, the delay can grow until a run ends without any imitation. So once an
-event is a whole cycle late, the learner takes in no new experience until it arrives.
+event is a whole cycle late, the learner accepts no new experience until the event arrives or HOLD_SECONDS have passed.
 """
 
 from typing import Final
@@ -10,10 +10,10 @@ from typing import Final
 from common.imitation import ImitationSchedule
 
 HOLD_SECONDS: Final = 20.0
-"""Longest wait for one event. It is shorter than workers wait for an answer, so they send nothing twice."""
+"""Longest wait for one event; less than the time after which workers send a request again."""
 
 ALARM_SECONDS: Final = 5.0
-"""Time for which an event may be a cycle late before that is an alarm."""
+"""Time for which an event may be a cycle late before it raises an alarm."""
 
 
 class EventDeadline:
@@ -35,7 +35,7 @@ class EventDeadline:
         Args:
             applied: events applied.
             episodes: finished episodes, lambda.
-            expected: whether a coordinator is there or will come.
+            expected: whether a coordinator is present or will come.
             now: a monotonic clock, seconds.
         """
         late = self._lateness(applied, episodes, now)
@@ -46,11 +46,12 @@ class EventDeadline:
         if self._lateness(applied, episodes, now) < ALARM_SECONDS:
             return ""
         return (
-            f"imitation event {applied + 1} was due at episode {self._due} and has not come; is a coordinator running?"
+            f"imitation event {applied + 1} was due at episode {self._due} and has not arrived; is a coordinator "
+            "running?"
         )
 
     def _lateness(self, applied: int, episodes: int, now: float) -> float:
-        """Return for how many seconds the next event has been a cycle late, or -1 if it is not."""
+        """Return how many seconds the next event has been a cycle late, or -1 if it is not."""
         if applied != self._applied:
             self._applied, self._since = applied, None
             self._due = self._schedule.due_episode(applied + 1)

@@ -14,11 +14,11 @@ class LearnerOptions:
         run: the run's name.
         endpoint: where to listen, or where a router listens.
         listen: whether this process listens itself.
-        run_dir: directory for checkpoints, metrics and the configuration, or None to keep nothing.
+        run_dir: directory for checkpoints, metrics and the configuration, or None to store nothing.
         resume: whether to continue from the newest whole checkpoint.
         lockstep: whether the learner takes turns with its only worker.
         patience: seconds to wait for a router.
-        await_elite: whether to wait for late imitation events even before a coordinator has come.
+        await_elite: whether to wait for late imitation events even before a coordinator has connected.
     """
 
     run: str

@@ -13,7 +13,7 @@ from common.imitation import ImitationSchedule
 from learner.event_deadline import EventDeadline
 
 BURST_UPDATES: Final = 8
-"""Most updates between two looks at incoming messages."""
+"""Most updates between two polls for incoming messages."""
 PROGRESS_SECONDS: Final = 0.1
 REPORT_SECONDS: Final = 1.0
 
@@ -32,7 +32,7 @@ class Counters(Protocol):
 
 
 class Periodic:
-    """Something that is due every so many seconds.
+    """A task that is due once per period.
 
     Args:
         seconds: the period.
@@ -56,7 +56,7 @@ class Schedule:
 
     Args:
         config: the run.
-        await_elite: whether late imitation events hold new experience even before a coordinator has come.
+        await_elite: whether late imitation events hold back new experience even before a coordinator has connected.
         now: a monotonic clock, seconds.
 
     Attributes:
@@ -78,11 +78,11 @@ class Schedule:
         self.deadline = EventDeadline(self._imitation)
 
     def finished(self, counters: Counters) -> bool:
-        """Return whether all episodes are flown and no update is left to do."""
+        """Return whether all episodes are finished and no update is due."""
         return counters.episodes >= self._episodes and counters.updates_due() <= 0
 
     def updates(self, counters: Counters) -> int:
-        """Return how many updates to do before the next look at incoming messages."""
+        """Return how many updates to do before the next poll for incoming messages."""
         return max(0, min(counters.updates_due(), BURST_UPDATES))
 
     def takes_in(self, counters: Counters, *, awaits_event: bool) -> bool:

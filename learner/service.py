@@ -1,4 +1,4 @@
-"""The learner process: take in experience, update, publish parameters, report, write checkpoints."""
+"""The learner process: takes in experience, updates, publishes parameters, reports and writes checkpoints."""
 
 import time
 from pathlib import Path
@@ -37,17 +37,17 @@ from learner.trainer import Trainer
 from learner.warm_up import warm_up
 
 HISTORY: Final = Path("history", "learner.jsonl")
-"""The learner's history of chunks, in the run directory."""
+"""Path of the learner's history of chunks in the run directory."""
 DATA_SECONDS: Final = 0.02
-"""Longest wait for a chunk before the next look at other messages."""
+"""Longest wait for a chunk before the learner polls for other messages."""
 IMITATION_SECONDS: Final = 0.002
-"""Pause between two looks at incoming messages while training waits for an imitation event."""
+"""Pause between two polls for messages while training waits for an imitation event."""
 FAREWELL_SECONDS: Final = 0.5
-"""Time for the last messages to leave before the sessions close."""
+"""Time for the last messages to be sent before the sessions close."""
 
 
 class Learner:
-    """The learner's loop; all its methods run in the main thread.
+    """The learner's loop; call all methods from the main thread.
 
     Args:
         options: how to start.
@@ -88,7 +88,7 @@ class Learner:
             self._reporter.log_resume()
 
     def _restore(self) -> tuple[Ledger, float]:
-        """Resume from the newest checkpoint, if asked to; return the ledger and the seconds that the run has taken."""
+        """Resume from the newest checkpoint if requested; return the ledger and the seconds that the run has taken."""
         ledger, resume, directory = Ledger(), self._options.resume, self._options.run_dir
         elapsed, epoch = self._storage.restore(self.trainer, ledger) if resume else (0.0, 0)
         self._history = History(directory / HISTORY if directory else None)
@@ -115,7 +115,7 @@ class Learner:
         self._feed = ExperienceFeed(self._receiver, self.trainer, absorbed, self._reporter.log_episodes)
 
     def run(self, stop: StopSignal) -> bool:
-        """Train until the run's episodes are done, a signal comes or somebody asks to drain.
+        """Train until the run's episodes are done, a signal arrives or a command asks to drain.
 
         Returns:
             Whether the run is finished.
@@ -130,7 +130,7 @@ class Learner:
         return finished
 
     def join(self) -> None:
-        """Wait for the receiving thread; the bulk lane must be closed."""
+        """Wait for the receiving thread to end; close the bulk lane first."""
         self._receiver.join()
 
     def _step(self, stop: StopSignal) -> None:
@@ -186,7 +186,7 @@ class Learner:
     def _serve_requests(self) -> None:
         """Answer commands and imitation events, and check that this learner may go on."""
         if not self._receiver.alive:
-            raise BusError("the receiving thread has ended; no more chunks can come in.")
+            raise BusError("the receiving thread has ended; no more chunks can be received.")
         self._times.lap(producers_wait=self.trainer.leads())
         self._stop_if_replaced()
         self._commands.answer()
@@ -224,7 +224,7 @@ class Learner:
         self._schedule.checkpoint_timer.restart(time.monotonic())
 
     def _end(self, state: str) -> None:
-        """Absorb what is under way, publish and save the final state, and say goodbye.
+        """Absorb chunks in flight, publish and save the final state, and close the files.
 
         Args:
             state: finished or draining.
@@ -261,7 +261,7 @@ def serve(options: LearnerOptions, config: RunConfig, environment: EnvironmentSp
         environment: the run's environment.
 
     Raises:
-        EndpointError: when the endpoint is taken, or the router does not answer.
+        EndpointError: when the endpoint is in use, or the router does not answer.
         RunDirError: when the run directory belongs to another configuration.
     """
     torch.set_num_threads(config.learner.threads)
@@ -278,6 +278,6 @@ def serve(options: LearnerOptions, config: RunConfig, environment: EnvironmentSp
         try:
             return learner.run(stop)
         finally:
-            # A thread that is still inside Zenoh when the interpreter ends aborts the whole process.
+            # A thread still inside Zenoh when the interpreter exits would abort the process.
             bulk.close()
             learner.join()

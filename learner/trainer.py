@@ -1,4 +1,4 @@
-"""The training of a run without any communication: experience in, updates, actors out.
+"""The training of a run, without communication: experience in, updates, actors out.
 
     trainer = Trainer(config, team)
     while trainer.episodes < config.episodes:
@@ -6,7 +6,7 @@
         trainer.train(trainer.updates_due())
         actors, version = trainer.actors(), trainer.next_version()
 
-The number of updates due depends on the counters alone, so a resumed run, or one in lockstep, does the same updates at
+The number of updates due depends only on the counters, so a resumed run, or one in lockstep, does the same updates at
 the same points.
 """
 
@@ -46,7 +46,7 @@ from learner.networks.device import usable_device
 COUNTERS = ("environment_steps", "updates", "episodes", "version", "events", "evaluation_steps")
 RECENT_EPISODES = 100
 DIAGNOSTIC_PERIOD = 16
-"""Updates from one that is measured to the next."""
+"""Every this many updates, an update returns diagnostics."""
 
 
 class Trainer:
@@ -57,7 +57,7 @@ class Trainer:
         team: the layout of the team.
 
     Raises:
-        ConfigError: when the configured device is not there.
+        ConfigError: when the configured device does not exist.
 
     Attributes:
         environment_steps: environment steps absorbed.
@@ -67,7 +67,7 @@ class Trainer:
         events: imitation events applied.
         evaluation_steps: environment steps that these events' evaluations took; part of the run's budget (A3).
         recent: the newest finished episodes.
-        diagnostics: running means of what updates measure.
+        diagnostics: running means of the updates' diagnostics.
     """
 
     def __init__(self, config: RunConfig, team: TeamSpec) -> None:
@@ -84,12 +84,12 @@ class Trainer:
         self._age = self._oldest = 0.0
 
     def absorb(self, chunk: Chunk, version: int = 0, source: str = "", number: int = 0) -> None:
-        """Take a chunk into replay and count it.
+        """Add a chunk to replay and count it.
 
         Args:
             chunk: rows that fit the team, and the episodes that ended in them.
             version: policy version that acted in it.
-            source: who made it, each start of a worker by another name; empty for nobody whose chunks go on.
+            source: name of the worker's start that made it; empty if no later chunk continues its trajectories.
             number: number of the chunk among those of the source.
         """
         self.replay.add(chunk.rows, version, source, number)
@@ -100,21 +100,21 @@ class Trainer:
         self.recent.extend(chunk.episodes)
 
     def updates_due(self) -> int:
-        """Return floor(updates_per_step * steps after the warm-up) less the updates done; 0 before a batch is there."""
+        """Return floor(updates_per_step * steps after warm-up) less the updates done; 0 while replay holds no batch."""
         replay = self.config.replay
         if self.replay.transitions < self.config.algorithm.batch:
             return 0
         return math.floor(replay.updates_per_step * max(0, self.environment_steps - replay.warmup_steps)) - self.updates
 
     def leads(self) -> bool:
-        """Return whether production leads consumption by more than the configured slack, so that producers wait."""
+        """Return whether collection leads updates by more than the configured slack, so that workers must wait."""
         replay = self.config.replay
         if replay.updates_per_step == 0:
             return False
         return self.updates_due() / replay.updates_per_step > replay.slack_steps
 
     def train(self, updates: int) -> None:
-        """Do updates."""
+        """Do this many updates."""
         with _flushed_denormals():
             for _ in range(updates):
                 batch = self.replay.sample(self.config.algorithm.batch, self.random)
@@ -125,9 +125,9 @@ class Trainer:
                 self.updates += 1
 
     def snapshot(self) -> tuple[dict[str, Tensor | Frozen], dict[str, Any]]:
-        """Return everything from which `restore` continues bit-equal: tensors, and values that JSON can hold.
+        """Return the state from which `restore` continues bit-equal: tensors, and values that JSON can hold.
 
-        It is the state of this instant, whatever training does afterwards; the large tensors are yet to be read.
+        It is the state at this instant, whatever training does afterwards. The large tensors are copied only when read.
         """
         rows, counts = self.replay.snapshot()
         tensors: dict[str, Tensor | Frozen] = {f"replay.{name}": tensor for name, tensor in rows.items()}
@@ -152,7 +152,7 @@ class Trainer:
         return {name: whole(tensor) for name, tensor in tensors.items()}, plain
 
     def restore(self, tensors: dict[str, Tensor], state: dict[str, Any]) -> None:
-        """Continue from `state`; nothing is changed unless all of it fits.
+        """Continue from `state`; if any part does not fit, change nothing.
 
         Raises:
             CheckpointError: when something is missing or does not fit the configuration.
@@ -195,7 +195,7 @@ class Trainer:
         return self.engine.actors()
 
     def next_version(self) -> int:
-        """Count up and return the version under which the present actors are published."""
+        """Increment the version and return it; the present actors are published under it."""
         self.version += 1
         most = self.config.replay.max_age_versions
         if 0 < most < self.version:
@@ -203,12 +203,12 @@ class Trainer:
         return self.version
 
     def imitate(self, event: ImitationEvent) -> bool:
-        """Apply an imitation event to the actors, eq. (soft), unless it was applied before.
+        """Apply an imitation event to the actors, eq. (soft), unless it has been applied already.
 
-        Adam's moments stay as they are.
+        Adam's moments do not change.
 
         Returns:
-            Whether it was applied now.
+            Whether this call applied it.
 
         Raises:
             SchemaError: when it does not fit the team, or an event before it is missing.
@@ -227,7 +227,7 @@ class Trainer:
         return True
 
     def statistics(self) -> dict[str, float]:
-        """Return running means of losses and values for each type, and the state of replay."""
+        """Return running means of the diagnostics for each type, and statistics of replay."""
         result = self.diagnostics.by_type()
         result["replay_rows"] = float(self.replay.rows)
         result["replay_occupancy"] = self.replay.occupancy
@@ -242,7 +242,7 @@ class Trainer:
 
 @contextmanager
 def _flushed_denormals() -> Iterator[None]:
-    """Round numbers below 1e-38 to 0 meanwhile: moments of silent units decay into that range and cost time there."""
+    """Flush numbers below 1e-38 to 0 in this block: moments of inactive units decay into that range and are slow."""
     torch.set_flush_denormal(True)
     try:
         yield

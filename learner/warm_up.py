@@ -1,6 +1,6 @@
-"""Compiles what an update calls, by a few updates of a trainer that is discarded, before the learner serves anybody.
+"""Compiles the kernels of an update before the learner serves requests, by a few updates of a throwaway trainer.
 
-With an empty cache compilation takes some ten seconds, during which the process cannot answer messages.
+With an empty cache, compilation takes about ten seconds, during which the process could not answer messages.
 """
 
 from dataclasses import replace
@@ -15,7 +15,7 @@ from learner.trainer import Trainer
 
 
 def warm_up(config: RunConfig, team: TeamSpec) -> None:
-    """Take in one chunk and do every kind of update once; on an accelerator nothing is compiled ahead.
+    """Absorb one chunk and do every kind of update once; do nothing on an accelerator.
 
     Args:
         config: the run.

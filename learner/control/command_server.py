@@ -21,11 +21,11 @@ class CommandServer:
     Args:
         server: where they come in.
         configuration: the answer to a process that joins the run.
-        newest_incarnation: returns the greatest incarnation that is known of a worker, 0 for none.
+        newest_incarnation: returns the greatest known incarnation of a worker, or 0.
 
     Attributes:
         lease: which coordinator leads.
-        draining: whether somebody asked the learner to drain.
+        draining: whether a command asked the learner to drain.
         malformed: requests that could not be decoded.
     """
 
@@ -41,7 +41,7 @@ class CommandServer:
         }
 
     def answer(self) -> None:
-        """Answer every command that waits."""
+        """Answer every waiting command."""
         for incoming in self._server.waiting():
             try:
                 sender = CommandMessage.decode(incoming.payload).sender
@@ -53,13 +53,13 @@ class CommandServer:
             if verb in self._verbs:
                 self._verbs[verb](incoming, sender)
             else:
-                incoming.refuse(f"the learner knows no command {verb}.")
+                incoming.refuse(f"the learner has no command {verb!r}.")
 
     def _send_configuration(self, incoming: Incoming, sender: str) -> None:
         incoming.reply(replace(self._configuration, newest_incarnation=self._newest_incarnation(sender)).encode())
 
     def _drain(self, incoming: Incoming, sender: str) -> None:
-        log(f"draining, as {sender[:SHOWN_NAME]} asked.")
+        log(f"draining at the request of {sender[:SHOWN_NAME]}.")
         self.draining = True
         incoming.reply(ReceiptMessage(True, "").encode())
 

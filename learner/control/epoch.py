@@ -1,4 +1,4 @@
-"""The learner's fencing epoch: a number that is higher for every later start of a run's learner."""
+"""The learner's fencing epoch: each later start of a run's learner has a higher one."""
 
 from typing import Final
 
@@ -9,14 +9,14 @@ from common.protocol.messages import ProgressMessage
 from common.transport.bus import Bus
 
 MOST_EPOCH: Final = 2**62
-"""Epochs from here on are refused where they are read: no clock shows them, and later starts need higher ones."""
+"""Epochs from here on are refused when read: no clock gives them, and later starts need higher ones."""
 
 
 def next_epoch(last: int) -> int:
     """Return the epoch of a new start of the learner.
 
-    It is the incarnation of this start, see `common.incarnation`. A clock that was set back does no harm, and two
-    copies of one run directory do not start with the same epoch.
+    It is the incarnation of this start, see `common.incarnation`. It grows even if the clock was set back, and two
+    copies of one run directory start with different epochs.
 
     Args:
         last: the highest epoch known from the checkpoint and the history; 0 for none.

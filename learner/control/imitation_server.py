@@ -18,9 +18,9 @@ class ImitationServer:
 
     Args:
         server: where they come in.
-        trainer: whose actors imitate.
-        lease: which coordinator leads; events of others are refused.
-        epoch: the learner's fencing epoch; events for another one are refused.
+        trainer: the trainer whose actors imitate.
+        lease: which coordinator leads; events from others are refused.
+        epoch: the learner's fencing epoch; events for another epoch are refused.
         on_applied: called with each event that changed the actors, before it is acknowledged.
     """
 
@@ -36,7 +36,7 @@ class ImitationServer:
         self._on_applied = on_applied
 
     def answer(self) -> None:
-        """Answer every request that waits."""
+        """Answer every waiting request."""
         for incoming in self._server.waiting():
             try:
                 event = self._checked(incoming)

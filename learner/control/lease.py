@@ -1,17 +1,17 @@
-"""Which coordinator leads: the learner grants a lease of a few seconds and applies the holder's events only."""
+"""The coordinators' lease: the learner grants it for a few seconds and applies only the holder's events."""
 
 from dataclasses import dataclass
 
 LEASE_SECONDS = 3.0
-"""Time after the holder's last claim at which another coordinator may take over."""
+"""Time after the holder's last claim from which another coordinator may take over."""
 
 
 @dataclass
 class Lease:
     """A lease with one holder at a time; the first claimant holds it until it is silent for LEASE_SECONDS.
 
-    Imitation events take effect in the learner alone. If two coordinators both believe that they lead, the one that was
-    silent for too long is refused here.
+    Imitation events take effect only in the learner. If two coordinators both believe that they lead, the learner
+    refuses the one that was silent for too long.
 
     Attributes:
         holder: name and incarnation of the leading coordinator, or None before the first claim.

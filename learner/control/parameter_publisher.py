@@ -8,7 +8,7 @@ from learner.trainer import Trainer
 
 
 class ParameterPublisher:
-    """Publishes on the control lane; both messages are states, so a late subscriber gets the newest one.
+    """Publishes both as states on the control lane, so late subscribers get the newest ones.
 
     Args:
         bus: the control lane.

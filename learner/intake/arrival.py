@@ -10,14 +10,14 @@ from learner.intake.ledger import LedgerSnapshot
 
 
 class OwedAnswer:
-    """The answer to a chunk that is trained on first (lockstep); it goes to the newest copy of the request."""
+    """The answer to a chunk that the learner trains on first (lockstep); it goes to the newest copy of the request."""
 
     def __init__(self, incoming: Incoming) -> None:
         self._incoming: Incoming | None = incoming
         self._lock = threading.Lock()
 
     def renew(self, incoming: Incoming) -> bool:
-        """Answer this copy instead, as the link of the one before may be gone; False when the answer was sent."""
+        """Answer this copy instead, because the earlier copy's link may be gone; return False if already answered."""
         with self._lock:
             if self._incoming is None:
                 return False
@@ -25,7 +25,7 @@ class OwedAnswer:
             return True
 
     def answer(self, payload: bytes) -> None:
-        """Send the answer, once."""
+        """Send the answer, unless it was sent before."""
         with self._lock:
             incoming, self._incoming = self._incoming, None
         if incoming is not None:

@@ -1,11 +1,11 @@
-"""What a run's configuration lets a worker's chunk be, so that a worker that lies about its steps is found out.
+"""Checks of a worker's chunks against the run's configuration, so that no worker can lie about its steps.
 
-Every worker flies the environments of the run's configuration, each `chunk_steps` steps to a chunk. So the sequence
-number alone decides how many steps a chunk holds and how many its start has produced, and the rows decide which
-episodes end and how long they were.
+Every worker simulates the configured number of environments, `chunk_steps` steps of each per chunk. So the sequence
+number determines a chunk's steps and the steps that its start has produced. The rows determine which episodes end and
+how long they were.
 
-The parameter version is the one claim that cannot be checked. `Receiver` clamps a future version to the newest
-published one and believes an older one; docs/reference/security.md says what a false one can do.
+Only the parameter version cannot be checked. `Receiver` clamps a future version to the newest published one and trusts
+an older one; docs/reference/security.md describes what a false one can do.
 """
 
 from dataclasses import dataclass
@@ -21,9 +21,9 @@ from common.protocol.messages import Envelope
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary
 
 MOST_TRACKED: Final = 4096
-"""Workers whose running episodes are tracked; beyond them the one that was tracked first starts anew."""
+"""Most workers whose running episodes are tracked; beyond that, the least recent one is forgotten."""
 UNKNOWN: Final = -1
-"""Steps since the last end of an episode, where that end has not been seen."""
+"""Stands for the steps since an episode's end that was not seen."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class ChunkRules:
     Attributes:
         environments: environments of one worker, E.
         chunk_steps: steps of each of them in one chunk, S.
-        spool_chunks: chunks that a worker holds at most.
+        spool_chunks: most chunks that a worker holds.
         shortest: fewest steps of an episode.
         longest: most steps of an episode.
         episode_metrics: names of the environment's episode metrics.
@@ -63,22 +63,22 @@ class ChunkRules:
         Args:
             sender: who sent the chunk, with the chunk's own number.
             steps: environment steps in its rows.
-            produced: what the chunk says that its start has produced up to and with it.
-            flown: what its delivery says that the start has flown.
+            produced: steps that its start has produced up to and including it, as the chunk states.
+            flown: steps that its start has flown, as the delivery states.
         """
         if steps != self.steps:
-            raise SchemaError(f"{steps} steps, where each chunk of this run holds {self.steps}.")
+            raise SchemaError(f"the chunk holds {steps} steps, but each chunk of this run holds {self.steps}.")
         if produced != sender.sequence * self.steps:
             raise SchemaError(f"{produced} steps produced with chunk {sender.sequence} of {self.steps} steps each.")
         if flown > produced + self.spool_chunks * self.steps:
-            raise SchemaError(f"{flown} steps flown, where a spool holds at most {self.spool_chunks} chunks.")
+            raise SchemaError(f"{flown} steps flown, but a spool holds at most {self.spool_chunks} chunks.")
 
 
 class EpisodeTracker:
     """Follows the running episodes of each worker's environments, from chunk to chunk.
 
-    An environment whose last end was seen has an episode of known length. Before that, after a gap or a refused chunk,
-    and for a worker met anew, the length is unknown, and only the rules' bounds hold.
+    Once an episode's end has been seen, the length of the environment's next episode is known. Before that, after a gap
+    or a refused chunk, and for a new worker, it is unknown, and only the rules' bounds are checked.
     """
 
     def __init__(self, rules: ChunkRules) -> None:
@@ -86,14 +86,14 @@ class EpisodeTracker:
         self._since: dict[str, tuple[Envelope, NDArray[np.int64]]] = {}
 
     def check(self, sender: Envelope, chunk: Chunk) -> NDArray[np.int64]:
-        """Hold a chunk's episodes against its rows and the chunks before it.
+        """Check a chunk's episodes against its rows and the chunks before it.
 
         Returns:
-            [E] steps of each environment since its last end, for `follow`.
+            [E] steps of each environment since its last episode's end, for `follow`.
 
         Raises:
-            SchemaError: when the rows are not those of E environments with S steps each, or an episode is longer,
-                shorter or of another length than its environment flew.
+            SchemaError: when the rows do not hold S steps of E environments each, or an episode's length is out of
+                bounds or differs from what its environment flew.
         """
         rules = self._rules
         at, ends = self._ends(chunk.rows.flag)
@@ -102,7 +102,9 @@ class EpisodeTracker:
         lengths = [episode.steps for episode in chunk.episodes]
         for environment, step, length in zip(at.tolist(), ends.tolist(), lengths, strict=True):
             if not rules.shortest <= length <= rules.longest:
-                raise SchemaError(f"an episode of {length} steps; they last {rules.shortest} to {rules.longest}.")
+                raise SchemaError(
+                    f"an episode of {length} steps, but episodes last {rules.shortest} to {rules.longest} steps."
+                )
             flown = step + 1 + (int(since[environment]) if known[environment] else 0)
             if length < flown or (known[environment] and length != flown):
                 raise SchemaError(f"an episode of {length} steps ended after {flown} steps.")
@@ -110,7 +112,7 @@ class EpisodeTracker:
         return np.where(known, since + rules.chunk_steps, UNKNOWN)
 
     def follow(self, sender: Envelope, since: NDArray[np.int64]) -> None:
-        """Note where a chunk's environments stand once it is booked."""
+        """Remember the environments' steps since their last ends, once a chunk is booked."""
         self._since.pop(sender.name, None)
         self._since[sender.name] = sender, since
         if len(self._since) > MOST_TRACKED:
@@ -122,23 +124,23 @@ class EpisodeTracker:
         return since.copy() if follows and since is not None else np.full(self._rules.environments, UNKNOWN, np.int64)
 
     def _ends(self, flag: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the environment and the step of each end, in the order in which the environments met them."""
+        """Return the environment and the step of each episode's end, in order of time."""
         count, steps = self._rules.environments, self._rules.chunk_steps
         place = np.flatnonzero(flag & TRANSITION)
         ended = np.flatnonzero(flag[place] & (TERMINATED | TRUNCATED))
         cut = int(np.count_nonzero(ended % steps != steps - 1))
         last = place[steps - 1 :: steps] + 1
         if len(place) != count * steps or len(flag) - len(place) != count + cut or (flag[last] & TRANSITION).any():
-            raise SchemaError(f"the rows are not those of {count} environments with {steps} steps each.")
+            raise SchemaError(f"the rows do not hold {count} environments with {steps} steps each.")
         order = np.lexsort((ended // steps, ended % steps))
         return ended[order] // steps, ended[order] % steps
 
 
 def provable(episodes: tuple[EpisodeSummary, ...], room: int) -> tuple[EpisodeSummary, ...]:
-    """Return those of a chunk's episodes that so many delivered steps have room for, in order.
+    """Return those of a chunk's episodes, in order, that fit into `room` delivered steps.
 
-    An episode counts for the run when the learner has seen its steps. One that began before this learner's account of
-    the worker may be too long for that.
+    An episode counts for the run only if the learner has received all its steps. An episode that began before this
+    learner's account of the worker may be too long for that.
     """
     counted: list[EpisodeSummary] = []
     for episode in episodes:

@@ -1,4 +1,4 @@
-"""The way from the receiver into replay: each accepted chunk is absorbed once, and its ledger with it."""
+"""Moves accepted chunks from the receiver into replay, each once, together with its ledger."""
 
 import queue
 import time
@@ -13,9 +13,9 @@ from learner.intake.receiver import Receiver
 from learner.trainer import Trainer
 
 DRAIN_SECONDS: Final = 3.0
-"""Longest time for which a draining learner takes in what workers still hold."""
+"""Longest time for which a draining learner takes in chunks that workers still hold."""
 QUIET_SECONDS: Final = 0.5
-"""Silence after which a draining learner assumes that workers hold nothing more."""
+"""Silence after which a draining learner assumes that workers hold no more chunks."""
 LAG_WEIGHT: Final = 0.05
 """Weight of the newest chunk in the moving average of the version lag."""
 
@@ -26,7 +26,7 @@ class ExperienceFeed:
     Args:
         receiver: where chunks arrive.
         trainer: where they go.
-        ledger: the ledger of what is in the trainer already.
+        ledger: the ledger of the chunks that are already in the trainer.
         on_episodes: called with the episodes that finished in a chunk, after it was absorbed.
 
     Attributes:
@@ -60,7 +60,7 @@ class ExperienceFeed:
         return arrival
 
     def drain(self, between: Callable[[], None]) -> None:
-        """Absorb what workers still deliver until they fall silent; call `between` after each wait."""
+        """Absorb what workers still deliver until they are silent; call `between` after each wait."""
         started = last = time.monotonic()
         while (now := time.monotonic()) - started < DRAIN_SECONDS and now - last < QUIET_SECONDS:
             if self.absorb_next(0.02) is not None:

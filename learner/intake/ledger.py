@@ -1,4 +1,4 @@
-"""The ledger: it takes each chunk once, in order, and accounts for every environment step."""
+"""The ledger: it books each chunk once, in order, and accounts for every environment step."""
 
 import heapq
 import threading
@@ -10,9 +10,9 @@ from common.protocol.messages import Envelope
 
 Status = Literal["accepted", "duplicate", "gap"]
 ROWS: Final = 16
-"""Workers that a report lists one by one; it sums the others."""
+"""Most workers that a report lists one by one; it sums the others."""
 OTHERS: Final = "(others)"
-"""What the sum is called, which no worker can be."""
+"""Name of that sum; no worker can have it."""
 _REPORTED: Final = (
     "accepted",
     "lost",
@@ -31,15 +31,15 @@ _REPORTED: Final = (
 class WorkerLedger:
     """The account of one worker's present start (incarnation), in environment steps and chunks.
 
-    `flown` and `produced` are what the worker says, and are never computed from what was booked, so that either side
-    can be held against the other.
+    The worker reports `flown` and `produced`. They are never computed from booked steps, so the two sides can be
+    compared.
 
     Attributes:
-        incarnation: which start of the worker.
-        expected: next sequence number.
-        flown: the most steps that the worker ever said it had flown.
-        produced: steps up to and with the last chunk that was taken, by the worker's count; all that it flew, once the
-            start has ended.
+        incarnation: number of the worker's start.
+        expected: sequence number of the next chunk.
+        flown: most steps that the worker has reported as flown.
+        produced: steps up to and including the last booked chunk, as the worker counts; equal to `flown` once the start
+            has ended.
         accepted: steps that entered replay.
         lost: steps that were produced and can no longer arrive.
         claimed: those of them in chunks that the worker skipped. Only its word says that it ever flew them.
@@ -75,16 +75,16 @@ class WorkerLedger:
 
     @property
     def in_flight(self) -> int:
-        """Return the steps that the worker says it flew after those of the last chunk that was taken."""
+        """Steps that the worker reports after the last booked chunk."""
         return self.flown - self.produced
 
     @property
     def unexplained(self) -> int:
-        """Return the steps up to the last chunk that nothing was booked for; below 0 when too much was booked."""
+        """Steps up to the last booked chunk that no entry covers; negative when too many were booked."""
         return self.produced - self.accepted - self.lost - self.rejected
 
     def given_up(self) -> "WorkerLedger":
-        """Return the account of a start that has ended: what has not arrived by now is lost."""
+        """Return the account of a start that has ended: steps that have not arrived are lost."""
         return replace(self, lost=self.lost + self.in_flight, produced=self.flown)
 
     def sums(self) -> dict[str, int]:
@@ -111,10 +111,10 @@ class LedgerSnapshot(NamedTuple):
 class Ledger:
     """Deduplication by (worker, incarnation, sequence), and the ledger of all workers.
 
-    A worker sends its chunks in sequence and repeats one until it is answered. So a number below the expected one is a
-    duplicate; one above it is a gap, which the worker closes by sending again, unless it no longer holds what is
-    missing: then those steps are declared lost and counted. What a start of a worker had flown when it last sent, and
-    never delivered before the next start of that name appeared, is lost as well.
+    A worker sends its chunks in sequence and repeats each until it is answered. So a number below the expected one is a
+    duplicate. A number above it is a gap, which the worker closes by sending again. If the worker no longer holds the
+    missing chunks, their steps are counted as lost. When a new start of a worker appears, the steps that its previous
+    start reported and never delivered are lost as well.
     """
 
     def __init__(self) -> None:
@@ -123,11 +123,11 @@ class Ledger:
         self._switch = threading.Lock()
 
     def judge(self, sender: Envelope, oldest: int) -> Status:
-        """Return what a chunk is, without accepting it.
+        """Return a chunk's status without accepting it; a duplicate is counted.
 
         Args:
             sender: who sent it, with the chunk's own number.
-            oldest: number of the oldest chunk that the worker still holds; those before it can never arrive.
+            oldest: number of the oldest chunk that the worker still holds; earlier ones can never arrive.
         """
         ledger = self._ledger(sender)
         if sender.sequence < ledger.expected:
@@ -143,52 +143,52 @@ class Ledger:
         Args:
             sender: who sent it.
             steps: environment steps in it.
-            produced: steps that its start has produced up to and with it.
+            produced: steps that its start has produced, this chunk included.
             flown: steps that its start has flown.
             counted: steps of the episodes that end in it and count for the run.
 
         Returns:
-            the steps before it that are lost, as became known only now.
+            Steps before it that are now known to be lost.
         """
         return self._spend(sender, steps, produced, flown, accepted=steps, counted=counted)
 
     def room(self, sender: Envelope) -> int:
-        """Return how many delivered steps of a worker's start no finished episode has counted yet."""
+        """Return how many delivered steps of a worker's start no finished episode has used yet."""
         ledger = self._ledger(sender)
         return ledger.delivered - ledger.counted
 
     def lose(self, sender: Envelope, steps: int, produced: int, flown: int) -> None:
-        """Book a chunk as lost that an earlier start of the learner had accepted, after its last checkpoint."""
+        """Book as lost a chunk that an earlier start of the learner accepted after its last checkpoint."""
         self._spend(sender, steps, produced, flown, lost=steps)
 
     def refuse(self, sender: Envelope, chunks: int = 1) -> None:
-        """Book a refused chunk of which only the sender is known; its number is spent.
+        """Book a refused chunk of unknown content; its number is used up.
 
         Args:
-            sender: who sent it.
-            chunks: how many refused chunks to book at once, of which the sender's number is the last.
+            sender: who sent it, with the number of the last chunk.
+            chunks: number of consecutive refused chunks to book at once.
         """
         ledger = self._ledger(sender)
         self.workers[sender.name] = replace(
             ledger,
             expected=max(ledger.expected, sender.sequence + 1),
             refused=ledger.refused + chunks,
-            # Behind a gap nobody knows which of the missing steps were in refused chunks: all of them are lost.
+            # After a gap it is unknown which missing steps were in refused chunks, so all count as lost.
             pending_gap=(gap := ledger.pending_gap or sender.sequence - chunks + 1 > ledger.expected),
             pending_rejected=not gap,
         )
 
     def refuse_aged(self, sender: Envelope, steps: int, produced: int, flown: int, chunks: int = 1) -> int:
-        """Book a chunk, or several at once, refused because of an old policy; return the steps before that are lost."""
+        """Book chunks that were refused because their policy is too old; return the lost steps before them."""
         return self._spend(sender, steps, produced, flown, rejected=steps, refused=chunks, aged=chunks)
 
     def note_damaged(self, sender: Envelope) -> None:
-        """Count a damaged frame; its number is not spent, so the chunk can come again."""
+        """Count a damaged frame; its number stays free, so the chunk can arrive again."""
         ledger = self._ledger(sender)
         self.workers[sender.name] = replace(ledger, damaged=ledger.damaged + 1)
 
     def newest_incarnation(self, worker: str) -> int:
-        """Return the greatest incarnation of a worker that is known, 0 for none; any thread may ask."""
+        """Return the greatest known incarnation of a worker, or 0; any thread may call this."""
         ledger = self.workers.get(worker)
         return 0 if ledger is None else ledger.incarnation
 
@@ -205,15 +205,15 @@ class Ledger:
         return self.accounts(0)[0]
 
     def unexplained(self) -> int:
-        """Return by how many steps accounts fail to close; what is forgotten in one does not make up for another."""
+        """Return how many steps the accounts leave unexplained; errors of opposite sign do not cancel."""
         closed, workers = self.now()
         return sum(abs(part.unexplained) for part in (closed, *workers.values()))
 
     def accounts(self, rows: int = ROWS) -> tuple[dict[str, int], dict[str, dict[str, int]]]:
-        """Return the totals, and what they are made of: the accounts of single workers and the sum of the others.
+        """Return the totals and their parts: the accounts of single workers, and the sum of the others.
 
-        First come the workers that lost most or had most rejected, then those that produced most. The sum bears the
-        name OTHERS and says how many `workers` it holds. Columns add up to the totals exactly.
+        Workers with the most lost and rejected steps come first, then those that produced most. The sum is named
+        OTHERS, and its `workers` is the number of workers in it. The parts add up to the totals exactly.
 
         Args:
             rows: most workers that are listed one by one.
@@ -233,18 +233,18 @@ class Ledger:
         return self.now().state()
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Take up a checkpoint's ledger; raise CheckpointError when it is none."""
+        """Continue from a checkpoint's ledger; raise CheckpointError when it is malformed."""
         try:
             self.closed = _ended(state["closed"])
             self.workers = {str(name): _rebuilt(entry) for name, entry in state["workers"].items()}
         except (KeyError, TypeError, AttributeError, ValueError) as error:
-            raise CheckpointError(f"the checkpoint's ledger is not readable: {error}") from error
+            raise CheckpointError(f"the checkpoint's ledger cannot be read: {error}") from error
 
     def _spend(self, sender: Envelope, steps: int, produced: int, flown: int, **booked: int) -> int:
-        """Spend a chunk's number; book what was missing before it, and the sums in `booked` for the chunk itself.
+        """Use up a chunk's number; book the missing steps before it, and `booked` for the chunk itself.
 
         Returns:
-            the steps before it that are lost.
+            The lost steps before it.
         """
         ledger = self._ledger(sender)
         missing = max(0, produced - steps - ledger.produced)
@@ -265,7 +265,7 @@ class Ledger:
         return missing - rejected
 
     def now(self) -> LedgerSnapshot:
-        """Return the accounts of this moment."""
+        """Return the present accounts."""
         with self._switch:
             return LedgerSnapshot(self.closed, dict(self.workers))
 
@@ -274,7 +274,7 @@ class Ledger:
         if ledger is not None and sender.incarnation <= ledger.incarnation:
             return ledger
         fresh = WorkerLedger(sender.incarnation)
-        with self._switch:  # whoever adds up meanwhile must find the old start in exactly one place
+        with self._switch:  # a concurrent sum must find the old start in exactly one place
             if ledger is not None:
                 ended = replace(ledger.given_up(), earlier=None)
                 self.closed = _add(self.closed, ended)
@@ -295,7 +295,7 @@ def _summed(parts: list[WorkerLedger]) -> dict[str, int]:
 
 
 def _ended(entry: dict[str, Any]) -> WorkerLedger:
-    """Return a checkpoint's sum of ended starts; an older form says too little in `produced`."""
+    """Return a checkpoint's sum of ended starts; an older format stores too small a `produced`."""
     return replace(_account(entry), produced=entry["flown"])
 
 
@@ -305,7 +305,7 @@ def _rebuilt(entry: dict[str, Any]) -> WorkerLedger:
 
 
 def _account(entry: dict[str, Any]) -> WorkerLedger:
-    """Return one account; raise ValueError when a count is none."""
+    """Return one account; raise ValueError when a field is not a count."""
     account = WorkerLedger(**entry)
     for field in fields(WorkerLedger):
         value = getattr(account, field.name)

@@ -1,6 +1,6 @@
 """Workers that send repeated invalid requests: counted by name, blocked for a while, and reported.
 
-A request is invalid when it cannot be read or used, and also when it is a repetition or out of turn. On a bad network
+A request is invalid when it cannot be read or used, and also when it is repeated or out of order. On a bad network,
 honest workers send some of these, but not many in a row.
 """
 
@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from typing import Final
 
 LIMIT: Final = 20
-"""Bad requests in a row after which a worker is blocked."""
+"""Invalid requests in a row after which a worker is blocked."""
 BLOCK_SECONDS: Final = 60.0
-"""How long; afterwards it has one try, and a good one clears it."""
+"""Duration of a block; afterwards, a valid request ends it and an invalid one renews it."""
 MOST_PEERS: Final = 256
-"""Workers with a count; beyond them the one whose last invalid request is oldest is dropped."""
+"""Most workers with a count; beyond that, the one whose last invalid request is oldest is dropped."""
 NAMED: Final = 8
-"""Workers that a report lists."""
+"""Most workers that a report lists."""
 
 
 @dataclass
@@ -31,7 +31,7 @@ class PeerPenalties:
     """Counts invalid requests by the name in the key, which only the worker's own certificate may use.
 
     Args:
-        clock: seconds; for tests.
+        clock: returns monotonic seconds; tests replace it.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -54,14 +54,14 @@ class PeerPenalties:
         return blocked
 
     def good(self, peer: str) -> None:
-        """Count a valid request: the row of invalid ones is over."""
+        """Note a valid request, which ends the row of invalid ones."""
         if (account := self._accounts.get(peer)) is not None:
             account.row, account.until = 0, None
 
     def refusal(self, peer: str) -> str | None:
         """Return the answer to a peer that is blocked, or None for one that is served."""
         account = self._accounts.get(peer)
-        until = None if account is None else account.until  # another thread may be taking it away
+        until = None if account is None else account.until  # another thread may clear it meanwhile
         if account is None or until is None or self._clock() >= until:
             return None
         return f"worker {peer} is blocked after {account.row} bad requests in a row; the last: {account.reason}"
@@ -72,7 +72,7 @@ class PeerPenalties:
         return found[:NAMED]
 
     def counts(self) -> dict[str, int]:
-        """Return the invalid requests of the worst peers by name, and of all others together."""
+        """Return the number of invalid requests of the worst peers by name, and of all others in total."""
         worst = sorted(self._accounts.items(), key=lambda item: -item[1].total)
         counts = {peer: account.total for peer, account in worst[:NAMED]}
         rest = sum(account.total for _, account in worst[NAMED:]) + self._forgotten

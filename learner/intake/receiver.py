@@ -1,4 +1,4 @@
-"""The learner's front door: every chunk is checked, judged once, queued, and only then acknowledged."""
+"""Receives chunks: each is checked, booked once, queued, and only then acknowledged."""
 
 import queue
 import threading
@@ -28,48 +28,48 @@ from learner.intake.peer_penalties import BLOCK_SECONDS, PeerPenalties
 from learner.intake.throttle import Throttle
 
 FULL_SECONDS: Final = 0.001
-"""Pause between two looks at a full queue."""
+"""Pause between two checks of a full queue."""
 DAMAGED_TRIES: Final = 8
-"""Times that one chunk may arrive damaged before it is refused for good: its worker makes it so."""
+"""Times that one chunk may arrive damaged before it is refused: the damage is then the worker's, not the network's."""
 MOST_WORKERS: Final = 65_536
-"""Most workers that have accounts, whoever they were; all accounts stand in each checkpoint."""
+"""Most workers with accounts, past ones included; every checkpoint holds all accounts."""
 LOGGED_REFUSALS: Final = 20
 """Refusals that are logged one by one; all are counted."""
 REASON: Final = 400
 """Most characters of a reason in an answer."""
 Verdict = tuple[str, str]
-"""What becomes of a chunk, see `ChunkAck`, and why it was not taken."""
+"""The verdict on a chunk, see `ChunkAck`, and the reason if it was not accepted."""
 Counts = tuple[int, int, int]
-"""Environment steps in a chunk, produced by its start up to and with it, and flown by the start."""
+"""Environment steps in a chunk, produced by its start (this chunk included), and flown by its start."""
 TAKEN: Final[Verdict] = ("accepted", "")
 WORTH_LOOKING: Final = frozenset(("accepted", "closed", "refused", "damaged"))
-"""A request without any of these brought nothing, and counts against its sender; bad chunks are counted one by one."""
+"""A request with none of these verdicts counts against its sender; bad chunks are counted one by one."""
 
 
 class Receiver:
-    """Takes chunks from a server in a thread of its own and puts them into a bounded queue.
+    """Receives chunks from a server in its own thread and puts them into a bounded queue.
 
-    The queue is the backpressure: while it is full, answers are late, and workers wait for them.
+    The queue applies backpressure: while it is full, answers are late, and workers wait for them.
 
     Attributes:
         arrivals: the queue.
         ledger: deduplication and the account of every worker.
         malformed: requests that belong to no worker.
-        replaced: requests of starts that a newer start of the same worker has replaced.
-        uncounted_episodes: finished episodes that did not count, because this learner has not seen all their steps.
-        peer_penalties: workers whose requests are of no use.
-        throttle: requests of workers that are blocked; the receiver's owner calls its `release` now and then.
-        server: where chunks come in.
-        gate: held while a chunk is booked and queued, so that ledger and queue can be seen together.
-        required_version: parameter version that a worker must hold before it flies on (lockstep), else 0.
-        version: the newest published parameter version. No chunk counts as newer, whatever it claims.
+        replaced: requests from starts that a newer start of the same worker has replaced.
+        uncounted_episodes: finished episodes that did not count, because this learner has not received all their steps.
+        peer_penalties: counts of invalid requests by worker.
+        throttle: requests of blocked workers; the receiver's owner must call its `release` regularly.
+        server: where chunks arrive.
+        gate: lock held while a chunk is booked and queued, so that ledger and queue can be read together.
+        required_version: parameter version that a worker must hold before it continues (lockstep), else 0.
+        version: the newest published parameter version; a chunk that claims a newer one counts as this version.
 
     Args:
-        server: where chunks come in.
+        server: where chunks arrive.
         team: layout of their rows.
-        rules: what the run's configuration lets a chunk be.
-        ledger: deduplication and the account of every worker; the receiver's from now on.
-        replay: size of the queue and most versions of lag.
+        rules: checks of chunks against the run's configuration.
+        ledger: deduplication and the account of every worker; the receiver owns it from now on.
+        replay: gives the size of the queue and the largest version lag.
         lockstep: whether the learner itself answers, after it has trained; a request then holds one chunk.
         history: where each verdict is written before it is sent.
         version: the newest parameter version so far.
@@ -105,10 +105,10 @@ class Receiver:
         self._thread.start()
 
     def next_arrival(self, seconds: float) -> Arrival | None:
-        """Return the next chunk, or None when none has come after so long, or a little sooner.
+        """Return the next chunk, or None when none arrives within this time, or a little less.
 
-        Only one thread may call it. It is woken by a whole request or a full queue, not by each chunk: two threads that
-        hand Python's lock to and fro for every chunk spend more time on that than on chunks.
+        Only one thread may call it. A whole request or a full queue wakes it, not each chunk: two threads that exchange
+        Python's lock for every chunk spend more time on that than on chunks.
         """
         with suppress(queue.Empty):
             return self.arrivals.get_nowait()
@@ -119,22 +119,22 @@ class Receiver:
         return None
 
     def close(self) -> None:
-        """Take no more chunks; every accepted one is in the queue when this returns."""
+        """Accept no more chunks; every accepted one is in the queue when this returns."""
         with self.gate:
             self._closing.set()
 
     def set_version(self, version: int) -> None:
-        """Note the newest published version, from which the age of chunks counts."""
+        """Set the newest published version, against which the age of chunks is measured."""
         self.version = version
 
     def require_version(self, version: int) -> None:
-        """Let workers go on only with this version or a later one (lockstep)."""
+        """Let workers continue only with this version or a later one (lockstep)."""
         self.required_version = version
 
     def unexplained(self, absorbed: int) -> int:
-        """Return the steps that the ledger cannot explain or that are missing in replay and queue; 0 but for a defect.
+        """Return the steps that the ledger cannot explain or that replay and queue lack; 0 unless there is a defect.
 
-        Both count as absolute values, so neither makes up for the other.
+        Both are absolute values, so they cannot cancel each other.
 
         Args:
             absorbed: environment steps that have left the queue for replay.
@@ -146,7 +146,7 @@ class Receiver:
 
     @property
     def alive(self) -> bool:
-        """Whether chunks are still taken."""
+        """Whether the receiving thread runs."""
         return self._thread.is_alive()
 
     def metrics(self) -> dict[str, Any]:
@@ -161,9 +161,9 @@ class Receiver:
         }
 
     def join(self) -> None:
-        """Take no more chunks and wait for the thread to end; the bus must be closed.
+        """Accept no more chunks and wait for the thread to end; the bus must be closed.
 
-        Whoever joins has stopped emptying the queue, so a thread that waits for room there would wait for ever.
+        The caller no longer empties the queue, so without `close` a thread that waits for room would wait forever.
         """
         self.close()
         self._thread.join()
@@ -186,7 +186,7 @@ class Receiver:
             return
         sender = self._identified(incoming, worker)
         if sender.incarnation < self.ledger.newest_incarnation(worker):
-            # No penalty: it would hit the newer start, which has the same name.
+            # No penalty here: it would affect the newer start, which has the same name.
             self.replaced += 1
             incoming.reply(ChunkAck(("replaced",), ("a newer start of this worker delivers now.",), 1, 0).encode())
             return
@@ -196,7 +196,7 @@ class Receiver:
             self._answer(incoming, sender, [self._send_again(sender, error)])
             return
         if self._lockstep and len(parts) > 1:
-            raise ProtocolError("a lockstep run takes one chunk at a time.")
+            raise ProtocolError("a lockstep run accepts one chunk at a time.")
         verdicts: list[Verdict] = []
         for index, data in enumerate(parts):
             verdicts.append(self._judge(replace(sender, sequence=sender.sequence + index), delivery, data, incoming))
@@ -211,13 +211,13 @@ class Receiver:
         return verdict == TAKEN or (again and self._owed is not None and self._owed.renew(incoming))
 
     def _identified(self, incoming: Incoming, worker: str) -> Envelope:
-        """Return who sent a request; raise ProtocolError when it may not send here."""
+        """Return a request's sender; raise ProtocolError when it may not send here."""
         try:
             sender = Envelope.decode(incoming.attachment)
             if (sender.role, sender.name) != ("rollout", worker) or not 1 <= sender.sequence <= MOST_COUNT:
                 raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}, {sender.sequence}.")
             if not plausible(sender.incarnation, self.ledger.newest_incarnation(worker)):
-                raise ProtocolError(f"no clock gives the incarnation {sender.incarnation}.")
+                raise ProtocolError(f"the incarnation {sender.incarnation} is not plausible.")
         except ProtocolError as error:
             self._bad(worker, str(error))
             raise
@@ -225,15 +225,15 @@ class Receiver:
         if self._lockstep and known is None and any(worker.accepted for worker in self.ledger.workers.values()):
             raise ProtocolError("a lockstep run has exactly one worker.")
         if known is None and len(self.ledger.workers) >= MOST_WORKERS:
-            raise ProtocolError(f"{MOST_WORKERS} workers have accounts already.")
+            raise ProtocolError(f"the learner already has accounts of {MOST_WORKERS} workers.")
         return sender
 
     def _judge(self, sender: Envelope, delivery: DeliveryMessage, data: Data, incoming: Incoming) -> Verdict:
-        """Look at one chunk of a delivery, and book and queue it when all is well.
+        """Check one chunk of a delivery, and book and queue it if it is valid.
 
         Args:
             sender: who sent it, with the chunk's own number.
-            delivery: what it came in.
+            delivery: the delivery that it arrived in.
             data: its frame.
             incoming: the request, which the learner itself answers in lockstep.
         """
@@ -241,7 +241,7 @@ class Receiver:
             message = ChunkMessage.decode(data)
         except ProtocolError as error:
             return self._send_again(sender, error)
-        # A worker holds each chunk until it is settled, so it can give none up that this receiver has not settled.
+        # A worker holds each chunk until it is settled, so it cannot drop one that this receiver has not settled.
         met = self._met.get(sender.name) == sender.incarnation
         status = self.ledger.judge(sender, 0 if met else delivery.oldest)
         if status != "accepted":
@@ -268,17 +268,17 @@ class Receiver:
         return verdict
 
     def _settle(self, sender: Envelope, since: NDArray[np.int64]) -> None:
-        """Remember a whole chunk's worker, and where its environments stand."""
+        """Remember the worker of a whole chunk, and its environments' running episodes."""
         self._met[sender.name] = sender.incarnation
         self._episodes.follow(sender, since)
 
     def _send_again(self, sender: Envelope, error: ProtocolError) -> Verdict:
-        """Ask for an unreadable frame once more, without spending its number; refuse it when that goes on.
+        """Ask for an unreadable frame again without using up its number; refuse it after DAMAGED_TRIES.
 
-        A number that is not the next one is never spent here: the worker may still hold those before it.
+        Only the expected number is ever used up here: the worker may still hold the chunks before a later one.
         """
         self.ledger.note_damaged(sender)
-        self._log(f"a chunk of worker {sender.name} came damaged: {error}")
+        self._log(f"a chunk of worker {sender.name} arrived damaged: {error}")
         expected = self.ledger.expected(sender)
         if sender.sequence < expected:
             self._record("duplicate", sender, 1)  # the answer is the same as for a whole copy
@@ -294,7 +294,7 @@ class Receiver:
     def _refuse(self, sender: Envelope, error: ProtocolError) -> Verdict:
         self._damaged.pop(sender.name, None)
         if sender.sequence > self.ledger.expected(sender):
-            # How many steps are missing will be known with the next good chunk; that they are is known now.
+            # The next valid chunk shows how many steps are missing; that some are missing is known now.
             self._record("missing", sender, 0)
         self.ledger.refuse(sender)
         self._met[sender.name] = sender.incarnation
@@ -303,7 +303,7 @@ class Receiver:
         return "refused", str(error)[:REASON]
 
     def _answer(self, incoming: Incoming, sender: Envelope, verdicts: list[Verdict]) -> None:
-        """Send the verdicts, after booking the request against its sender when it brought nothing."""
+        """Send the verdicts; a request that achieved nothing first counts against its sender."""
         version = 0 if verdicts[-1][0] == "refused" else self.required_version
         names, reasons = zip(*verdicts, strict=True)
         if not set(names) & WORTH_LOOKING:
@@ -316,7 +316,7 @@ class Receiver:
         self._history.add(Entry(verdict, sender.name, sender.incarnation, number, number, steps, produced, flown))
 
     def _record_taken(self, verdict: str, sender: Envelope, counts: Counts, lost: int) -> None:
-        """Write the verdict on a whole chunk into the history, after the steps before it that are lost."""
+        """Write the verdict on a whole chunk into the history, after any lost steps before it."""
         if lost:
             self._record("missing", sender, lost)
             self._log(f"worker {sender.name} can no longer deliver {lost} steps from before chunk {sender.sequence}.")
@@ -329,7 +329,7 @@ class Receiver:
                 if self._closing.is_set():
                     return "closed", ""
                 if not self.arrivals.full():
-                    # This thread alone puts, so the free place stays free.
+                    # Only this thread adds to the queue, so there is still room.
                     counted = provable(chunk.episodes, self.ledger.room(sender) + counts[0])
                     if uncounted := len(chunk.episodes) - len(counted):
                         self.uncounted_episodes += uncounted

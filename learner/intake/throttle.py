@@ -1,4 +1,4 @@
-"""Refusals that are delayed, so that a peer that waits for its answers cannot flood the learner."""
+"""Delays refusals, so that a peer that waits for its answers cannot flood the learner."""
 
 import threading
 import time
@@ -10,13 +10,13 @@ from typing import Final
 from common.transport.bus import Incoming
 
 HOLD_SECONDS: Final = 5.0
-"""Delay of a refusal, s; less than a worker's patience, so that it learns the reason."""
+"""Delay of a refusal, s; less than a worker's time limit, so that the reason reaches it."""
 MOST_HELD: Final = 256
-"""Most requests that are held; beyond them the oldest is refused at once."""
+"""Most requests held; beyond that, the oldest is refused at once."""
 MOST_BYTES: Final = 32 * 2**20
-"""Most bytes that they may take, likewise."""
+"""Most bytes held; beyond that, the oldest request is refused at once."""
 LEAST_BYTES: Final = 65_536
-"""Least bytes of one request: the receive buffer that Zenoh keeps for it."""
+"""Least bytes that one request counts as: the receive buffer that Zenoh keeps for it."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,10 @@ class Throttle:
     """Holds refused requests for a while; any thread may call.
 
     Attributes:
-        turned_away: requests that were ever held.
+        turned_away: number of requests held so far.
 
     Args:
-        clock: seconds; for tests.
+        clock: returns monotonic seconds; tests replace it.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -45,7 +45,7 @@ class Throttle:
         self._lock = threading.Lock()
 
     def hold(self, incoming: Incoming, reason: str) -> None:
-        """Hold a request, to be refused later; its payload is dropped."""
+        """Hold a request, drop its payload, and refuse it later."""
         size = max(LEAST_BYTES, len(incoming.payload))
         incoming.payload = b""
         with self._lock:
@@ -55,7 +55,7 @@ class Throttle:
         self.release()
 
     def release(self) -> None:
-        """Refuse the requests that are due, and the oldest while too much is held."""
+        """Refuse the requests that are due, and the oldest ones while too many are held."""
         while (held := self._next()) is not None:
             held.incoming.refuse(held.reason)
 

@@ -16,7 +16,7 @@ class Curves:
 
     Args:
         team: the layout of the team.
-        recent: episodes that had finished before a run was resumed, oldest first.
+        recent: episodes that finished before the run was resumed, oldest first.
     """
 
     def __init__(self, team: TeamSpec, recent: Iterable[EpisodeSummary] = ()) -> None:
@@ -24,7 +24,7 @@ class Curves:
         self._recent: deque[dict[str, Any]] = deque(map(self._row, recent), maxlen=SMOOTHED_EPISODES)
 
     def add(self, episodes: Sequence[EpisodeSummary]) -> dict[str, Any]:
-        """Add finished episodes; return the means of these alone."""
+        """Add finished episodes; return the means over only these."""
         rows = [self._row(episode) for episode in episodes]
         self._recent.extend(rows)
         return _mean(rows)

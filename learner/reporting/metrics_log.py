@@ -15,7 +15,7 @@ from learner.reporting.open_file import names_open_file
 class MetricsLog:
     """Appends records to metrics.jsonl; without a directory it writes nothing.
 
-    A file that is removed while in use is begun anew, and `failure` says so from then on.
+    If the file is removed while in use, a new one is started, and `failure` reports it from then on.
 
     Args:
         directory: the run directory, or None.
@@ -35,11 +35,11 @@ class MetricsLog:
 
     @property
     def elapsed(self) -> float:
-        """Return the seconds since the run began, pauses between its starts left out."""
+        """Seconds since the run began, without the pauses between its starts."""
         return time.monotonic() - self._started
 
     def write(self, kind: str, **values: Any) -> None:
-        """Append one record; a record that cannot be written is lost and counted, and the next one is tried again."""
+        """Append one record; a record that cannot be written is lost and counted, and the next write tries again."""
         self._append(json.dumps({"kind": kind, "time": round(self.elapsed, 3), **values}) + "\n")
 
     def close(self) -> None:
@@ -66,9 +66,9 @@ class MetricsLog:
             self.failure = self._past_failures()
 
     def _past_failures(self) -> str:
-        """Return what is missing from the file for good, or an empty string."""
+        """Return a sentence on records that are lost for good, or an empty string."""
         lost = f"{self._lost} records of metrics.jsonl could not be written." if self._lost else ""
-        removed = "metrics.jsonl was removed while in use; the records up to then are gone." if self._removed else ""
+        removed = "metrics.jsonl was removed while in use; its earlier records are gone." if self._removed else ""
         return f"{lost} {removed}".strip()
 
     def _shut(self) -> None:
@@ -80,7 +80,7 @@ class MetricsLog:
 
 
 def _reopened(path: Path) -> TextIO:
-    """Open a file to append to it; a line that a crash has cut short is ended first."""
+    """Open a file for appending; a last line that a crash cut short gets a line end first."""
     with path.open("ab+") as file:
         if file.tell():
             file.seek(-1, os.SEEK_END)
@@ -90,7 +90,7 @@ def _reopened(path: Path) -> TextIO:
 
 
 def imitation_record(team: TeamSpec, event: ImitationEvent) -> dict[str, Any]:
-    """Return the record of an imitation event in metrics.jsonl."""
+    """Return an imitation event as a record for metrics.jsonl."""
     names = [group.name for group in team.groups]
     return {
         "event": event.event,

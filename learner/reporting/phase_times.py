@@ -1,4 +1,4 @@
-"""How the learner spends its time: training, and waiting for one thing or another."""
+"""How the learner spends its time: training, writing checkpoints, or waiting."""
 
 import time
 from collections.abc import Iterator
@@ -11,8 +11,8 @@ Phase = Literal["data", "imitation", "producers", "training", "checkpoint"]
 class PhaseTimes:
     """Seconds in each phase since the start.
 
-    `producers` is not a phase of the loop but the time during which collection is ahead of updates and workers wait; it
-    overlaps the others.
+    `producers` is not a phase of the loop. It is the time during which collection is ahead of updates and workers wait,
+    and it overlaps the phases.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,7 @@ class PhaseTimes:
 
     @contextmanager
     def measure(self, phase: Phase) -> Iterator[None]:
-        """Add the time that the block takes to a phase."""
+        """Add the duration of the `with` block to a phase."""
         started = time.monotonic()
         try:
             yield

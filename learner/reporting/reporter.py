@@ -1,4 +1,4 @@
-"""Reports where training stands: a metric message, TensorBoard scalars and a line of metrics.jsonl."""
+"""Reports the state of training as a metric message, TensorBoard scalars and a line of metrics.jsonl."""
 
 import math
 from collections import deque
@@ -16,7 +16,7 @@ from learner.reporting.tensorboard import TensorBoardWriter, flattened
 from learner.trainer import Trainer
 
 IMITATIONS: Final = 4
-"""Newest imitation events in a metric message."""
+"""Number of imitation events in a metric message, the newest ones."""
 SCALARS: Final = ("lag_versions", "queue", "curves", "statistics", "checkpoints", "waits", "ledger")
 """Metrics that TensorBoard shows."""
 
@@ -56,36 +56,36 @@ class Reporter:
 
     @property
     def elapsed(self) -> float:
-        """Return the seconds since the run began, pauses between its starts left out."""
+        """Seconds since the run began, without the pauses between its starts."""
         return self._log.elapsed
 
     def add(self, metrics: MetricSource | None = None, alarms: AlarmSource | None = None) -> None:
-        """Add a part of the learner whose metrics, alarms or both belong in each report."""
+        """Add a source of metrics, alarms or both, which every report then includes."""
         if metrics is not None:
             self._metrics.append(metrics)
         if alarms is not None:
             self._alarms.append(alarms)
 
     def log_resume(self) -> None:
-        """Record the counters from which the run goes on; earlier records beyond them are superseded."""
+        """Record the counters from which the run continues; they supersede earlier records beyond them."""
         counters = ("episodes", "environment_steps", "updates", "events")
         self._log.write("resume", **{name: getattr(self._trainer, name) for name in counters})
         self._tensorboard.resume(self._trainer.environment_steps)
 
     def log_episodes(self, episodes: Sequence[EpisodeSummary]) -> None:
-        """Record episodes that have finished."""
+        """Record finished episodes."""
         t, means = self._trainer, self._curves.add(episodes)
         counters = {"episodes": t.episodes, "environment_steps": t.environment_steps, "updates": t.updates}
         self._log.write("episodes", **counters, **means)
 
     def log_imitation(self, event: ImitationEvent) -> None:
-        """Record an imitation event that was applied."""
+        """Record an applied imitation event."""
         record = {"episodes": self._trainer.episodes, **imitation_record(self._team, event)}
         self._imitations.append(record)
         self._log.write("imitation", **record)
 
     def log_end(self, state: str) -> None:
-        """Record that the learner ends in this state, and the digest of its final actors."""
+        """Record the learner's final state and the digest of its final actors."""
         self._log.write("end", state=state, episodes=self._trainer.episodes, digest=self._trainer.actors().digest())
 
     def report(self, state: str) -> None:

@@ -1,7 +1,7 @@
 """TensorBoard scalars in the run directory; `tensorboard --logdir RUN_DIR` shows them.
 
-We use the library's event writer and not its `SummaryWriter`, which passes events to a thread through a bounded queue.
-Once a full disk has ended that thread, the queue fills up and blocks training for ever.
+We use the library's event writer, not its `SummaryWriter`, which passes events to a thread through a bounded queue.
+When a full disk ends that thread, the queue fills up and blocks training forever.
 """
 
 import time
@@ -16,7 +16,7 @@ from tensorboardX.proto.summary_pb2 import Summary, SummaryMetadata
 
 FOLDER = "tensorboard"
 RETRY_SECONDS = 60.0
-"""Pause after a failure before the next file is begun; a full disk may take a new file but not its contents."""
+"""Pause after a failure before a new file is started; a full disk may accept a new file but not its contents."""
 
 
 class TensorBoardWriter:
@@ -24,7 +24,7 @@ class TensorBoardWriter:
 
     Args:
         directory: the run directory, or None.
-        descriptions: what a scalar is, by its name, where there is more to say than the name.
+        descriptions: descriptions of scalars, by name; not every scalar needs one.
 
     Attributes:
         failure: why scalars could not be written, or empty.
@@ -55,8 +55,8 @@ class TensorBoardWriter:
         return Summary.Value(tag=name, simple_value=value, metadata=metadata)
 
     def resume(self, step: int) -> None:
-        """Record that a run goes on from a step, so that TensorBoard leaves out what earlier files hold beyond it."""
-        # TensorBoard leaves out the step of this event as well, but the checkpoint's own step stays valid.
+        """Record that a run resumes at a step, so that TensorBoard drops later steps in earlier files."""
+        # TensorBoard drops this event's step as well, but the checkpoint's own step stays valid.
         self._put(Event(wall_time=time.time(), step=step + 1, session_log=SessionLog(status=SessionLog.START)))
 
     def close(self) -> None:
@@ -67,7 +67,7 @@ class TensorBoardWriter:
         self._writer = self._folder = None
 
     def _put(self, event: Any) -> None:
-        """Write an event, or count it as lost; after a failure another file is begun when RETRY_SECONDS have passed."""
+        """Write an event, or count it as lost; RETRY_SECONDS after a failure, start a new file."""
         if self._folder is None:
             return
         try:
@@ -89,10 +89,10 @@ class TensorBoardWriter:
             self.failure = self._past_failures()
 
     def _open(self, folder: Path) -> None:
-        """Begin another event file, whose name sorts after those of earlier starts.
+        """Start a new event file whose name sorts after those of earlier starts.
 
-        TensorBoard reads files in the order of their names. The library's names begin with the wall clock, which a
-        clock that was set back would put before files that were written earlier.
+        TensorBoard reads files in the order of their names. The library's own names begin with the wall clock, so after
+        a clock was set back, a new file would sort before earlier ones.
         """
         folder.mkdir(exist_ok=True)
         before = {path.name for path in folder.iterdir()}
@@ -100,7 +100,7 @@ class TensorBoardWriter:
         self._file = next((path for path in folder.iterdir() if path.name not in before), None)
 
     def _past_failures(self) -> str:
-        lost = f"{self._lost} events of TensorBoard's could not be written." if self._lost else ""
+        lost = f"{self._lost} TensorBoard events could not be written." if self._lost else ""
         removed = "TensorBoard's event file was removed while in use; its scalars are gone." if self._removed else ""
         return f"{lost} {removed}".strip()
 
@@ -112,7 +112,7 @@ def _next_start(names: set[str]) -> int:
 
 
 def flattened(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
-    """Return the numbers in nested mappings, with the names on the way joined by slashes; skip what is no number."""
+    """Return the numbers in nested mappings by their names, joined with slashes; skip other values."""
     result: dict[str, float] = {}
     for name, value in values.items():
         if isinstance(value, Mapping):

@@ -108,7 +108,7 @@ def test_whole_flights_count_exactly():
     [
         ({(0, 4): 6}, "6 steps ended after 5"),
         ({(0, 4): 5, (0, 6): 3}, "3 steps ended after 2"),
-        ({(0, 4): 101}, "101 steps; they last 1 to 100"),
+        ({(0, 4): 101}, "101 steps, but episodes last 1 to 100"),
         ({(1, 0): 2**63 - 1}, "they last 1 to 100"),
     ],
 )

@@ -144,7 +144,7 @@ def test_scalars_go_on_in_another_file_after_a_full_disk(tmp_path, monkeypatch):
     made._again = 0.0
     made.write(4, {"a": 4.0})
     made.close()
-    assert made.failure == "2 events of TensorBoard's could not be written."
+    assert made.failure == "2 TensorBoard events could not be written."
     files = sorted((tmp_path / FOLDER).iterdir())
     assert len(files) == 2
     steps = [event.step for event in events(tmp_path / FOLDER) if event.summary.value]
@@ -177,7 +177,7 @@ def test_metrics_that_are_removed_while_in_use_are_begun_anew(tmp_path, how):
         path.write_text('{"kind": "status", "time": 0.0, "episodes": 7}\n')
     log.write("status", episodes=2)
     log.write("status", episodes=3)
-    assert log.failure == "metrics.jsonl was removed while in use; the records up to then are gone."
+    assert log.failure == "metrics.jsonl was removed while in use; its earlier records are gone."
     log.close()
     assert values_of(path, "status", "episodes") == ([7] if how == "replaced" else []) + [2, 3]
 
