@@ -1,4 +1,4 @@
-"""When the learner's history may be summed up: never what a checkpoint that is kept could be resumed from."""
+"""Compacts the learner's history: sums up records that precede every kept checkpoint."""
 
 from collections import deque
 from typing import Final
@@ -8,7 +8,7 @@ from common.history.summary import Marks, summarised
 from learner.intake.ledger import LedgerSnapshot
 
 MOST_RECORDS: Final = 20_000
-"""Records from which on those before all checkpoints become totals: some megabytes."""
+"""Number of records, some megabytes, above which those before all checkpoints become totals."""
 
 
 class HistoryCompaction:
@@ -21,15 +21,15 @@ class HistoryCompaction:
 
     def __init__(self, history: History, kept: int) -> None:
         self._history = history
-        # The newest may still be being written, and then one more of the older ones is there.
+        # While the newest is still being written, one more of the older ones exists.
         self._marks: deque[Marks] = deque(maxlen=kept + 2)
 
     def on_checkpoint(self, ledger: LedgerSnapshot, *, failed: bool) -> None:
-        """Sum up what is before all checkpoints, when there is much of it.
+        """Sum up the records before all kept checkpoints, if the history is long.
 
         Args:
             ledger: the ledger of the checkpoint that is being written.
-            failed: whether the one before could not be written; nothing is known then of which ones are kept.
+            failed: whether the previous checkpoint could not be written; it is then unknown which ones exist.
         """
         if failed:
             self._marks.clear()

@@ -5,12 +5,11 @@
 
 `tensors` is the SHA-256 of the tensors' file, and `sha256` that of the manifest without this entry, so a flipped bit
 anywhere is noticed. A checkpoint is written under a temporary name, flushed to disk and renamed, and the rename is
-flushed as well. A folder with a checkpoint's name is therefore complete unless the disk damages it later. A checkpoint
-found to be damaged loses its name, so that it does not count among those that are kept; it stays until the next one is
-found.
+flushed as well. So a folder with a checkpoint's name is complete unless the disk damages it later. A damaged checkpoint
+is renamed, so that it does not count among the kept ones; it is removed when the next damaged one is found.
 
-Tensors are hashed and written piece by piece. The library's own `save` first copies all of them twice in memory and
-holds the interpreter's lock meanwhile, so that training would stop.
+Tensors are hashed and written piece by piece. The library's own `save` first copies all of them twice in memory while
+it holds the interpreter's lock, which would stop training.
 """
 
 import hashlib
@@ -47,7 +46,7 @@ _DAMAGED = "damaged-"
 _DTYPES: Final = {torch.float64: "F64", torch.int64: "I64", torch.float32: "F32", torch.int32: "I32", torch.uint8: "U8"}
 _PIECE_BYTES: Final = 2**20
 _FAULTS: Final = (OSError, ValueError, KeyError, TypeError, RecursionError, SafetensorError)
-"""What reading a damaged checkpoint may raise."""
+"""Exceptions that reading a damaged checkpoint may raise."""
 
 
 @dataclass(frozen=True)
@@ -71,19 +70,18 @@ def save(
     """Write a checkpoint and remove all but the newest `keep`.
 
     Args:
-        directory: where checkpoints live; made if missing.
+        directory: where checkpoints are stored; created if missing.
         tensors: contiguous tensors by name; frozen ones are read here.
         manifest: plain values that JSON can hold.
         keep: how many checkpoints are kept.
         rest: seconds to sleep after each piece, so that other threads get the processor.
 
     Returns:
-        the checkpoint's folder.
+        The checkpoint's folder.
 
     Raises:
-        CheckpointError: when it is larger than `load` reads, or a number is not finite; the checkpoints before it are
-            untouched.
-        OSError: when the disk refuses; likewise.
+        CheckpointError: when it is larger than `load` accepts, or a number is not finite. Earlier checkpoints stay.
+        OSError: when writing fails. Earlier checkpoints stay.
     """
     directory.mkdir(exist_ok=True)
     for leftover in directory.glob(f"{_PARTIAL}*"):
@@ -111,17 +109,17 @@ def save(
 
 
 def load_latest(directory: Path, most_bytes: int = MAX_TENSORS) -> Found | None:
-    """Read the newest checkpoint that is whole.
+    """Read the newest undamaged checkpoint.
 
     Args:
-        directory: where checkpoints live.
+        directory: where checkpoints are stored.
         most_bytes: largest tensors' file that is read; a larger one counts as damaged.
 
     Returns:
-        the checkpoint, or None when there is none at all.
+        The checkpoint, or None when the directory holds none.
 
     Raises:
-        CheckpointError: when there are checkpoints and every one is damaged.
+        CheckpointError: when there are checkpoints and all are damaged.
     """
     skipped: list[tuple[Path, str]] = []
     for _, path in reversed(_checkpoints(directory)):
@@ -137,10 +135,10 @@ def load_latest(directory: Path, most_bytes: int = MAX_TENSORS) -> Found | None:
 
 
 def set_aside(paths: Sequence[Path]) -> None:
-    """Rename damaged checkpoints so that they no longer count, and remove those that were renamed before.
+    """Rename damaged checkpoints so that they no longer count, and remove those renamed earlier.
 
     Raises:
-        OSError: when the disk refuses.
+        OSError: when a file cannot be renamed or removed.
     """
     for leftover in {old for path in paths for old in path.parent.glob(f"{_DAMAGED}*")}:
         shutil.rmtree(leftover)
@@ -151,7 +149,7 @@ def set_aside(paths: Sequence[Path]) -> None:
 def load(path: Path, most_bytes: int = MAX_TENSORS) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Read and verify one checkpoint folder; return its tensors and its manifest's body.
 
-    What does not verify is read once more from the disk itself, because a read can go wrong as well as a write.
+    If the check fails, the files are read once more from the disk itself, because a read can fail as well as a write.
 
     Raises:
         CheckpointError: when it cannot be read, is too large, or differs from what was written.
@@ -174,7 +172,7 @@ def _load(path: Path, most_bytes: int) -> tuple[dict[str, Tensor], dict[str, Any
 
 
 def _forget(path: Path) -> None:
-    """Ask the system to drop its copy of a checkpoint's files in memory, so that the next read goes to the disk."""
+    """Ask the system to drop a checkpoint's files from its page cache, so that the next read goes to the disk."""
     for file in path.glob("*"):
         with suppress(OSError), file.open("rb") as opened:
             os.posix_fadvise(opened.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)

@@ -1,7 +1,7 @@
-"""What a resumed learner reads from its history: the chunks that were accepted after the checkpoint and are lost.
+"""Reads from a resumed learner's history which chunks were accepted after the checkpoint and are lost.
 
-A worker forgets a chunk once it is acknowledged. So a chunk that the learner accepted after its last checkpoint does
-not come again: it is lost, and booked as lost here rather than with the worker's next delivery, which may never come.
+A worker drops a chunk once it is acknowledged. So a chunk that the learner accepted after its last checkpoint never
+arrives again. It is booked as lost here, not at the worker's next delivery, which may never happen.
 """
 
 from collections.abc import Iterable
@@ -27,7 +27,7 @@ def recover_losses(history: History, ledger: Ledger, epoch: int, *, resumed: boo
         resumed: whether this start continues an earlier one.
 
     Returns:
-        the environment steps that are lost in this way.
+        The environment steps lost in this way.
     """
     history.add(Start("learner", "learner", epoch))
     if not resumed:

@@ -1,4 +1,4 @@
-"""The run directory as the learner uses it: checkpoints of the whole run, and the newest policy."""
+"""The learner's part of the run directory: checkpoints of the whole run, and the newest policy."""
 
 import time
 from pathlib import Path
@@ -17,7 +17,7 @@ from learner.intake.ledger import Ledger
 from learner.trainer import Trainer
 
 SLACK_BYTES: Final = 64 * 2**20
-"""Size of everything in a checkpoint's tensors but networks and replay, and more."""
+"""Upper bound for the bytes of a checkpoint's tensors other than networks and replay."""
 CHECKPOINTS = "checkpoints"
 POLICY = "policy.safetensors"
 
@@ -57,14 +57,14 @@ class RunStorage:
         return self._writer.failure if self._writer else ""
 
     def alarms(self) -> list[str]:
-        """Return what is wrong with the checkpoints and the directory."""
+        """Return one sentence for each problem with the checkpoints or the directory; some may be empty."""
         gone = self._directory is not None and _identity(self._directory) is None
         return [self.alarm, f"the run directory {self._directory} is gone; nothing is kept." if gone else ""]
 
     def require_same_directory(self) -> None:
         """Raise RunDirError when the run directory's path leads to another directory than at the start.
 
-        What this learner writes there would mix with another run, or with a copy of its own.
+        This learner's files would mix with those of another run, or of a copy of this one.
         """
         if self._directory is None or self._identity is None:
             return
@@ -74,14 +74,14 @@ class RunStorage:
     def save(self, trainer: Trainer, ledger: SavableLedger, elapsed: float, epoch: int, *, wait: bool = False) -> None:
         """Begin to write a checkpoint of this instant, or count it as skipped while the previous one is being written.
 
-        Training continues meanwhile, and also after a failure (see `alarm`): the previous checkpoint is still whole.
+        Training continues meanwhile, and also after a failure (see `alarm`); the previous checkpoint then stays.
 
         Args:
             trainer: its whole state is saved.
             ledger: the ledger of the chunks in that state.
             elapsed: seconds that the run has taken so far.
             epoch: the learner's fencing epoch.
-            wait: return only when it is on disk or has failed; it is never skipped then.
+            wait: return only when it is on disk or has failed, and never skip it.
         """
         if self._writer is None:
             return
@@ -111,7 +111,7 @@ class RunStorage:
             self._writer.join()
 
     def statistics(self) -> dict[str, float]:
-        """Return metrics of the checkpoints since this start; those without "longest" are about the newest one."""
+        """Return metrics of this start's checkpoints; pause, seconds and bytes are those of the newest one."""
         if self._writer is None:
             return {}
         return {
@@ -126,11 +126,11 @@ class RunStorage:
     def restore(self, trainer: Trainer, ledger: Ledger) -> tuple[float, int]:
         """Resume from the newest whole checkpoint; return the seconds that the run has taken, and its epoch.
 
-        Without any checkpoint nothing changes, and both are 0: the run was killed before its first one.
+        Without any checkpoint (the run was killed before its first one), nothing changes and both are 0.
 
         Raises:
-            RunDirError: when the checkpoint is of another configuration.
-            CheckpointError: when there are checkpoints and none of them is whole.
+            RunDirError: when the checkpoint belongs to another configuration.
+            CheckpointError: when there are checkpoints and all are damaged.
         """
         if self._directory is None or not (self._directory / CHECKPOINTS).is_dir():
             return 0.0, 0
@@ -139,7 +139,7 @@ class RunStorage:
             return 0.0, 0
         self._set_aside(found)
         manifest = found.manifest
-        # Earlier versions name a digest that today's options do not give; the folder's config.toml has been compared.
+        # Checkpoints of earlier versions have no such digest or another one; config.toml has been compared already.
         if manifest.get("method", self._method) != self._method:
             raise RunDirError(f"the checkpoint in {self._directory} belongs to another configuration.")
         elapsed, epoch = finite(manifest, "elapsed"), counter(manifest, "epoch")

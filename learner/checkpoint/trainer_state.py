@@ -1,4 +1,4 @@
-"""A trainer's state as tensors and plain values for a checkpoint, and the checks when it is read back."""
+"""Converts a trainer's state to plain values for a checkpoint, and checks it when it is read back."""
 
 import math
 from collections.abc import Mapping
@@ -30,13 +30,13 @@ def current_names(tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> tu
 
 
 MOST_COUNT: Final = 2**62
-"""No counter of a run comes near this; a larger one would not fit the messages that carry it."""
+"""Upper bound of a run's counters; no run comes near it, and messages could not carry larger ones."""
 MOST_EPISODES: Final = 4096
-"""Most episodes that a checkpoint may remember."""
+"""Most episodes that a checkpoint may hold."""
 
 
 def checked_tensors(targets: Mapping[str, Tensor], source: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return, by the targets' names, the sources that may be copied into them.
+    """Return the sources, by the targets' names, after checking that they can be copied into the targets.
 
     Raises:
         CheckpointError: when one is missing, has another type or shape, or holds a number that is not finite.
@@ -67,7 +67,7 @@ def restored_random(state: Any) -> np.random.Generator:
     """Return a generator that continues from `random_state`.
 
     Raises:
-        CheckpointError: when it is no such state.
+        CheckpointError: when the state is malformed.
     """
     try:
         philox = np.random.Philox()
@@ -83,7 +83,7 @@ def restored_random(state: Any) -> np.random.Generator:
         raise CheckpointError(f"the checkpoint's random state is not readable: {error}.") from error
     generator = np.random.Generator(philox)
     if random_state(generator) != dict(state):
-        raise CheckpointError("the checkpoint's random state is not one of this generator.")
+        raise CheckpointError("the checkpoint's random state does not belong to a Philox generator.")
     return generator
 
 
@@ -93,10 +93,10 @@ def episode_record(episode: EpisodeSummary) -> dict[str, Any]:
 
 
 def episode_summaries(records: Any) -> list[EpisodeSummary]:
-    """Return the summaries of several `episode_record`s.
+    """Return the summaries in a list of `episode_record`s.
 
     Raises:
-        CheckpointError: when they are no such records.
+        CheckpointError: when a record is malformed, or there are too many.
     """
     try:
         if len(records) > MOST_EPISODES:
@@ -129,7 +129,7 @@ def counter(state: Mapping[str, Any], name: str) -> int:
     """Return a counter of the state.
 
     Raises:
-        CheckpointError: when it is missing, no integer, negative, or larger than any counter of ours.
+        CheckpointError: when it is missing, not an integer, negative, or too large.
     """
     value = state.get(name)
     if type(value) is not int or not 0 <= value < MOST_COUNT:
@@ -141,7 +141,7 @@ def finite(state: Mapping[str, Any], name: str) -> float:
     """Return a number of the state.
 
     Raises:
-        CheckpointError: when it is missing, no number or not finite.
+        CheckpointError: when it is missing, not a number or not finite.
     """
     value = state.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -150,10 +150,10 @@ def finite(state: Mapping[str, Any], name: str) -> float:
 
 
 def mapping(state: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return a part of the state that has parts itself.
+    """Return a mapping in the state.
 
     Raises:
-        CheckpointError: when it is missing or has none.
+        CheckpointError: when it is missing or not a mapping.
     """
     value = state.get(name)
     if not isinstance(value, dict):

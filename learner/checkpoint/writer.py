@@ -13,18 +13,18 @@ from learner.checkpoint import files
 from learner.data.tensor_snapshot import Frozen
 
 REST_SECONDS = 0.002
-"""Rest after each piece of 1 MiB. A low priority would not do: training waits for locks that the thread holds."""
+"""Pause after each piece of 1 MiB. A low priority would not help: training waits for locks that the thread holds."""
 
 
 class CheckpointWriter:
     """Hashes and writes checkpoints; a failure is noted in `failure` and does not stop training.
 
     Args:
-        directory: where checkpoints live.
-        keep: how many checkpoints are kept.
+        directory: where checkpoints are stored.
+        keep: number of checkpoints to keep.
 
     Attributes:
-        written: checkpoints written.
+        written: number of checkpoints written.
         failure: why the newest one could not be written, or empty.
         seconds: time that writing the newest one took.
         bytes: size of its tensors' file.
@@ -32,7 +32,7 @@ class CheckpointWriter:
 
     def __init__(self, directory: Path, keep: int) -> None:
         self._directory, self._keep = directory, keep
-        # Start the thread now: starting one blocks until the system schedules it, which would delay training later.
+        # Start the thread now: a start blocks until the system schedules the thread, which would delay training later.
         self._pool = ThreadPoolExecutor(1, "checkpoint")
         self._job: Future[None] = self._pool.submit(lambda: None)
         self.written = self.bytes = 0
@@ -45,7 +45,7 @@ class CheckpointWriter:
         return not self._job.done()
 
     def start(self, tensors: Mapping[str, Tensor | Frozen], manifest: dict[str, Any]) -> None:
-        """Begin to write a checkpoint; no other one may be in progress."""
+        """Start writing a checkpoint; no other one may be in progress."""
         self._job.result()
         self._job = self._pool.submit(self._run, tensors, manifest)
 
@@ -62,8 +62,8 @@ class CheckpointWriter:
             self.written += 1
             self.failure = ""
         except Exception as error:
-            # Any exception, such as a device out of memory, would otherwise end training at the next checkpoint.
-            self.failure = f"no checkpoint could be written ({error}); the one before stands."
+            # Otherwise any exception, such as a device out of memory, would end training at the next checkpoint.
+            self.failure = f"no checkpoint could be written ({error}); the previous one is kept."
             log(f"ALARM: {self.failure}")
         finally:
             for tensor in tensors.values():

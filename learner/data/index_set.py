@@ -10,9 +10,9 @@ Places = NDArray[np.int64]
 
 
 class IndexSet:
-    """A subset of 0 .. capacity - 1 in a compact array, so that a draw is one look-up.
+    """A subset of 0 .. capacity - 1 in a compact array, so that a draw is one lookup.
 
-    The last index of the array fills the hole that a removed one leaves. The order depends on the calls alone.
+    When an index is removed, the last one in the array takes its slot. The order depends only on the calls.
 
     Args:
         capacity: number of possible indices.
@@ -27,13 +27,13 @@ class IndexSet:
         self.count = 0
 
     def remove(self, places: Places) -> int:
-        """Remove those of some indices that are in the set; return how many were."""
+        """Remove those of the given indices that are in the set; return how many were."""
         left = replay_kernels.take_out(self._places, self._slot, self.count, places)
         taken, self.count = self.count - left, left
         return taken
 
     def exchange(self, gone: Places, new: Places) -> None:
-        """Remove those of some indices that are in the set, then add others, which are distinct and not in it."""
+        """Remove those of `gone` that are in the set, then add `new`, which must be distinct and not in it."""
         self.count = replay_kernels.exchange(self._places, self._slot, self.count, gone, new)
 
     def draw(self, count: int, generator: np.random.Generator) -> Places:
@@ -56,7 +56,7 @@ class IndexSet:
         slot = np.full(capacity, -1, np.int64)
         slot[members] = np.arange(members.shape[0])
         if np.count_nonzero(slot >= 0) != members.shape[0]:
-            raise CheckpointError("a place of the replay buffer may be drawn twice.")
+            raise CheckpointError("the replay buffer lists a drawable row twice.")
         self._slot = slot
         self._places[: members.shape[0]] = members
         self.count = members.shape[0]

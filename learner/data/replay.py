@@ -1,15 +1,15 @@
 """The replay buffer: a ring of rows, from which transitions are drawn uniformly.
 
-Rows are those of `common.transitions`. Each observation is stored once: a row's next observation is that of its
-successor, found by index. Where a chunk continues a trajectory that the previous chunk cut off, its first row merges
-with the row that is already there (see `learner.data.segments`). A successor is always newer than its row, so every
-row in the ring whose step is there has its successor there as well.
+The rows are those of `common.transitions`. Each observation is stored once: a row's next observation is that of its
+successor, found by index. If a chunk continues a trajectory of the previous chunk, its first row merges with the row
+that is already in the ring (see `learner.data.segments`). A successor is always newer than its row, so the successor of
+every row with a step is in the ring.
 
 With n steps (reading A5 with more rewards before the bootstrap), a transition from row t is
 
     reward = sum_{k < m} gamma^k r_{t+k},   next_observation = o_{t+m},   discount = gamma^m,
 
-where m is n, or less if the episode or the known part of the trajectory ends before that.
+where m is n, or less if the episode or the known part of the trajectory ends earlier.
 """
 
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ from learner.engine import Batch
 LARGE = ("observation", "action", "reward")
 SMALL = ("flag", "version", "successor", "uses")
 MOST_COUNT = 2**62
-"""No counter comes near this; a larger one would not fit the arrays that it is compared with."""
+"""Upper bound of the counters; no run comes near it, and the arrays could not hold larger ones."""
 COUNTS = ("head", "rows", "written", "drawn", "dropped", "retired", "retired_uses", "oldest_version")
 
 
@@ -51,9 +51,9 @@ class Replay:
         rows: rows in the ring.
         written: rows ever written.
         drawn: transitions ever drawn.
-        dropped: transitions that became too old to be drawn.
-        retired: transitions that were overwritten.
-        retired_uses: how often these had been drawn in total.
+        dropped: number of transitions that became too old to be drawn.
+        retired: number of transitions that were overwritten.
+        retired_uses: how often these had been drawn, in total.
         oldest_version: lowest policy version that may be drawn.
         drawn_version: mean policy version of the rows of the last batch.
         drawn_oldest: lowest policy version among them.
@@ -67,7 +67,7 @@ class Replay:
         self.observation = torch.zeros(capacity, team.observation_size, device=device)
         self.action = torch.zeros(capacity, team.action_size, device=device)
         self.reward = torch.zeros(capacity, team.agents, device=device)
-        # NumPy views of the same memory on a CPU; making them for every chunk takes longer than copying a small one.
+        # On a CPU, NumPy views of the same memory: creating them for each chunk takes longer than copying a small one.
         self._rows: list[Float32 | Tensor] = [
             large.numpy() if large.device.type == "cpu" else large for large in self._large()
         ]
@@ -97,17 +97,17 @@ class Replay:
 
     @property
     def reuse(self) -> float | None:
-        """How often a transition was drawn before it was overwritten, on average; None before the first was."""
+        """Mean number of draws of a transition before it is overwritten; None until one has been overwritten."""
         return self.retired_uses / self.retired if self.retired else None
 
     def add(self, rows: Rows, version: int, source: str = "", number: int = 0) -> None:
-        """Copy rows in, over the oldest ones where the ring is full.
+        """Copy rows into the ring, over the oldest ones if it is full.
 
         Args:
             rows: whole segments, checked against the team.
             version: policy version that acted in them.
-            source: who made them, so that its next chunk can continue them; empty if none does.
-            number: number of this chunk among those of the source, which count up by one.
+            source: name of their producer, whose next chunk can continue them; empty if none does.
+            number: number of this chunk among those of the source, which increases by one.
 
         Raises:
             ConfigError: when there are more rows than the ring holds.
@@ -120,7 +120,7 @@ class Replay:
         living = held >= self.written + count - self.capacity
         starts, held = starts[living], held[living]
         small = self.flag, self.version, self.successor, self.uses
-        # Copied because arrays from a message are read-only, a type for which the kernel would be compiled again.
+        # A copy, because a message's arrays are read-only, and the kernel would be compiled again for that type.
         numbers, new, drawable, gone, uses = replay_kernels.enter(
             rows.flag.copy(), starts, held, version, self.written, *small
         )
@@ -136,7 +136,7 @@ class Replay:
         self._ends.remember(rows, numbers, source, number)
 
     def _copy(self, rows: Rows, new: Indices, starts: Indices, places: Places) -> None:
-        """Write new rows at the head, and the actions and rewards of rows whose observations were already there."""
+        """Write new rows at the head, and the actions and rewards of rows whose observations are already stored."""
         first = min(new.shape[0], self.capacity - self.head)
         for start, part in ((self.head, new[:first]), (0, new[first:])):
             if part.shape[0]:
@@ -160,7 +160,7 @@ class Replay:
         return self.observation, self.action, self.reward
 
     def drop_before(self, version: int) -> None:
-        """Stop drawing rows of a policy version below this one; they are counted and stay until overwritten."""
+        """Stop drawing rows of lower policy versions; they are counted as dropped and stay until overwritten."""
         self.oldest_version = version
         old = np.flatnonzero((self.version[: self.rows] < version) & ((self.flag[: self.rows] & TRANSITION) != 0))
         self.dropped += self._drawable.remove(old)
@@ -208,7 +208,7 @@ class Replay:
         last, taken = places, np.ones(places.shape[0], np.int64)
         going = np.ones(places.shape[0], np.bool_)
         for k in range(1, self._steps):
-            # The last row of an episode has no step, and neither has the last known row of a trajectory.
+            # The last row of an episode and the last known row of a trajectory have no step.
             following = self.successor[last]
             going = going & ((self.flag[following] & TRANSITION) != 0)
             last = np.where(going, following, last)
@@ -218,7 +218,7 @@ class Replay:
         return last, reward, self._powers[torch.from_numpy(taken).to(self._device)]
 
     def snapshot(self) -> tuple[dict[str, Tensor | Frozen], dict[str, Any]]:
-        """Return the state at this instant: tensors of the ring's first `rows` rows, and values that JSON can hold.
+        """Return the present state: tensors of the ring's first `rows` rows, and values that JSON can hold.
 
         The large tensors are not copied yet (see `Frozen`); the caller must read or close each of them.
         """
@@ -229,7 +229,7 @@ class Replay:
         return {**large, **small, "drawable": torch.from_numpy(self._drawable.members())}, plain
 
     def restore(self, tensors: Mapping[str, Tensor], plain: Mapping[str, Any]) -> None:
-        """Continue from `snapshot`; nothing is changed unless all of it fits.
+        """Continue from `snapshot`; if any part does not fit, change nothing.
 
         Raises:
             CheckpointError: when it does not fit this ring.
@@ -273,7 +273,7 @@ class Replay:
 
 
 def _write(target: Float32 | Tensor, start: int, stop: int, source: Float32, index: Indices) -> None:
-    """Copy some rows of an array to rows start .. stop - 1; on a CPU without a temporary copy."""
+    """Copy the rows `index` of an array to rows start .. stop - 1; on a CPU, without a temporary copy."""
     if isinstance(target, Tensor):
         target[start:stop].copy_(torch.from_numpy(source[index]))
     else:

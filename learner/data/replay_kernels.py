@@ -1,4 +1,4 @@
-"""Compiled index work of the replay buffer: index sets, and the small arrays beside the ring of rows."""
+"""The replay buffer's compiled kernels, for index sets and for the small arrays beside the ring of rows."""
 
 from typing import cast
 
@@ -12,7 +12,7 @@ from learner.networks.kernels import Table
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function that keeps Python's lock: it takes less time than releasing and regaining the lock."""
+    """Compile a function that keeps Python's lock, because it runs faster than the lock is released and regained."""
     return cast(Function, numba.njit(error_model="numpy", cache=True)(function))
 
 
@@ -55,10 +55,10 @@ def enter(
 
     Args:
         flags: the chunk's flags.
-        starts: those of its rows that are already in the ring, in order.
-        held: the running number of each of these.
+        starts: its rows whose observations are already in the ring, in order.
+        held: the running number of each of these rows in the ring.
         version: policy version of the chunk.
-        written: rows ever written into the ring, which is the running number of the next one.
+        written: rows ever written into the ring, which is the running number of the next row.
         flag: the ring's flags; changed in place, like the arrays below.
         versions: policy versions.
         successor: index of each row's successor.

@@ -1,9 +1,9 @@
-"""Which segments of a new chunk continue a segment of the same worker's previous chunk.
+"""Finds the segments of a new chunk that continue segments of the same worker's previous chunk.
 
-A worker cuts its environments' trajectories into chunks. Both chunks hold the observation at the cut: as the last row
-of the earlier segment and as the first row of the later one. Replay stores it once. The rows are the same if the
-chunks' numbers are consecutive and the observations are bit-equal; otherwise, as after a lost chunk, the later segment
-starts afresh.
+A worker cuts its environments' trajectories into chunks. The observation at a cut is in both chunks: as the last row of
+the earlier segment and as the first row of the later one. Replay stores it once. The two rows are the same if the
+chunks' numbers are consecutive and the observations are bit-equal. Otherwise, for example after a lost chunk, the later
+segment starts anew.
 """
 
 from typing import Any, Final
@@ -16,7 +16,7 @@ from common.errors import CheckpointError
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Rows
 
 MAX_SOURCES = 4096
-"""Sources whose open ends are remembered; beyond that the least recent one is forgotten."""
+"""Most sources whose open ends are remembered; beyond that, the least recent one is forgotten."""
 
 Indices = NDArray[np.int64]
 _FIRST: Final[Indices] = np.zeros(1, np.int64)
@@ -51,11 +51,11 @@ class OpenEnds:
 
         Args:
             rows: the chunk.
-            source: who made it; empty if none of its segments is ever continued.
+            source: name of its producer; empty if none of its segments is ever continued.
             number: its number among the chunks of that source.
 
         Returns:
-            first rows of segments, and for each of them the running number of the row that holds its observation.
+            First rows of segments, and for each the running number of the row that already holds its observation.
         """
         before, ends = self._ends.pop(source, (0, []))
         if number != before + 1 or not ends:
@@ -89,10 +89,10 @@ class OpenEnds:
 
         Args:
             state: what `state` returned.
-            written: rows that were ever written into the ring; no end has a running number beyond them.
+            written: rows ever written into the ring; running numbers are below it.
 
         Raises:
-            CheckpointError: when it is no such state.
+            CheckpointError: when the state is malformed.
         """
         try:
             if len(state) > MAX_SOURCES:

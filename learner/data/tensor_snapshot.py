@@ -1,8 +1,8 @@
-"""A large tensor as of one instant, read by one thread while another one keeps writing into it (copy on write).
+"""A snapshot of a large tensor that one thread reads while another keeps writing into the tensor (copy on write).
 
-Nothing is copied at that instant. The reader copies the tensor piece by piece. Before the writer changes rows, it
-copies their pieces, unless the reader has already done so. So each piece is copied once, by whichever thread comes
-first, and the writer never waits longer than one piece takes.
+Taking the snapshot copies nothing. The reader copies the tensor piece by piece. Before the writer changes rows, it
+copies their pieces, unless the reader has done so already. So each piece is copied once, by whichever thread is first,
+and the writer never waits longer than one piece takes.
 """
 
 import threading
@@ -20,12 +20,12 @@ class Frozen:
 
     Args:
         live: the tensor [N, ...]; `protect` must be called before every later change of it.
-        rows: how many of its first rows belong to the frozen state.
+        rows: number of its first rows that belong to the frozen state.
 
     Attributes:
-        shape: of the frozen state.
-        dtype: of the frozen state.
-        closed: whether nothing more needs protection.
+        shape: shape of the frozen state.
+        dtype: dtype of the frozen state.
+        closed: whether no row needs protection any more.
     """
 
     def __init__(self, live: Tensor, rows: int) -> None:

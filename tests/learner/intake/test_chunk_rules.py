@@ -72,7 +72,7 @@ def test_one_chunk_of_one_step_episodes_does_not_end_a_farm_run():
     short = a_chunk({(environment, step): 1 for environment in range(2) for step in range(10)})
     answer = door.pass_on(parcel(short)).answer
     assert answer.verdicts == ("refused",)
-    assert "they last 30 to 30" in answer.reasons[0]
+    assert "episodes last 30 to 30" in answer.reasons[0]
     assert finished(receiver) == 0
     shut(receiver, door)
 
@@ -109,7 +109,7 @@ def test_whole_flights_count_exactly():
         ({(0, 4): 6}, "6 steps ended after 5"),
         ({(0, 4): 5, (0, 6): 3}, "3 steps ended after 2"),
         ({(0, 4): 101}, "101 steps, but episodes last 1 to 100"),
-        ({(1, 0): 2**63 - 1}, "they last 1 to 100"),
+        ({(1, 0): 2**63 - 1}, "episodes last 1 to 100"),
     ],
 )
 def test_an_episode_is_as_long_as_its_environment_flew(ends, reason):
