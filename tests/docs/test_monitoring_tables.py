@@ -8,7 +8,7 @@ from deploy.monitor import snapshot
 from docs.tools.monitoring_tables import attribute_docs, messages_tables
 from elite import service as elite
 from learner import schedule
-from learner.ledger import ledger
+from learner.intake import ledger
 from learner.reporting import curves, reporter
 from rollout.worker import service as rollout
 
