@@ -119,7 +119,7 @@ def test_a_listener_that_speaks_something_else_is_named_at_once(bad):
     """What is no TLS at all does not become TLS by waiting."""
     with answering([b"HTTP/1.1 400 Bad Request\r\n\r\n"]) as (place, _):
         client = replace(place, protocol="tls", credentials=unchecked(bad / "rollout.a"))
-        assert "does not speak TLS as this process does" in (complaint(client, "control") or "")
+        assert "the TLS handshake with the listener at" in (complaint(client, "control") or "")
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_a_listener_that_speaks_something_else_is_named_at_once(bad):
         ("learner.learner", None, "speaks TLS; this process needs --tls"),
         ("router.old", "rollout.a", "is not accepted: its certificate has expired"),
         ("router.elsewhere", "rollout.a", "is not accepted: its certificate is not for this address"),
-        ("rollout.b", "rollout.a", "is that of a process that may only connect"),
+        ("rollout.b", "rollout.a", "its certificate belongs to a process that may only connect"),
     ],
 )
 def test_a_wrong_certificate_delivers_nothing_and_says_why(bad, listener, client, sentence):
