@@ -142,7 +142,7 @@ def test_the_node_publishes_its_latencies_and_ends_with_hover(node: Node) -> Non
 
         until(both_arrived, "metrics and set-points")
         node.process.send_signal(signal.SIGTERM)
-        until(lambda: last.extend(link.setpoints()) or (last and "ends" in last[-1].reason), "the last hover")
+        until(lambda: last.extend(link.setpoints()) or (last and "stopping" in last[-1].reason), "the last hover")
         assert node.process.wait(SECONDS) == 0
     values = reports[-1].values
     assert undeclared("flight", values) == []
