@@ -50,11 +50,11 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any]) -> str:
     level = [name for name, score in scores if low <= score <= high]
     verdict = f"{len(ahead)} of {len(scores)} heuristics score higher than the default preset: {', '.join(ahead)}."
     conditions = f"""Mean reward without noise over {size["farms"]} farms that neither training nor tuning used. Learned
-        methods have {len(own["runs"])} seeds, with a 95 % interval over the seeds. With the preset `study`, EIA-SEC was
-        tuned like the other learned methods; the default preset [goes
+        methods have {len(own["runs"])} seeds, with a 95 % interval over the seeds. Compare the preset `study`
+        with the other learned methods: it was tuned as they were. The default preset was [tuned
         further](docs/explanation/method.md#the-default-preset). AoI is the mean age of
         sensor data, VDF the mean age of plot images; lower is better."""
-    tied = f"Level with it, within the interval: {', '.join(level)}. " if level else ""
+    tied = f"Inside its interval: {', '.join(level)}. " if level else ""
     reading = f"""**{verdict}** {tied}Heuristics see the whole farm; a trained UAV sees only its surroundings, its
         number and the time."""
     return "\n".join([wrapped(conditions), "", *lines, "", wrapped(reading)])

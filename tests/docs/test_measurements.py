@@ -90,7 +90,7 @@ def test_the_readme_orders_policies_by_reward_and_names_those_ahead() -> None:
     rewards = [float(row[2].partition(" ")[0]) for row in rows]
     assert rewards == sorted(rewards, reverse=True)
     assert "**1 of 2 heuristics score higher than the default preset: high.**" in text
-    assert "Level with it, within the interval: level." in " ".join(text.split())
+    assert "Inside its interval: level." in " ".join(text.split())
 
 
 def test_methods_stand_in_the_order_of_their_rewards() -> None:
