@@ -120,7 +120,7 @@ def test_imitation_events_say_who_was_the_elite_when_there_is_room():
     calm = dataclasses.replace(SNAPSHOT, alarms=())
     shown_at = {height: any("omega" in line for line in drawn(calm, 80, height)) for height in (24, 32, 33, 50)}
     assert shown_at == {24: False, 32: False, 33: True, 50: True}
-    assert "from 33 lines" in (Path(__file__).resolve().parents[3] / "docs" / "reference" / "monitoring.md").read_text()
+    assert "From 33 lines" in (Path(__file__).resolve().parents[3] / "docs" / "reference" / "monitoring.md").read_text()
 
 
 def test_empty_snapshot_says_what_is_not_known():
