@@ -62,7 +62,7 @@ def test_a_run_with_certificates_finishes_and_denies_who_is_not_listed(audited, 
     audited.start("learner", "learner", *learner, "--run-dir", str(tmp_path / "run"), *tls("learner.learner"))
     audited.start("unlisted", "rollout", *joining, *tls("rollout.unlisted"))
     assert audited.await_line("unlisted", "denied: "), audited.log("unlisted") + audited.log("learner")
-    for part in ("a learner of run test lives", "rollout.unlisted (certificate", "access list does not let"):
+    for part in ("the learner of run test is alive", "rollout.unlisted (certificate", "access list denies"):
         assert part in audited.log("unlisted")
     audited.start("elite", "elite", *joining, *tls("elite.coordinator"))
     audited.start("worker", "rollout", *joining, *tls("rollout.a"))

@@ -72,7 +72,7 @@ def test_a_worker_loads_no_environment_that_it_was_not_given(
     processes.learner()
     processes.worker()
     assert processes.wait("rollout-0") == 2
-    assert "a worker loads it when started with --env toy_env:Relay" in processes.log("rollout-0")
+    assert "a worker loads it only if started with --env toy_env:Relay" in processes.log("rollout-0")
 
 
 def test_a_run_directory_does_not_decide_whose_code_is_run(tmp_path: Path) -> None:

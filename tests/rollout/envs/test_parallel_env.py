@@ -151,7 +151,7 @@ def test_the_end_is_a_truncation_of_all():
     assert isinstance(summary, EpisodeSummary)
     assert summary == farm.batch.summary(0)
     assert summary.steps == 12
-    with pytest.raises(SimulationError, match="call reset"):
+    with pytest.raises(SimulationError, match="Call reset first"):
         farm.step({})
     farm.reset()
     assert farm.agents == farm.possible_agents
@@ -163,9 +163,9 @@ def test_the_end_is_a_truncation_of_all():
     [
         (lambda actions: actions.pop("monitoring_2"), "no action for monitoring_2"),
         (lambda actions: actions.update(monitoring_9=np.zeros(2)), "unknown monitoring_9"),
-        (lambda actions: actions.update(monitoring_2=np.zeros(3)), r"monitoring_2 has the shape \[3\]"),
-        (lambda actions: actions.update(monitoring_2=np.zeros((1, 2))), "monitoring_2 has the shape"),
-        (lambda actions: actions.update(monitoring_2=None), "monitoring_2 has the shape"),
+        (lambda actions: actions.update(monitoring_2=np.zeros(3)), r"the action of monitoring_2 has shape \[3\]"),
+        (lambda actions: actions.update(monitoring_2=np.zeros((1, 2))), "the action of monitoring_2 has shape"),
+        (lambda actions: actions.update(monitoring_2=None), "the action of monitoring_2 has shape"),
         (lambda actions: actions.update(monitoring_2="left"), "monitoring_2 is 'left'"),
         (lambda actions: actions.update(monitoring_2=np.array([0.0, np.nan])), "not finite"),
     ],
@@ -184,7 +184,7 @@ def test_wrong_actions_are_refused_and_change_nothing(change, message):
 
 def test_a_step_before_the_first_reset_is_refused():
     """There is no episode yet."""
-    with pytest.raises(SimulationError, match="call reset"):
+    with pytest.raises(SimulationError, match="Call reset first"):
         parallel_env(SHORT).step({})
 
 
