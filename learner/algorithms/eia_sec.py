@@ -79,12 +79,12 @@ class EiaSec(Algorithm[EiaSecConfig]):
         # 3. Critic losses
         local = self.critics.q_values(self._critic_parameters, inputs)
         members = self._member_values(inputs, wanted=diagnostics)
-        td_error = self._critic_gradients(local, members, target)
+        td_error, critic_gradient = self._critic_losses(local, members, target)
         if diagnostics:
             q_value, member_loss = self._values_before(local, members, target)
 
         # 3. to 5. Critic step, proportional copy, target critics
-        self._critic_step()
+        self._critic_step(critic_gradient)
 
         # 6. Actor loss, actor step, target actors
         policy = self.actors.policy_actions(inputs)
@@ -119,10 +119,11 @@ class EiaSec(Algorithm[EiaSecConfig]):
             return None
         return self.ensemble.q_values(self.members, inputs)
 
-    def _critic_gradients(self, local: QValues, members: QValues | None, target: Tensor) -> Tensor:
-        """Write the gradients of the losses of step 3; return what the local critics' loss squares [agents, B].
+    def _critic_losses(self, local: QValues, members: QValues | None, target: Tensor) -> tuple[Tensor, Tensor]:
+        """Differentiate the losses of step 3; `_values_before` computes the member loss that is reported.
 
-        Only gradients are computed here. `_values_before` computes the member loss that is reported.
+        Returns:
+            What the local critics' loss squares [agents, B], and the gradient by all trained parameters.
         """
         config = self.config
         error, share = local.values[0] - target, 1.0
@@ -136,11 +137,11 @@ class EiaSec(Algorithm[EiaSecConfig]):
             if config.ensemble_gradient:
                 self.ensemble.parameter_gradient(members, grad_wrt_members, self._member_gradient)
         self.critics.parameter_gradient(local, error * (2.0 * share / config.batch), self._critic_gradient)
-        return error
+        return error, self.gradient[: self._trained]
 
-    def _critic_step(self) -> None:
+    def _critic_step(self, gradient: Tensor) -> None:
         """Do Adam's step of step 3, the proportional copy and the soft targets."""
-        gradient, rate = self.gradient[: self._trained], self.config.target_rate
+        rate = self.config.target_rate
         copies = self.ensemble is not None and self.config.ensemble_copy_rate > 0.0
         if self._trained == self.phi.shape[0] and not copies:  # all targets follow in Adam's sweep
             self.critic_adam.step(gradient, self.target_phi, rate)
