@@ -16,7 +16,7 @@ from common.config.algorithms import switched
 from common.config.effect import switched_off, without_effect
 from common.config.files import from_toml
 from common.config.former import refuse_ablation
-from common.config.presets import PRESETS
+from common.config.presets import preset
 from common.config.sites import Sites
 from common.errors import ConfigError, UsageError
 from common.farm import require_farm
@@ -78,14 +78,11 @@ def _named_configuration(arguments: Sequence[str], default: str) -> RunConfig:
     if "--resume" in arguments and folder and not named and not _value_of(arguments, "--config"):
         held = RunDirectory(Path(folder))
         if not (held.path.is_dir() and held.holds_run()):
-            return PRESETS[default]
+            return preset(default)
         config = held.configuration()
         require_env(config, _value_of(arguments, "--env") or _value_of(arguments, "--env.name"))
         return config
-    preset = named or default
-    if preset not in PRESETS:
-        raise ConfigError(f"there is no preset {preset!r}; the presets are {', '.join(PRESETS)}.")
-    config = PRESETS[preset]
+    config = preset(named or default)
     path = _value_of(arguments, "--config")
     return from_toml(Path(path), config) if path else config
 

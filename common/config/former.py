@@ -8,15 +8,10 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, Final
 
+from common.config.ablations import ABLATIONS
 from common.config.algorithms import ALGORITHM_CONFIGS
 from common.errors import ConfigError
 
-ABLATIONS: Final[dict[str, dict[str, bool]]] = {
-    "eia": {"algorithm.ensemble": False},
-    "sec": {"elite.enabled": False},
-    "base": {"algorithm.ensemble": False, "elite.enabled": False},
-}
-"""The ablations of EIA-SEC by their former algorithm names: without ensemble, without imitation, without both."""
 _OF_ALL: Final = {"ensemble_members", "actor_delay", "temperature"}
 """Options of different algorithms; only a file of an earlier version, written whole, has them all."""
 _RENAMED: Final = {"exploration": {"start": "noise_std_start", "end": "noise_std_end"}}
@@ -39,7 +34,7 @@ def refuse_ablation(name: str) -> None:
     """Raise ConfigError where a command line asks for an ablation by its former name."""
     if name in ABLATIONS:
         wanted = " and ".join(f"{key}=false" for key in ABLATIONS[name])
-        raise ConfigError(f"{name} is an ablation of eia-sec: choose eia-sec and set {wanted}.")
+        raise ConfigError(f"{name} is an ablation of eia-sec: choose the preset {name}, or eia-sec and set {wanted}.")
 
 
 def _split_algorithm(table: dict[str, Any], algorithm: dict[str, Any]) -> None:

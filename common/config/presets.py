@@ -9,7 +9,8 @@ it. docs/reference/configuration.md lists each option's value in each preset.
 from pathlib import Path
 from typing import Final
 
-from common.config.files import from_toml
+from common.config.ablations import ABLATIONS
+from common.config.files import from_toml, with_values
 from common.config.run import RunConfig
 from common.errors import ConfigError
 
@@ -107,8 +108,9 @@ PRESETS: Final[dict[str, RunConfig]] = {
     "quick": from_toml(QUICK, RunConfig()),
     "study": from_toml(STUDY, RunConfig()),
     "paper": from_toml(PAPER, RunConfig()),
+    **{name: with_values(RunConfig(), changes) for name, changes in ABLATIONS.items()},
 }
-"""Every preset by name."""
+"""Every preset by name; those of `common.config.ablations` are the default preset with a part switched off."""
 SAVED: Final = "study"
 """The preset that completes configurations saved by older versions: a missing key had this value at the time."""
 

@@ -8,15 +8,18 @@ from collections.abc import Iterable, Iterator
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from common.config import ALGORITHM_CONFIGS, AlgorithmConfig, RunConfig
+from common.config.ablations import ABLATIONS
 from common.config.algorithms import OPTIONAL_SECTIONS
 from common.config.files import flatten, format_value
 from common.config.presets import PRESETS
 from common.config.sites import Sites
 
 _ALGORITHM = """`name` selects the algorithm, and with it the options of this section; an option of another algorithm is
-refused. The ablations of EIA-SEC are `ensemble = false` (imitation only), `elite.enabled = false` (ensemble only),
-and both.
+refused. The ablations of EIA-SEC are presets as well, the default preset with one or two switches: `eia`
+(`ensemble = false`), `sec` (`elite.enabled = false`) and `base` (both).
 """
+SHOWN = {name: config for name, config in PRESETS.items() if name not in ABLATIONS}
+"""Presets with a column of their own."""
 
 
 def field_docs(section: type[Any]) -> dict[str, str]:
@@ -63,7 +66,7 @@ def configuration_tables() -> str:
         if rows:
             title = f"`[{name}]`" if name else "Top of the file"
             about = _about(type(section)) + _readers(name)
-            parts.append(f"## {title}\n\n{about}\n\n" + "\n".join([*_table_head(PRESETS), *rows]) + "\n")
+            parts.append(f"## {title}\n\n{about}\n\n" + "\n".join([*_table_head(SHOWN), *rows]) + "\n")
     return "\n".join(parts)
 
 
@@ -95,7 +98,7 @@ def _algorithm_tables() -> Iterator[str]:
         in_presets = issubclass(shown, owner)
         rows = [_row("algorithm", shown(), field) if in_presets else _plain_row(owner, field) for field in fields]
         if rows:
-            head = _table_head(PRESETS if in_presets else ["default"])
+            head = _table_head(SHOWN if in_presets else ["default"])
             yield f"### {_listed(users)}\n\n{_about(owner)}\n\n" + "\n".join([*head, *rows]) + "\n"
 
 
@@ -122,7 +125,7 @@ def _row(section_name: str, section: Any, field: str) -> str:
         return ""
     key = f"{section_name}.{field}" if section_name else field
     default = flatten(PRESETS["default"])[key]
-    values = [flatten(config)[key] for config in PRESETS.values()]
+    values = [flatten(config)[key] for config in SHOWN.values()]
     shown = [_value(value) if value == default else f"**{_value(value)}**" for value in values]
     kind = _type(get_type_hints(type(section))[field])
     if key == "algorithm.name":

@@ -9,9 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from common.config import RunConfig
+from common.config import RunConfig, ablations
 from common.config.files import Value, with_values
-from common.config.former import ABLATIONS as FORMER_ABLATIONS
 from common.imitation import ImitationSchedule
 
 PRINTED_TARGET: Final[dict[str, Value]] = {
@@ -46,9 +45,9 @@ PEERS: Final = (
 )
 ABLATIONS: Final = (
     EIA_SEC,
-    Method("EIA only", FORMER_ABLATIONS["eia"], late=True),
-    Method("SEC only", FORMER_ABLATIONS["sec"]),
-    Method("neither", FORMER_ABLATIONS["base"], late=True),
+    Method("EIA only", ablations.ABLATIONS["eia"], late=True),
+    Method("SEC only", ablations.ABLATIONS["sec"]),
+    Method("neither", ablations.ABLATIONS["base"], late=True),
     Method("EIA-SEC, printed target", PRINTED_TARGET),
 )
 

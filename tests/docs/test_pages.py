@@ -11,9 +11,8 @@ from matplotlib.image import imread
 
 from common.config import ALGORITHM_CONFIGS, RunConfig
 from common.config.files import flatten, format_value
-from common.config.presets import PRESETS
 from docs.tools.blocks import marks, names, replaced, wrapped
-from docs.tools.configuration_tables import configuration_tables, field_docs
+from docs.tools.configuration_tables import SHOWN, configuration_tables, field_docs
 from docs.tools.pages import PAGES, PICTURES, main, refreshed
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -125,10 +124,10 @@ def test_configuration_page_has_every_key_with_its_presets():
     assert set(rows) == {key for config in others for key in config}
     for key in flatten(RunConfig()):
         cells = rows[key]
-        shown = [cell.strip("*") for cell in cells[2 : 2 + len(PRESETS)]]
-        values = [flatten(config)[key] for config in PRESETS.values()]
+        shown = [cell.strip("*") for cell in cells[2 : 2 + len(SHOWN)]]
+        values = [flatten(config)[key] for config in SHOWN.values()]
         assert shown == [value if isinstance(value, str) else format_value(value) for value in values]
-        assert cells[2 + len(PRESETS)].endswith((".", ")"))
+        assert cells[2 + len(SHOWN)].endswith((".", ")"))
     for key in rows.keys() - flatten(RunConfig()).keys():
         assert rows[key][2] == next(str(config[key]) for config in others if key in config)
         assert rows[key][3].endswith((".", ")"))

@@ -5,9 +5,9 @@ import dataclasses
 import pytest
 
 from common.config import ALGORITHM_CONFIGS, EliteConfig, MaddpgConfig, MasacConfig, Matd3Config, RunConfig
+from common.config.ablations import ABLATIONS
 from common.config.algorithms import OPTIONAL_SECTIONS, switched
 from common.config.files import differences, flatten, from_toml, to_toml, with_setting, with_values
-from common.config.former import ABLATIONS
 from common.config.presets import PRESETS, preset
 from common.errors import ConfigError
 from deploy.commands.training.train import TrainArguments
@@ -96,10 +96,14 @@ LINES = [
         "algorithm.ensemble_members has no effect while algorithm.ensemble is false.",
     ),
     (["--elite.no-enabled", "--elite.cycle", "4"], "elite.cycle has no effect while elite.enabled is false."),
-    (["--algorithm", "sec"], "sec is an ablation of eia-sec: choose eia-sec and set elite.enabled=false."),
+    (
+        ["--algorithm", "sec"],
+        "sec is an ablation of eia-sec: choose the preset sec, or eia-sec and set elite.enabled=false.",
+    ),
     (
         ["--algorithm.name=base"],
-        "base is an ablation of eia-sec: choose eia-sec and set algorithm.ensemble=false and elite.enabled=false.",
+        "base is an ablation of eia-sec: choose the preset base, or eia-sec and set algorithm.ensemble=false"
+        " and elite.enabled=false.",
     ),
 ]
 
@@ -128,7 +132,10 @@ def test_a_command_line_has_the_options_of_its_algorithm(words, wanted):
 def test_a_setting_names_an_algorithm_but_no_ablation():
     """`--set algorithm.name=` takes an algorithm, and says what to write for an ablation."""
     assert with_setting(RunConfig(), "algorithm.name=masac").algorithm == MasacConfig()
-    with pytest.raises(ConfigError, match=r"eia is an ablation of eia-sec: choose eia-sec and set algorithm.ensemble="):
+    with pytest.raises(
+        ConfigError,
+        match=r"eia is an ablation of eia-sec: choose the preset eia, or eia-sec and set algorithm.ensemble=",
+    ):
         with_setting(RunConfig(), "algorithm.name=eia")
 
 
@@ -190,6 +197,13 @@ def test_a_file_of_an_earlier_version_means_what_it_meant(name):
     noise = {"exploration.noise_std_start": 0.4, "exploration.noise_std_end": 0.1}
     wanted = with_values(preset("study"), {"algorithm.critic_rate": 0.003, **noise, **MEANT[name]})
     assert from_toml(FORMER.format(name=name), preset("study")) == wanted
+
+
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_an_ablation_is_the_default_preset_without_a_part(name):
+    """As a preset it differs from the default in its switches alone."""
+    changes = [f"{key}: true -> false" for key in ABLATIONS[name]]
+    assert differences(preset("default"), preset(name)) == changes
 
 
 def test_a_file_may_name_an_ablation_of_an_earlier_version():

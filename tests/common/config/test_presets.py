@@ -157,6 +157,7 @@ def test_preset_is_found_by_name():
     """A preset is found by its name, and a name that is none is refused with those that are."""
     assert preset("quick") is PRESETS["quick"]
     with pytest.raises(
-        ConfigError, match=r"^there is no preset 'fast'; the presets are default, quick, study, paper\.$"
+        ConfigError,
+        match=r"^there is no preset 'fast'; the presets are default, quick, study, paper, eia, sec, base\.$",
     ):
         preset("fast")
