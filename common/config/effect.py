@@ -1,4 +1,4 @@
-"""Options that have no effect with the chosen algorithm, each refused in a sentence that says where it has one."""
+"""Refuses options without effect under the chosen algorithm, in a sentence that names the algorithms that use them."""
 
 from dataclasses import fields
 

@@ -1,7 +1,7 @@
-"""Configuration as TOML: written, read onto a base, compared and named by a digest.
+"""Writes configurations as TOML, reads them over a base, compares them and computes their digest.
 
-A section is a nested dataclass, `[farm.world]` for instance; a key is a field. A file may hold any part of the
-configuration: what it leaves out keeps the base's value.
+A section is a nested dataclass, for instance `[farm.world]`, and a key is a field. A file may hold any part of the
+configuration; missing keys keep the base's values.
 """
 
 import dataclasses
@@ -29,10 +29,10 @@ Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], 
 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
 _WORD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.:/+-]*")
-"""A text that needs no quotes on a command line."""
+"""A string that needs no quotes on a command line."""
 
 _LONG: Final = 8
-"""Longest list that a message shows whole."""
+"""Longest list that a message shows in full."""
 
 
 def flatten(config: Any) -> dict[str, Value]:
@@ -54,7 +54,7 @@ def flatten(config: Any) -> dict[str, Value]:
 
 
 def to_toml(config: RunConfig) -> str:
-    """Return the whole configuration as TOML; `from_toml` gives back an equal one."""
+    """Return the whole configuration as TOML; `from_toml` returns an equal one."""
     sections: dict[str, list[str]] = {"": []}
     for key, value in flatten(config).items():
         section, _, name = key.rpartition(".")
@@ -64,7 +64,7 @@ def to_toml(config: RunConfig) -> str:
 
 
 def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
-    """Return the base with the values of a TOML text or file in it.
+    """Return the base with the values of a TOML text or file.
 
     Args:
         source: TOML text, or the path of a file that holds it.
@@ -84,12 +84,12 @@ def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
 
 
 def with_setting(config: RunConfig, setting: str) -> RunConfig:
-    """Return the configuration with one setting `key=value` of a command line.
+    """Return the configuration with one `key=value` setting from a command line.
 
-    The value is TOML. A bare word, as in farm.world.density=clustered, is a text and needs no quotes.
+    The value is TOML. A bare word, as in farm.world.density=clustered, is a string and needs no quotes.
 
     Raises:
-        ConfigError: it is no `key=value`, or `from_toml` refuses it.
+        ConfigError: it is not of the form `key=value`, or `from_toml` refuses it.
     """
     key, equals, value = (part.strip() for part in setting.partition("="))
     if not (equals and _KEY.fullmatch(key)) or "\n" in setting:
@@ -117,14 +117,14 @@ def differences(a: RunConfig, b: RunConfig) -> list[str]:
 
 
 def digest(config: RunConfig) -> str:
-    """Return sixteen hexadecimal digits that name this configuration; equal configurations have equal digests."""
+    """Return sixteen hexadecimal digits that identify this configuration; equal ones have equal digests."""
     return hashlib.sha256(to_toml(config).encode()).hexdigest()[:16]
 
 
 def method_of(config: RunConfig) -> RunConfig:
     """Return the configuration without the sections that a resumed run may change: `learner` and `evaluation`.
 
-    They change a run's speed, its rounding and its final evaluation, but not what is trained.
+    They affect a run's speed, rounding and final evaluation, but not what is trained.
     """
     return dataclasses.replace(config, learner=LearnerConfig(), evaluation=EvaluationConfig())
 
@@ -158,7 +158,7 @@ def _is_toml(value: str) -> bool:
 
 
 def _merged(base: RunConfig, table: dict[str, Any]) -> RunConfig:
-    """Return the base with a file's values, whose algorithm decides which options there are."""
+    """Return the base with a file's values; the file's algorithm decides which options exist."""
     algorithm = table.get("algorithm")
     if isinstance(algorithm, dict) and isinstance(name := algorithm.get("name"), str):
         base = dataclasses.replace(base, algorithm=switched(base.algorithm, name))
@@ -192,11 +192,11 @@ def _merge(base: Any, table: dict[str, Any], prefix: str) -> Any:
         raise ConfigError(f"in [{prefix[:-1]}], {error}" if prefix else str(error)) from error
     except ArithmeticError as error:
         where = f"in [{prefix[:-1]}]" if prefix else "in the configuration"
-        raise ConfigError(f"{where}, a number is too small or too large to be computed with: {error}.") from error
+        raise ConfigError(f"{where}, a number is too small or too large for the computation: {error}.") from error
 
 
 def _unknown(key: str, prefix: str) -> str:
-    """Return the sentence for a key that does not exist, with the closest one that does."""
+    """Return the error sentence for an unknown key, with the closest known one."""
     keys = _all_keys()
     sections = {whole.rpartition(".")[0] for whole in keys} | {whole.split(".")[0] for whole in keys} - {""}
     name = key.removeprefix(prefix)

@@ -1,7 +1,7 @@
-"""Configurations of earlier versions in today's terms.
+"""Converts configurations of earlier versions to the present options.
 
-Until version 0.1 one flat section `[algorithm]` had the options of all algorithms, whichever was chosen, and three
-ablations of EIA-SEC were algorithms of their own. Files from then mean what they meant.
+Until version 0.1, one flat section `[algorithm]` held the options of all algorithms, and three ablations of EIA-SEC
+were separate algorithms. Such files keep their meaning.
 """
 
 from collections.abc import Mapping
@@ -13,13 +13,13 @@ from common.config.algorithms import ALGORITHM_CONFIGS
 from common.errors import ConfigError
 
 _OF_ALL: Final = {"ensemble_members", "actor_delay", "temperature"}
-"""Options of different algorithms; only a file of an earlier version, written whole, has them all."""
+"""Options of different algorithms; only a complete file of an earlier version has all of them."""
 _RENAMED: Final = {"exploration": {"start": "noise_std_start", "end": "noise_std_end"}}
 """Former names of options, by section."""
 
 
 def upgraded(table: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a TOML table with today's names where it has names of earlier versions; the rest is as it was."""
+    """Return a TOML table with names of earlier versions replaced by present ones."""
     result = {key: dict(value) if isinstance(value, dict) else value for key, value in table.items()}
     for section, names in _RENAMED.items():
         if isinstance(values := result.get(section), dict):
@@ -31,14 +31,14 @@ def upgraded(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def refuse_ablation(name: str) -> None:
-    """Raise ConfigError where a command line asks for an ablation by its former name."""
+    """Raise ConfigError when a command line names an ablation by its former name."""
     if name in ABLATIONS:
         wanted = " and ".join(f"{key}=false" for key in ABLATIONS[name])
         raise ConfigError(f"{name} is an ablation of eia-sec: choose the preset {name}, or eia-sec and set {wanted}.")
 
 
 def _split_algorithm(table: dict[str, Any], algorithm: dict[str, Any]) -> None:
-    """Leave the chosen algorithm's own options in `[algorithm]`, and turn an ablation's name into its switches."""
+    """Keep only the chosen algorithm's options in `[algorithm]`, and replace an ablation's name by its switches."""
     whole = algorithm.keys() >= _OF_ALL
     if algorithm.get("critic_scope") == "algorithm":
         del algorithm["critic_scope"]  # each class has the scope that its algorithm prefers as its default

@@ -29,7 +29,7 @@ checkpoint_seconds = 15.0
 [evaluation]
 farms = 4
 """
-"""A smoke run: every process works, and it ends within a minute or two on two cores."""
+"""A smoke run that uses every process and ends within a minute or two on two cores."""
 
 STUDY: Final = """
 episodes = 1200
@@ -40,10 +40,10 @@ potential_discount = 0.0
 [replay]
 updates_per_step = 0.125
 """
-"""What the studies compare methods with; its farm is the one that PettingZoo and Gymnasium users get.
+"""The configuration in which studies compare methods; PettingZoo and Gymnasium users get its farm.
 
-It names every field in which it departs from the defaults. When a default changes, the old value moves here: the
-studies' records and the files that older versions saved depend on it.
+It lists every field that departs from the defaults. When a default changes, the old value moves here, because the
+studies' records and the files saved by older versions depend on it.
 """
 
 PAPER: Final = """
@@ -98,9 +98,9 @@ decay_share = 0.6
 """
 """The paper's Table 2 with the printed forms of W5, W24, A7, A8, A9 and A10.
 
-It names every printed value of the method, so that tuning the defaults leaves it alone. Where the printed form cannot
-work at all, the correction stays: the signs of W1 and W8, the rule of A1, and evaluation on farms that training never
-saw (W26). Values that the paper does not give (marked "(ours)" in the dataclasses) are the defaults.
+It lists every printed value of the method, so that tuning the defaults does not change it. Where the printed form
+cannot work at all, it keeps our correction: the signs of W1 and W8, the rule of A1, and evaluation on farms that
+training never saw (W26). Values that the paper does not give (marked "(ours)" in the dataclasses) are the defaults.
 """
 
 PRESETS: Final[dict[str, RunConfig]] = {
@@ -112,18 +112,18 @@ PRESETS: Final[dict[str, RunConfig]] = {
 }
 """Every preset by name; those of `common.config.ablations` are the default preset with a part switched off."""
 SAVED: Final = "study"
-"""The preset that completes configurations saved by older versions: a missing key had this value at the time."""
+"""The preset that completes configurations saved by older versions: it holds the values of keys that they lack."""
 
 
 def preset(name: str) -> RunConfig:
-    """Return the preset of that name; raise ConfigError when there is none."""
+    """Return the preset of this name; raise ConfigError when there is none."""
     if name not in PRESETS:
         raise ConfigError(f"there is no preset {name!r}; the presets are {', '.join(PRESETS)}.")
     return PRESETS[name]
 
 
 def read_saved(source: str | Path) -> RunConfig:
-    """Return a configuration that a program saved whole, possibly an older version of it.
+    """Return a complete configuration that this version or an older one saved.
 
     Args:
         source: TOML text, or the path of a file that holds it.

@@ -1,10 +1,10 @@
-"""What a process did with each chunk, line by line, so that an audit can compare the processes' histories.
+"""A process's history: what it did with each chunk, line by line, so that an audit can compare processes.
 
 One JSON array per line:
 
     ["start", role, name, incarnation]                   a process began; the learner's incarnation is its epoch
     ["resume", {worker: [incarnation, expected], ...}]   the learner resumed from a checkpoint; each worker in it
-    ["end"]                                              the process ended as it should
+    ["end"]                                              the process ended normally
     [verdict, worker, incarnation, first, last, steps, produced, flown]
     ["sum", worker, incarnation, last, ...]              totals of a start's chunks up to `last`, see `Summary`
 
@@ -33,11 +33,11 @@ from typing import Any, Final, TextIO
 from common.names import is_name
 
 REWRITE_LINES: Final = 20_000
-"""Lines after which the file is written anew with consecutive chunks joined."""
+"""Number of lines after which the file is rewritten with consecutive chunks joined."""
 MAX_BYTES: Final = 256 * 2**20
 """Largest history that is read, bytes."""
 MOST_JOINED: Final = 2**24
-"""Most chunks of one line; a longer range is two."""
+"""Most chunks in one line; longer ranges are split."""
 VERDICTS: Final = ("produced", "acknowledged", "repeated", "refused", "accepted", "duplicate", "missing")
 SUMMED: Final = ("duplicate", "missing")
 """Verdicts whose lines hold a total, not one chunk after another."""
@@ -47,7 +47,7 @@ _FORMER: Final = {"made": "produced", "told": "acknowledged", "again": "repeated
 
 @dataclass(frozen=True)
 class Start:
-    """A process began."""
+    """A process started."""
 
     role: str
     name: str
@@ -56,19 +56,19 @@ class Start:
 
 @dataclass(frozen=True)
 class Resume:
-    """The learner took up a checkpoint: for each worker the incarnation and the next sequence number in it."""
+    """The learner resumed from a checkpoint, which holds each worker's incarnation and next sequence number."""
 
     workers: dict[str, tuple[int, int]]
 
 
 @dataclass(frozen=True)
 class End:
-    """The process ended as it should."""
+    """The process ended normally."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What was found of some chunks; see the module's text."""
+    """A verdict on one or more consecutive chunks; see the module's docstring."""
 
     verdict: str
     worker: str
@@ -81,29 +81,29 @@ class Entry:
 
     @property
     def numbers(self) -> range:
-        """Return the numbers of its chunks; none where it holds a total."""
+        """Return the sequence numbers of its chunks; empty if the line holds a total."""
         return range(0) if self.verdict in SUMMED else range(self.first, self.last + 1)
 
 
 @dataclass(frozen=True)
 class Unreadable:
-    """A line that is no record, as it stands; it stays in the file, so that an audit finds it however often."""
+    """A line that is not a record; it stays in the file, so that every audit finds it."""
 
     line: str
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What became of a start's chunks up to a number, in total, where the single lines are gone.
+    """Totals of a start's chunks up to a sequence number; they replace the single lines.
 
     Attributes:
         worker: the worker's name.
-        incarnation: its start.
-        last: number of the newest chunk in it.
-        accepted, refused, lost: chunks of each fate; lost ones were accepted after the checkpoint of a resume.
-        accepted_steps, refused_steps, lost_steps: environment steps in them, as far as these are known.
+        incarnation: number of its start.
+        last: sequence number of the newest chunk in the totals.
+        accepted, refused, lost: chunks with each outcome; lost ones were accepted after the checkpoint of a resume.
+        accepted_steps, refused_steps, lost_steps: environment steps in them, as far as known.
         missing_steps: steps of chunks that never arrived.
-        duplicates: chunks that came again.
+        duplicates: chunks that arrived again.
     """
 
     worker: str
@@ -129,7 +129,7 @@ Record = Start | Resume | End | Entry | Summary | Unreadable
 
 
 def parse(line: str) -> Record:
-    """Return the record of one line; raise ValueError when it is none."""
+    """Return the record in a line; raise ValueError when the line is not a record."""
     try:
         match json.loads(line):
             case ["start", str(role), str(name), int(incarnation)]:
@@ -153,14 +153,14 @@ def parse(line: str) -> Record:
 
 
 def _name(value: str) -> str:
-    """Return a process's name; raise ValueError for what cannot be one: an audit prints it."""
+    """Return a process's name; raise ValueError when it is not a valid name, because an audit prints it."""
     if not is_name(value):
         raise ValueError("a name in the line is not a name")
     return value
 
 
 def _whole(*numbers: Any) -> Any:
-    """Return numbers that are whole and no larger than any of ours; raise ValueError for others."""
+    """Return the numbers; raise ValueError unless all are whole, at least 0 and below 2**63."""
     if not all(type(number) is int and 0 <= number < 2**63 for number in numbers):
         raise ValueError("a number is none that a history holds")
     return numbers
@@ -185,14 +185,14 @@ def text(record: Record) -> str:
 
 
 def read(path: Path) -> tuple[list[Record], int]:
-    """Return a history's records, one for each line, and how many lines are torn off: 1 or 0.
+    """Return a history's records, one for each line, and the number of truncated lines: 1 or 0.
 
-    A killed process or a full disk tears off the last line, which is no record then and ends without a line break. Any
-    other line that is none has been damaged since.
+    A killed process or a full disk may truncate the last line, which is then not a record and has no line break. Any
+    other line that is not a record was damaged later.
 
     Raises:
         OSError: when the file cannot be read.
-        ValueError: when it is larger than any history.
+        ValueError: when it is larger than MAX_BYTES.
     """
     if path.stat().st_size > MAX_BYTES:
         raise ValueError(f"{path.name} is larger than {MAX_BYTES} bytes")
@@ -208,7 +208,7 @@ def read(path: Path) -> tuple[list[Record], int]:
 
 
 class _Joined:
-    """Records with consecutive chunks joined; nothing is joined across the start of a process."""
+    """Records with consecutive chunks joined, but never across the start of a process."""
 
     def __init__(self) -> None:
         self._records: list[Record] = []
@@ -221,7 +221,7 @@ class _Joined:
         return len(self._records)
 
     def add(self, record: Record) -> None:
-        """Append a record, joined with the one before where both are of one range."""
+        """Append a record, or join it with an earlier one that it continues."""
         if not isinstance(record, Entry):
             self._open.clear()
             self._records.append(record)
@@ -243,18 +243,18 @@ class _Joined:
 
 
 class History:
-    """Writes a process's history; without a path nothing is written.
+    """Writes a process's history; without a path it writes nothing.
 
-    An existing file is continued; one that cannot be read is kept under another name. When the disk takes no more, or
-    the file was removed while in use, `failure` says so, and the next record writes the whole file anew from memory.
-    Once another process has put its own file in this one's place, nothing more is written (`taken_over`).
+    An existing file is continued; an unreadable one is kept under another name. If the disk is full or the file was
+    removed while in use, `failure` says so, and the next record rewrites the whole file from memory. Once another
+    process has replaced the file by its own, this one writes no more (`taken_over`).
 
     Args:
-        path: the file; its folder is made.
+        path: the file; its folder is created.
 
     Attributes:
-        failure: why the file is not whole, or empty.
-        before: the records that were there before.
+        failure: why the file is incomplete, or empty.
+        before: the records of earlier starts.
     """
 
     def __init__(self, path: Path | None) -> None:
@@ -272,7 +272,7 @@ class History:
 
     @property
     def taken_over(self) -> bool:
-        """Return whether another process writes this history now."""
+        """Whether another process has taken over this history."""
         with self._lock:
             if self._path is not None:
                 self._look_for_another_writer(self._path)
@@ -305,7 +305,7 @@ class History:
         return len(self._joined)
 
     def rewrite(self, change: Callable[[Iterable[Record]], Iterable[Record]]) -> None:
-        """Put what `change` makes of all records in their place."""
+        """Replace all records by what `change` returns for them."""
         with self._lock:
             if self._path is None or self._look_for_another_writer(self._path) or self._taken_over:
                 return
@@ -316,14 +316,14 @@ class History:
             self._rewrite(self._path)
 
     def close(self) -> None:
-        """Note that the process ended as it should, and close the file."""
+        """Record a normal end and close the file."""
         self.add(End())
         with self._lock:
             self._shut()
             self._path = None
 
     def _look_for_another_writer(self, path: Path) -> bool:
-        """Note whether the file at the path is still this process's own; return whether it was removed."""
+        """Check that the file at the path is still this process's own; return whether it was removed."""
         try:
             found = path.stat()
         except OSError:
@@ -346,7 +346,7 @@ class History:
         self._rewrite(path)
 
     def _keep_aside(self, path: Path, error: Exception) -> None:
-        """Put a history that cannot be read under another name, and say so for good: its records are missing here."""
+        """Rename an unreadable history and report it from now on, because its records are missing here."""
         aside = path.with_name(path.name + ".unreadable")
         with suppress(OSError):
             os.replace(path, aside)
@@ -354,7 +354,7 @@ class History:
             self._standing = f"the history of earlier starts could not be read ({why}); it lies in {aside.name}."
 
     def _rewrite(self, path: Path) -> None:
-        """Write the whole file under another name and put it in place; the old one stays when that fails."""
+        """Write the whole file under another name, then replace the old one, which stays if that fails."""
         self._shut()
         beside = path.with_name(path.name + ".new")
         try:

@@ -1,7 +1,7 @@
-"""Old lines of a learner's history as sums: it stays small whatever workers send, and no loss is dropped from it.
+"""Replaces old lines of a learner's history by totals, so that it stays small and keeps every loss.
 
-Chunks that are in every checkpoint that is kept will never be asked for one by one again. So their lines can go, and
-one line for each start of a worker keeps the totals.
+No resume needs the single lines of chunks that are in every kept checkpoint. So one line with totals for each start of
+a worker replaces them.
 """
 
 from collections import defaultdict
@@ -12,17 +12,17 @@ from typing import Final
 from common.history.history import SUMMED, Entry, Record, Resume, Start, Summary, Unreadable
 
 MOST_STARTS: Final = 64
-"""Starts of a worker with a line each; older ones share one."""
+"""Most starts of a worker with a line each; older ones share one."""
 Marks = Mapping[str, tuple[int, int]]
 """For each worker the incarnation and the next sequence number in a checkpoint."""
 
 
 def summarised(records: Iterable[Record], marks: Marks) -> list[Record]:
-    """Return a learner's records with the chunks before the marks as sums.
+    """Return a learner's records with the chunks before the marks replaced by totals.
 
     Args:
-        records: the history; what is before the marks is final, so no start of the learner can resume from before them.
-        marks: where each worker stood in the oldest checkpoint that is kept.
+        records: the history; no start of the learner can resume from before the marks.
+        marks: each worker's position in the oldest kept checkpoint.
     """
     totals = _Totals()
     head: list[Record] = []
@@ -44,7 +44,7 @@ def summarised(records: Iterable[Record], marks: Marks) -> list[Record]:
 
 
 def _split(entry: Entry, mark: tuple[int, int]) -> list[tuple[Entry, bool]]:
-    """Return the parts of an entry before and from a mark on, and for each whether it is the first."""
+    """Split an entry at a mark; return its parts, and for each whether it lies before the mark."""
     start, expected = mark
     if (entry.incarnation, entry.last) < mark:
         return [(entry, True)]
@@ -64,12 +64,12 @@ class _Totals:
         self._accepted: list[Entry] = []
 
     def merge(self, part: Summary) -> None:
-        """Add what was summed before."""
+        """Add earlier totals."""
         held = self._sums[part.worker].get(part.incarnation)
         self._sums[part.worker][part.incarnation] = part if held is None else held.plus(part)
 
     def add(self, entry: Entry) -> None:
-        """Add an entry; one of accepted chunks may still be rolled back."""
+        """Add an entry; `roll_back` can still undo accepted chunks."""
         whole = Summary(entry.worker, entry.incarnation, 0 if entry.verdict in SUMMED else entry.last)
         chunks, steps = len(entry.numbers), len(entry.numbers) * entry.steps
         match entry.verdict:

@@ -110,7 +110,7 @@ REFUSED = [
     (f"[elite]\nrate = 1{'0' * 400}", "elite.rate is a number that is too large."),
     (
         "[farm.world]\nstep_seconds = 5e-324",
-        "in [farm.world], a number is too small or too large to be computed with: cannot convert float infinity to "
+        "in [farm.world], a number is too small or too large for the computation: cannot convert float infinity to "
         "integer.",
     ),
     (
