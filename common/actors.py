@@ -162,19 +162,19 @@ class TeamActors:
         """Return the noise-free actions [E, A] after the team's adapters; see `TeamSpec.adapt`."""
         return self.team.adapt(observations, self.act(observations))
 
-    def explore(self, observations: Float32, noise: Float32, deviation: float) -> Float32:
+    def explore(self, observations: Float32, noise: Float32, noise_std: float) -> Float32:
         """Return the actions of all agents with exploration noise.
 
         Args:
             observations: rows [E, O] float32.
             noise: rows [E, A] float32, standard normal.
-            deviation: standard deviation of the noise on a deterministic head's actions; a Gaussian head uses its own.
+            noise_std: standard deviation of the noise on a deterministic head's actions; a Gaussian head uses its own.
 
         Returns:
             rows [E, A] float32 in [-1, 1].
         """
         if self.head == "deterministic":
-            noisy = self.act(observations) + np.float32(deviation) * noise
+            noisy = self.act(observations) + np.float32(noise_std) * noise
             return np.clip(noisy, np.float32(-1), np.float32(1), out=noisy)
         parts = []
         for (group, head), own in zip(self._heads(observations), self.team.split_actions(noise), strict=True):

@@ -354,7 +354,7 @@ class ViewMessage(Message):
         episode: the episode's seed.
         first: step of the first frame.
         skipped: steps of this farm, flown while somebody watched, that were not published.
-        deviation: standard deviation of the exploration noise.
+        noise_std: standard deviation of the exploration noise.
         uniform: whether actions were drawn uniformly instead (warm-up).
         position: [F, n, 2] m.
         assignment: [F, n_m + n_d] relay of each served UAV.
@@ -370,7 +370,7 @@ class ViewMessage(Message):
     episode: int
     first: int
     skipped: int
-    deviation: float
+    noise_std: float
     uniform: bool
     position: Float32
     assignment: NDArray[np.uint8]

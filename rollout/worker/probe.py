@@ -110,7 +110,7 @@ class Probe:
             episode=frames[0].seeds[1],
             first=frames[0].step,
             skipped=skipped,
-            deviation=noise_std,
+            noise_std=noise_std,
             uniform=uniform,
             position=np.stack([frame.position for frame in frames]).astype(np.float32),
             assignment=np.stack([frame.assignment for frame in frames]).astype(np.uint8),

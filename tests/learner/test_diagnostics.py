@@ -43,7 +43,7 @@ def critic(flat, x, hidden):
 
 
 def test_spread_is_the_members_standard_deviation():
-    """It equals the deviation of three members' values at the actors' own actions, computed one by one."""
+    """It equals the standard deviation of three members' values at the actors' own actions, computed one by one."""
     config = EiaSecConfig(hidden=8, batch=16, ensemble_members=3, critic_rate=1e-30, actor_rate=1e-30)
     engine, rows = Engine(config, TEAM, 5), batch(16)
     diagnostics = engine.update(rows, diagnostics=True)

@@ -99,7 +99,7 @@ def frames(message: ViewMessage, layout: Layout, version: int) -> Packet:
         "episode": str(message.episode),
         "first": message.first,
         "skipped": message.skipped,
-        "deviation": message.deviation,
+        "noise_std": message.noise_std,
         "uniform": message.uniform,
         "version": version,
     }

@@ -160,10 +160,10 @@ class MasacOracle(Peer):
 
     def sample(self, actor, observation, noise):
         """Return an action and the logarithm of its density."""
-        mean, log_deviation = actor(observation).reshape(observation.shape[0], -1).chunk(2, dim=1)
-        deviation = log_deviation.clamp(-20, 2).exp()
-        policy = TransformedDistribution(Normal(mean, deviation), TanhTransform(cache_size=1))
-        before = mean + deviation * noise
+        mean, log_std = actor(observation).reshape(observation.shape[0], -1).chunk(2, dim=1)
+        std = log_std.clamp(-20, 2).exp()
+        policy = TransformedDistribution(Normal(mean, std), TanhTransform(cache_size=1))
+        before = mean + std * noise
         action = policy.transforms[0](before)
         return action, policy.log_prob(action).sum(dim=1)
 

@@ -106,8 +106,8 @@ def test_published_actors_carry_the_normalisation():
         np.testing.assert_allclose(mine, theirs, atol=1e-5)
 
 
-def test_normalised_rewards_have_unit_deviation():
-    """Each type's rewards are divided by their own deviation, however they come in pieces."""
+def test_normalised_rewards_have_unit_standard_deviation():
+    """Each type's rewards are divided by their own standard deviation, however they come in pieces."""
     engine = Engine(replace(SMALL, reward_normalisation=True), TEAM, 3)
     rewards = np.random.default_rng(0).normal(1.0, [1.0] * 2 + [10.0] * 3 + [0.1] * 4, (300, 9)).astype(np.float32)
     for piece in np.array_split(rewards, 7):

@@ -92,7 +92,7 @@ def test_twin_critics_start_apart_and_agents_alike():
         assert (a == a[0]).all()
 
 
-def test_gaussian_actors_act_by_their_mean_and_explore_by_their_deviation():
+def test_gaussian_actors_act_by_their_mean_and_explore_by_their_std():
     """MASAC's exported actors decide tanh(m), and their samples are tanh(m + s n)."""
     actors = Engine(variant(BASE, "masac"), TEAM, 5).actors()
     draw = np.random.default_rng(0)
@@ -103,14 +103,14 @@ def test_gaussian_actors_act_by_their_mean_and_explore_by_their_deviation():
     assert actors.noise_free().head == "deterministic"
     np.testing.assert_allclose(actors.noise_free().act(observation), action, atol=1e-6)
     np.testing.assert_array_equal(actors.explore(observation, np.zeros_like(noise), 1.0), action)
-    deviation = (np.arctanh(sample.astype(np.float64)) - np.arctanh(action.astype(np.float64))) / noise
-    deviation = deviation[np.abs(noise) > 0.5]
-    assert (deviation > 0).all()
-    assert 0.8 < np.median(deviation) < 1.2
+    std = (np.arctanh(sample.astype(np.float64)) - np.arctanh(action.astype(np.float64))) / noise
+    std = std[np.abs(noise) > 0.5]
+    assert (std > 0).all()
+    assert 0.8 < np.median(std) < 1.2
 
 
-def test_deterministic_actors_explore_by_the_given_deviation():
-    """A deterministic head adds deviation times noise and stays in range."""
+def test_deterministic_actors_explore_by_the_given_noise_std():
+    """A deterministic head adds noise_std times noise and stays in range."""
     actors = TeamActors.initial(TEAM, 8, 0)
     draw = np.random.default_rng(0)
     observation = draw.normal(size=(50, TEAM.observation_size)).astype(np.float32)

@@ -35,14 +35,14 @@ def joined(chunks):
 
 
 def statistics(rows, sizes):
-    """Return mean and deviation [all columns] of a type's agents together, column by column of one agent."""
-    means, deviations, start = [], [], 0
+    """Return mean and standard deviation [all columns] of a type's agents together, column by column of one agent."""
+    means, stds, start = [], [], 0
     for group, size in zip(TEAM.groups, sizes, strict=True):
         part = rows[:, start : start + group.count * size].reshape(-1, size)
         means += [part.mean(axis=0)] * group.count
-        deviations += [np.maximum(part.std(axis=0), 1e-2)] * group.count
+        stds += [np.maximum(part.std(axis=0), 1e-2)] * group.count
         start += group.count * size
-    return np.concatenate(means), np.concatenate(deviations)
+    return np.concatenate(means), np.concatenate(stds)
 
 
 def stretched(rows, start, discount):
@@ -60,16 +60,14 @@ def stretched(rows, start, discount):
 def plain_batch(rows, places, discount):
     """Return the batch of these places in float64, standardised by all rows from which a step follows."""
     follows = (rows.flag & TRANSITION) != 0
-    mean, deviation = statistics(
-        rows.observation[follows].astype(np.float64), [g.observation_size for g in TEAM.groups]
-    )
+    mean, std = statistics(rows.observation[follows].astype(np.float64), [g.observation_size for g in TEAM.groups])
     _, paid = statistics(rows.reward[follows].astype(np.float64), [1] * len(TEAM.groups))
     reward, following, ends, weight = zip(*(stretched(rows, place, discount) for place in places), strict=True)
     parts = (
-        (rows.observation[places] - mean) / deviation,
+        (rows.observation[places] - mean) / std,
         rows.action[places].astype(np.float64),
         np.stack(reward) / paid,
-        (rows.observation[list(following)] - mean) / deviation,
+        (rows.observation[list(following)] - mean) / std,
         np.array(ends, np.float64),
         np.array(weight),
     )

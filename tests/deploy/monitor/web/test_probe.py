@@ -38,7 +38,7 @@ def test_frames_are_the_simulators_states():
     assert [len(message.position) for message in messages] == [20]
     (message,) = messages
     check_view(message, CONFIG.farm, len(REWARD_PARTS))
-    assert (message.farm, message.episode, message.first, message.skipped, message.deviation) == (4, 7, 1, 5, 0.25)
+    assert (message.farm, message.episode, message.first, message.skipped, message.noise_std) == (4, 7, 1, 5, 0.25)
     for i, (position, aoi, vdf, reward) in enumerate(states):
         np.testing.assert_allclose(message.position[i], position, atol=1e-4)
         np.testing.assert_allclose(message.aoi[i] / 255 * WORLD.aoi_max, aoi, atol=1e-9)
