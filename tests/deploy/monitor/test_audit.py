@@ -1,7 +1,6 @@
 """The audit explains what can be explained, and names what cannot."""
 
 import json
-import time
 
 import pytest
 
@@ -171,15 +170,14 @@ def test_more_lines_than_memory_holds_are_refused(tmp_path, monkeypatch):
     assert audit(tmp_path).held == 5
 
 
+@pytest.mark.timeout(60)  # a loop over the chunks would take an hour
 def test_forged_lines_about_millions_of_chunks_take_no_time(tmp_path):
-    """Forty lines of 2^24 chunks, in either history, are compared in less than a second, and each is named."""
+    """Forty lines of 2^24 chunks, in either history, are compared as ranges, and each is named."""
     size = 2**24
     forged = [("accepted", 3 + k * size, 2 + (k + 1) * size, 10) for k in range(20)]
     learner = [("accepted", 1, 2, 10), *forged, Resume({"a": (1, 3 + 19 * size)}), ("accepted", 3, 2 + size, 10)]
     worker = [made(2), *[("acknowledged", first + size, last + size, 10) for _, first, last, _ in forged]]
-    started = time.process_time()
     found = write(tmp_path, learner, worker)
-    assert time.process_time() - started < 1.0
     assert found.chunks["accepted"] == 2
     assert found.doubled == [f"chunks a/1/3 to {2 + size} were accepted after it had been accepted."]
     assert found.unexplained == [

@@ -1,7 +1,6 @@
 """A resumed learner books exactly what was acknowledged after its checkpoint, and takes none of it twice."""
 
 import random
-import time
 
 import pytest
 
@@ -92,17 +91,16 @@ def test_a_long_range_is_gone_through_from_where_the_checkpoint_ends(tmp_path):
     assert ledger.totals()["lost"] == before + 10
 
 
+@pytest.mark.timeout(60)  # a loop over the chunks takes 83 s for a single line
 def test_a_forged_line_of_many_chunks_takes_no_time(tmp_path):
-    """Sixteen lines of 2^24 chunks each are booked at once; each line's chunks all count."""
+    """Sixteen lines of 2^24 chunks each are booked as ranges; each line's chunks all count."""
     many = 2**24
     lines = [f'["accepted","w{index}",1,1,{many},10,{many * 10},{many * 10}]' for index in range(8)]
     lines += [f'["refused","r{index}",1,1,{many},10,{many * 10},{many * 10}]' for index in range(4)]
     lines += [f'["refused","n{index}",1,1,{many},0,0,0]' for index in range(4)]
     path, ledger = tmp_path / "learner.jsonl", Ledger()
     path.write_text("\n".join(lines) + "\n")
-    started = time.perf_counter()
     assert recover_losses(History(path), ledger, 2, resumed=True) == 8 * 10 * many
-    assert time.perf_counter() - started < 1.0
     totals = ledger.totals()
     assert (totals["rejected"], totals["refused"], totals["aged"]) == (4 * 10 * many, 8 * many, 4 * many)
     assert {ledger.expected for ledger in ledger.workers.values()} == {many + 1}
