@@ -49,7 +49,7 @@ def main(arguments: list[str]) -> None:
 
 def _vector(size: int) -> dict[str, float]:
     envs, batch = FarmVectorEnv(size), FarmBatch(preset("study").farm, size)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (size, batch.team.action_size)).astype(np.float32)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (size, batch.team.environment_action_size)).astype(np.float32)
 
     def begin() -> None:
         envs.reset(seed=0, options={"farm": 0, "episode": list(range(size))})
@@ -67,7 +67,7 @@ def _vector(size: int) -> dict[str, float]:
 
 def _parallel() -> dict[str, float]:
     farm, batch = parallel_env(), FarmBatch(preset("study").farm, 1)
-    row = np.random.default_rng(0).uniform(-1.0, 1.0, (1, batch.team.action_size)).astype(np.float32)
+    row = np.random.default_rng(0).uniform(-1.0, 1.0, (1, batch.team.environment_action_size)).astype(np.float32)
     actions = {name: row[0, 2 * index : 2 * index + 2] for index, name in enumerate(farm.possible_agents)}
 
     def begin() -> None:

@@ -79,7 +79,7 @@ class Speed:
 def flights(config: FarmConfig, environments: int, threads: int, steps: int) -> Iterator[tuple[FarmBatch, float]]:
     """Step a batch, restart what has ended, and yield it after each step, and how many seconds the step took."""
     batch = FarmBatch(config, environments, threads)
-    shape = (TABLE, environments, batch.team.action_size)
+    shape = (TABLE, environments, batch.team.environment_action_size)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, shape).astype(np.float32)
     episode = 0
     for step in range(steps):
@@ -115,7 +115,9 @@ def measure(config: FarmConfig, environments: int, threads: int, repeats: int, l
 def single_step(repeats: int) -> float:
     """Return the median microseconds of one call of `step` on one environment, without restarts."""
     batch = FarmBatch(FARM, 1)
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (TABLE, 1, batch.team.action_size)).astype(np.float32)
+    actions = (
+        np.random.default_rng(0).uniform(-1.0, 1.0, (TABLE, 1, batch.team.environment_action_size)).astype(np.float32)
+    )
     medians = []
     for episode in range(4 * repeats):
         batch.reset(0, episode % FARMS, episode)

@@ -31,6 +31,8 @@ GAIN: Final = 1.5
 """An output of magnitude above 1 / (2 GAIN), a third, selects the neighbouring lattice point."""
 EDGE: Final = 1e-4
 """Rounding tolerance, as a share of a cell: an agent this close below the next cell counts as inside it."""
+NEAR: Final = 1e-6
+"""Distance from the middle of the field below which an idle agent slows down; the field spans -1 to 1."""
 
 
 class ActionAdapter(Protocol):
@@ -44,15 +46,18 @@ class ActionAdapter(Protocol):
     def require(self, observation_size: int, action_size: int) -> None:
         """Raise ConfigError unless it works with observations and actions of these sizes."""
 
+    def output_size(self, action_size: int) -> int:
+        """Return the numbers in an adapted action."""
+
     def adapt(self, observation: Float32, action: Float32) -> Float32:
         """Return the adapted actions.
 
         Args:
             observation: [..., o] float32, the observations that the actors saw.
-            action: [..., a] float32 in [-1, 1].
+            action: [..., a] float32 in [-1, 1], or indices of options.
 
         Returns:
-            [..., a] float32 in [-1, 1].
+            [..., output_size] float32.
         """
 
     def complaint(self, observation: Float32) -> str:
@@ -109,6 +114,10 @@ class Lattice:
         if action_size != 2 or observation_size < POSITION.stop:
             raise ConfigError("a lattice needs x and y in the observation, and actions of two numbers.")
 
+    def output_size(self, action_size: int) -> int:
+        """Return 2."""
+        return 2
+
     def adapt(self, observation: Float32, action: Float32) -> Float32:
         """Return velocities [..., 2] as shares of full speed; they never lead beyond the outermost lattice points."""
         return self.velocity(observation[..., POSITION], action)
@@ -155,6 +164,10 @@ class MirroredAxes:
         if action_size != 2 or observation_size < SIGNS.stop:
             raise ConfigError("mirrored axes need x, y and their signs in the observation, and actions of two numbers.")
 
+    def output_size(self, action_size: int) -> int:
+        """Return 2."""
+        return 2
+
     def adapt(self, observation: Float32, action: Float32) -> Float32:
         """Return the actions [..., 2] along the field's axes."""
         turned: Float32 = np.where(observation[..., SIGNS] < 0.0, -action, action)
@@ -169,9 +182,109 @@ class MirroredAxes:
         return {}
 
 
-ADAPTERS: Final[dict[str, type[Lattice] | type[MirroredAxes]]] = {
+@dataclass(frozen=True)
+class NineMoves:
+    """The output is the index of one of nine moves: one step back, none or one step on along x and along y.
+
+    It becomes the two numbers with which `Lattice` selects the neighbour.
+    """
+
+    kind: ClassVar[str] = "nine moves"
+    formula: ClassVar[str] = "a = (floor(a[0] / 3) - 1, a[0] mod 3 - 1)"
+    options: ClassVar[int] = 9
+
+    def require(self, observation_size: int, action_size: int) -> None:
+        """Raise ConfigError unless the action is one index."""
+        if action_size != 1:
+            raise ConfigError("nine moves are chosen by one index.")
+
+    def output_size(self, action_size: int) -> int:
+        """Return 2."""
+        return 2
+
+    def adapt(self, observation: Float32, action: Float32) -> Float32:
+        """Return the steps [..., 2], each -1, 0 or 1, for indices [..., 1]."""
+        along_x = np.floor(action / np.float32(3))
+        return np.concatenate([along_x - np.float32(1), action - np.float32(3) * along_x - np.float32(1)], axis=-1)
+
+    def complaint(self, observation: Float32) -> str:
+        """Return an empty string: the observation does not matter."""
+        return ""
+
+    def constants(self) -> dict[str, Any]:
+        """Return an empty map: the formula has no constants."""
+        return {}
+
+
+@dataclass(frozen=True)
+class Headings:
+    """The output is the index of a velocity: idle, or one of eight headings at one of three speeds.
+
+    Index 0 is idle: the agent drifts slowly towards the middle of the field, where the printed flight power is far
+    below that of hovering. Index 1 + 8 k + j is the speed k (slow, medium, fast) on the heading j times 45 degrees.
+
+    Attributes:
+        idle: speed of the drift, as a share of full speed.
+        slow: lowest speed on a heading, as a share of full speed.
+        medium: the next speed.
+        fast: the highest speed.
+    """
+
+    kind: ClassVar[str] = "headings"
+    formula: ClassVar[str] = (
+        "k = floor((a[0] - 1) / 8), angle = (a[0] - 1) mod 8 * pi / 4, p = o[:2], "
+        "a = -idle p / max(|p|, floor) if a[0] < 1 else speeds[k] (cos angle, sin angle)"
+    )
+    options: ClassVar[int] = 25
+
+    idle: float
+    slow: float
+    medium: float
+    fast: float
+
+    def __post_init__(self) -> None:
+        """Refuse speeds outside 0..1."""
+        within(0.0, 1.0, idle=self.idle, slow=self.slow, medium=self.medium, fast=self.fast)
+
+    def require(self, observation_size: int, action_size: int) -> None:
+        """Raise ConfigError unless the action is one index and observations hold a position."""
+        if action_size != 1 or observation_size < POSITION.stop:
+            raise ConfigError("headings need x and y in the observation, and are chosen by one index.")
+
+    def output_size(self, action_size: int) -> int:
+        """Return 2."""
+        return 2
+
+    def adapt(self, observation: Float32, action: Float32) -> Float32:
+        """Return velocities [..., 2] as shares of full speed, for indices [..., 1]."""
+        position = observation[..., POSITION]
+        apart = np.sqrt((position * position).sum(axis=-1, keepdims=True))
+        drift = np.float32(-self.idle) * position / np.maximum(apart, np.float32(NEAR))
+        index = np.rint(action[..., 0]).astype(np.int64)
+        velocity: Float32 = np.where(action < np.float32(1), drift, self.velocities()[np.maximum(index - 1, 0)])
+        return velocity
+
+    def velocities(self) -> Float32:
+        """Return the velocities [24, 2] of the options after idle."""
+        angle = np.arange(8) * (math.pi / 4)
+        heading = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        speeds = (self.slow, self.medium, self.fast)
+        return np.concatenate([speed * heading for speed in speeds]).astype(np.float32)
+
+    def complaint(self, observation: Float32) -> str:
+        """Return an empty string: every position has a way to the middle."""
+        return ""
+
+    def constants(self) -> dict[str, Any]:
+        """Return idle, speeds and floor."""
+        return {"idle": self.idle, "speeds": [self.slow, self.medium, self.fast], "floor": NEAR}
+
+
+ADAPTERS: Final[dict[str, type[Lattice] | type[MirroredAxes] | type[NineMoves] | type[Headings]]] = {
     Lattice.kind: Lattice,
     MirroredAxes.kind: MirroredAxes,
+    NineMoves.kind: NineMoves,
+    Headings.kind: Headings,
 }
 """Every kind of adapter by its name."""
 

@@ -5,10 +5,14 @@ flat vector theta in this order, each matrix stored input-major:
 
     W1 [o, h], b1 [h], W2 [h, h], b2 [h], W3 [h, a], b3 [a]
 
-The agents of a type are the rows of one [n_v, P] array, so imitation blends two rows.
+The agents of a type are the rows of one [n_v, P] array, so imitation blends two rows. A type whose agents share their
+parameters has one row, [1, P]; it then serves any number of agents.
 
 A Gaussian head has 2 a outputs: the mean m, then log s, clipped to LOG_STD_RANGE. Its noise-free action is tanh(m), and
 a sample is tanh(m + s n) with standard normal n. Without noise, both heads compute the same function.
+
+A type with discrete actions has a categorical head, whatever the team's head is: one output, a logit, for each option
+of each branch. Its noise-free action is the legal option with the largest logit, and `common.action_sampling` samples.
 """
 
 import hashlib
@@ -18,6 +22,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
+from common.action_sampling import best_options
 from common.errors import SchemaError
 from common.seeds import stream
 from common.team import Float32, GroupSpec, TeamSpec
@@ -31,6 +36,11 @@ LOG_STD_RANGE: Final = (-20.0, 2.0)
 def head_outputs(action_size: int, head: Head) -> int:
     """Return the number of outputs of an actor's last layer."""
     return 2 * action_size if head == "gaussian" else action_size
+
+
+def actor_outputs(group: GroupSpec, head: Head) -> int:
+    """Return the number of outputs of the last layer of a type's actors; with discrete actions one for each option."""
+    return group.options or head_outputs(group.action_size, head)
 
 
 def checked_head(name: str) -> Head:
@@ -110,22 +120,34 @@ class TeamActors:
         if len(self.flat) != len(self.team.groups):
             raise SchemaError(f"actors for {len(self.flat)} types given, the team has {len(self.team.groups)}.")
         for group, flat in zip(self.team.groups, self.flat, strict=True):
-            outputs = head_outputs(group.action_size, self.head)
-            shape = (group.count, parameter_count(group.observation_size, self.hidden, outputs))
-            if flat.shape != shape or flat.dtype != np.float32 or not flat.flags.c_contiguous:
-                raise SchemaError(f"{group.name} actors are {flat.dtype}{list(flat.shape)}, not float32{list(shape)}.")
+            size = parameter_count(group.observation_size, self.hidden, actor_outputs(group, self.head))
+            shapes = (group.count, size), (1, size)
+            if flat.shape not in shapes or flat.dtype != np.float32 or not flat.flags.c_contiguous:
+                raise SchemaError(
+                    f"{group.name} actors are {flat.dtype}{list(flat.shape)}, not float32{list(shapes[0])}."
+                )
             if not np.isfinite(flat).all():
                 raise SchemaError(f"{group.name} actors hold a number that is not finite.")
 
     @classmethod
     def initial(
-        cls, team: TeamSpec, hidden: int, seed: int, *, per_type: bool = True, head: Head = "deterministic"
+        cls,
+        team: TeamSpec,
+        hidden: int,
+        seed: int,
+        *,
+        per_type: bool = True,
+        head: Head = "deterministic",
+        shared: bool = False,
     ) -> "TeamActors":
-        """Return freshly initialised actors: one initialisation for each type, or for each agent (A4)."""
+        """Return freshly initialised actors: one initialisation for each type, or for each agent (A4).
+
+        With `shared`, the agents of a type share one row of parameters.
+        """
 
         def rows(group: GroupSpec) -> Float32:
-            names = [0 if per_type else index for index in range(group.count)]
-            sizes = (group.observation_size, hidden, head_outputs(group.action_size, head))
+            names = [0 if per_type else index for index in range(1 if shared else group.count)]
+            sizes = (group.observation_size, hidden, actor_outputs(group, head))
             draw = [initial_parameters(*sizes, stream(seed, "actor", group.name, name)) for name in names]
             return np.ascontiguousarray(np.stack(draw))
 
@@ -136,14 +158,17 @@ class TeamActors:
         return TeamActors(self.team, self.hidden, tuple(flat.copy() for flat in self.flat), self.head)
 
     def noise_free(self) -> "TeamActors":
-        """Return actors with deterministic heads that act as these do without noise."""
+        """Return actors that act as these do without noise; Gaussian heads become deterministic."""
         if self.head == "deterministic":
             return self
         parts = []
         for group, flat in zip(self.team.groups, self.flat, strict=True):
+            if group.choices:
+                parts.append(flat)
+                continue
             views = parameter_views(flat, group.observation_size, self.hidden, 2 * group.action_size)
             views[4:] = [view[..., : group.action_size] for view in views[4:]]
-            parts.append(np.concatenate([view.reshape(group.count, -1) for view in views], axis=1))
+            parts.append(np.concatenate([view.reshape(len(flat), -1) for view in views], axis=1))
         return TeamActors(self.team, self.hidden, tuple(parts))
 
     def act(self, observations: Float32) -> Float32:
@@ -153,17 +178,17 @@ class TeamActors:
             observations: rows [E, O] float32.
 
         Returns:
-            rows [E, A] float32 in [-1, 1].
+            rows [E, A] float32: in [-1, 1], or indices of options.
         """
-        means = [head[..., : group.action_size] for group, head in self._heads(observations)]
-        return np.concatenate([np.tanh(mean).reshape(observations.shape[0], -1) for mean in means], axis=1)
+        actions = [self._noise_free_action(*part) for part in self.outputs(observations)]
+        return np.concatenate([action.reshape(observations.shape[0], -1) for action in actions], axis=1)
 
     def environment_actions(self, observations: Float32) -> Float32:
-        """Return the noise-free actions [E, A] after the team's adapters; see `TeamSpec.adapt`."""
+        """Return the noise-free actions after the team's adapters, rows of the environment; see `TeamSpec.adapt`."""
         return self.team.adapt(observations, self.act(observations))
 
     def explore(self, observations: Float32, noise: Float32, noise_std: float) -> Float32:
-        """Return the actions of all agents with exploration noise.
+        """Return the continuous actions of all agents with exploration noise, as off-policy algorithms explore.
 
         Args:
             observations: rows [E, O] float32.
@@ -177,23 +202,34 @@ class TeamActors:
             noisy = self.act(observations) + np.float32(noise_std) * noise
             return np.clip(noisy, np.float32(-1), np.float32(1), out=noisy)
         parts = []
-        for (group, head), own in zip(self._heads(observations), self.team.split_actions(noise), strict=True):
+        for (group, _, head), own in zip(self.outputs(observations), self.team.split_actions(noise), strict=True):
             size = group.action_size
             scale = np.exp(np.clip(head[..., size:], np.float32(LOG_STD_RANGE[0]), np.float32(LOG_STD_RANGE[1])))
             parts.append(np.tanh(head[..., :size] + scale * own).reshape(observations.shape[0], -1))
         return np.concatenate(parts, axis=1)
 
-    def _heads(self, observations: Float32) -> Iterator[tuple[GroupSpec, Float32]]:
-        """Yield each type with the outputs [E, n_v, outputs] of its actors' last layers."""
+    def outputs(self, observations: Float32) -> Iterator[tuple[GroupSpec, Float32, Float32]]:
+        """Yield each type, its observations [E, n_v, o_v], and the outputs [E, n_v, outputs] of its actors.
+
+        Args:
+            observations: rows [E, O] float32.
+        """
         for group, flat, rows in zip(
             self.team.groups, self.flat, self.team.split_observations(observations), strict=True
         ):
-            outputs = head_outputs(group.action_size, self.head)
+            outputs = actor_outputs(group, self.head)
             w1, b1, w2, b2, w3, b3 = parameter_views(flat, group.observation_size, self.hidden, outputs)
-            x = np.ascontiguousarray(rows.transpose(1, 0, 2))
+            shared = len(flat) == 1
+            x = rows.reshape(1, -1, rows.shape[-1]) if shared else np.ascontiguousarray(rows.transpose(1, 0, 2))
             h = np.maximum(np.matmul(x, w1) + b1[:, None], np.float32(0))
             h = np.maximum(np.matmul(h, w2) + b2[:, None], np.float32(0))
-            yield group, (np.matmul(h, w3) + b3[:, None]).transpose(1, 0, 2)
+            found = np.matmul(h, w3) + b3[:, None]
+            yield group, rows, found.reshape(*rows.shape[:2], outputs) if shared else found.transpose(1, 0, 2)
+
+    def _noise_free_action(self, group: GroupSpec, observation: Float32, outputs: Float32) -> Float32:
+        if not group.choices:
+            return np.tanh(outputs[..., : group.action_size])
+        return best_options(group, observation, outputs)
 
     def digest(self) -> str:
         """Return the SHA-256 of all parameters, in hexadecimal."""

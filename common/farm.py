@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from common.action_adapters import ActionAdapter, Lattice, MirroredAxes
+from common.action_adapters import ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
 from common.config import FarmConfig, RunConfig
 from common.config.control import Control
 from common.config.environment import FARM
@@ -20,6 +20,10 @@ COMMUNICATION_OBSERVATION: Final = 17
 """Own (x, y); nearest relay, relay centroid, served centroid, farthest served, nearest UAV as (dx, dy, distance)."""
 TASK_OBSERVATION: Final = 7
 """In addition to plots or sensors: own (x, y); D_VDF or D_AoI (x, y); nearest UAV as (dx, dy, distance)."""
+
+HEADING_SPEEDS: Final = (0.041, 0.12, 0.35, 0.9)
+"""Speeds of the control "headings" as shares of full speed: idle, slow, medium and fast (ours). The printed model needs
+least power at the idle speed, 0.41 m/s at a full speed of 10 m/s."""
 
 EPISODE_METRICS: Final = (
     EpisodeMetric("aoi", "units", "mean AoI over sensors and steps", "AoI", plotted=True, group=COLLECTION),
@@ -77,16 +81,22 @@ def farm_team(farm: FarmConfig) -> TeamSpec:
     )
     return TeamSpec(
         tuple(
-            GroupSpec(name, count, size + 2 * seen.mirrored + _self(farm, count), 2, _adapters(farm, control))
+            _group(farm, name, count, size + 2 * seen.mirrored + _self(farm, count), control)
             for name, count, size, control in sizes
         )
     )
 
 
-def _adapters(farm: FarmConfig, control: Control) -> tuple[ActionAdapter, ...]:
-    """Return the adapters of UAVs with that control; raise ConfigError for UAVs too slow for any lattice."""
-    lattice = (Lattice.spanning(*farm.world.reach),) if control == "lattice" else ()
-    return (*lattice, *((MirroredAxes(),) if farm.observation.mirrored else ()))
+def _group(farm: FarmConfig, name: str, count: int, observation_size: int, control: Control) -> GroupSpec:
+    """Return a type of UAVs with that control; raise ConfigError for UAVs too slow for any lattice."""
+    adapters: tuple[ActionAdapter, ...] = (MirroredAxes(),) if farm.observation.mirrored else ()
+    if control in ("lattice", "moves"):
+        adapters = (Lattice.spanning(*farm.world.reach), *adapters)
+    if control == "moves":
+        return GroupSpec(name, count, observation_size, 1, (NineMoves(), *adapters), (NineMoves.options,))
+    if control == "headings":
+        return GroupSpec(name, count, observation_size, 1, (Headings(*HEADING_SPEEDS), *adapters), (Headings.options,))
+    return GroupSpec(name, count, observation_size, 2, adapters)
 
 
 def _self(farm: FarmConfig, count: int) -> int:

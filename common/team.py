@@ -8,7 +8,7 @@ import hashlib
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +20,27 @@ from common.names import check_name
 
 Float32 = NDArray[np.float32]
 
+MOST_OPTIONS: Final = 65_536
+"""Most options of one branch; their indices are exact in 32-bit floats."""
+MOST_BRANCHES: Final = 4096
+"""Most branches of a discrete action."""
+
 
 @dataclass(frozen=True)
 class GroupSpec:
     """One type of agent.
 
+    Actions are continuous, or discrete with one or more branches. A branch is a choice among a number of options, as in
+    Gymnasium's Discrete (one branch) and MultiDiscrete (several).
+
     Attributes:
         name: the type's name, for instance "communication"; see `common.names`.
         count: agents of the type, n_v.
         observation_size: numbers in one agent's observation, o_v.
-        action_size: numbers in one agent's action, a_v, each in [-1, 1].
+        action_size: numbers in one agent's action, a_v: each in [-1, 1], or the index of each branch's option.
         adapters: convert an actor's output to the environment's action, applied in this order.
+        choices: number of options of each branch; empty for continuous actions.
+        masked: whether the last `options` numbers of an observation say which options are legal (1) or not (0).
     """
 
     name: str
@@ -38,24 +48,47 @@ class GroupSpec:
     observation_size: int
     action_size: int
     adapters: tuple[ActionAdapter, ...] = ()
+    choices: tuple[int, ...] = ()
+    masked: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse invalid names, empty types, and adapters that do not fit the sizes."""
+        """Refuse invalid names, empty types, impossible choices, and adapters that do not fit the sizes."""
         check_name(self.name, "a type of agent")
         within(1, 4096, count=self.count)
         within(1, 65_536, observation_size=self.observation_size, action_size=self.action_size)
+        for options in self.choices:
+            within(1, MOST_OPTIONS, options=options)
+        if self.choices and len(self.choices) != self.action_size:
+            raise ConfigError(f"{len(self.choices)} branches of choices do not fit actions of {self.action_size}.")
+        if self.masked and not (self.choices and self.options < self.observation_size):
+            raise ConfigError("a mask needs discrete actions, and an observation besides it.")
+        size = self.action_size
         for adapter in self.adapters:
-            adapter.require(self.observation_size, self.action_size)
+            adapter.require(self.observation_size, size)
+            size = adapter.output_size(size)
+
+    @property
+    def options(self) -> int:
+        """Number of options of all branches; 0 for continuous actions."""
+        return sum(self.choices)
+
+    @property
+    def environment_action_size(self) -> int:
+        """Numbers in one action of the environment, after the adapters."""
+        size = self.action_size
+        for adapter in self.adapters:
+            size = adapter.output_size(size)
+        return size
 
     def adapt(self, observation: Float32, action: Float32) -> Float32:
         """Return the environment's actions for the actors' outputs.
 
         Args:
             observation: [..., o_v] float32, the actors' observations.
-            action: [..., a_v] float32 in [-1, 1], the actors' outputs.
+            action: [..., a_v] float32, the actors' outputs.
 
         Returns:
-            [..., a_v] float32 in [-1, 1]; `action` itself where there are no adapters.
+            [..., environment_action_size] float32; `action` itself where there are no adapters.
         """
         for adapter in self.adapters:
             action = adapter.adapt(observation, action)
@@ -69,6 +102,7 @@ class GroupSpec:
             "observation_size": self.observation_size,
             "action_size": self.action_size,
             "adapters": [adapter_to_dict(adapter) for adapter in self.adapters],
+            **({"choices": list(self.choices), "masked": self.masked} if self.choices else {}),
         }
 
     @classmethod
@@ -84,7 +118,10 @@ class GroupSpec:
         adapters = tuple(adapter_from_dict(part) for part in values.pop("adapters"))
         if not all(type(values.get(name)) is int for name in ("count", "observation_size", "action_size")):
             raise ValueError("a count or a size is not a whole number")
-        return cls(str(values.pop("name")), **values, adapters=adapters)
+        choices, masked = values.pop("choices", []), values.pop("masked", False)
+        if type(masked) is not bool or len(choices) > MOST_BRANCHES or any(type(size) is not int for size in choices):
+            raise ValueError("choices are not whole numbers, or masked is neither true nor false")
+        return cls(str(values.pop("name")), **values, adapters=adapters, choices=tuple(choices), masked=masked)
 
     @classmethod
     def _from_list(cls, data: list[Any]) -> "GroupSpec":
@@ -113,6 +150,8 @@ class GroupSpec:
                 parts += [list(vars(lattice).values()), True]
             case _:
                 parts += [adapter_to_dict(adapter) for adapter in self.adapters]
+        if self.choices:
+            parts += ["choices", *self.choices, self.masked]
         return ",".join(map(str, parts))
 
 
@@ -147,6 +186,11 @@ class TeamSpec:
     def action_size(self) -> int:
         """Numbers in one row of actions."""
         return sum(group.count * group.action_size for group in self.groups)
+
+    @cached_property
+    def environment_action_size(self) -> int:
+        """Numbers in one row of the environment's actions, after the adapters."""
+        return sum(group.count * group.environment_action_size for group in self.groups)
 
     @property
     def agent_names(self) -> tuple[str, ...]:
@@ -184,19 +228,16 @@ class TeamSpec:
 
         Args:
             observations: rows [..., O] float32, the actors' observations.
-            actions: rows [..., A] float32 in [-1, 1], the actors' outputs.
+            actions: rows [..., A] float32, the actors' outputs.
 
         Returns:
-            rows [..., A] float32 in [-1, 1]; `actions` itself where no type has adapters.
+            rows [..., environment_action_size] float32; `actions` itself where no type has adapters.
         """
         if not any(group.adapters for group in self.groups):
             return actions
-        adapted = actions.copy()
-        seen, taken = self.split_observations(observations), self.split_actions(adapted)
-        for group, own, action in zip(self.groups, seen, taken, strict=True):
-            if group.adapters:
-                action[...] = group.adapt(own, action)
-        return adapted
+        seen, taken = self.split_observations(observations), self.split_actions(actions)
+        adapted = [group.adapt(own, action) for group, own, action in zip(self.groups, seen, taken, strict=True)]
+        return np.concatenate([part.reshape(*actions.shape[:-1], -1) for part in adapted], axis=-1)
 
     def to_dict(self) -> dict[str, Any]:
         """Return a plain description for the wire and for files."""

@@ -39,7 +39,7 @@ def time_decisions(config: RunConfig, steps: int) -> dict[str, Any]:
     actors = TeamActors.initial(
         batch.team, config.algorithm.hidden, config.seed, head=ALGORITHMS[config.algorithm.name].head
     )
-    separate, flat = separate_actors(actors), np.empty((1, batch.team.action_size), np.float32)
+    separate, flat = separate_actors(actors), np.empty((1, batch.team.environment_action_size), np.float32)
     pieces: dict[str, list[float]] = {"decide": [], "separate": [], "simulate": []}
     for step in range(steps + WARM_STEPS):
         if step % config.farm.world.steps == 0:

@@ -223,7 +223,7 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
                 )
                 + "."
             )
-        row = np.empty((1, self.batch.team.action_size), np.float32)
+        row = np.empty((1, self.batch.team.environment_action_size), np.float32)
         for index, name in enumerate(self.agents):
             try:
                 action = np.asarray(actions[name], np.float32)

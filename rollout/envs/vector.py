@@ -91,7 +91,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         self._due: Mask = np.zeros(num_envs, np.bool_)
         self._make_spaces(self.batch.team)
         self._views = _by_type(self.batch.team, self.batch.observation)
-        self._actions: Float32 = np.zeros((num_envs, self.batch.team.action_size), np.float32)
+        self._actions: Float32 = np.zeros((num_envs, self.batch.team.environment_action_size), np.float32)
         self._infos = {name: _read_only(getattr(self.batch, name)) for name in INFO_ARRAYS}
 
     def reset(
@@ -167,7 +167,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
     def _make_spaces(self, team: TeamSpec) -> None:
         config = self.batch.config
         single = {group.name: observation_box(config, group.name, (group.count,)) for group in team.groups}
-        actions = {group.name: action_box(group.count, group.action_size) for group in team.groups}
+        actions = {group.name: action_box(group.count, group.environment_action_size) for group in team.groups}
         # Pairs, because Gymnasium would sort a dictionary by name.
         self.single_observation_space = Dict([*single.items()])
         self.single_action_space = Dict([*actions.items()])

@@ -20,6 +20,6 @@ class RandomPolicy:
 
     def act(self, environments: Environments) -> Float32:
         """Return uniform actions [E, A] in [-1, 1]."""
-        size = environments.team.action_size
+        size = environments.team.environment_action_size
         rows = [self._streams[index].uniform(-1.0, 1.0, size) for index in range(len(environments.time))]
         return np.stack(rows).astype(np.float32)

@@ -14,4 +14,4 @@ class StaticPolicy:
 
     def act(self, farms: FarmBatch) -> Float32:
         """Return zero velocities, [E, A]."""
-        return np.zeros((farms.position.shape[0], farms.team.action_size), np.float32)
+        return np.zeros((farms.position.shape[0], farms.team.environment_action_size), np.float32)

@@ -44,7 +44,7 @@ def rate(environments: int, threads: int, seconds: float) -> float:
     config = preset("study").farm
     count = min(threads, environments)
     batches = [FarmBatch(config, environments // count) for _ in range(count)]
-    drawn = actions(environments // count, batches[0].team.action_size)
+    drawn = actions(environments // count, batches[0].team.environment_action_size)
     with ThreadPoolExecutor(count) as pool:
 
         def block(steps: int) -> float:

@@ -24,7 +24,7 @@ from rollout.sim.layout import cell_counts
 
 def make_workspace(config: FarmConfig, environments: int) -> Workspace:
     """Allocate a workspace."""
-    action = np.zeros((environments, farm_team(config).action_size), np.float32)
+    action = np.zeros((environments, farm_team(config).environment_action_size), np.float32)
     return Workspace(
         constants(config, cell_counts(config.world)), make_state(config, environments), make_scratch(config), action
     )
