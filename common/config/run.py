@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Final
 
-from common.config.algorithms import OPTIONAL_SECTIONS, AlgorithmConfig, EiaSecConfig, OffPolicyConfig
+from common.config.algorithms import OPTIONAL_SECTIONS, AlgorithmConfig, EiaSecConfig, OffPolicyConfig, OnPolicyConfig
 from common.config.checks import not_negative, positive, within
 from common.config.environment import EnvConfig
 from common.config.farm import FarmConfig
@@ -119,14 +119,14 @@ class RunConfig:
         for section in self.unused_sections:  # alike in all runs, so that equal runs are equal
             kind = type(getattr(self, section))
             object.__setattr__(self, section, kind())
-        if "replay" in self.algorithm.sections:
-            self._check_replay()
+        if isinstance(self.algorithm, OffPolicyConfig):
+            self._check_replay(self.algorithm.batch)
 
-    def _check_replay(self) -> None:
-        rows = max(2 * self.algorithm.batch, self.rollout.chunk_rows(self.rollout.chunk_steps))
+    def _check_replay(self, batch: int) -> None:
+        rows = max(2 * batch, self.rollout.chunk_rows(self.rollout.chunk_steps))
         if self.replay.capacity < rows:
             raise ConfigError(
-                f"replay.capacity {self.replay.capacity} holds no batch of {self.algorithm.batch} or no chunk of "
+                f"replay.capacity {self.replay.capacity} holds no batch of {batch} or no chunk of "
                 f"{self.rollout.environments} times {self.rollout.chunk_steps} steps; it takes up to two rows for each."
             )
 
@@ -134,6 +134,25 @@ class RunConfig:
     def unused_sections(self) -> tuple[str, ...]:
         """Sections that the algorithm does not read; they hold their defaults."""
         return tuple(section for section in OPTIONAL_SECTIONS if section not in self.algorithm.sections)
+
+    @property
+    def learns_on_policy(self) -> bool:
+        """Whether the algorithm learns on policy, from rows with log-probabilities and without a replay buffer."""
+        return isinstance(self.algorithm, OnPolicyConfig)
+
+    def exploration_at(self, progress: float, environment_steps: int) -> tuple[float, bool]:
+        """Return the exploration noise of off-policy algorithms; those that learn on policy sample without any.
+
+        Args:
+            progress: share of the run's episodes that are finished.
+            environment_steps: environment steps that the learner has accepted.
+
+        Returns:
+            the noise's standard deviation, and whether actions are drawn uniformly instead (warm-up).
+        """
+        if self.learns_on_policy:
+            return 0.0, False
+        return self.exploration.noise_std(progress), environment_steps < self.replay.warmup_steps
 
     @property
     def imitates(self) -> bool:
@@ -149,4 +168,15 @@ class RunConfig:
         """
         if not isinstance(self.algorithm, OffPolicyConfig):
             raise ConfigError(f"{self.algorithm.name} does not learn from a replay buffer.")
+        return self.algorithm
+
+    @property
+    def on_policy(self) -> OnPolicyConfig:
+        """The algorithm's configuration, where it learns on policy.
+
+        Raises:
+            ConfigError: it does not.
+        """
+        if not isinstance(self.algorithm, OnPolicyConfig):
+            raise ConfigError(f"{self.algorithm.name} does not learn on policy.")
         return self.algorithm
