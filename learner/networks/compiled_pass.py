@@ -35,7 +35,7 @@ def make_pass(networks: Networks, like: Tensor, *, cores: int) -> Pass:
 
 
 def shares(costs: Sequence[float], cores: int) -> tuple[Table, Table]:
-    """Distribute items so that all cores take about as long: the most expensive first, each to the idlest core.
+    """Distribute items so that all cores take about as long: the costliest first, each to the core with the least.
 
     Returns:
         the items in an order that keeps each core's together; where each core's items start, and the end [parts + 1].

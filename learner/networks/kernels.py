@@ -4,7 +4,7 @@ Networks are computed one after another, so that a network's numbers stay in the
 contiguous; a table says where each network's parts start. The products are those of `learner.networks.matrix_products`.
 
 Functions whose names end in `_on_cores` divide the same work: `bounds` says which rows of the table, or which numbers,
-each core takes. A network's results do not depend on the number of cores.
+each core takes. A network's own numbers do not depend on the number of cores.
 """
 
 from typing import Final
