@@ -71,7 +71,7 @@ class RunStorage:
             raise RunDirError(f"another directory has taken the place of the run directory {self._directory}.")
 
     def save(self, trainer: Trainer, ledger: SavableLedger, elapsed: float, epoch: int, *, wait: bool = False) -> None:
-        """Begin to write a checkpoint of this instant, or count it as skipped while the previous one is being written.
+        """Start to write a checkpoint of this instant; skip it, and count that, if the previous one is not yet written.
 
         Training continues meanwhile, and also after a failure (see `alarm`); the previous checkpoint then stays.
 
@@ -138,7 +138,7 @@ class RunStorage:
             return 0.0, 0
         self._set_aside(found)
         manifest = found.manifest
-        # Checkpoints of earlier versions have no such digest or another one; config.toml has been compared already.
+        # Earlier versions saved no digest of this name. The caller has already compared config.toml.
         if manifest.get("method", self._method) != self._method:
             raise RunDirError(f"the checkpoint in {self._directory} belongs to another configuration.")
         elapsed, epoch = finite(manifest, "elapsed"), counter(manifest, "epoch")
