@@ -17,12 +17,12 @@ from common.protocol.message_sizes import require_frames
 from rollout.envs.base import Environments
 from rollout.sim.batch import FarmBatch
 
-Factory = Callable[[RunConfig, int], Environments]
-"""Makes the given number of environments for a run."""
+Factory = Callable[[RunConfig, int, bool], Environments]
+"""Makes the given number of environments for a run; True asks for `Environments.hindsight`, where there is any."""
 
 
-def _farms(config: RunConfig, count: int) -> Environments:
-    return FarmBatch(config.farm, count, config.rollout.threads)
+def _farms(config: RunConfig, count: int, hindsight: bool) -> Environments:
+    return FarmBatch(config.farm, count, config.rollout.threads, hindsight)
 
 
 def _pettingzoo(config: RunConfig, count: int) -> Environments:
@@ -37,11 +37,17 @@ FACTORIES: Final[dict[str, Factory]] = {
 """Environments of this package by name. A name with a colon is a PettingZoo environment's."""
 
 
-def make_environments(config: RunConfig, count: int) -> Environments:
+def make_environments(config: RunConfig, count: int, hindsight: bool = False) -> Environments:
     """Return `count` environments of a run.
 
+    Args:
+        config: the run.
+        count: how many.
+        hindsight: whether to track `Environments.hindsight`; where there is none, it stays None.
+
     Raises:
-        ConfigError: the environment that the configuration names does not exist or cannot be trained.
+        ConfigError: the environment that the configuration names does not exist or cannot be trained,
+            or a farm cannot track hindsight.
     """
     if config.env.is_third_party:
         return _pettingzoo(config, count)
@@ -50,7 +56,7 @@ def make_environments(config: RunConfig, count: int) -> Environments:
             f"env.name must be module:name or an environment of this package ({', '.join(FACTORIES)}), "
             f"not {config.env.name!r}."
         )
-    return FACTORIES[config.env.name](config, count)
+    return FACTORIES[config.env.name](config, count, hindsight)
 
 
 def environment_spec(config: RunConfig) -> EnvironmentSpec:
