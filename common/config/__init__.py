@@ -20,12 +20,12 @@ from common.config.farm import (
     CameraConfig,
     EnergyConfig,
     FarmConfig,
-    ObservationConfig,
     RadioConfig,
     RelayConfig,
     RewardConfig,
     WorldConfig,
 )
+from common.config.observation import ObservationConfig
 from common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
 from common.config.run import EvaluationConfig, LearnerConfig, RolloutConfig, RunConfig
 

@@ -9,6 +9,7 @@ from typing import Literal
 
 from common.config.checks import finite, not_negative, positive, within
 from common.config.control import ControlConfig
+from common.config.observation import ObservationConfig
 from common.config.sites import MAX_SENSORS, Sites, check_sites
 from common.errors import ConfigError
 
@@ -346,35 +347,6 @@ class RewardConfig:
             collection_idle=self.collection_idle,
             collection_motivation=self.collection_motivation,
         )
-
-
-@dataclass(frozen=True)
-class ObservationConfig:
-    """What the agents see."""
-
-    sensors: int = 10
-    """Sensors that a data collection UAV sees, n (ours)."""
-    choice: Literal["waiting", "nearest"] = "waiting"
-    """waiting: the nearest that hold data (AoI of 1 or more), then empty ones; nearest: the nearest of all (ours)."""
-    form: Literal["default", "printed"] = "default"
-    """default: AoI and relative (dx, dy) of each observed sensor; printed: AoI only (W24)."""
-    window: int = 5
-    """Side of the square of plots whose VDF a monitoring UAV sees, in plots; odd; the paper's is 3."""
-    lattice: bool = True
-    """Whether a monitoring UAV sees its offset from the centre of its plot, in units of half a plot (ours)."""
-    mirrored: bool = True
-    """Whether each UAV has axes of its own, on which its position (a monitor's: in its plot) is positive (ours)."""
-    identity: bool = True
-    """Whether an agent sees its index in its type, 1 of n_v, so that equal actors can divide the work (ours)."""
-    clock: bool = True
-    """Whether an agent sees the elapsed share of the episode (ours)."""
-
-    def __post_init__(self) -> None:
-        """Refuse to observe no sensor, and a window without a centre."""
-        within(1, 256, sensors=self.sensors)
-        within(1, 31, window=self.window)
-        if self.window % 2 == 0:
-            raise ConfigError(f"window must be odd, so that the UAV's own plot is in the middle, not {self.window}.")
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from common.config import FarmConfig
 from common.farm import farm_team
 from rollout.sim.kernel.assignment.exchanges import Exchanges, make_exchanges
 from rollout.sim.kernel.constants import Array, Constants, Indices, Int32
+from rollout.sim.kernel.views.arrays import ViewScratch, make_view_scratch
 from rollout.sim.layout import cell_counts
 
 Float32 = NDArray[np.float32]
@@ -178,6 +179,7 @@ class Scratch(NamedTuple):
         item: [max(S, P)] sensors or plots served.
         share: [S] shares delivered.
         assigning: working memory of the assignment.
+        added: working memory of the added observations.
     """
 
     previous: Array
@@ -204,6 +206,7 @@ class Scratch(NamedTuple):
     item: Indices
     share: Array
     assigning: AssignmentScratch
+    added: ViewScratch
 
 
 def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
@@ -288,6 +291,7 @@ def make_scratch(config: FarmConfig) -> Scratch:
             numbers=np.zeros((3, places)),
             indices=np.zeros((4, places), np.int64),
         ),
+        added=make_view_scratch(config),
     )
 
 

@@ -40,8 +40,8 @@ def photograph(c: Constants, farm: Farm, s: Scratch) -> None:
         utility[u] = 0.0
         if linked[u - fleet.relays] == 0.0:
             continue
-        left, right = _span(position[u, 0], camera.reach, camera.plot_width, camera.plots_x)
-        low, high = _span(position[u, 1], camera.reach, camera.plot_depth, camera.plots_y)
+        left, right = span(position[u, 0], camera.reach, camera.plot_width, camera.plots_x)
+        low, high = span(position[u, 1], camera.reach, camera.plot_depth, camera.plots_y)
         for column in range(left, right + 1):
             for row in range(low, high + 1):
                 if level[column, row] == 0.0 and not (due_now and due[column, row] == step):
@@ -90,7 +90,7 @@ def _rise(camera: CameraConstants, step: int, level: Array, due: Int32) -> int:
 
 
 @allocation_free
-def _span(place: float, reach: float, size: float, plots: int) -> tuple[int, int]:
+def span(place: float, reach: float, size: float, plots: int) -> tuple[int, int]:
     """Return the first and last plot along an axis within `reach` of a place."""
     low = int(max(0.0, math.floor((place - reach) / size)))
     high = int(min(plots - 1.0, math.floor((place + reach) / size)))
