@@ -13,6 +13,7 @@ from common.seeds import derive, stream
 from common.team import Float32, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from rollout.envs.registry import make_environments
+from rollout.worker.hindsight_credit import credit_newest, shares_of
 from rollout.worker.random_rows import RandomRows
 from rollout.worker.reward_shaping import RewardShaping
 
@@ -51,8 +52,10 @@ class Collector:
         self._config = config
         self._identity = (config.seed, worker, start)
         count = config.rollout.environments
-        self.environments = make_environments(config, count)
+        by_type = config.on_policy.hindsight_shares() if config.learns_on_policy else {}
+        self.environments = make_environments(config, count, any(by_type.values()))
         self.team = self.environments.team
+        self._share = shares_of(self.team, by_type)
         ends = config.learns_on_policy and config.on_policy.time_limit == "terminal"
         self._shaping = RewardShaping(self.environments, config.algorithm.potential_discount, ends=ends)
         self.environment_steps = 0
@@ -94,9 +97,12 @@ class Collector:
             over = np.flatnonzero(environments.ended)
             rows.observation[:, step + 1] = environments.observation
             for index in over:
+                self._credit(rows, int(index), step + 1)
                 rows.end(int(index), step, bool(environments.terminated[index]))
                 episodes.append(environments.summary(int(index)))
                 self._begin(int(index))
+        for running in range(len(environments.time)):
+            self._credit(rows, running, steps)
         self.environment_steps += len(environments.time) * steps
         return Chunk(rows.rows(), tuple(episodes))
 
@@ -113,6 +119,13 @@ class Collector:
             return 2.0 * self._uniform.at(self._episode, environments.time, normal=False) - 1.0
         noise = self._noise.at(self._episode, environments.time, normal=True)
         return actors.explore(environments.observation, noise, noise_std)
+
+    def _credit(self, rows: "_ChunkRows", index: int, stop: int) -> None:
+        """Correct the rewards of an environment's running episode in the chunk's rows before row `stop`."""
+        if self.environments.hindsight is not None:
+            start = max(0, stop - int(self.environments.time[index]))
+            part = rows.reward[index, start:stop]
+            part[...] = credit_newest(self.environments, index, part, self._share)
 
     def _begin(self, index: int) -> None:
         self._episode[index] += 1

@@ -49,8 +49,9 @@ class OnPolicyConfig(AlgorithmConfig):
     """Whether the agents of a type share one actor and one value function, or each has its own."""
     credit: Literal["own", "type", "team"] = "own"
     """Whether an agent learns from its own reward, the mean of its type's, or the mean of the team's."""
-    hindsight: float = 0.0
-    """Share of a task reward that is paid as hindsight credit, 0 to 1: what the visit was worth to the team (ours)."""
+    hindsight: str = ""
+    """Shares of types' task rewards that are paid as hindsight credit, what a visit was worth to the team: type=share
+    separated by commas, each 0 to 1; types that are not named have none (ours)."""
     time_limit: Literal["terminal", "bootstrap"] = "terminal"
     """Whether the return ends with the time limit, as suits agents that see the clock, or is continued by the value."""
     matmul_precision: Literal["highest", "high", "medium"] = "medium"
@@ -63,11 +64,12 @@ class OnPolicyConfig(AlgorithmConfig):
         within(1, 100_000_000, iteration_steps=self.iteration_steps)
         within(1, 1000, epochs=self.epochs)
         within(1, 10_000_000, minibatch_steps=self.minibatch_steps)
-        within(0.0, 1.0, gae_lambda=self.gae_lambda, hindsight=self.hindsight, rate_end=self.rate_end)
+        within(0.0, 1.0, gae_lambda=self.gae_lambda, rate_end=self.rate_end)
         positive(clip=self.clip)
         not_negative(target_kl=self.target_kl, entropy_start=self.entropy_start, entropy_end=self.entropy_end)
         within(0, 2**31, max_lag_versions=self.max_lag_versions)
         self.type_discounts()
+        self.hindsight_shares()
 
     @property
     def sees_team(self) -> bool:
@@ -86,17 +88,26 @@ class OnPolicyConfig(AlgorithmConfig):
 
     def type_discounts(self) -> dict[str, float]:
         """Return `discounts` as a map from type to gamma; raise ConfigError when it is none."""
-        found = {}
-        for part in filter(None, (part.strip() for part in self.discounts.split(","))):
-            kind, equals, value = (piece.strip() for piece in part.partition("="))
-            try:
-                gamma = float(value)
-            except ValueError:
-                gamma = -1.0
-            if not (kind and equals) or not 0.0 <= gamma <= 1.0:
-                raise ConfigError(f"discounts must be type=gamma with commas between, gamma 0 to 1, not {part!r}.")
-            found[kind] = gamma
-        return found
+        return _shares("discounts", self.discounts)
+
+    def hindsight_shares(self) -> dict[str, float]:
+        """Return `hindsight` as a map from type to share; raise ConfigError when it is none."""
+        return _shares("hindsight", self.hindsight)
+
+
+def _shares(option: str, text: str) -> dict[str, float]:
+    """Return a text type=number, with commas between, as a map; the numbers are 0 to 1."""
+    found = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        kind, equals, value = (piece.strip() for piece in part.partition("="))
+        try:
+            number = float(value)
+        except ValueError:
+            number = -1.0
+        if not (kind and equals) or not 0.0 <= number <= 1.0:
+            raise ConfigError(f"{option} must be type=number with commas between, each 0 to 1, not {part!r}.")
+        found[kind] = number
+    return found
 
 
 @dataclass(frozen=True)
