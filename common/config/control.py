@@ -14,7 +14,7 @@ class ControlConfig:
 
     communication: Control = "velocity"
     """Output of the communication UAVs' actors: a velocity, or one of nine points on a lattice: one step back, none or
-    one on along x and y (ours)."""
+    one on along x and y (ours). moves and headings are choices, of such a point or of a velocity (ours)."""
     monitoring: Control = "lattice"
     """The same for the monitoring UAVs (ours)."""
     collection: Control = "velocity"
