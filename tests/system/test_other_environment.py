@@ -91,3 +91,28 @@ def test_a_run_directory_does_not_decide_whose_code_is_run(tmp_path: Path) -> No
         assert done.returncode == 2
         assert "--env os:system" in done.stderr
         assert not witness.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--env", "toy_choices:Doors"], "toy_choices:Doors has discrete actions (walker, porter), which eia-sec"),
+        (["--farm.control.monitoring", "moves"], "farm has discrete actions (monitoring), which eia-sec"),
+    ],
+)
+def test_discrete_actions_are_refused_before_anything_is_made(
+    tmp_path: Path, arguments: list[str], sentence: str
+) -> None:
+    """An algorithm that cannot train them says so in one sentence and leaves no run directory."""
+    done = subprocess.run(
+        [sys.executable, "-m", "deploy.cli", "train", *arguments, "--run-dir", str(tmp_path / "run")],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), TOYS])},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert sentence in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "run").exists()
