@@ -22,7 +22,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from common.action_sampling import best_options
+from common.action_sampling import best_options, sample_options, sample_squashed
 from common.errors import SchemaError
 from common.seeds import stream
 from common.team import Float32, GroupSpec, TeamSpec
@@ -209,6 +209,37 @@ class TeamActors:
             scale = np.exp(np.clip(head[..., size:], np.float32(LOG_STD_RANGE[0]), np.float32(LOG_STD_RANGE[1])))
             parts.append(np.tanh(head[..., :size] + scale * own).reshape(observations.shape[0], -1))
         return np.concatenate(parts, axis=1)
+
+    def sample(self, observations: Float32, normal: Float32, uniform: Float32) -> tuple[Float32, Float32]:
+        """Return sampled actions of all agents and their log-probabilities, as on-policy algorithms act.
+
+        Args:
+            observations: rows [E, O] float32.
+            normal: rows [E, A] float32, standard normal; continuous actions take theirs.
+            uniform: rows [E, A] float32, uniform over [0, 1); discrete actions take theirs.
+
+        Returns:
+            actions, rows [E, A] float32, and log-probabilities [E, agents] float32.
+
+        Raises:
+            SchemaError: a type with continuous actions has deterministic heads.
+        """
+        count, actions, log_probabilities = observations.shape[0], [], []
+        parts = zip(
+            self.outputs(observations), self.team.split_actions(normal), self.team.split_actions(uniform), strict=True
+        )
+        for (group, own, outputs), noise, draw in parts:
+            if group.choices:
+                action, log_probability = sample_options(group, own, outputs, draw)
+            elif self.head == "gaussian":
+                size = group.action_size
+                log_std = np.clip(outputs[..., size:], np.float32(LOG_STD_RANGE[0]), np.float32(LOG_STD_RANGE[1]))
+                action, log_probability = sample_squashed(outputs[..., :size], log_std, noise)
+            else:
+                raise SchemaError(f"deterministic {group.name} actors cannot be sampled.")
+            actions.append(action.reshape(count, -1))
+            log_probabilities.append(log_probability)
+        return np.concatenate(actions, axis=1), np.concatenate(log_probabilities, axis=1)
 
     def outputs(self, observations: Float32) -> Iterator[tuple[GroupSpec, Float32, Float32]]:
         """Yield each type, its observations [E, n_v, o_v], and the outputs [E, n_v, outputs] of its actors.

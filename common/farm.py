@@ -81,7 +81,7 @@ def farm_team(farm: FarmConfig) -> TeamSpec:
     )
     return TeamSpec(
         tuple(
-            _group(farm, name, count, size + 2 * seen.mirrored + _self(farm, count), control)
+            _group(farm, name, count, size + 2 * seen.mirrored + len(_added(farm, name)) + _self(farm, count), control)
             for name, count, size, control in sizes
         )
     )
@@ -120,9 +120,48 @@ def _tensor_names(farm: FarmConfig, group: GroupSpec) -> TensorNames:
         sensors = [f"sensor_{index}_{end}" for index in range(seen.sensors) for end in ends]
         own = [*sensors, "d_aoi_x", "d_aoi_y", *uav]
     rank = [f"rank_{index}" for index in range(group.count)] if seen.identity else []
-    names = (*position, *own, *rank, *(["clock"] if seen.clock else []))
+    names = (*position, *own, *_added(farm, group.name), *rank, *(["clock"] if seen.clock else []))
     scale = farm.world.speed_x_max, farm.world.speed_y_max
     return TensorNames(names, ("velocity_x", "velocity_y"), scale)
+
+
+def _added(farm: FarmConfig, name: str) -> list[str]:
+    """Return the names of a type's added observations, in their order."""
+    seen, task = farm.observation, name != COMMUNICATION
+    ends = ("dx", "dy", "velocity_x", "velocity_y", "present")
+    added = [f"peer_{rank}_{end}" for rank in range(seen.peers) for end in ends]
+    added += ["last_velocity_x", "last_velocity_y"] if seen.last_move else []
+    if task:
+        added += [*_nine("risk_any"), *_nine("risk_same")] if seen.closing else []
+        added += [unit for moves in range(1, seen.units + 1) for unit in _nine(f"units_{moves}")]
+        added += [part for far in ("near", "far") for part in (*_nine(far), f"{far}_here")] if seen.fields else []
+        added += _maps(name) if seen.coarse else []
+    if seen.phases:
+        cycles = {
+            MONITORING: ["vdf_phase"],
+            COLLECTION: [f"aoi_phase_{k}" for k in range(len(farm.world.sensor_cycles))],
+        }
+        added += [*cycles.get(name, []), "left_25", "left_100"]
+    if seen.service and not task:
+        added += ["service", *_nine("service")]
+    return added
+
+
+def _maps(name: str) -> list[str]:
+    """Return the names of a type's coarse maps."""
+    if name == MONITORING:
+        return [*_square("block_vdf", 5), *_square("block_stale", 5)]
+    return [*_square("cell_aoi", 7), *_square("block_aoi", 5)]
+
+
+def _square(name: str, side: int) -> list[str]:
+    around = range(-(side // 2), side // 2 + 1)
+    return [f"{name}_{column}_{row}" for column in around for row in around]
+
+
+def _nine(name: str) -> list[str]:
+    """Return a name for each of nine moves, in the order of `NineMoves`."""
+    return _square(f"{name}_move", 3)
 
 
 def _offset(name: str) -> list[str]:

@@ -4,11 +4,15 @@ from common.config.algorithms import (
     ALGORITHM_CONFIGS,
     AlgorithmConfig,
     BaselineConfig,
+    EiaPpoConfig,
     EiaSecConfig,
+    IppoConfig,
     MaddpgConfig,
+    MappoConfig,
     MasacConfig,
     Matd3Config,
     OffPolicyConfig,
+    OnPolicyConfig,
 )
 from common.config.control import ControlConfig
 from common.config.environment import EnvConfig
@@ -16,12 +20,12 @@ from common.config.farm import (
     CameraConfig,
     EnergyConfig,
     FarmConfig,
-    ObservationConfig,
     RadioConfig,
     RelayConfig,
     RewardConfig,
     WorldConfig,
 )
+from common.config.observation import ObservationConfig
 from common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
 from common.config.run import EvaluationConfig, LearnerConfig, RolloutConfig, RunConfig
 
@@ -31,6 +35,7 @@ __all__ = [
     "BaselineConfig",
     "CameraConfig",
     "ControlConfig",
+    "EiaPpoConfig",
     "EiaSecConfig",
     "EliteConfig",
     "EnergyConfig",
@@ -38,12 +43,15 @@ __all__ = [
     "EvaluationConfig",
     "ExplorationConfig",
     "FarmConfig",
+    "IppoConfig",
     "LearnerConfig",
     "MaddpgConfig",
+    "MappoConfig",
     "MasacConfig",
     "Matd3Config",
     "ObservationConfig",
     "OffPolicyConfig",
+    "OnPolicyConfig",
     "RadioConfig",
     "RelayConfig",
     "ReplayConfig",

@@ -47,7 +47,7 @@ class ChunkMessage(Message):
         team: digest of the team layout.
         version: parameter version of the actors that produced the rows.
         produced: environment steps that this incarnation has produced, this chunk included.
-        observation, action, reward, flag: the rows, see `common.transitions.Rows`.
+        observation, action, reward, flag, log_probability: the rows, see `common.transitions.Rows`; [R, 0] for None.
         farm, episode, steps: [K] int64, farm seed, episode seed and length of each finished episode.
         episode_reward: [K, agents] float32.
         episode_metrics: [K, F] float64, the environment's episode metrics.
@@ -62,6 +62,7 @@ class ChunkMessage(Message):
     action: Float32
     reward: Float32
     flag: NDArray[np.uint8]
+    log_probability: Float32
     farm: NDArray[np.int64]
     episode: NDArray[np.int64]
     steps: NDArray[np.int64]

@@ -27,12 +27,12 @@ class ParameterPublisher:
     @property
     def has_unpublished_changes(self) -> bool:
         """Whether the actors have changed since they were last published."""
-        return self._published != self._trainer.updates + self._trainer.events
+        return self._published != self._trainer.changes
 
     def publish_parameters(self) -> None:
         """Publish the present actors under the trainer's present version."""
         trainer = self._trainer
-        self._published = trainer.updates + trainer.events
+        self._published = trainer.changes
         actors = trainer.actors()
         message = ParametersMessage(
             epoch=self._epoch,

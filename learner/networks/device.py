@@ -1,4 +1,4 @@
-"""Where the engine computes, and whether that is there."""
+"""Finds the device that the engine computes on."""
 
 import torch
 
@@ -12,7 +12,7 @@ def usable_device(name: str) -> torch.device:
         name: cpu, cuda or cuda:NUMBER.
 
     Raises:
-        ConfigError: when this machine, or this build of torch, has none of that name.
+        ConfigError: this machine or this build of torch has no such device.
     """
     device = torch.device(name)
     if device.type == "cuda":

@@ -36,6 +36,7 @@ class PettingZooBatch:
             at the end.
         reward: [E, agents] float32 of the last step.
         potential: [E, agents] float32, always 0, because the rewards' composition is unknown.
+        hindsight: None, for the same reason.
         time: [E] steps done in this episode; -1 before the first reset.
         terminated: [E] whether all remaining agents terminated in the last step.
         ended: [E] whether the episode is over.
@@ -58,6 +59,7 @@ class PettingZooBatch:
         self.observation: Float32 = np.zeros((environments, self.team.observation_size), np.float32)
         self.reward: Float32 = np.zeros((environments, self.team.agents), np.float32)
         self.potential: Float32 = np.zeros_like(self.reward)
+        self.hindsight: Float32 | None = None
         self.time: NDArray[np.int64] = np.full(environments, -1, np.int64)
         self.terminated: NDArray[np.bool_] = np.zeros(environments, np.bool_)
         self.ended: NDArray[np.bool_] = np.zeros(environments, np.bool_)

@@ -6,7 +6,7 @@ two-dimensional diagonal, so it may exceed 1 where two UAVs fly at different hei
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -14,30 +14,15 @@ from gymnasium.spaces import Box
 from common.config import FarmConfig, WorldConfig
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
 from common.team import Float32
+from rollout.envs.added_parts import Part, added_parts
 from rollout.sim.kernel.observation import SENSOR_SCALE
 
 DIAGONAL: Final = math.sqrt(0.5)
 """Largest component of D_VDF and D_AoI, which are unit diagonals or 0."""
+__all__ = ["Part", "action_box", "observation_bounds", "observation_box", "observation_parts", "row_box"]
+
 ROUNDING: Final = 1.0 + 1e-12
 """Allowance for the order of float64 operations in a distance before it is rounded to float32."""
-
-
-class Part(NamedTuple):
-    """Consecutive numbers of an observation that share bounds and meaning.
-
-    Attributes:
-        name: short name.
-        size: count of numbers.
-        low: lower bound.
-        high: upper bound.
-        meaning: what the numbers mean.
-    """
-
-    name: str
-    size: int
-    low: float
-    high: float
-    meaning: str
 
 
 def observation_parts(config: FarmConfig) -> dict[str, tuple[Part, ...]]:
@@ -54,6 +39,7 @@ def observation_parts(config: FarmConfig) -> dict[str, tuple[Part, ...]]:
             *_towards("centroid of those served", served),
             *_towards("farthest served", served),
             *_nearest(config, world.height_communication),
+            *added_parts(config, COMMUNICATION, served),
             *_self(config, world.communication_uavs),
         ),
         MONITORING: (
@@ -62,6 +48,7 @@ def observation_parts(config: FarmConfig) -> dict[str, tuple[Part, ...]]:
             Part("D_VDF", 2, -DIAGONAL, DIAGONAL, "unit diagonal to the quadrant with most VDF; 0 if there is none"),
             *_nearest(config, world.height_monitoring),
             *_lattice(config),
+            *added_parts(config, MONITORING, served),
             *_self(config, world.monitoring_uavs),
         ),
         COLLECTION: (
@@ -69,6 +56,7 @@ def observation_parts(config: FarmConfig) -> dict[str, tuple[Part, ...]]:
             *_sensors(config),
             Part("D_AoI", 2, -DIAGONAL, DIAGONAL, "unit diagonal to the quadrant with most AoI; 0 if there is none"),
             *_nearest(config, world.height_collection),
+            *added_parts(config, COLLECTION, served),
             *_self(config, world.collection_uavs),
         ),
     }

@@ -44,7 +44,8 @@ class Sender:
     """Sends the chunks of the spool in sequence, from a thread of its own.
 
     A request holds all waiting chunks, oldest first. A chunk leaves the spool once the learner has accepted it, refused
-    it or reported it as a duplicate. Nothing is ever dropped: when the spool is full, the worker waits.
+    it or reported it as a duplicate. Nothing is ever dropped: when the spool is full, the worker waits
+    (`CollectionGate`).
 
     Args:
         bus: the lane for chunks.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.errors import ConfigError
 from rollout.sim.kernel.link import RadioConstants, loss_at_one_metre, noise, radio_constants
+from rollout.sim.kernel.views.constants import ViewConstants, view_constants
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -215,6 +216,7 @@ class Constants(NamedTuple):
     camera: CameraConstants
     reward: RewardConstants
     observation: ObservationConstants
+    added: ViewConstants
 
 
 def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
@@ -242,14 +244,16 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         start,
         *cells,
     )
+    radio = radio_constants(config)
     parts = (
         _fleet(config),
         _flight(config),
         _relay(config),
-        radio_constants(config),
+        radio,
         _camera(config),
         _reward(config),
         seen,
+        view_constants(config, radio, cells),
     )
     return Constants(*(_cast(part) for part in parts))
 

@@ -82,11 +82,11 @@ def radio_constants(config: FarmConfig) -> RadioConstants:
         level_max=float(world.aoi_max),
         chances=np.tile((0.0, 1.0), (CHANCES, 1)),
     )
-    made = made._replace(reach=_reach(made, world.height_collection))
+    made = made._replace(reach=reach_of(made, world.height_collection, NEGLIGIBLE))
     return made._replace(chances=_chances(made, world.height_collection))
 
 
-def _chance(radio: RadioConstants, square: float) -> float:
+def chance_at(radio: RadioConstants, square: float) -> float:
     """Return 1 - PLR without interference at a distance whose square is given, m^2."""
     signal = radio.power / square * math.exp(-radio.vegetation * square**radio.half_exponent)
     sinr = signal / radio.noise
@@ -100,21 +100,24 @@ def _chances(radio: RadioConstants, height: float) -> Array:
     if radio.half_exponent < 0.0 or radio.interference or radio.expected:
         return bounds  # the probability is not monotonic, is not known beforehand, or is not drawn from
     squares = np.linspace(0.0, radio.reach * radio.reach, CHANCES + 1) + height * height
-    chance = np.array([_chance(radio, square) for square in squares.tolist()])
+    chance = np.array([chance_at(radio, square) for square in squares.tolist()])
     bounds[:, 0] = chance[1:] * (1.0 - 1e-6) - 1e-11
     bounds[:, 1] = chance[:-1] * (1.0 + 1e-6) + 1e-11
     return bounds
 
 
-def _reach(radio: RadioConstants, height: float) -> float:
-    """Return the horizontal distance beyond which no packet arrives, by bisection on the monotonic power."""
+def reach_of(radio: RadioConstants, height: float, least: float) -> float:
+    """Return the horizontal distance beyond which a packet's probability of arrival is less, by bisection.
+
+    It is `radio.reach` if the power is not monotonic or no distance up to there is too far.
+    """
     if radio.half_exponent < 0.0:
         return radio.reach  # vegetation that thins out with distance makes the power non-monotonic
     low, high = 0.0, radio.reach
     for _ in range(200):
         middle = 0.5 * (low + high)
         square = middle * middle + height * height
-        if _chance(radio, square) < NEGLIGIBLE:
+        if chance_at(radio, square) < least:
             high = middle
         else:
             low = middle

@@ -21,6 +21,7 @@ from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, FleetConstants, ObservationConstants
 from rollout.sim.kernel.planes import height_of
 from rollout.sim.kernel.spatial.neighbours import ALL, EMPTY, HOLDING, nearest_sensors
+from rollout.sim.kernel.views.added import add_collector, add_monitor, add_relay
 
 Float32 = NDArray[np.float32]
 
@@ -125,6 +126,8 @@ def see_relays(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> in
         else:
             at = _put_uav(fleet, position, u, farthest[u], sx, sy, seen, at)
         at = _put_uav(fleet, position, u, neighbour[u], sx, sy, seen, at)
+        if c.added.some:
+            at = add_relay(c, farm, s, u, at)
         at = _put_self(what, time, u, fleet.relays, seen, at)
     return at
 
@@ -159,6 +162,8 @@ def see_plots(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> int
         if what.lattice:
             seen[at], seen[at + 1] = sx * across, sy * along
             at += 2
+        if c.added.some:
+            at = add_monitor(c, farm, s, u, column, row, at)
         at = _put_self(what, time, u - fleet.relays, count, seen, at)
     return at
 
@@ -192,4 +197,6 @@ def see_sensors(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> N
             at = _put_sensor(what, age[j] * per_level, sx * (sensor[0, j] - x), sy * (sensor[1, j] - y), seen, at)
         seen[at], seen[at + 1] = sx * direction[u, 0], sy * direction[u, 1]
         at = _put_uav(fleet, position, u, neighbour[u], sx, sy, seen, at + 2)
+        if c.added.some:
+            at = add_collector(c, farm, s, u, at)
         at = _put_self(what, time, u - fleet.collectors, count, seen, at)

@@ -30,6 +30,7 @@ from rollout.sim.kernel.relays import assign_relays, measure_service
 from rollout.sim.kernel.rewards import reward_step
 from rollout.sim.kernel.spatial.quadrants import point_to_age, point_to_level
 from rollout.sim.kernel.spatial.tallies import tally_plots, tally_sensors, total
+from rollout.sim.kernel.views.added import prepare_views
 
 Float32 = NDArray[np.float32]
 
@@ -77,6 +78,9 @@ def _farm(state: State, e: int) -> Farm:
         level_above=state.level_above[e],
         listed=state.listed[e],
         quality=state.quality[e],
+        plot_visit=state.plot_visit[e],
+        sensor_visit=state.sensor_visit[e],
+        hindsight=state.hindsight[e],
     )
 
 
@@ -102,6 +106,8 @@ def _observe(c: Constants, farm: Farm, s: Scratch) -> None:
     """Find the directions and write the row of observations."""
     point_to_level(c, farm)
     point_to_age(c, farm)
+    if c.added.some:
+        prepare_views(c, farm, s)
     time = farm.step * c.observation.per_steps
     monitors = see_relays(c, farm, s, time, 0)
     collectors = see_plots(c, farm, s, time, monitors)
@@ -129,6 +135,8 @@ def _begin(c: Constants, farm: Farm, s: Scratch) -> None:
     for k in range(len(farm.listed)):
         for rank in range(c.observation.sensors):
             farm.listed[k, rank] = rank
+    for u in range(c.fleet.uavs):
+        s.previous[u, 0], s.previous[u, 1] = farm.position[u, 0], farm.position[u, 1]
     _update_geometry(c, farm, s, True)
     _observe(c, farm, s)
 

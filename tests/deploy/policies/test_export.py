@@ -24,7 +24,7 @@ from deploy.cli import dispatch
 from deploy.exit_codes import run_command
 from deploy.policies.export import agent_names, tensor_names
 from deploy.policies.onnx_actions import NODES
-from learner.trainer import Trainer
+from learner.off_policy_trainer import OffPolicyTrainer
 from rollout.sim.batch import FarmBatch
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "export.md"
@@ -101,7 +101,7 @@ def test_what_was_trained_with_every_aid_is_exported(tmp_path):
     flag[-1] = 0
     seen = draw.normal(3.0, 5.0, (200, team.observation_size)).astype(np.float32)
     tried = draw.uniform(-1, 1, (200, team.action_size)).astype(np.float32)
-    trainer = Trainer(config, team)
+    trainer = OffPolicyTrainer(config, team)
     trainer.absorb(Chunk(Rows(seen, tried, draw.normal(size=(200, team.agents)).astype(np.float32), flag)))
     trainer.train(20)
     actors = trainer.actors()

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from common.config import ReplayConfig
 from common.farm import METRIC_NAMES
 from common.history.history import History
 from common.protocol import keys
@@ -24,6 +23,7 @@ from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
 from learner.intake.chunk_rules import ChunkRules
 from learner.intake.ledger import Ledger
+from learner.intake.limits import IntakeLimits
 from learner.intake.receiver import Receiver
 from tests.system.fleet import until
 
@@ -220,10 +220,10 @@ def damage(parcel: Parcel, road: Road, draw: random.Random) -> tuple[str, int]:
     return "", 0
 
 
-def front_door(ledger: Ledger | None = None, history: History | None = None, **replay: int) -> tuple[Receiver, Door]:
+def front_door(ledger: Ledger | None = None, history: History | None = None, **limits: int) -> tuple[Receiver, Door]:
     """Return a receiver and the door before it."""
     door = Door()
-    bounds = ReplayConfig(**{"capacity": 256, "warmup_steps": 0, "intake_chunks": 64, **replay})
+    bounds = IntakeLimits(**{"chunks": 64, "most_lag": None, **limits})
     receiver = Receiver(door, TEAM, RULES, ledger or Ledger(), bounds, lockstep=False, history=history)  # type: ignore[arg-type]  # a door is all of a server that a receiver uses
     return receiver, door
 

@@ -2,9 +2,7 @@
 
 import sys
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -13,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.actors import TeamActors
-from common.config import ControlConfig, EnvConfig, FarmConfig, MaddpgConfig, RunConfig, algorithms
-from common.config.action_kinds import discrete_algorithms, trains_discrete
+from common.config import ControlConfig, EnvConfig, FarmConfig, IppoConfig, RunConfig
+from common.config.action_kinds import discrete_algorithms
 from common.errors import ConfigError, PolicyError, SimulationError
 from common.team import TeamSpec
 from rollout.envs.pettingzoo_actions import RowActions, choices_of
@@ -34,13 +32,6 @@ def _importable(monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
     yield
     sys.modules.pop("toy_choices", None)
-
-
-@dataclass(frozen=True)
-class ChoosingConfig(MaddpgConfig):
-    """An algorithm that trains discrete actions."""
-
-    discrete_actions: ClassVar[bool] = True
 
 
 def doors(masks="none", count=1):
@@ -76,7 +67,7 @@ def test_starts_and_kinds_are_the_environments_own():
     assert first["porter_0"].dtype == np.int64
     np.testing.assert_allclose(first["painter_0"], [2.5])
     assert (second["walker_0"], second["walker_1"]) == (6, -1)
-    assert batch.reward[0, 1] == -1.0
+    assert batch.reward[0].tolist() == [3.0, 0.0, -2.0, 1.0]
 
 
 @given(
@@ -172,10 +163,10 @@ def test_an_environment_with_a_choice_follows_the_algorithm():
     """Off-policy algorithms get boxes, others what the environment has; the user's argument decides over both."""
     config = RunConfig(env=EnvConfig("toy_choices:flexible"))
     assert not any(group.choices for group in environment_spec(config).team.groups)
-    choosing = RunConfig(env=config.env, algorithm=ChoosingConfig())
+    choosing = RunConfig(env=config.env, algorithm=IppoConfig())
     assert {group.name for group in environment_spec(choosing).team.groups if group.choices} == {"walker", "porter"}
     asked = EnvConfig("toy_choices:flexible", arguments='{"continuous_actions": true}')
-    spec = environment_spec(RunConfig(env=asked, algorithm=ChoosingConfig()))
+    spec = environment_spec(RunConfig(env=asked, algorithm=IppoConfig()))
     assert not any(group.choices for group in spec.team.groups)
 
 
@@ -187,10 +178,9 @@ def test_an_environment_with_a_choice_follows_the_algorithm():
         RunConfig(farm=FarmConfig(control=ControlConfig(monitoring="moves", collection="headings"))),
     ],
 )
-def test_discrete_actions_and_an_algorithm_without_them_are_refused(config, monkeypatch):
+def test_discrete_actions_and_an_algorithm_without_them_are_refused(config):
     """One sentence names the types and the algorithms that can; flying such an environment needs no algorithm."""
-    monkeypatch.setitem(algorithms.ALGORITHM_CONFIGS, "choosing", ChoosingConfig)
-    with pytest.raises(ConfigError, match=r"has discrete actions \(\w+, \w+\), which eia-sec cannot train; .*choosing"):
+    with pytest.raises(ConfigError, match=r"has discrete actions \(\w+, \w+\), which eia-sec cannot train; .*ippo"):
         environment_spec(config)
     with closing(make_environments(config, 1)) as environments:
         assert any(group.choices for group in environments.team.groups)
@@ -198,9 +188,8 @@ def test_discrete_actions_and_an_algorithm_without_them_are_refused(config, monk
 
 def test_which_algorithms_choose():
     """Off-policy algorithms need boxes."""
-    assert not trains_discrete(RunConfig().algorithm)
     assert not set(discrete_algorithms()) & {"eia-sec", "maddpg", "matd3", "masac"}
-    assert trains_discrete(ChoosingConfig())
+    assert {"ippo", "mappo"} <= set(discrete_algorithms())
 
 
 @pytest.mark.parametrize("masks", ["observation", "info"])
@@ -225,7 +214,7 @@ def test_random_actions_are_legal_and_reach_every_legal_option(masks):
 def test_actors_fly_such_environments(shared):
     """Noise-free episodes and evaluations work with one row of parameters and with one for each agent."""
     config = RunConfig(
-        env=EnvConfig("toy_choices:Doors", arguments='{"masks": "info"}'), algorithm=ChoosingConfig(hidden=4)
+        env=EnvConfig("toy_choices:Doors", arguments='{"masks": "info"}'), algorithm=IppoConfig(hidden=4)
     )
     actors = TeamActors.initial(environment_spec(config).team, 4, 0, shared=shared)
     reward, steps = run_noise_free_episodes(config, actors, (0, 1), (5, 6))

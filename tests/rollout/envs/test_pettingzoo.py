@@ -263,7 +263,9 @@ def test_the_farm_is_one_of_them():
 def test_a_line_in_factories_is_all_that_an_environment_of_this_package_needs(monkeypatch):
     """Its name has no colon, so it is not third-party code, and a run that names it is not about the farm."""
     config = RunConfig(env=EnvConfig("small_farm"))
-    monkeypatch.setitem(registry.FACTORIES, "small_farm", lambda run, count: FarmBatch(SMALL, count))
+    monkeypatch.setitem(
+        registry.FACTORIES, "small_farm", lambda run, count, hindsight: FarmBatch(SMALL, count, 1, hindsight)
+    )
     with closing(make_environments(config, 2)) as environments:
         assert environments.team == FarmBatch(SMALL, 1).team
     assert not config.env.is_third_party

@@ -10,7 +10,8 @@ from pettingzoo import ParallelEnv
 class Doors(ParallelEnv):
     """Two walkers take one of four doors, a porter two switches, and a painter a Box; see `legal` for the masks.
 
-    Agents earn the sum of their numbers. The walkers leave after two steps, the others after four.
+    Agents earn the sum of their numbers, each less its space's start. The walkers leave after two steps, the others
+    after four.
 
     Args:
         masks: "observation", "info" or "none".
@@ -54,7 +55,9 @@ class Doors(ParallelEnv):
         assert set(actions) == set(self.agents)
         self.actions.append(actions)
         self.time += 1
-        rewards = {name: float(np.sum(action)) for name, action in actions.items()}
+        rewards = {
+            name: float(np.sum(action - getattr(self.ACTIONS[name], "start", 0))) for name, action in actions.items()
+        }
         ends = {name: self.time >= (2 if name.startswith("walker") else 4) for name in self.agents}
         here, self.agents = self.agents, [name for name in self.agents if not ends[name]]
         never = dict.fromkeys(here, False)

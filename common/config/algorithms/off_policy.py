@@ -1,62 +1,12 @@
-"""The algorithms: one configuration class for each, registered in ALGORITHM_CONFIGS.
+"""Algorithms that learn from a replay buffer: EIA-SEC as the paper describes it, MADDPG, MATD3 and MASAC."""
 
-`algorithm.name` selects the class. A class has the options that its algorithm reads and names in `sections` the other
-sections that it reads, so that an option without effect is refused (`common.config.effect`). To add an algorithm, write
-its class and add a line to ALGORITHM_CONFIGS. Equations are in docs/reference/algorithms.md, readings A4 to A12 in
-docs/explanation/method.md.
-"""
+from dataclasses import dataclass
+from typing import ClassVar, Literal
 
-from dataclasses import dataclass, fields
-from typing import ClassVar, Final, Literal
-
+from common.config.algorithms.base import AlgorithmConfig
 from common.config.checks import finite, not_negative, positive, within
-from common.errors import ConfigError
 
 CriticScope = Literal["local", "joint"]
-
-
-@dataclass(frozen=True)
-class AlgorithmConfig:
-    """What all algorithms share: networks, rates, and how rewards and observations are scaled.
-
-    Attributes:
-        sections: other sections of a configuration that the algorithm reads; see OPTIONAL_SECTIONS.
-    """
-
-    sections: ClassVar[tuple[str, ...]] = ()
-
-    name: str
-    """The algorithm."""
-    hidden: int = 64
-    """Width of both hidden layers of every network (ours)."""
-    discount: float = 0.97
-    """Discount factor gamma of the return; the paper prints 0.99."""
-    batch: int = 128
-    """Transitions in a batch, B."""
-    actor_rate: float = 1e-3
-    """Learning rate of the actors, r_a; the paper prints 1e-4."""
-    critic_rate: float = 1e-3
-    """Learning rate of the critics and of the shared ensemble critic, r_c; the paper prints 1e-5."""
-    reward_scale: float = 0.1
-    """Factor on every reward before it enters a target (ours)."""
-    potential_discount: float = 0.995
-    """Discount gamma_s of the potential that shapes the relays' rewards; 0 for no shaping (ours)."""
-    reward_normalisation: bool = False
-    """Divide each type's rewards by their running standard deviation, before `reward_scale` (ours)."""
-    observation_normalisation: bool = False
-    """Standardise each type's observations by their running mean and standard deviation, which actors carry (ours)."""
-    gradient_clip: float = 0.0
-    """Largest norm of one network's gradient; 0 for no limit (ours)."""
-    initialisation: Literal["type", "independent"] = "type"
-    """One random initialisation for all agents of a type, or one for each agent (A4)."""
-
-    def __post_init__(self) -> None:
-        """Refuse rates and sizes that cannot learn."""
-        within(1, 4096, hidden=self.hidden)
-        within(1, 65_536, batch=self.batch)
-        within(0.0, 1.0, discount=self.discount, potential_discount=self.potential_discount)
-        positive(actor_rate=self.actor_rate, critic_rate=self.critic_rate, reward_scale=self.reward_scale)
-        not_negative(gradient_clip=self.gradient_clip)
 
 
 @dataclass(frozen=True)
@@ -65,6 +15,12 @@ class OffPolicyConfig(AlgorithmConfig):
 
     sections: ClassVar[tuple[str, ...]] = ("replay", "exploration")
 
+    batch: int = 128
+    """Transitions in a batch, B."""
+    reward_normalisation: bool = False
+    """Divide each type's rewards by their running standard deviation, before `reward_scale` (ours)."""
+    observation_normalisation: bool = False
+    """Standardise each type's observations by their running mean and standard deviation, which actors carry (ours)."""
     n_step: int = 1
     """Steps n whose rewards a target sums up before it bootstraps, 1 to 10; fewer at an episode's end."""
     target_rate: float = 0.005
@@ -73,6 +29,7 @@ class OffPolicyConfig(AlgorithmConfig):
     def __post_init__(self) -> None:
         """Refuse what cannot learn."""
         super().__post_init__()
+        within(1, 65_536, batch=self.batch)
         within(1, 10, n_step=self.n_step)
         within(0.0, 1.0, target_rate=self.target_rate)
 
@@ -216,37 +173,3 @@ class MasacConfig(BaselineConfig):
         positive(temperature=self.temperature)
         not_negative(temperature_rate=self.temperature_rate)
         finite(entropy_target=self.entropy_target)
-
-
-ALGORITHM_CONFIGS: Final[dict[str, type[AlgorithmConfig]]] = {
-    "eia-sec": EiaSecConfig,
-    "maddpg": MaddpgConfig,
-    "matd3": Matd3Config,
-    "masac": MasacConfig,
-}
-"""The configuration class of every algorithm by `algorithm.name`; `learner.algorithms.ALGORITHMS` has the learners."""
-OPTIONAL_SECTIONS: Final = ("elite", "replay", "exploration")
-"""Sections that only some algorithms read."""
-
-
-def algorithm_class(name: str) -> type[AlgorithmConfig]:
-    """Return the configuration class of an algorithm; raise ConfigError when there is none."""
-    if name in ALGORITHM_CONFIGS:
-        return ALGORITHM_CONFIGS[name]
-    raise ConfigError(f"algorithm.name must be one of {', '.join(ALGORITHM_CONFIGS)}, not {name!r}.")
-
-
-def switched(current: AlgorithmConfig, name: str) -> AlgorithmConfig:
-    """Return the configuration of another algorithm with the values of the options that both inherit.
-
-    All other options take the other algorithm's defaults.
-
-    Raises:
-        ConfigError: there is no such algorithm.
-    """
-    wanted = algorithm_class(name)
-    if type(current) is wanted:
-        return current
-    shared = next(base for base in type(current).__mro__ if issubclass(wanted, base))
-    kept = {field.name: getattr(current, field.name) for field in fields(shared)}
-    return wanted(**kept | {"name": name})

@@ -1,0 +1,60 @@
+"""What the agents of the farm see."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from common.config.checks import within
+from common.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class ObservationConfig:
+    """What the agents see."""
+
+    sensors: int = 10
+    """Sensors that a data collection UAV sees, n (ours)."""
+    choice: Literal["waiting", "nearest"] = "waiting"
+    """waiting: the nearest that hold data (AoI of 1 or more), then empty ones; nearest: the nearest of all (ours)."""
+    form: Literal["default", "printed"] = "default"
+    """default: AoI and relative (dx, dy) of each observed sensor; printed: AoI only (W24)."""
+    window: int = 5
+    """Side of the square of plots whose VDF a monitoring UAV sees, in plots; odd; the paper's is 3."""
+    lattice: bool = True
+    """Whether a monitoring UAV sees its offset from the centre of its plot, in units of half a plot (ours)."""
+    mirrored: bool = True
+    """Whether each UAV has axes of its own, on which its position (a monitor's: in its plot) is positive (ours)."""
+    identity: bool = True
+    """Whether an agent sees its index in its type, 1 of n_v, so that equal actors can divide the work (ours)."""
+    clock: bool = True
+    """Whether an agent sees the elapsed share of the episode (ours)."""
+    peers: int = 0
+    """Nearest UAVs of its type whose offset, last velocity and presence an agent sees, 0 to 63 (ours)."""
+    last_move: bool = False
+    """Whether an agent sees its own last velocity, as a share of full speed (ours)."""
+    closing: bool = False
+    """Whether monitors and collectors see the risk SR that each of nine moves would bring near their peers (ours)."""
+    units: int = 0
+    """Moves for which monitors and collectors see the units that each of nine would bring: 0, 1 or 2 (ours)."""
+    fields: bool = False
+    """Whether monitors and collectors see where their own share of the task lies, near and far (ours)."""
+    coarse: bool = False
+    """Whether monitors and collectors see coarse maps of VDF and AoI around them (ours)."""
+    phases: bool = False
+    """Whether agents see the phase of their counters' cycles, and the last 25 and 100 steps run down (ours)."""
+    service: bool = False
+    """Whether a relay sees its D_c and what each of nine moves would do to it (ours)."""
+
+    @property
+    def added(self) -> bool:
+        """Whether any observation of those above that are off by default is on."""
+        switches = self.last_move, self.closing, self.fields, self.coarse, self.phases, self.service
+        return self.peers > 0 or self.units > 0 or any(switches)
+
+    def __post_init__(self) -> None:
+        """Refuse to observe no sensor, and a window without a centre."""
+        within(1, 256, sensors=self.sensors)
+        within(1, 31, window=self.window)
+        within(0, 63, peers=self.peers)
+        within(0, 2, units=self.units)
+        if self.window % 2 == 0:
+            raise ConfigError(f"window must be odd, so that the UAV's own plot is in the middle, not {self.window}.")

@@ -1,0 +1,104 @@
+"""The parts of the added observations, with their bounds; they follow from `rollout/sim/kernel/views`."""
+
+import math
+from typing import Final, NamedTuple
+
+from common.config import FarmConfig
+from common.farm import COLLECTION, COMMUNICATION, MONITORING
+from rollout.sim.kernel.views.fields import SCALE
+from rollout.sim.kernel.views.maps import BLOCK, BLOCKS, CELLS
+from rollout.sim.kernel.views.units import MOST
+
+ROUNDING: Final = 1.0 + 1e-9
+"""Allowance for differences of float64 distances over a short step before they are rounded to float32."""
+
+
+class Part(NamedTuple):
+    """Consecutive numbers of an observation that share bounds and meaning.
+
+    Attributes:
+        name: short name.
+        size: count of numbers.
+        low: lower bound.
+        high: upper bound.
+        meaning: what the numbers mean.
+    """
+
+    name: str
+    size: int
+    low: float
+    high: float
+    meaning: str
+
+
+def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...]:
+    """Return the parts of a type's added observations in their order.
+
+    Args:
+        config: the farm.
+        name: of the type.
+        served: largest distance from a relay to a UAV that it serves, over the field's diagonal.
+    """
+    seen, task, parts = config.observation, name != COMMUNICATION, list[Part]()
+    peer = (
+        Part("peer", 2, -1.0, 1.0, "offset (dx / X, dy / Y) of the nearest, second nearest .. of the type; 0 if none"),
+        Part("peer", 2, -1.0, 1.0, "its last velocity over full speed"),
+        Part("peer", 1, 0.0, 1.0, "1 if there is one"),
+    )
+    parts += peer * seen.peers
+    if seen.last_move:
+        parts.append(Part("last velocity", 2, -1.0, 1.0, "own, over full speed"))
+    if task:
+        parts += _tasks(config, name)
+    if seen.phases:
+        parts += _phases(config, name)
+    if seen.service and not task:
+        parts += _service(config, served)
+    return tuple(parts)
+
+
+def _tasks(config: FarmConfig, name: str) -> list[Part]:
+    """Return what only UAVs with a task see, without the phases."""
+    seen, world, parts = config.observation, config.world, list[Part]()
+    if seen.closing:
+        near = "SR over d_safety of each of nine moves, over the two nearest peers"
+        parts.append(Part("risk, any", 9, 0.0, 2.0 * ROUNDING, f"{near}; mean over the peer's nine moves"))
+        parts.append(Part("risk, same", 9, 0.0, 2.0 * ROUNDING, f"{near}; the peer keeps its velocity"))
+    unit = "VDF over its largest value" if name == MONITORING else "AoI over twice its largest value"
+    if seen.units > 0:
+        parts.append(Part("units", 9, 0.0, MOST, f"{unit} that each of nine moves would bring, clipped"))
+    if seen.units > 1:
+        parts.append(Part("units of two", 9, 0.0, 2.0 * MOST, f"{unit} of each move and the best after it, clipped"))
+    points = world.plots_x * world.plots_y if name == MONITORING else world.sensors
+    for reach in ("near", "far") if seen.fields else ():
+        most = SCALE * math.log1p(points) * ROUNDING
+        parts.append(Part(f"{reach} field", 9, -ROUNDING, ROUNDING, "logarithm of its growth with each of nine moves"))
+        parts.append(Part(f"{reach} field", 1, 0.0, most, f"{SCALE:g} ln(1 + field) at the own place"))
+    blocks = f"of {BLOCKS} x {BLOCKS} blocks of {BLOCK} x {BLOCK}"
+    if seen.coarse and name == MONITORING:
+        parts.append(Part("blocks", BLOCKS**2, 0.0, 1.0, f"mean VDF over its largest value {blocks} plots, x outer"))
+        parts.append(Part("stale blocks", BLOCKS**2, 0.0, 1.0, "share of the plots with VDF_max - 1 or more"))
+    if seen.coarse and name == COLLECTION:
+        cells = f"of {CELLS} x {CELLS} sensor cells"
+        parts.append(Part("cells", CELLS**2, 0.0, 1.0, f"AoI over twice its largest value {cells}, x outer, clipped"))
+        parts.append(
+            Part("blocks", BLOCKS**2, 0.0, 1.0, f"mean of the same, without clipping, {blocks} cells, clipped")
+        )
+    return parts
+
+
+def _phases(config: FarmConfig, name: str) -> list[Part]:
+    """Return the phases of the counters that a type looks after, and the steps left."""
+    numbers = {MONITORING: 1, COLLECTION: len(config.world.sensor_cycles)}.get(name, 0)
+    phase = [Part("phase", numbers, 0.0, 1.0, "elapsed share of the counters' cycle")] if numbers else []
+    return [*phase, Part("left", 2, 0.0, 1.0, "steps left over 25 and over 100, at most 1")]
+
+
+def _service(config: FarmConfig, served: float) -> list[Part]:
+    relay = config.relay
+    far, both = relay.weight_centroid + relay.weight_farthest, relay.weight_relays
+    most, change = far * served + both, (far + both) * ROUNDING
+    return [
+        Part("service", 1, 0.0, most * ROUNDING, "D_c over the field's diagonal"),
+        Part("service", 9, -change, change, "change of D_c over a diagonal step with each of nine moves"),
+    ]

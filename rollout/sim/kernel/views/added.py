@@ -1,0 +1,180 @@
+"""The added observations of each type, in the order of their switches."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from rollout.sim.kernel.constants import Constants
+from rollout.sim.kernel.spatial.neighbours import cell_of
+from rollout.sim.kernel.views.constants import ViewConstants
+from rollout.sim.kernel.views.fields import put_field, share_points, weigh_points
+from rollout.sim.kernel.views.maps import put_cells, put_plots
+from rollout.sim.kernel.views.peers import find_near, put_peers, put_risk
+from rollout.sim.kernel.views.places import find_places
+from rollout.sim.kernel.views.service import put_service
+from rollout.sim.kernel.views.units import plan_images, plan_packets, put_units
+
+Float32 = NDArray[np.float32]
+
+SOON, LATER = 25.0, 100.0
+"""Steps before the end at which the two counts of the steps left begin to fall (ours)."""
+
+
+@inlined
+def prepare_views(c: Constants, farm: Farm, s: Scratch) -> None:
+    """Find what several UAVs' added observations need."""
+    fleet, view, plots, cells = c.fleet, c.added, s.added.plots, s.added.cells
+    find_places(c, farm, s)
+    if view.fields:
+        first, second = fleet.relays, fleet.collectors
+        weigh_points(farm.level_above, 1.0 / c.camera.level_max, plots)
+        share_points(s.x[first:second], s.y[first:second], plots)
+        weigh_points(farm.age_above, 1.0 / c.radio.level_max, cells)
+        share_points(s.x[second : fleet.uavs], s.y[second : fleet.uavs], cells)
+
+
+@inlined
+def _put_others(c: Constants, s: Scratch, u: int, first: int, last: int, tasks: bool, seen: Float32, at: int) -> int:
+    """Write `peers`, `last_move` and, for UAVs with tasks, `closing`; return where they end."""
+    fleet, view, v = c.fleet, c.added, s.added
+    sx, sy, found = v.sign[u, 0], v.sign[u, 1], 0
+    closing = view.closing and tasks
+    if view.peers > 0 or closing:
+        wanted = max(view.peers, 2)
+        found = find_near(s.x, s.y, u, first, last, wanted, v.near, v.near_square)
+    at = put_peers(fleet, s.x, s.y, v.velocity, u, sx, sy, found, view.peers, v.near, seen, at)
+    if view.last_move:
+        seen[at], seen[at + 1] = sx * v.velocity[u, 0], sy * v.velocity[u, 1]
+        at += 2
+    if closing:
+        at = put_risk(
+            fleet,
+            view.danger_square,
+            view.step_x,
+            view.step_y,
+            s.x,
+            s.y,
+            v.velocity,
+            v.go_x,
+            v.go_y,
+            u,
+            found,
+            v.near,
+            v.near_square,
+            v.risk,
+            seen,
+            at,
+        )
+    return at
+
+
+@allocation_free
+def _put_left(left: int, seen: Float32, at: int) -> int:
+    """Write the two counts of the steps left; return where they end."""
+    seen[at], seen[at + 1] = min(1.0, left / SOON), min(1.0, left / LATER)
+    return at + 2
+
+
+@inlined
+def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
+    """Write the added observations of a relay; return where they end."""
+    fleet, view, seen = c.fleet, c.added, farm.observation
+    at = _put_others(c, s, u, 0, fleet.relays, False, seen, at)
+    if view.phases:
+        at = _put_left(fleet.steps - farm.step, seen, at)
+    if view.service:
+        at = put_service(
+            fleet,
+            c.relay,
+            view.step_x,
+            view.step_y,
+            view.per_step,
+            farm.position,
+            farm.assignment,
+            s.centroid,
+            farm.service[u],
+            u,
+            s.added.sign[u, 0],
+            s.added.sign[u, 1],
+            seen,
+            at,
+        )
+    return at
+
+
+@inlined
+def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: int, at: int) -> int:
+    """Write the added observations of a monitoring UAV over a plot; return where they end."""
+    fleet, camera, view, v, seen, position = c.fleet, c.camera, c.added, s.added, farm.observation, farm.position
+    sx, sy = v.sign[u, 0], v.sign[u, 1]
+    at = _put_others(c, s, u, fleet.relays, fleet.collectors, True, seen, at)
+    if view.units > 0:
+        plan_images(fleet, camera, view, v, position, farm.level, u)
+        at = put_units(view, v, 1.0 / camera.level_max, seen, at)
+    if view.fields:
+        x, y = position[u, 0], position[u, 1]
+        per_reach = 1.0 / (view.step_x + view.step_y)
+        at = put_field(
+            fleet,
+            x,
+            y,
+            v.go_x[u],
+            v.go_y[u],
+            view.plots_x,
+            view.plots_y,
+            view.range,
+            per_reach,
+            v.plots,
+            seen,
+            at,
+        )
+    if view.coarse:
+        at = put_plots(farm.level, farm.level_above, column, row, sx, sy, camera.level_max, seen, at)
+    if view.phases:
+        seen[at] = farm.step % camera.cycle / camera.cycle
+        at = _put_left(fleet.steps - farm.step, seen, at + 1)
+    return at
+
+
+@allocation_free
+def _put_phases(view: ViewConstants, step: int, seen: Float32, at: int) -> int:
+    """Write the elapsed share of the running cycle of each sensor type; return where they end."""
+    for kind in range(len(view.age_cycles)):
+        cycle = view.age_cycles[kind]
+        seen[at + kind] = step % cycle / cycle
+    return at + len(view.age_cycles)
+
+
+@inlined
+def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
+    """Write the added observations of a data collection UAV; return where they end."""
+    fleet, what, view, v, seen, position = c.fleet, c.observation, c.added, s.added, farm.observation, farm.position
+    x, y, sx, sy = position[u, 0], position[u, 1], v.sign[u, 0], v.sign[u, 1]
+    at = _put_others(c, s, u, fleet.collectors, fleet.uavs, True, seen, at)
+    if view.units > 0:
+        plan_packets(fleet, what, view, v, position, farm.sensor, farm.cell_start, farm.age, s.around, s.square, u)
+        at = put_units(view, v, 0.5 / c.radio.level_max, seen, at)
+    if view.fields:
+        per_reach = 1.0 / (view.step_x + view.step_y)
+        at = put_field(
+            fleet,
+            x,
+            y,
+            v.go_x[u],
+            v.go_y[u],
+            view.cells_x,
+            view.cells_y,
+            view.range,
+            per_reach,
+            v.cells,
+            seen,
+            at,
+        )
+    if view.coarse:
+        column, row = cell_of(x / fleet.width, what.cells_x), cell_of(y / fleet.depth, what.cells_y)
+        at = put_cells(farm.age_above, column, row, sx, sy, c.radio.level_max, seen, at)
+    if view.phases:
+        at = _put_phases(view, farm.step, seen, at)
+        at = _put_left(fleet.steps - farm.step, seen, at)
+    return at

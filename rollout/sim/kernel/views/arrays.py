@@ -1,0 +1,131 @@
+"""The working memory of the added observations, allocated once."""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig, WorldConfig
+from rollout.sim.layout import cell_counts
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+LANES: Final = 8
+"""Rows of numbers are filled up to a multiple of this, so that vectorised loops have no rest."""
+FAR: Final = 16
+"""Where the places two moves away begin among the places; the nine places one move away come first."""
+PLACES: Final = FAR + 32
+"""Places of a plan, the unused ones between and behind included."""
+
+
+class FieldScratch(NamedTuple):
+    """A value field over R rows and C columns of points, row by row; rows are filled up to C' points.
+
+    Attributes:
+        x: [R C'] of each point, m.
+        y: [R C'] of each point, m.
+        value: [R C'] level of each point over the largest.
+        stale: [R C'] the same times itself, or times 1 if that is less.
+        first: [R C'] square of the distance to the nearest UAV of the type, m^2.
+        second: [R C'] square of the distance to the second nearest, m^2.
+        weight: [2, R C'] a UAV's own share of value and stale.
+        across: [2, 4, C'] exponentials of the distances along x from three places after a move and the UAV's own, near
+            range first.
+        along: [2, 4, R] the same along y.
+        sums: [4, C'] sums over the rows for the four places along y.
+        total: [2, 16] the field at the nine places and at the UAV's, near range first.
+    """
+
+    x: Array
+    y: Array
+    value: Array
+    stale: Array
+    first: Array
+    second: Array
+    weight: Array
+    across: Array
+    along: Array
+    sums: Array
+    total: Array
+
+
+class ViewScratch(NamedTuple):
+    """Working memory of the added observations.
+
+    Attributes:
+        velocity: [n, 2] last velocity as a share of full speed.
+        sign: [n, 2] signs of the UAVs' axes.
+        go_x: [n, 3] x after a move back, none and on along the UAV's own axis, m.
+        go_y: [n, 3] the same along y, m.
+        near: [64] UAVs of the own type, nearest first.
+        near_square: [64] squares of their distances, m^2.
+        risk: [2, 16] metres of risk of each move, for a peer that does anything and for one that flies on.
+        place_x: [PLACES] x of the places of a plan, m.
+        place_y: [PLACES] the same along y, m.
+        far: [2, 5] middles of the lattice points two moves back to two on, along each axis, m.
+        after: [2, 9] which of five lattice points along an axis a move leads to after another.
+        chance: [PLACES] share of an item that each place brings.
+        gain: [PLACES] units that each place brings.
+        twice: [9, 32] units that both moves would bring, and only one does.
+        plots: value field of the monitoring UAVs.
+        cells: value field of the data collection UAVs.
+    """
+
+    velocity: Array
+    sign: Array
+    go_x: Array
+    go_y: Array
+    near: Indices
+    near_square: Array
+    risk: Array
+    place_x: Array
+    place_y: Array
+    far: Array
+    after: Indices
+    chance: Array
+    gain: Array
+    twice: Array
+    plots: FieldScratch
+    cells: FieldScratch
+
+
+def make_view_scratch(config: FarmConfig) -> ViewScratch:
+    """Allocate the working memory of the added observations."""
+    world = config.world
+    return ViewScratch(
+        velocity=np.zeros((world.uavs, 2)),
+        sign=np.zeros((world.uavs, 2)),
+        go_x=np.zeros((world.uavs, 3)),
+        go_y=np.zeros((world.uavs, 3)),
+        near=np.zeros(64, np.int64),
+        near_square=np.zeros(64),
+        risk=np.zeros((2, 16)),
+        place_x=np.zeros(PLACES),
+        place_y=np.zeros(PLACES),
+        far=np.zeros((2, 5)),
+        after=np.zeros((2, 9), np.int64),
+        chance=np.zeros(PLACES),
+        gain=np.zeros(PLACES),
+        twice=np.zeros((9, PLACES - FAR)),
+        plots=_field(world, world.plots_x, world.plots_y),
+        cells=_field(world, *cell_counts(world)),
+    )
+
+
+def _field(world: WorldConfig, columns: int, rows: int) -> FieldScratch:
+    filled = -(-columns // LANES) * LANES
+    points = rows * filled
+    return FieldScratch(
+        x=np.tile((np.arange(filled) + 0.5) * (world.field_x / columns), rows),
+        y=np.repeat((np.arange(rows) + 0.5) * (world.field_y / rows), filled),
+        value=np.zeros(points),
+        stale=np.zeros(points),
+        first=np.zeros(points),
+        second=np.zeros(points),
+        weight=np.zeros((2, points)),
+        across=np.zeros((2, 4, filled)),
+        along=np.zeros((2, 4, rows)),
+        sums=np.zeros((4, filled)),
+        total=np.zeros((2, 16)),
+    )

@@ -1,0 +1,143 @@
+"""The constants of the added observations."""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.action_adapters import Lattice
+from common.config import FarmConfig, WorldConfig
+from rollout.sim.kernel.link import RadioConstants, chance_at, reach_of
+
+Array = NDArray[np.float64]
+
+SLIGHT: Final = 1e-3
+"""Probability of arrival below which a sensor counts as out of reach in `units` (ours)."""
+PIECES: Final = 512
+"""Pieces of the table from which `units` interpolates a packet's probability of arrival (ours)."""
+LONG: Final = 120.0
+"""Range of the far value field, m (ours)."""
+LEAST_LIMIT: Final = 1e-6
+"""Least square of that reach, m^2; no packet arrives if it is smaller."""
+RATIO: Final = 3
+"""The far value field's range over the near one's; a power of one exponential is then the other (ours)."""
+WIDEST: Final = 1000.0
+"""Most ranges in the field's longer side; in a wider field the range grows, so that no exponential overflows (ours)."""
+
+
+class ViewConstants(NamedTuple):
+    """What is added to the observations, and its numbers.
+
+    Attributes:
+        some: whether anything is added.
+        peers: UAVs of the own type that each UAV sees.
+        last_move: whether UAVs see their last velocity.
+        closing: whether they see what each move risks.
+        units: moves for which they see the units that each would bring.
+        fields: whether they see value fields.
+        coarse: whether they see coarse maps.
+        phases: whether they see the phase of the counters and the steps left.
+        service: whether relays see what each move does to D_c.
+        columns: lattice points along x.
+        rows: lattice points along y.
+        reach_x: distance at full speed along x in a step, as a share of the field's width.
+        reach_y: the same along y.
+        step_x: the same along x, m.
+        step_y: the same along y, m.
+        per_step: 1 / length of a step at full speed along both axes, 1/m.
+        danger_square: square of the distance from which two UAVs risk nothing in the next step, m^2.
+        chance: [PIECES + 2] probability of arrival at equal steps of the squared distance.
+        chance_limit: square of the distance beyond which none arrives, m^2.
+        chance_scale: pieces per square metre.
+        range: range of the far value field, m.
+        plots_x: [2, n_px] exp(d / range) and exp(-d / range), d from the middle of the field to the plots' along x.
+        plots_y: [2, n_py] the same along y.
+        cells_x: [2, cells_x] the same of the sensor cells.
+        cells_y: [2, cells_y] the same along y.
+        age_cycles: [I_type] T_UA of each sensor type, steps.
+    """
+
+    some: bool
+    peers: int
+    last_move: bool
+    closing: bool
+    units: int
+    fields: bool
+    coarse: bool
+    phases: bool
+    service: bool
+    columns: int
+    rows: int
+    reach_x: float
+    reach_y: float
+    step_x: float
+    step_y: float
+    per_step: float
+    danger_square: float
+    chance: Array
+    chance_limit: float
+    chance_scale: float
+    range: float
+    plots_x: Array
+    plots_y: Array
+    cells_x: Array
+    cells_y: Array
+    age_cycles: Array
+
+
+def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, int]) -> ViewConstants:
+    """Derive the numbers of the added observations."""
+    seen, world = config.observation, config.world
+    lattice = Lattice.spanning(*world.reach)
+    chance, limit = chance_table(radio, world.height_collection)
+    step_x, step_y = world.speed_x_max * world.step_seconds, world.speed_y_max * world.step_seconds
+    width = field_range(world)
+    return ViewConstants(
+        some=seen.added,
+        peers=seen.peers,
+        last_move=seen.last_move,
+        closing=seen.closing,
+        units=seen.units,
+        fields=seen.fields,
+        coarse=seen.coarse,
+        phases=seen.phases,
+        service=seen.service,
+        columns=lattice.columns,
+        rows=lattice.rows,
+        reach_x=lattice.reach_x,
+        reach_y=lattice.reach_y,
+        step_x=step_x,
+        step_y=step_y,
+        per_step=1.0 / math.hypot(step_x, step_y),
+        danger_square=(1.000001 * (world.safety_distance + 2.0 * math.hypot(step_x, step_y))) ** 2,
+        chance=chance,
+        chance_limit=limit,
+        chance_scale=PIECES / limit,
+        range=width,
+        plots_x=_exponentials(world.field_x, world.plots_x, width),
+        plots_y=_exponentials(world.field_y, world.plots_y, width),
+        cells_x=_exponentials(world.field_x, cells[0], width),
+        cells_y=_exponentials(world.field_y, cells[1], width),
+        age_cycles=np.rint(np.array(world.sensor_cycles, np.float64) / world.step_seconds),
+    )
+
+
+def field_range(world: WorldConfig) -> float:
+    """Return the range of the far value field, m."""
+    return max(LONG, max(world.field_x, world.field_y) / WIDEST)
+
+
+def chance_table(radio: RadioConstants, height: float) -> tuple[Array, float]:
+    """Return 1 - PLR without interference, [PIECES + 2], and the square of the distance at the last piece's end, m^2.
+
+    The entries are those at equal steps of the squared horizontal distance; one more allows to look ahead there.
+    """
+    limit = max(reach_of(radio, height, SLIGHT) ** 2, LEAST_LIMIT)
+    squares = np.minimum(np.arange(PIECES + 2), PIECES) * (limit / PIECES) + height * height
+    return np.array([chance_at(radio, square) for square in squares.tolist()]), limit
+
+
+def _exponentials(side: float, count: int, width: float) -> Array:
+    offset = ((np.arange(count) + 0.5) / count - 0.5) * side / width
+    return np.stack([np.exp(offset), np.exp(-offset)])

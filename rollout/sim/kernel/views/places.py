@@ -1,0 +1,110 @@
+"""Where the nine moves of a UAV lead, and the velocities and axes that the added observations need.
+
+A move leads to the middle of a neighbouring lattice point, as far as a step at full speed goes. This is `Lattice.adapt`
+and the flight after it, with the same float32 operations, so that the place is the very one.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from common.action_adapters import EDGE as EDGE_SHARE
+from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from rollout.sim.kernel.constants import Array, Constants, Indices
+
+ONE: Final = np.float32(1.0)
+HALF: Final = np.float32(0.5)
+NONE: Final = np.float32(0.0)
+EDGE: Final = np.float32(EDGE_SHARE)
+
+
+@allocation_free
+def _share(x: float, sign: float, per_side: float) -> np.float32:
+    """Return where a UAV stands along its own axis as a share of the field, as `Lattice` computes it."""
+    return (np.float32(sign * (2.0 * x * per_side - 1.0)) + ONE) * HALF
+
+
+@allocation_free
+def _point(share: np.float32, count: int) -> np.float32:
+    """Return the lattice point of a share along an axis."""
+    points = np.float32(count)
+    return min(points - ONE, max(NONE, np.float32(math.floor(share * points + EDGE))))
+
+
+@allocation_free
+def _go(
+    x: float,
+    sign: float,
+    side: float,
+    per_side: float,
+    count: int,
+    reach: float,
+    speed: float,
+    seconds: float,
+    places: Array,
+) -> None:
+    """Write where a move back, none and on leads along an axis, [3] m."""
+    share, points = _share(x, sign, per_side), np.float32(count)
+    point = _point(share, count)
+    for move in range(3):
+        goal = (min(points - ONE, max(NONE, point + np.float32(move - 1))) + HALF) / points
+        velocity = min(ONE, max(-ONE, (goal - share) / np.float32(reach)))
+        places[move] = min(side, max(0.0, x + sign * np.float64(velocity) * speed * seconds))
+
+
+@inlined
+def find_places(c: Constants, farm: Farm, s: Scratch) -> None:
+    """Find the velocities and the axes of all UAVs, and where the moves of those with tasks lead."""
+    fleet, camera, view, what, position = c.fleet, c.camera, c.added, c.observation, farm.position
+    previous, velocity, sign, go_x, go_y = s.previous, s.added.velocity, s.added.sign, s.added.go_x, s.added.go_y
+    for u in range(fleet.uavs):
+        x, y = position[u, 0], position[u, 1]
+        velocity[u, 0], velocity[u, 1] = (x - previous[u, 0]) / view.step_x, (y - previous[u, 1]) / view.step_y
+        across, along = 2.0 * x * fleet.per_width - 1.0, 2.0 * y * fleet.per_depth - 1.0
+        if fleet.relays <= u < fleet.collectors:
+            column = min(int(x / camera.plot_width), camera.plots_x - 1)
+            row = min(int(y / camera.plot_depth), camera.plots_y - 1)
+            across = 2.0 * (x / camera.plot_width - column) - 1.0
+            along = 2.0 * (y / camera.plot_depth - row) - 1.0
+        sx = -1.0 if what.mirrored and across < 0.0 else 1.0
+        sy = -1.0 if what.mirrored and along < 0.0 else 1.0
+        sign[u, 0], sign[u, 1] = sx, sy
+        if u >= fleet.relays:
+            _go(
+                x,
+                sx,
+                fleet.width,
+                fleet.per_width,
+                view.columns,
+                view.reach_x,
+                fleet.speed_x,
+                fleet.seconds,
+                go_x[u],
+            )
+            _go(y, sy, fleet.depth, fleet.per_depth, view.rows, view.reach_y, fleet.speed_y, fleet.seconds, go_y[u])
+
+
+@allocation_free
+def go_twice(x: float, sign: float, side: float, per_side: float, count: int, far: Array, after: Indices) -> None:
+    """Find where two moves lead along an axis: to the middle of one of five lattice points.
+
+    The second move reaches that middle, wherever the first one ended.
+
+    Args:
+        x: place along the axis, m.
+        sign: of the UAV's own axis.
+        side: of the field, m.
+        per_side: 1 / side, 1/m.
+        count: lattice points.
+        far: [5] out: middles of the lattice points two back to two on, those in the field, m.
+        after: [9] out: which of the five each second move leads to after each first one.
+    """
+    last, point = count - 1, int(_point(_share(x, sign, per_side), count))
+    for k in range(5):
+        middle = (min(last, max(0, point + k - 2)) + 0.5) * side / count
+        far[k] = middle if sign > 0.0 else side - middle
+    for move in range(9):
+        once = min(last, max(0, point + move // 3 - 1))
+        after[move] = min(last, max(0, once + move % 3 - 1)) - point + 2

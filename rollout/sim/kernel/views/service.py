@@ -1,0 +1,73 @@
+"""What each of nine moves does to a relay's D_c while nobody else moves and the assignment stays."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rollout.sim.kernel.compiler.decorators import allocation_free
+from rollout.sim.kernel.constants import Array, FleetConstants, Indices, RelayConstants
+
+Float32 = NDArray[np.float32]
+
+
+@allocation_free
+def put_service(
+    fleet: FleetConstants,
+    relay: RelayConstants,
+    step_x: float,
+    step_y: float,
+    per_step: float,
+    position: Array,
+    assignment: Indices,
+    centroid: Array,
+    service: float,
+    u: int,
+    sx: float,
+    sy: float,
+    seen: Float32,
+    at: int,
+) -> int:
+    """Write D_c over the field's diagonal and its change over a diagonal step for each move; return where they end.
+
+    A move flies at full speed along an axis, back or on, or stays; it ends at the field's border.
+    """
+    seen[at] = service * fleet.per_diagonal
+    at += 1
+    for move_x in range(-1, 2):
+        x = min(fleet.width, max(0.0, position[u, 0] + sx * move_x * step_x))
+        for move_y in range(-1, 2):
+            y = min(fleet.depth, max(0.0, position[u, 1] + sy * move_y * step_y))
+            then = _service(fleet, relay, position, assignment, centroid, u, x, y)
+            seen[at] = (then - service) * per_step
+            at += 1
+    return at
+
+
+@allocation_free
+def _service(
+    fleet: FleetConstants,
+    relay: RelayConstants,
+    position: Array,
+    assignment: Indices,
+    centroid: Array,
+    u: int,
+    x: float,
+    y: float,
+) -> float:
+    """Return D_c of a relay that stands at (x, y), m."""
+    far, height = -1.0, fleet.height[u]
+    for served in range(len(assignment)):
+        if assignment[served] == u:
+            other = fleet.relays + served
+            dx, dy = position[other, 0] - x, position[other, 1] - y
+            dz = fleet.height[other] - height
+            far = max(far, dx * dx + dy * dy + dz * dz)
+    moved_x, moved_y = (x - position[u, 0]) / fleet.relays, (y - position[u, 1]) / fleet.relays
+    dx, dy = centroid[fleet.relays, 0] + moved_x - x, centroid[fleet.relays, 1] + moved_y - y
+    amount = relay.weight_relays * math.sqrt(dx * dx + dy * dy)
+    if far >= 0.0:
+        dx, dy, dz = centroid[u, 0] - x, centroid[u, 1] - y, centroid[u, 2] - height
+        amount += relay.weight_farthest * math.sqrt(far)
+        amount += relay.weight_centroid * math.sqrt(dx * dx + dy * dy + dz * dz)
+    return amount
