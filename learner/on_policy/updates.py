@@ -65,7 +65,8 @@ class Updates:
         )
         self.diagnostics = IterationDiagnostics(team)
         self._groups = list(zip(team.groups, team.agent_slices(), strict=True))
-        gamma = config.type_discounts()
+        gamma, scales = config.type_discounts(), config.type_entropy_scales()
+        self._entropy_scales = [scales.get(group.name, 1.0) for group in team.groups]
         self._discount = np.concatenate(
             [np.full(group.count, gamma.get(group.name, config.discount), np.float32) for group in team.groups]
         )
@@ -139,7 +140,9 @@ class Updates:
             sampled = batch["log_probability"][:, agents], batch["advantage"][:, agents]
             stopped = self.stopped[kind]
             actor_losses.append(
-                None if stopped else self.policies.loss(kind, own[kind], actions[kind], *sampled, weight)
+                None
+                if stopped
+                else self.policies.loss(kind, own[kind], actions[kind], *sampled, weight * self._entropy_scales[kind])
             )
             value_losses.append(self.values[kind].loss(batch["observation"], own[kind], batch["returns"][:, agents]))
         return actor_losses, value_losses

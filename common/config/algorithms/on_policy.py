@@ -38,6 +38,8 @@ class OnPolicyConfig(AlgorithmConfig):
     """Weight of the policies' entropy at the first episode."""
     entropy_end: float = 0.003
     """Weight of the policies' entropy at the last episode; in between it falls linearly."""
+    entropy_scales: str = "communication=0.05"
+    """Factors on the weight of single types' entropy, type=factor separated by commas, each 0 to 1; others have 1."""
     rate_end: float = 0.05
     """Share of the learning rates that is left at the last episode; in between they fall linearly."""
     target_kl: float = 0.03
@@ -69,6 +71,7 @@ class OnPolicyConfig(AlgorithmConfig):
         not_negative(target_kl=self.target_kl, entropy_start=self.entropy_start, entropy_end=self.entropy_end)
         within(0, 2**31, max_lag_versions=self.max_lag_versions)
         self.type_discounts()
+        self.type_entropy_scales()
         self.hindsight_shares()
 
     @property
@@ -89,6 +92,10 @@ class OnPolicyConfig(AlgorithmConfig):
     def type_discounts(self) -> dict[str, float]:
         """Return `discounts` as a map from type to gamma; raise ConfigError when it is none."""
         return _shares("discounts", self.discounts)
+
+    def type_entropy_scales(self) -> dict[str, float]:
+        """Return `entropy_scales` as a map from type to factor; raise ConfigError when it is none."""
+        return _shares("entropy_scales", self.entropy_scales)
 
     def hindsight_shares(self) -> dict[str, float]:
         """Return `hindsight` as a map from type to share; raise ConfigError when it is none."""

@@ -9,18 +9,19 @@ from common.config import FarmConfig, WorldConfig
 from rollout.sim.layout import cell_counts
 
 Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
 LANES: Final = 8
 """Rows of numbers are filled up to a multiple of this, so that vectorised loops have no rest."""
-FAR: Final = 16
-"""Where the places two moves away begin among the places; the nine places one move away come first."""
-PLACES: Final = FAR + 32
-"""Places of a plan, the unused ones between and behind included."""
+TWO_MOVES: Final = 25
+"""Lattice points two moves away."""
 
 
 class FieldScratch(NamedTuple):
     """A value field over R rows and C columns of points, row by row; rows are filled up to C' points.
+
+    Float32 halves the time, and its rounding is far below what a UAV could use.
 
     Attributes:
         x: [R C'] of each point, m.
@@ -37,16 +38,16 @@ class FieldScratch(NamedTuple):
         total: [2, 16] the field at the nine places and at the UAV's, near range first.
     """
 
-    x: Array
-    y: Array
-    value: Array
-    stale: Array
-    first: Array
-    second: Array
-    weight: Array
-    across: Array
-    along: Array
-    sums: Array
+    x: Float32
+    y: Float32
+    value: Float32
+    stale: Float32
+    first: Float32
+    second: Float32
+    weight: Float32
+    across: Float32
+    along: Float32
+    sums: Float32
     total: Array
 
 
@@ -61,12 +62,13 @@ class ViewScratch(NamedTuple):
         near: [64] UAVs of the own type, nearest first.
         near_square: [64] squares of their distances, m^2.
         risk: [2, 16] metres of risk of each move, for a peer that does anything and for one that flies on.
-        place_x: [PLACES] x of the places of a plan, m.
-        place_y: [PLACES] the same along y, m.
+        place_x: [K] x of the places of a plan, m.
+        place_y: [K] the same along y, m.
+        square: [K] squares of their distances to an item, m^2.
         far: [2, 5] middles of the lattice points two moves back to two on, along each axis, m.
         after: [2, 9] which of five lattice points along an axis a move leads to after another.
-        chance: [PLACES] share of an item that each place brings.
-        gain: [PLACES] units that each place brings.
+        chance: [K] share of an item that each place brings.
+        gain: [K] units that each place brings.
         twice: [9, 32] units that both moves would bring, and only one does.
         plots: value field of the monitoring UAVs.
         cells: value field of the data collection UAVs.
@@ -81,6 +83,7 @@ class ViewScratch(NamedTuple):
     risk: Array
     place_x: Array
     place_y: Array
+    square: Array
     far: Array
     after: Indices
     chance: Array
@@ -93,6 +96,7 @@ class ViewScratch(NamedTuple):
 def make_view_scratch(config: FarmConfig) -> ViewScratch:
     """Allocate the working memory of the added observations."""
     world = config.world
+    places = _filled(9 + TWO_MOVES * (config.observation.units > 1))
     return ViewScratch(
         velocity=np.zeros((world.uavs, 2)),
         sign=np.zeros((world.uavs, 2)),
@@ -101,31 +105,39 @@ def make_view_scratch(config: FarmConfig) -> ViewScratch:
         near=np.zeros(64, np.int64),
         near_square=np.zeros(64),
         risk=np.zeros((2, 16)),
-        place_x=np.zeros(PLACES),
-        place_y=np.zeros(PLACES),
+        place_x=np.zeros(places),
+        place_y=np.zeros(places),
+        square=np.zeros(places),
         far=np.zeros((2, 5)),
         after=np.zeros((2, 9), np.int64),
-        chance=np.zeros(PLACES),
-        gain=np.zeros(PLACES),
-        twice=np.zeros((9, PLACES - FAR)),
+        chance=np.zeros(places),
+        gain=np.zeros(places),
+        twice=np.zeros((9, _filled(TWO_MOVES))),
         plots=_field(world, world.plots_x, world.plots_y),
         cells=_field(world, *cell_counts(world)),
     )
 
 
+def _filled(count: int) -> int:
+    """Return the next multiple of LANES."""
+    return -(-count // LANES) * LANES
+
+
 def _field(world: WorldConfig, columns: int, rows: int) -> FieldScratch:
-    filled = -(-columns // LANES) * LANES
+    filled = _filled(columns)
     points = rows * filled
+    x = np.tile((np.arange(filled) + 0.5) * (world.field_x / columns), rows)
+    y = np.repeat((np.arange(rows) + 0.5) * (world.field_y / rows), filled)
     return FieldScratch(
-        x=np.tile((np.arange(filled) + 0.5) * (world.field_x / columns), rows),
-        y=np.repeat((np.arange(rows) + 0.5) * (world.field_y / rows), filled),
-        value=np.zeros(points),
-        stale=np.zeros(points),
-        first=np.zeros(points),
-        second=np.zeros(points),
-        weight=np.zeros((2, points)),
-        across=np.zeros((2, 4, filled)),
-        along=np.zeros((2, 4, rows)),
-        sums=np.zeros((4, filled)),
+        x=x.astype(np.float32),
+        y=y.astype(np.float32),
+        value=np.zeros(points, np.float32),
+        stale=np.zeros(points, np.float32),
+        first=np.zeros(points, np.float32),
+        second=np.zeros(points, np.float32),
+        weight=np.zeros((2, points), np.float32),
+        across=np.zeros((2, 4, filled), np.float32),
+        along=np.zeros((2, 4, rows), np.float32),
+        sums=np.zeros((4, filled), np.float32),
         total=np.zeros((2, 16)),
     )

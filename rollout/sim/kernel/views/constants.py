@@ -9,13 +9,16 @@ from numpy.typing import NDArray
 from common.action_adapters import Lattice
 from common.config import FarmConfig, WorldConfig
 from rollout.sim.kernel.link import RadioConstants, chance_at, reach_of
+from rollout.sim.kernel.views.arrays import TWO_MOVES
 
 Array = NDArray[np.float64]
 
-SLIGHT: Final = 1e-3
+SLIGHT: Final = 1e-2
 """Probability of arrival below which a sensor counts as out of reach in `units` (ours)."""
 PIECES: Final = 512
 """Pieces of the table from which `units` interpolates a packet's probability of arrival (ours)."""
+SAMPLES: Final = 48
+"""Samples along each axis of the places around a plot (ours)."""
 LONG: Final = 120.0
 """Range of the far value field, m (ours)."""
 LEAST_LIMIT: Final = 1e-6
@@ -47,6 +50,10 @@ class ViewConstants(NamedTuple):
         step_y: the same along y, m.
         per_step: 1 / length of a step at full speed along both axes, 1/m.
         danger_square: square of the distance from which two UAVs risk nothing in the next step, m^2.
+        first: number of the first place one move away in a plan.
+        image_sure: square of the distance to a plot's centre up to which every image succeeds, m^2; negative if none.
+        image_limit: square of the distance beyond which none does, m^2; negative if none does at all.
+        image_reach: its root, m.
         chance: [PIECES + 2] probability of arrival at equal steps of the squared distance.
         chance_limit: square of the distance beyond which none arrives, m^2.
         chance_scale: pieces per square metre.
@@ -75,6 +82,10 @@ class ViewConstants(NamedTuple):
     step_y: float
     per_step: float
     danger_square: float
+    first: int
+    image_sure: float
+    image_limit: float
+    image_reach: float
     chance: Array
     chance_limit: float
     chance_scale: float
@@ -93,6 +104,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
     chance, limit = chance_table(radio, world.height_collection)
     step_x, step_y = world.speed_x_max * world.step_seconds, world.speed_y_max * world.step_seconds
     width = field_range(world)
+    sure, most = image_bounds(config)
     return ViewConstants(
         some=seen.added,
         peers=seen.peers,
@@ -111,6 +123,10 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         step_y=step_y,
         per_step=1.0 / math.hypot(step_x, step_y),
         danger_square=(1.000001 * (world.safety_distance + 2.0 * math.hypot(step_x, step_y))) ** 2,
+        first=TWO_MOVES if seen.units > 1 else 0,
+        image_sure=sure,
+        image_limit=most,
+        image_reach=min(math.sqrt(max(most, 0.0)), math.hypot(world.field_x, world.field_y)),
         chance=chance,
         chance_limit=limit,
         chance_scale=PIECES / limit,
@@ -126,6 +142,36 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
 def field_range(world: WorldConfig) -> float:
     """Return the range of the far value field, m."""
     return max(LONG, max(world.field_x, world.field_y) / WIDEST)
+
+
+def image_bounds(config: FarmConfig) -> tuple[float, float]:
+    """Return the squares of the distances to a plot's centre that decide an image without a look at its cells, m^2.
+
+    Up to the first every image succeeds, and beyond the second none. Quality is sampled over a quarter of the places
+    around a plot. A place is at most `slack` away from a sample, so there its quality with a radius smaller or larger
+    by `slack` bounds that of the place.
+    """
+    world, camera = config.world, config.camera
+    if camera.plot_threshold == 0.0:
+        return math.inf, math.inf
+    square = camera.image_distance**2 - world.height_monitoring**2
+    if square <= 0.0:
+        return -1.0, -1.0
+    radius, size = math.sqrt(square), np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
+    side = radius + 0.5 * float(np.hypot(*size))
+    step = side / SAMPLES
+    slack, places = 0.75 * step, (np.arange(SAMPLES + 1) + 0.0) * step
+    x, y = (
+        ((np.arange(n) + 0.5) / n - 0.5) * edge for n, edge in zip((camera.grid_x, camera.grid_y), size, strict=True)
+    )
+    apart = np.hypot(places[:, None, None, None] - x[:, None], places[None, :, None, None] - y)
+    centre = np.hypot(places[:, None], places)
+    needed = camera.plot_threshold
+    surely = (apart < radius - slack).mean(axis=(2, 3)) >= needed
+    possibly = (apart < radius + slack).mean(axis=(2, 3)) >= needed
+    sure = centre[~surely].min() - slack
+    most = centre[possibly].max(initial=-2.0 * slack) + slack
+    return (float(sure) ** 2 if sure > 0.0 else -1.0), (float(most) ** 2 if most > 0.0 else -1.0)
 
 
 def chance_table(radio: RadioConstants, height: float) -> tuple[Array, float]:

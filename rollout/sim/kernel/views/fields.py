@@ -22,9 +22,9 @@ Float32 = NDArray[np.float32]
 
 FLOOR: Final = 1e-3
 """Added to a field before the logarithm, so that an empty one has no direction (ours)."""
-ALONE: Final = 1e30
+ALONE: Final = np.float32(1e30)
 """Square of the distance to a UAV that does not exist, m^2."""
-TINY: Final = 1e-9
+TINY: Final = np.float32(1e-9)
 """Added to squares of distances, so that UAVs at one point share it, m^2."""
 SCALE: Final = 0.2
 """Scale of the logarithm of 1 + F (ours)."""
@@ -52,11 +52,11 @@ def share_points(x: Array, y: Array, field: FieldScratch) -> None:
     """
     field.first[:], field.second[:] = ALONE, ALONE
     for u in range(len(x)):
-        _add_uav(x[u], y[u], field.x, field.y, field.first, field.second)
+        _add_uav(np.float32(x[u]), np.float32(y[u]), field.x, field.y, field.first, field.second)
 
 
 @allocation_free
-def _add_uav(x: float, y: float, point_x: Array, point_y: Array, low: Array, high: Array) -> None:
+def _add_uav(x: np.float32, y: np.float32, point_x: Float32, point_y: Float32, low: Float32, high: Float32) -> None:
     """Let one UAV count as nearest or second nearest at every point, several at once."""
     for point in range(len(low)):
         dx, dy = point_x[point] - x, point_y[point] - y
@@ -66,7 +66,7 @@ def _add_uav(x: float, y: float, point_x: Array, point_y: Array, low: Array, hig
 
 
 @allocation_free
-def _spread(side: float, width: float, here: float, go: Array, powers: Array, far: Array, near: Array) -> None:
+def _spread(side: float, width: float, here: float, go: Array, powers: Array, far: Float32, near: Float32) -> None:
     """Write exp(-d / range) between the points along an axis and a UAV's three places and its own, [4, points]."""
     for place in range(4):
         x = here if place == 3 else go[place]
@@ -79,16 +79,16 @@ def _spread(side: float, width: float, here: float, go: Array, powers: Array, fa
 
 @allocation_free
 def _take_share(
-    x: float,
-    y: float,
-    point_x: Array,
-    point_y: Array,
-    first: Array,
-    second: Array,
-    value: Array,
-    stale: Array,
-    own: Array,
-    old: Array,
+    x: np.float32,
+    y: np.float32,
+    point_x: Float32,
+    point_y: Float32,
+    first: Float32,
+    second: Float32,
+    value: Float32,
+    stale: Float32,
+    own: Float32,
+    old: Float32,
 ) -> None:
     """Write a UAV's own share of both weights of every point, several at once.
 
@@ -103,7 +103,7 @@ def _take_share(
 
 
 @allocation_free
-def _sum_rows(along: Array, weight: Array, sums: Array) -> None:
+def _sum_rows(along: Float32, weight: Float32, sums: Float32) -> None:
     """Sum weights [R C'] over the rows, times each of four factors [4, R] along y: [4, C']."""
     sums[:, :] = 0.0
     filled = sums.shape[1]
@@ -115,7 +115,7 @@ def _sum_rows(along: Array, weight: Array, sums: Array) -> None:
 
 
 @allocation_free
-def _sum_columns(across: Array, sums: Array, total: Array) -> None:
+def _sum_columns(across: Float32, sums: Float32, total: Array) -> None:
     """Sum up a field at the nine places and at the UAV's, [16]."""
     total[:] = 0.0
     for column in range(across.shape[1]):
@@ -158,17 +158,25 @@ def put_field(
     _spread(fleet.width, width, x, go_x, powers_x, field.across[1], field.across[0])
     _spread(fleet.depth, width, y, go_y, powers_y, field.along[1], field.along[0])
     own, old = field.weight[0], field.weight[1]
-    _take_share(x, y, field.x, field.y, field.first, field.second, field.value, field.stale, own, old)
+    _take_share(
+        np.float32(x), np.float32(y), field.x, field.y, field.first, field.second, field.value, field.stale, own, old
+    )
     for kind in range(2):
         total = field.total[kind]
         _sum_rows(field.along[kind], field.weight[kind], field.sums)
         _sum_columns(field.across[kind], field.sums, total)
-        here = total[9]
+        total[10] = total[9] * FLOOR
+        _take_logarithms(total)
         scale = width * per_reach / (RATIO if kind == 0 else 1.0)
-        for place in range(16):
-            total[place] = vectorisable_log(1.0 + total[place] / FLOOR)
         for move in range(9):
             seen[at + move] = (total[move] - total[9]) * scale
-        seen[at + 9] = vectorisable_log(1.0 + here) * SCALE
+        seen[at + 9] = total[10] * SCALE
         at += 10
     return at
+
+
+@allocation_free
+def _take_logarithms(total: Array) -> None:
+    """Replace every number by ln(1 + number / FLOOR), several at once."""
+    for place in range(len(total)):
+        total[place] = vectorisable_log(1.0 + total[place] * (1.0 / FLOOR))

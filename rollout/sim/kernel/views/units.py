@@ -1,7 +1,7 @@
 """The units that each of nine moves would bring in the next step, and the best of two moves.
 
-A plan has nine places one move away and 25 lattice points two moves away. An item, a plot or a sensor, gives each place
-a share of its counter. What the first move takes is not there for the second.
+A plan holds the 25 lattice points two moves away and then the nine places one move away, or only the latter. An item, a
+plot or a sensor, gives each place a share of its counter. What the first move takes is not there for the second.
 """
 
 import math
@@ -22,8 +22,8 @@ from rollout.sim.kernel.constants import (
 )
 from rollout.sim.kernel.radio import LEAST_AGE
 from rollout.sim.kernel.spatial.neighbours import block_around, gather
-from rollout.sim.kernel.views.arrays import FAR, PLACES, ViewScratch
-from rollout.sim.kernel.views.constants import PIECES, ViewConstants
+from rollout.sim.kernel.views.arrays import TWO_MOVES, ViewScratch
+from rollout.sim.kernel.views.constants import ViewConstants
 from rollout.sim.kernel.views.places import go_twice
 
 Float32 = NDArray[np.float32]
@@ -42,35 +42,42 @@ def begin_plan(
         the least and largest x and the least and largest y of the places, m.
     """
     place_x, place_y, far_x, far_y = v.place_x, v.place_y, v.far[0], v.far[1]
-    place_x[:], place_y[:] = x, y
-    v.gain[:], v.chance[:] = 0.0, 0.0
-    for move in range(9):
-        place_x[move], place_y[move] = v.go_x[u, move // 3], v.go_y[u, move % 3]
+    place_x[:], place_y[:], v.gain[:], v.twice[:, :] = x, y, 0.0, 0.0
     if view.units > 1:
-        v.twice[:, :] = 0.0
         go_twice(x, v.sign[u, 0], fleet.width, fleet.per_width, view.columns, far_x, v.after[0])
         go_twice(y, v.sign[u, 1], fleet.depth, fleet.per_depth, view.rows, far_y, v.after[1])
-        for k in range(25):
-            place_x[FAR + k], place_y[FAR + k] = far_x[k // 5], far_y[k % 5]
+        for k in range(TWO_MOVES):
+            place_x[k], place_y[k] = far_x[k // 5], far_y[k % 5]
+    for move in range(9):
+        place_x[view.first + move], place_y[view.first + move] = v.go_x[u, move // 3], v.go_y[u, move % 3]
     west, east, south, north = x, x, y, y
-    for place in range(PLACES):
+    for place in range(len(place_x)):
         west, east = min(west, place_x[place]), max(east, place_x[place])
         south, north = min(south, place_y[place]), max(north, place_y[place])
     return west, east, south, north
 
 
 @allocation_free
-def _add_item(view: ViewConstants, v: ViewScratch, worth: float) -> None:
-    """Add an item's units to every place, and what the second move of each pair finds taken."""
-    chance, gain = v.chance, v.gain
-    for place in range(PLACES):
+def _beyond(bounds: tuple[float, float, float, float], x: float, y: float) -> float:
+    """Return the square of the distance from a point to the rectangle of the places, m^2."""
+    west, east, south, north = bounds
+    dx, dy = max(0.0, west - x, x - east), max(0.0, south - y, y - north)
+    return dx * dx + dy * dy
+
+
+@allocation_free
+def _add_item(two: bool, first: int, worth: float, chance: Array, gain: Array, twice: Array) -> None:
+    """Add an item's units to every place, and what the second move of each pair finds taken.
+
+    The numbers of places are read from the arrays, because loops of a fixed length are unrolled and not vectorised.
+    """
+    for place in range(len(gain)):
         gain[place] += worth * chance[place]
-    if view.units > 1:
+    if two:
         for move in range(9):
-            taken, row = worth * chance[move], v.twice[move]
-            if taken > 0.0:
-                for k in range(PLACES - FAR):
-                    row[k] += taken * chance[FAR + k]
+            taken = worth * chance[first + move]
+            for k in range(twice.shape[1]):
+                twice[move, k] += taken * chance[k]
 
 
 @allocation_free
@@ -96,36 +103,56 @@ def plan_images(
     u: int,
 ) -> None:
     """Add the VDF of the plots whose image would succeed from each place, the other UAVs being where they are."""
-    west, east, south, north = begin_plan(fleet, view, v, position[u, 0], position[u, 1], u)
-    left, _ = span(west, camera.reach, camera.plot_width, camera.plots_x)
-    _, right = span(east, camera.reach, camera.plot_width, camera.plots_x)
-    low, _ = span(south, camera.reach, camera.plot_depth, camera.plots_y)
-    _, high = span(north, camera.reach, camera.plot_depth, camera.plots_y)
+    bounds = begin_plan(fleet, view, v, position[u, 0], position[u, 1], u)
+    left, _ = span(bounds[0], view.image_reach, camera.plot_width, camera.plots_x)
+    _, right = span(bounds[1], view.image_reach, camera.plot_width, camera.plots_x)
+    low, _ = span(bounds[2], view.image_reach, camera.plot_depth, camera.plots_y)
+    _, high = span(bounds[3], view.image_reach, camera.plot_depth, camera.plots_y)
     for column in range(left, right + 1):
         for row in range(low, high + 1):
-            if level[column, row] > 0.0 and _see_plot(fleet, camera, v, position, u, column, row):
-                _add_item(view, v, level[column, row])
+            if level[column, row] == 0.0:
+                continue
+            x, y = (column + 0.5) * camera.plot_width, (row + 0.5) * camera.plot_depth
+            rival, wins = _rival(position, fleet.relays, fleet.collectors, u, x, y)
+            if _beyond(bounds, x, y) > min(rival, view.image_limit):
+                continue
+            _measure(v.place_x, v.place_y, x, y, view.image_limit, rival, wins, v.square)
+            if _see_plot(camera, view.image_sure, v.place_x, v.place_y, v.square, column, row, v.chance):
+                _add_item(view.units > 1, view.first, level[column, row], v.chance, v.gain, v.twice)
+
+
+@allocation_free
+def _measure(
+    place_x: Array, place_y: Array, x: float, y: float, limit: float, rival: float, wins: bool, square: Array
+) -> None:
+    """Write the squares of the distances to a point, infinite from where it is another UAV's or too far."""
+    for place in range(len(square)):
+        dx, dy = x - place_x[place], y - place_y[place]
+        apart = dx * dx + dy * dy
+        own = (apart <= limit) & ((apart < rival) | ((apart == rival) & wins))
+        square[place] = apart if own else math.inf
 
 
 @allocation_free
 def _see_plot(
-    fleet: FleetConstants, camera: CameraConstants, v: ViewScratch, position: Array, u: int, column: int, row: int
+    camera: CameraConstants,
+    sure: float,
+    place_x: Array,
+    place_y: Array,
+    square: Array,
+    column: int,
+    row: int,
+    chance: Array,
 ) -> bool:
     """Write from which places the image of a plot would succeed; return whether from any."""
-    x, y = (column + 0.5) * camera.plot_width, (row + 0.5) * camera.plot_depth
-    rival, wins = _rival(position, fleet.relays, fleet.collectors, u, x, y)
-    place_x, place_y, chance, near = v.place_x, v.place_y, v.chance, 0.0
-    for place in range(PLACES):
-        dx, dy = x - place_x[place], y - place_y[place]
-        square = dx * dx + dy * dy
-        hit = (square <= camera.centre_square) & ((square < rival) | ((square == rival) & wins))
-        chance[place] = 1.0 if hit else 0.0
-    for place in range(PLACES):
-        if chance[place] > 0.0:
+    some = False
+    for place in range(len(square)):
+        good = square[place] <= sure
+        if not good and square[place] < math.inf:
             good = plot_quality(camera, place_x[place], place_y[place], column, row) >= camera.threshold
-            chance[place] = 1.0 if good else 0.0
-            near += chance[place]
-    return near > 0.0
+        chance[place] = 1.0 if good else 0.0
+        some |= good
+    return some
 
 
 @allocation_free
@@ -144,45 +171,45 @@ def plan_packets(
 ) -> None:
     """Add the AoI that is expected to arrive at each place, the other UAVs being where they are."""
     x, y = position[u, 0], position[u, 1]
-    west, east, south, north = begin_plan(fleet, view, v, x, y, u)
-    wide, deep = max(east - x, x - west), max(north - y, y - south)
+    bounds = begin_plan(fleet, view, v, x, y, u)
+    wide, deep = max(bounds[1] - x, x - bounds[0]), max(bounds[3] - y, y - bounds[2])
     reach = 1.000001 * (math.sqrt(view.chance_limit) + math.sqrt(wide * wide + deep * deep))
     block = block_around(fleet, seen, x, y, reach)
     found = gather(seen, block, x, y, LEAST_AGE, math.inf, reach * reach, sensor, cell_start, age, around, square)
     for entry in range(found):
         j = around[entry]
-        rival, wins = _rival(position, fleet.collectors, fleet.uavs, u, sensor[0, j], sensor[1, j])
-        _hear_sensor(view, v, sensor[0, j], sensor[1, j], rival, wins)
-        _add_item(view, v, age[j])
+        own_x, own_y = sensor[0, j], sensor[1, j]
+        rival, wins = _rival(position, fleet.collectors, fleet.uavs, u, own_x, own_y)
+        if _beyond(bounds, own_x, own_y) <= min(rival, view.chance_limit):
+            _measure(v.place_x, v.place_y, own_x, own_y, view.chance_limit, rival, wins, v.square)
+            _hear_sensor(view.chance, view.chance_scale, v.square, v.chance)
+            _add_item(view.units > 1, view.first, age[j], v.chance, v.gain, v.twice)
 
 
 @allocation_free
-def _hear_sensor(view: ViewConstants, v: ViewScratch, x: float, y: float, rival: float, wins: bool) -> None:
-    """Write the probability that a sensor's packet arrives at each place, several at once."""
-    place_x, place_y, chance, table = v.place_x, v.place_y, v.chance, view.chance
-    for place in range(PLACES):
-        dx, dy = x - place_x[place], y - place_y[place]
-        square = dx * dx + dy * dy
-        at = min(square * view.chance_scale, np.float64(PIECES))
-        piece = np.uint64(at)
-        share = table[piece] + (at - np.float64(piece)) * (table[piece + np.uint64(1)] - table[piece])
-        hit = (square <= view.chance_limit) & ((square < rival) | ((square == rival) & wins))
-        chance[place] = share if hit else 0.0
+def _hear_sensor(table: Array, scale: float, square: Array, chance: Array) -> None:
+    """Write the probability that a sensor's packet arrives at each place."""
+    for place in range(len(square)):
+        chance[place] = 0.0
+        if square[place] < math.inf:
+            at = square[place] * scale
+            piece = int(at)
+            chance[place] = table[piece] + (at - piece) * (table[piece + 1] - table[piece])
 
 
 @allocation_free
 def put_units(view: ViewConstants, v: ViewScratch, per_unit: float, out: Float32, at: int) -> int:
     """Write the units of each move over their scale, then the best of each move and another; return where they end."""
-    gain, twice, after_x, after_y = v.gain, v.twice, v.after[0], v.after[1]
+    gain, twice, after_x, after_y, first = v.gain, v.twice, v.after[0], v.after[1], view.first
     for move in range(9):
-        out[at + move] = min(MOST, gain[move] * per_unit)
+        out[at + move] = min(MOST, gain[first + move] * per_unit)
     at += 9
     if view.units > 1:
         for move in range(9):
             best = 0.0
             for then in range(9):
                 k = 5 * after_x[3 * (move // 3) + then // 3] + after_y[3 * (move % 3) + then % 3]
-                best = max(best, gain[FAR + k] - twice[move, k])
-            out[at + move] = min(2.0 * MOST, (gain[move] + best) * per_unit)
+                best = max(best, gain[k] - twice[move, k])
+            out[at + move] = min(2.0 * MOST, (gain[first + move] + best) * per_unit)
         at += 9
     return at
