@@ -11,11 +11,10 @@ from common.team import TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
 
 FIELDS: Final = ("observation", "action", "reward", "flag", "log_probability")
-PREFIX: Final = "iteration."
 
 
 class Experience:
-    """Chunks of the running iteration, in the order in which they came.
+    """Chunks of one iteration, in the order in which they came.
 
     Args:
         team: the layout of the team.
@@ -43,41 +42,41 @@ class Experience:
             self._chunks = [Rows(**parts)]
         return self._chunks[0]
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self._chunks, self.steps, self.lag = [], 0, 0
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return the rows by their names in a checkpoint; none if there are no rows."""
+    def tensors(self, prefix: str) -> dict[str, Tensor]:
+        """Return the rows by their names in a checkpoint, which begin with `prefix`; none if there are no rows."""
         if not self._chunks:
             return {}
         rows = self.rows()
         # Rows are never written again, so a checkpoint may share their memory.
-        return {f"{PREFIX}{name}": torch.from_numpy(np.asarray(getattr(rows, name))) for name in FIELDS}
+        return {f"{prefix}.{name}": torch.from_numpy(np.asarray(getattr(rows, name))) for name in FIELDS}
 
-    def restored(self, tensors: dict[str, Tensor], steps: int, lag: int) -> "Experience":
+    @classmethod
+    def restored(cls, team: TeamSpec, tensors: dict[str, Tensor], prefix: str, steps: int, lag: int) -> "Experience":
         """Return the experience in a checkpoint.
 
         Raises:
             CheckpointError: when it does not fit the team or its count of steps.
         """
-        found = Experience(self._team)
+        found = cls(team)
         if steps == 0:
             return found
-        arrays: dict[str, Any] = {}
-        for name in FIELDS:
-            if f"{PREFIX}{name}" not in tensors:
-                raise CheckpointError(f"the checkpoint lacks the iteration's {name}.")
-            arrays[name] = tensors[f"{PREFIX}{name}"].numpy()
-        rows = Rows(**arrays)
+        rows = Rows(**{name: _array(tensors, f"{prefix}.{name}") for name in FIELDS})
         try:
-            rows.check(self._team)
+            rows.check(team)
         except SchemaError as error:
-            raise CheckpointError(f"the checkpoint's iteration cannot be used: {error}") from error
+            raise CheckpointError(f"the checkpoint's {prefix} cannot be used: {error}") from error
         if rows.steps != steps:
-            raise CheckpointError("the checkpoint's iteration has another number of steps than it states.")
+            raise CheckpointError(f"the checkpoint's {prefix} has another number of steps than it states.")
         found._chunks, found.steps, found.lag = [rows], steps, lag
         return found
+
+
+def _array(tensors: dict[str, Tensor], name: str) -> Any:
+    tensor = tensors.get(name)
+    # numpy has no bfloat16.
+    if tensor is None or tensor.dtype not in (torch.float32, torch.uint8):
+        raise CheckpointError(f"the checkpoint's {name} is missing or has an impossible type.")
+    return tensor.numpy()
 
 
 def step_rows(rows: Rows) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

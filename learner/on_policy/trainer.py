@@ -2,7 +2,8 @@
 
 An iteration takes in `iteration_steps` environment steps, then does all its updates, then forgets the steps. While it
 updates, workers already fly for the next iteration with the policy that they have; `max_lag_versions` says how old the
-policy of a chunk may be when it is learned from.
+policy of a chunk may be when it is learned from. A chunk that enters the trainer meanwhile, as while a learner drains,
+belongs to the next iteration.
 """
 
 from typing import Any, ClassVar
@@ -18,7 +19,7 @@ from common.errors import CheckpointError
 from common.seeds import stream
 from common.team import Float32, TeamSpec
 from common.transitions import Chunk
-from learner.checkpoint.trainer_state import checked_tensors, counter, random_state, restored_random
+from learner.checkpoint.trainer_state import checked_tensors, counter, finite, random_state, restored_random
 from learner.data.tensor_snapshot import Frozen
 from learner.on_policy.experience import Experience, step_rows
 from learner.on_policy.updates import Updates
@@ -26,9 +27,13 @@ from learner.trainer import Trainer, flushed_denormals
 
 NETWORKS = "networks."
 STATE = "iteration_state."
+ITERATION, FOLLOWING = "iteration", "following"
 """Prefixes of names in a checkpoint."""
+COUNTS = ("iterations", "iteration_steps", "iteration_lag", "following_steps", "following_lag", "epochs_left")
 ROW_BYTES = 32
 """Bytes of a row besides its observation, action, reward and log-probability, an upper bound."""
+DRAINED_CHUNKS = 1024
+"""Chunks beyond an iteration that a draining learner may take in, for the bound of a checkpoint's size."""
 
 
 class OnPolicyTrainer(Trainer):
@@ -41,6 +46,7 @@ class OnPolicyTrainer(Trainer):
     Attributes:
         iterations: iterations done.
         experience: rows of the running iteration.
+        following: rows of the next iteration, which came while updates of the running one were due.
     """
 
     publishes_at_once: ClassVar[bool] = True
@@ -51,15 +57,16 @@ class OnPolicyTrainer(Trainer):
         algorithm = self._algorithm = config.on_policy
         self._updates = Updates(algorithm, team, config.seed, config.learner.device)
         self.random = stream(config.seed, "minibatches")
-        self.experience = Experience(team)
+        self.experience, self.following = Experience(team), Experience(team)
         self.iterations = 0
         self._pending: list[NDArray[np.int64]] = []
         self._epochs_left = 0
         self._lag = 0.0
 
     def take_in(self, chunk: Chunk, version: int, source: str, number: int) -> None:
-        """Add the rows to the running iteration."""
-        self.experience.add(chunk, max(0, self.version - version))
+        """Add the rows to the running iteration, or to the next one while updates are due."""
+        experience = self.following if self.updates_due() else self.experience
+        experience.add(chunk, max(0, self.version - version))
 
     @property
     def changes(self) -> int:
@@ -70,7 +77,7 @@ class OnPolicyTrainer(Trainer):
     def iteration(self) -> tuple[int, int]:
         """The iteration that the next chunks enter, and the steps that it still takes in."""
         if self.updates_due():
-            return self.iterations + 1, self._algorithm.iteration_steps
+            return self.iterations + 1, self._algorithm.iteration_steps - self.following.steps
         return self.iterations, self._algorithm.iteration_steps - self.experience.steps
 
     def updates_due(self) -> int:
@@ -120,7 +127,7 @@ class OnPolicyTrainer(Trainer):
         self._lag = self.experience.lag / self.experience.steps
         self._updates.diagnostics.end()
         self._updates.end()
-        self.experience.clear()
+        self.experience, self.following = self.following, Experience(self.team)
         self.iterations += 1
 
     def actors(self) -> TeamActors:
@@ -133,7 +140,10 @@ class OnPolicyTrainer(Trainer):
 
     def snapshot_parts(self) -> tuple[dict[str, Tensor | Frozen], dict[str, Any]]:
         """Return networks, optimiser, the running iteration and the random state."""
-        tensors: dict[str, Tensor | Frozen] = dict(self.experience.tensors())
+        tensors: dict[str, Tensor | Frozen] = {
+            **self.experience.tensors(ITERATION),
+            **self.following.tensors(FOLLOWING),
+        }
         tensors |= {f"{NETWORKS}{name}": t.clone().cpu() for name, t in self._updates.network_tensors()}
         tensors |= {f"{STATE}{name}": t.cpu() for name, t in self._updates.iteration_tensors().items()}
         if self._pending:
@@ -142,9 +152,13 @@ class OnPolicyTrainer(Trainer):
             "iterations": self.iterations,
             "iteration_steps": self.experience.steps,
             "iteration_lag": self.experience.lag,
+            "following_steps": self.following.steps,
+            "following_lag": self.following.lag,
+            "sample_age": self._lag,
             "epochs_left": self._epochs_left,
             "pending": [len(places) for places in self._pending],
             "stopped": [int(stopped) for stopped in self._updates.stopped],
+            "diagnostics": self._updates.diagnostics.state(),
             "random": random_state(self.random),
         }
         return tensors, plain
@@ -153,16 +167,19 @@ class OnPolicyTrainer(Trainer):
         """Continue from `snapshot_parts`."""
         own = {f"{NETWORKS}{name}": tensor for name, tensor in self._updates.network_tensors()}
         found = checked_tensors(own, tensors)
-        names = ("iterations", "iteration_steps", "iteration_lag", "epochs_left")
-        counts = {name: counter(state, name) for name in names}
-        random = restored_random(state.get("random"))
-        experience = self.experience.restored(tensors, counts["iteration_steps"], counts["iteration_lag"])
+        counts = {name: counter(state, name) for name in COUNTS}
+        random, lag = restored_random(state.get("random")), finite(state, "sample_age")
+        experience, following = (
+            Experience.restored(self.team, tensors, prefix, counts[f"{prefix}_steps"], counts[f"{prefix}_lag"])
+            for prefix in (ITERATION, FOLLOWING)
+        )
         running = self._running(tensors, state, experience, counts["epochs_left"])
+        self._updates.diagnostics.restore(state.get("diagnostics"))
         with torch.no_grad():
             for name, tensor in own.items():
                 tensor.copy_(found[name])
-        self.iterations, self._epochs_left = counts["iterations"], counts["epochs_left"]
-        self.experience, self.random, self._pending = experience, random, []
+        self.iterations, self._epochs_left, self._lag = counts["iterations"], counts["epochs_left"], lag
+        self.experience, self.following, self.random, self._pending = experience, following, random, []
         if running is not None:
             self._pending, computed, stopped = running
             self._updates.resume(experience.rows(), computed, stopped)
@@ -190,11 +207,12 @@ class OnPolicyTrainer(Trainer):
         return pending, {name.removeprefix(STATE): t for name, t in computed.items()}, [bool(s) for s in stopped]
 
     def largest_checkpoint(self) -> int:
-        """Return an upper bound of the bytes of the networks and of an iteration's rows."""
+        """Return an upper bound of the bytes of the networks and of two iterations' rows."""
         networks = sum(tensor.nbytes for _, tensor in self._updates.network_tensors())
         team, rollout = self.team, self.config.rollout
         chunk = rollout.chunk_rows(rollout.chunk_steps)
-        rows = (self._algorithm.iteration_steps // (rollout.environments * rollout.chunk_steps) + 2) * chunk
+        whole = self._algorithm.iteration_steps // (rollout.environments * rollout.chunk_steps) + 2
+        rows = (2 * whole + DRAINED_CHUNKS) * chunk
         row = 4 * (team.observation_size + team.action_size + 4 * team.agents) + ROW_BYTES
         return int(networks + rows * row)
 

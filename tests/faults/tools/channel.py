@@ -9,7 +9,7 @@ import random
 import threading
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -92,6 +92,12 @@ def a_chunk(number: int) -> Chunk:
     observation = shape(TEAM.observation_size)
     observation[0, 0] = number
     return Chunk(Rows(observation, shape(TEAM.action_size), shape(TEAM.agents), flag))
+
+
+def with_log_probabilities(chunk: Chunk) -> Chunk:
+    """Return the chunk as a worker of an algorithm that learns on policy sends it."""
+    log_probability = np.full_like(chunk.rows.reward, -1.0)
+    return replace(chunk, rows=replace(chunk.rows, log_probability=log_probability))
 
 
 @dataclass
