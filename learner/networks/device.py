@@ -27,6 +27,6 @@ def usable_device(name: str) -> torch.device:
 def has_bfloat16(name: str) -> bool:
     """Return whether a device has instructions for products of bfloat16; without them, they are slower than float32."""
     if torch.device(name).type == "cuda":
-        return torch.cuda.is_bf16_supported(including_emulation=False)
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     native = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
     return native is not None and bool(native())
