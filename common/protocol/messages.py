@@ -126,10 +126,9 @@ class ProgressMessage(Message):
         epoch: the learner's fencing epoch.
         version: newest published parameter version.
         events: imitation events applied.
-        episodes: training episodes finished.
-        environment_steps: environment steps accepted.
-        updates: updates done.
+        episodes, environment_steps, updates: training episodes finished, environment steps accepted, updates done.
         state: starting, training, draining or finished.
+        room: environment steps that the running iteration still takes in, -1 where nothing limits them.
     """
 
     KIND = 5
@@ -140,6 +139,7 @@ class ProgressMessage(Message):
     environment_steps: int
     updates: int
     state: str
+    room: int = -1
 
 
 @dataclass(frozen=True)

@@ -144,6 +144,13 @@ class Receiver:
             if iteration != self._iteration:
                 self._iteration, self.room = iteration, steps
 
+    @property
+    def wanted(self) -> int | None:
+        """Environment steps of the newest published policy that are still taken in; None where there is no limit."""
+        with self.gate:
+            too_old = self._most_lag is not None and self._ahead > self._most_lag
+            return 0 if too_old and self.room is not None else self.room
+
     def take_in_all(self) -> None:
         """Take in chunks without limit."""
         with self.gate:

@@ -38,6 +38,7 @@ class LearnerLink:
         state: state of the run: starting, training, draining or finished.
         epoch: the learner's fencing epoch, 0 before the first progress.
         newest_version: newest parameter version that the learner has published.
+        room: environment steps that the learner's running iteration still takes in, from all workers; -1 for no limit.
         malformed: messages that were dropped.
     """
 
@@ -49,6 +50,7 @@ class LearnerLink:
         self.store = PolicyStore(team)
         self.state = "starting"
         self.epoch = self.newest_version = self.malformed = 0
+        self.room = -1
         self._heard = time.monotonic()
         self._fence = EpochFence()
         self._ignored: ParametersMessage | None = None
@@ -95,6 +97,7 @@ class LearnerLink:
             if answer is not None and answer.toml != self._toml:
                 raise UsageError(f"run {self._run} has a new learner with another configuration.")
         self.epoch, self.state, self.newest_version = message.epoch, message.state, message.version
+        self.room = message.room
         self._heard = time.monotonic()
         if message.epoch < before:
             self.store.follow_lower_epoch(message.epoch)
