@@ -42,8 +42,13 @@ class CollectionGate:
             answered = sender.spooled == 0
             return store.actors if answered and store.version >= max(1, sender.required_version) else None
         self.pause_reason = self._too_old()
-        filled = 0 <= self._learner.room <= sender.in_flight
-        return None if self.pause_reason or sender.full or filled else store.actors
+        return None if self.pause_reason or sender.full or self._fills_iteration() else store.actors
+
+    def _fills_iteration(self) -> bool:
+        """Return whether the steps in the spool fill the learner's running iteration, as far as is known."""
+        learner, sender = self._learner, self._sender
+        room = learner.room if learner.heard_at > sender.answered_at else sender.room
+        return 0 <= room <= sender.in_flight
 
     def _too_old(self) -> str:
         """Return why the actors are too old to collect with, or an empty text."""

@@ -39,6 +39,7 @@ class LearnerLink:
         epoch: the learner's fencing epoch, 0 before the first progress.
         newest_version: newest parameter version that the learner has published.
         room: environment steps that the learner's running iteration still takes in, from all workers; -1 for no limit.
+        heard_at: time of the learner's newest progress, by the monotonic clock.
         malformed: messages that were dropped.
     """
 
@@ -51,7 +52,7 @@ class LearnerLink:
         self.state = "starting"
         self.epoch = self.newest_version = self.malformed = 0
         self.room = -1
-        self._heard = time.monotonic()
+        self.heard_at = time.monotonic()
         self._fence = EpochFence()
         self._ignored: ParametersMessage | None = None
 
@@ -63,7 +64,7 @@ class LearnerLink:
     @property
     def silence(self) -> float:
         """Seconds since the learner last published its progress."""
-        return time.monotonic() - self._heard
+        return time.monotonic() - self.heard_at
 
     @property
     def missed(self) -> int:
@@ -98,7 +99,7 @@ class LearnerLink:
                 raise UsageError(f"run {self._run} has a new learner with another configuration.")
         self.epoch, self.state, self.newest_version = message.epoch, message.state, message.version
         self.room = message.room
-        self._heard = time.monotonic()
+        self.heard_at = time.monotonic()
         if message.epoch < before:
             self.store.follow_lower_epoch(message.epoch)
             if self._ignored is not None:
