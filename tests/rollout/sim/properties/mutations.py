@@ -15,7 +15,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[4]
 PAGE = ROOT / "docs" / "reference" / "simulator_properties.md"
-PROPERTIES = [f"test_properties_{name}.py" for name in ("flight", "counters", "symmetry", "batch", "reference")]
+PROPERTIES = [
+    f"test_properties_{name}.py" for name in ("flight", "counters", "symmetry", "batch", "added", "reference")
+]
 """The reference, which notices almost everything, comes last."""
 
 TESTS = "tests/rollout/sim"
