@@ -183,7 +183,9 @@ class FarmBatch:
 
     def _step_shares(self, pool: ThreadPoolExecutor) -> None:
         """Step a share of the environments on each thread; the caller's own thread takes the first."""
-        work = [(packed.address, *share, False, False) for packed, share in zip(self._arguments, self._shares, strict=True)]
+        work = [
+            (packed.address, *share, False, False) for packed, share in zip(self._arguments, self._shares, strict=True)
+        ]
         others = [pool.submit(step_range, *share) for share in work[1:]]
         step_range(*work[0])
         for other in others:

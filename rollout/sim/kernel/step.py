@@ -142,13 +142,14 @@ def _step(c: Constants, farm: Farm, s: Scratch, action: Float32, fresh: bool) ->
 
     Both are one function, so that the compiler meets what they share once.
     """
-    if fresh:
-        _start(c, farm, s)
-    else:
+    if not fresh:
         fly(c, farm, s, action)
+    else:
+        _start(c, farm, s)
     _update_geometry(c, farm, s, fresh)
     if not fresh:
         _serve_tasks(c, farm, s)
+    if not fresh:
         reward_step(c, farm, s)
     _observe(c, farm, s)
     if not fresh:

@@ -30,6 +30,8 @@ Float32 = NDArray[np.float32]
 
 MOST: Final = 2.0
 """Most units of one move that are seen, over their scale; two moves may bring twice as many (ours)."""
+BELOW: Final = 1.0 - 2.0**-53
+"""A positive number times this is the next smaller one."""
 
 
 @allocation_free
@@ -76,20 +78,26 @@ def _add_item(two: bool, first: int, worth: float, chance: Array, gain: Array, t
     if two:
         for move in range(9):
             taken = worth * chance[first + move]
-            for k in range(twice.shape[1]):
-                twice[move, k] += taken * chance[k]
+            if taken > 0.0:
+                for k in range(twice.shape[1]):
+                    twice[move, k] += taken * chance[k]
 
 
 @allocation_free
-def _rival(position: Array, first: int, last: int, u: int, x: float, y: float) -> tuple[float, bool]:
-    """Return the square of the distance from a place to the nearest other UAV of a type, m^2, and who wins a tie."""
-    least, owner = math.inf, last
+def _own_square(position: Array, first: int, last: int, u: int, x: float, y: float, limit: float) -> float:
+    """Return the largest square of a distance from which a point would be a UAV's own, at most `limit`, m^2.
+
+    It is that of the nearest other UAV of the type if u wins a tie, and else the next smaller number.
+    """
+    rival, owner = math.inf, last
     for other in range(first, last):
         dx, dy = x - position[other, 0], y - position[other, 1]
         square = dx * dx + dy * dy
-        if other != u and square < least:
-            least, owner = square, other
-    return least, u < owner
+        if other != u and square < rival:
+            rival, owner = square, other
+    if u > owner:
+        rival = rival * BELOW if rival > 0.0 else -1.0
+    return min(rival, limit)
 
 
 @allocation_free
@@ -113,24 +121,21 @@ def plan_images(
             if level[column, row] == 0.0:
                 continue
             x, y = (column + 0.5) * camera.plot_width, (row + 0.5) * camera.plot_depth
-            rival, wins = _rival(position, fleet.relays, fleet.collectors, u, x, y)
-            if _beyond(bounds, x, y) > min(rival, view.image_limit):
+            limit = _own_square(position, fleet.relays, fleet.collectors, u, x, y, view.image_limit)
+            if _beyond(bounds, x, y) > limit:
                 continue
-            _measure(v.place_x, v.place_y, x, y, view.image_limit, rival, wins, v.square)
+            _measure(v.place_x, v.place_y, x, y, limit, v.square)
             if _see_plot(camera, view.image_sure, v.place_x, v.place_y, v.square, column, row, v.chance):
                 _add_item(view.units > 1, view.first, level[column, row], v.chance, v.gain, v.twice)
 
 
 @allocation_free
-def _measure(
-    place_x: Array, place_y: Array, x: float, y: float, limit: float, rival: float, wins: bool, square: Array
-) -> None:
-    """Write the squares of the distances to a point, infinite from where it is another UAV's or too far."""
+def _measure(place_x: Array, place_y: Array, x: float, y: float, limit: float, square: Array) -> None:
+    """Write the squares of the distances to a point, infinite beyond the limit."""
     for place in range(len(square)):
         dx, dy = x - place_x[place], y - place_y[place]
         apart = dx * dx + dy * dy
-        own = (apart <= limit) & ((apart < rival) | ((apart == rival) & wins))
-        square[place] = apart if own else math.inf
+        square[place] = apart if apart <= limit else math.inf
 
 
 @allocation_free
@@ -179,9 +184,9 @@ def plan_packets(
     for entry in range(found):
         j = around[entry]
         own_x, own_y = sensor[0, j], sensor[1, j]
-        rival, wins = _rival(position, fleet.collectors, fleet.uavs, u, own_x, own_y)
-        if _beyond(bounds, own_x, own_y) <= min(rival, view.chance_limit):
-            _measure(v.place_x, v.place_y, own_x, own_y, view.chance_limit, rival, wins, v.square)
+        limit = _own_square(position, fleet.collectors, fleet.uavs, u, own_x, own_y, view.chance_limit)
+        if _beyond(bounds, own_x, own_y) <= limit:
+            _measure(v.place_x, v.place_y, own_x, own_y, limit, v.square)
             _hear_sensor(view.chance, view.chance_scale, v.square, v.chance)
             _add_item(view.units > 1, view.first, age[j], v.chance, v.gain, v.twice)
 
