@@ -155,7 +155,7 @@ def _images(farm: ReferenceFarm, u: int, where: Array) -> Array:
 def _table(config: FarmConfig) -> tuple[Array, Array]:
     """Return squared distances and the probability of arrival there."""
     chance, limit = chance_table(radio_constants(config), config.world.height_collection)
-    return np.arange(PIECES + 1) * (limit / PIECES), chance[: PIECES + 1]
+    return np.linspace(0.0, limit, PIECES + 1, dtype=np.float64), chance[: PIECES + 1]
 
 
 def _packets(farm: ReferenceFarm, u: int, where: Array) -> Array:

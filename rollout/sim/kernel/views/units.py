@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rollout.sim.kernel.camera import plot_quality, span
-from rollout.sim.kernel.compiler.decorators import allocation_free
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import (
     Array,
     CameraConstants,
@@ -34,7 +34,7 @@ BELOW: Final = 1.0 - 2.0**-53
 """A positive number times this is the next smaller one."""
 
 
-@allocation_free
+@inlined
 def begin_plan(
     fleet: FleetConstants, view: ViewConstants, v: ViewScratch, x: float, y: float, u: int
 ) -> tuple[float, float, float, float]:
@@ -52,11 +52,16 @@ def begin_plan(
             place_x[k], place_y[k] = far_x[k // 5], far_y[k % 5]
     for move in range(9):
         place_x[view.first + move], place_y[view.first + move] = v.go_x[u, move // 3], v.go_y[u, move % 3]
-    west, east, south, north = x, x, y, y
-    for place in range(len(place_x)):
-        west, east = min(west, place_x[place]), max(east, place_x[place])
-        south, north = min(south, place_y[place]), max(north, place_y[place])
+    west, east = _ends(x, v.go_x[u], far_x, view.units > 1)
+    south, north = _ends(y, v.go_y[u], far_y, view.units > 1)
     return west, east, south, north
+
+
+@allocation_free
+def _ends(x: float, go: Array, far: Array, two: bool) -> tuple[float, float]:
+    """Return the least and the largest place of a plan along an axis, m."""
+    low, high = min(x, go[0], go[2]), max(x, go[0], go[2])
+    return (min(low, far[0], far[4]), max(high, far[0], far[4])) if two else (low, high)
 
 
 @allocation_free
@@ -100,7 +105,7 @@ def _own_square(position: Array, first: int, last: int, u: int, x: float, y: flo
     return min(rival, limit)
 
 
-@allocation_free
+@inlined
 def plan_images(
     fleet: FleetConstants,
     camera: CameraConstants,
@@ -160,7 +165,7 @@ def _see_plot(
     return some
 
 
-@allocation_free
+@inlined
 def plan_packets(
     fleet: FleetConstants,
     seen: ObservationConstants,
