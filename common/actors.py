@@ -12,7 +12,7 @@ A Gaussian head has 2 a outputs: the mean m, then log s, clipped to LOG_STD_RANG
 a sample is tanh(m + s n) with standard normal n. Without noise, both heads compute the same function.
 
 A type with discrete actions has a categorical head, whatever the team's head is: one output, a logit, for each option
-of each branch. Its noise-free action is the legal option with the largest logit, and `common.action_sampling` samples.
+of each branch. Its noise-free action is the legal option with the largest logit, and `common.actions.sampling` samples.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from common.action_sampling import best_options, sample_options, sample_squashed
+from common.actions.sampling import best_options, sample_options, sample_squashed
 from common.errors import SchemaError
 from common.seeds import stream
 from common.team import Float32, GroupSpec, TeamSpec

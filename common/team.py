@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.action_adapters import ActionAdapter, Lattice, MirroredAxes, adapter_from_dict, adapter_to_dict
+from common.actions.adapters import ActionAdapter, Lattice, MirroredAxes, adapter_from_dict, adapter_to_dict
 from common.config.checks import within
 from common.errors import ConfigError, SchemaError
 from common.names import check_name

@@ -1,6 +1,6 @@
 """From an actor's last layer to the environment's action, as nodes of an ONNX graph.
 
-The operations and their order are those of `common.actors` and `common.action_adapters`.
+The operations and their order are those of `common.actors` and `common.actions.adapters`.
 """
 
 from collections.abc import Callable, Mapping
@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.action_adapters import (
+from common.actions.adapters import (
     EDGE,
     GAIN,
     NEAR,
@@ -21,7 +21,7 @@ from common.action_adapters import (
     MirroredAxes,
     NineMoves,
 )
-from common.action_sampling import ILLEGAL
+from common.actions.sampling import ILLEGAL
 from common.team import GroupSpec
 
 

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from common.action_sampling import best_options
+from common.actions.sampling import best_options
 from common.actors import TeamActors, actor_outputs, parameter_views
 from common.config import RunConfig
 from common.team import Float32

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from common.action_sampling import sample_options
+from common.actions.sampling import sample_options
 from common.seeds import stream
 from common.team import Float32, TeamSpec
 from rollout.envs.base import Environments

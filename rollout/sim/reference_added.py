@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from common.action_adapters import EDGE, Lattice, MirroredAxes, NineMoves
+from common.actions.adapters import EDGE, Lattice, MirroredAxes, NineMoves
 from common.config import FarmConfig
 from rollout.sim.kernel.link import radio_constants
 from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, field_range

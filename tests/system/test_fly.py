@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common.action_adapters import SIGNS
+from common.actions.adapters import SIGNS
 from common.actors import TeamActors
 from common.farm import farm_team
 from common.policy_file import save_policy

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from common.action_adapters import SIGNS
+from common.actions.adapters import SIGNS
 from common.actors import TeamActors
 from common.config import ControlConfig, FarmConfig, ObservationConfig
 from common.config.presets import preset

@@ -11,8 +11,8 @@ import onnxruntime
 import pytest
 from safetensors.numpy import load_file
 
-from common.action_adapters import ADAPTERS, SIGNS, MirroredAxes
-from common.action_sampling import best_options
+from common.actions.adapters import ADAPTERS, SIGNS, MirroredAxes
+from common.actions.sampling import best_options
 from common.actors import TeamActors
 from common.config import ControlConfig, EnvConfig, FarmConfig, MasacConfig, ObservationConfig, ReplayConfig, RunConfig
 from common.config.files import to_toml

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
-from common.action_adapters import SIGNS, Headings, Lattice, MirroredAxes, NineMoves
+from common.actions.adapters import SIGNS, Headings, Lattice, MirroredAxes, NineMoves
 from common.actors import TeamActors
 from common.config import EnvConfig, RunConfig
 from common.team import GroupSpec, TeamSpec

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.action_adapters import Lattice
+from common.actions.adapters import Lattice
 from common.config import FarmConfig, WorldConfig
 from rollout.sim.kernel.link import RadioConstants, chance_at, reach_of
 from rollout.sim.kernel.views.arrays import TWO_MOVES

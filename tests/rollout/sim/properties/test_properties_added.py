@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.action_adapters import Lattice
+from common.actions.adapters import Lattice
 from common.config import FarmConfig, ObservationConfig, WorldConfig
 from common.farm import farm_environment, farm_team
 from common.team import Float32

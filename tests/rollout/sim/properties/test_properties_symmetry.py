@@ -13,7 +13,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.action_adapters import SIGNS
+from common.actions.adapters import SIGNS
 from common.config import FarmConfig, ObservationConfig
 from common.farm import farm_team
 from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_levels

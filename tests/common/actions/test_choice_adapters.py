@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.action_adapters import Headings, MirroredAxes, NineMoves
+from common.actions.adapters import Headings, MirroredAxes, NineMoves
 from common.actors import TeamActors
 from common.config import ControlConfig, FarmConfig, ObservationConfig
 from common.errors import ConfigError, SchemaError

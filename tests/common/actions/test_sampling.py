@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.action_sampling import best_options, sample_options, sample_squashed
+from common.actions.sampling import best_options, sample_options, sample_squashed
 from common.actors import TeamActors
 from common.errors import ConfigError, SchemaError
 from common.team import GroupSpec, TeamSpec
