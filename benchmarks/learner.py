@@ -51,7 +51,7 @@ from deploy.reports.provenance import provenance  # noqa: E402  (as above)
 from learner.algorithms import ALGORITHMS  # noqa: E402  (as above)
 from learner.networks.compiled_pass import usable_cores  # noqa: E402  (as above)
 from learner.networks.inputs import critic_width  # noqa: E402  (as above)
-from learner.trainer import DIAGNOSTIC_PERIOD, Trainer  # noqa: E402  (as above)
+from learner.off_policy_trainer import DIAGNOSTIC_PERIOD, OffPolicyTrainer  # noqa: E402  (as above)
 
 ABLATION = "base"
 """EIA-SEC without its ensemble."""
@@ -135,13 +135,13 @@ def team_of(uavs: int) -> FarmConfig:
 
 def filled_trainer(
     algorithm: OffPolicyConfig, farm: FarmConfig | None = None, capacity: int = 65_536, device: str = "cpu"
-) -> Trainer:
+) -> OffPolicyTrainer:
     """Return a trainer on a device whose replay buffer of so many rows is full of noise."""
     replay = ReplayConfig(capacity=capacity, warmup_steps=0)
     learner = replace(LearnerConfig(), device=device)
     config = RunConfig(algorithm=algorithm, replay=replay, farm=farm or preset("study").farm, learner=learner)
     team = farm_team(config.farm)
-    trainer, draw = Trainer(config, team), np.random.default_rng(0)
+    trainer, draw = OffPolicyTrainer(config, team), np.random.default_rng(0)
     count = 4096 // (SEGMENT + 1) * (SEGMENT + 1)
     flag = np.full(count, TRANSITION, np.uint8)
     flag[SEGMENT :: SEGMENT + 1] = 0

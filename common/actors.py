@@ -16,13 +16,13 @@ of each branch. Its noise-free action is the legal option with the largest logit
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 import numpy as np
 
-from common.action_sampling import best_options
+from common.action_sampling import best_options, sample_options, sample_squashed
 from common.errors import SchemaError
 from common.seeds import stream
 from common.team import Float32, GroupSpec, TeamSpec
@@ -84,13 +84,16 @@ def initial_parameters(inputs: int, hidden: int, outputs: int, generator: np.ran
 def imitate(parameters: Float32, elite: int, rate: float) -> None:
     """Blend every row with the elite's in place: theta_i = (1 - vartheta) theta_i + vartheta theta_i', eq. (soft).
 
-    Learner and workers both call this function on float32 arrays, so their copies stay bit-equal.
+    Learner and workers both call this function on float32 arrays, so their copies stay bit-equal. A single row is
+    shared by all agents of the type, the elite included, and does not change.
 
     Args:
-        parameters: [n_v, P] float32, contiguous.
+        parameters: [n_v, P] or [1, P] float32, contiguous.
         elite: row of the elite, which does not change.
         rate: vartheta in 0..1.
     """
+    if len(parameters) == 1:
+        return
     keep = np.float32(1.0 - rate)
     step = np.float32(rate)
     target = parameters[elite].copy()
@@ -106,7 +109,7 @@ class TeamActors:
     Attributes:
         team: the layout.
         hidden: width of the hidden layers.
-        flat: for each type, [n_v, P_v] float32, C-contiguous.
+        flat: for each type, [n_v, P_v] or [1, P_v] float32, C-contiguous.
         head: kind of the last layer.
     """
 
@@ -180,8 +183,7 @@ class TeamActors:
         Returns:
             rows [E, A] float32: in [-1, 1], or indices of options.
         """
-        actions = [self._noise_free_action(*part) for part in self.outputs(observations)]
-        return np.concatenate([action.reshape(observations.shape[0], -1) for action in actions], axis=1)
+        return noise_free_actions(self.outputs(observations))
 
     def environment_actions(self, observations: Float32) -> Float32:
         """Return the noise-free actions after the team's adapters, rows of the environment; see `TeamSpec.adapt`."""
@@ -208,6 +210,37 @@ class TeamActors:
             parts.append(np.tanh(head[..., :size] + scale * own).reshape(observations.shape[0], -1))
         return np.concatenate(parts, axis=1)
 
+    def sample(self, observations: Float32, normal: Float32, uniform: Float32) -> tuple[Float32, Float32]:
+        """Return sampled actions of all agents and their log-probabilities, as on-policy algorithms act.
+
+        Args:
+            observations: rows [E, O] float32.
+            normal: rows [E, A] float32, standard normal; continuous actions take theirs.
+            uniform: rows [E, A] float32, uniform over [0, 1); discrete actions take theirs.
+
+        Returns:
+            actions, rows [E, A] float32, and log-probabilities [E, agents] float32.
+
+        Raises:
+            SchemaError: a type with continuous actions has deterministic heads.
+        """
+        count, actions, log_probabilities = observations.shape[0], [], []
+        parts = zip(
+            self.outputs(observations), self.team.split_actions(normal), self.team.split_actions(uniform), strict=True
+        )
+        for (group, own, outputs), noise, draw in parts:
+            if group.choices:
+                action, log_probability = sample_options(group, own, outputs, draw)
+            elif self.head == "gaussian":
+                size = group.action_size
+                log_std = np.clip(outputs[..., size:], np.float32(LOG_STD_RANGE[0]), np.float32(LOG_STD_RANGE[1]))
+                action, log_probability = sample_squashed(outputs[..., :size], log_std, noise)
+            else:
+                raise SchemaError(f"deterministic {group.name} actors cannot be sampled.")
+            actions.append(action.reshape(count, -1))
+            log_probabilities.append(log_probability)
+        return np.concatenate(actions, axis=1), np.concatenate(log_probabilities, axis=1)
+
     def outputs(self, observations: Float32) -> Iterator[tuple[GroupSpec, Float32, Float32]]:
         """Yield each type, its observations [E, n_v, o_v], and the outputs [E, n_v, outputs] of its actors.
 
@@ -226,14 +259,21 @@ class TeamActors:
             found = np.matmul(h, w3) + b3[:, None]
             yield group, rows, found.reshape(*rows.shape[:2], outputs) if shared else found.transpose(1, 0, 2)
 
-    def _noise_free_action(self, group: GroupSpec, observation: Float32, outputs: Float32) -> Float32:
-        if not group.choices:
-            return np.tanh(outputs[..., : group.action_size])
-        return best_options(group, observation, outputs)
-
     def digest(self) -> str:
         """Return the SHA-256 of all parameters, in hexadecimal."""
         state = hashlib.sha256()
         for flat in self.flat:
             state.update(np.ascontiguousarray(flat).tobytes())
         return state.hexdigest()
+
+
+def noise_free_actions(parts: Iterable[tuple[GroupSpec, Float32, Float32]]) -> Float32:
+    """Return the noise-free actions for what `TeamActors.outputs` yields, rows [E, A] float32.
+
+    Outputs that are not finite may give an action that is: the index of an option, or tanh of infinity.
+    """
+    actions = [
+        best_options(group, observation, outputs) if group.choices else np.tanh(outputs[..., : group.action_size])
+        for group, observation, outputs in parts
+    ]
+    return np.concatenate([action.reshape(action.shape[0], -1) for action in actions], axis=1)

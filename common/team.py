@@ -223,6 +223,15 @@ class TeamSpec:
             for group, part in zip(self.groups, self.action_slices(), strict=True)
         ]
 
+    def split_environment_actions(self, rows: Float32) -> list[Float32]:
+        """Split the environment's rows, after the adapters, into one view [..., n_v, numbers] for each type."""
+        sizes = [group.environment_action_size for group in self.groups]
+        parts = _slices([group.count * size for group, size in zip(self.groups, sizes, strict=True)])
+        return [
+            rows[..., part].reshape(*rows.shape[:-1], group.count, size)
+            for group, part, size in zip(self.groups, parts, sizes, strict=True)
+        ]
+
     def adapt(self, observations: Float32, actions: Float32) -> Float32:
         """Return the environment's actions for the actors' outputs; see `GroupSpec.adapters`.
 

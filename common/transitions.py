@@ -38,15 +38,18 @@ class Rows:
 
     Attributes:
         observation: [R, O] float32.
-        action: [R, A] float32 in [-1, 1]; zeros where no step follows.
+        action: [R, A] float32 in [-1, 1], or indices of options; zeros where no step follows.
         reward: [R, agents] float32; zeros where no step follows.
         flag: [R] uint8 of TRANSITION, TERMINATED and TRUNCATED.
+        log_probability: [R, agents] float32, log-probability of each agent's action under the policy that acted, for
+            algorithms that learn on policy; zeros where no step follows. None for others.
     """
 
     observation: Float32
     action: Float32
     reward: Float32
     flag: NDArray[np.uint8]
+    log_probability: Float32 | None = None
 
     @property
     def steps(self) -> int:
@@ -61,6 +64,8 @@ class Rows:
             "action": (self.action, (rows, team.action_size)),
             "reward": (self.reward, (rows, team.agents)),
         }
+        if self.log_probability is not None:
+            wanted["log_probability"] = (self.log_probability, (rows, team.agents))
         for name, (array, shape) in wanted.items():
             if array.shape != shape or array.dtype != np.float32:
                 raise SchemaError(f"{name} is {array.dtype}{list(array.shape)}, not float32{list(shape)}.")
@@ -69,8 +74,19 @@ class Rows:
                 raise SchemaError(f"{name} holds a number that is not finite or larger than {LARGEST:g}.")
         if self.flag.dtype != np.uint8 or not _WHOLE.fullmatch(self.flag.tobytes()):
             raise SchemaError("the flags do not form whole segments.")
-        if self.action.size and not -1.0 <= self.action.min() <= self.action.max() <= 1.0:
-            raise SchemaError("an action lies outside [-1, 1].")
+        self._check_actions(team)
+
+    def _check_actions(self, team: TeamSpec) -> None:
+        if not any(group.choices for group in team.groups):
+            if self.action.size and not -1.0 <= self.action.min() <= self.action.max() <= 1.0:
+                raise SchemaError("an action lies outside [-1, 1].")
+            return
+        for group, action in zip(team.groups, team.split_actions(self.action), strict=True):
+            if not group.choices:
+                if not (np.abs(action) <= 1.0).all():
+                    raise SchemaError("an action lies outside [-1, 1].")
+            elif not ((action >= 0) & (action < np.array(group.choices)) & (action == np.floor(action))).all():
+                raise SchemaError(f"a {group.name} action is not the index of an option.")
 
 
 @dataclass(frozen=True)

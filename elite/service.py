@@ -214,7 +214,7 @@ class Coordinator:
         return [found[index] for index in range(len(farms))], min(versions)
 
     def _note_late(self, event: int, late: Sequence[str], silent: set[str], asked: int, waited: float) -> None:
-        """Leave out workers that did not answer from the next attempts; if nobody answered, lengthen the time limit."""
+        """Exclude workers that did not answer from the next attempts; if nobody answered, lengthen the time limit."""
         self._failures += len(late)
         log(f"coordinator: event {event}: no evaluation after {waited:.1f} s from {', '.join(late)}; trying again.")
         silent.update(late)

@@ -1,8 +1,7 @@
 """When the learner does what: take in chunks, update, publish, report, write a checkpoint, finish.
 
 Everything here is a function of the trainer's counters and of the clock readings that the caller passes in. The rule
-for how many updates are due, and how far collection may lead them, is `Trainer.updates_due` and `Trainer.leads` in
-`learner/trainer.py`.
+for how many updates are due, and how far collection may lead them, is `updates_due` and `leads` of the trainer.
 """
 
 import time
@@ -12,8 +11,6 @@ from common.config import RunConfig
 from common.imitation import ImitationSchedule
 from learner.event_deadline import EventDeadline
 
-BURST_UPDATES: Final = 8
-"""Most updates between two polls for incoming messages."""
 PROGRESS_SECONDS: Final = 0.1
 REPORT_SECONDS: Final = 1.0
 
@@ -29,6 +26,10 @@ class Counters(Protocol):
 
     def leads(self) -> bool:
         """Return whether collection is so far ahead of updates that workers must wait."""
+
+    @property
+    def burst(self) -> int:
+        """Most updates between two polls for incoming messages."""
 
 
 class Periodic:
@@ -83,7 +84,7 @@ class Schedule:
 
     def updates(self, counters: Counters) -> int:
         """Return how many updates to do before the next poll for incoming messages."""
-        return max(0, min(counters.updates_due(), BURST_UPDATES))
+        return max(0, min(counters.updates_due(), counters.burst))
 
     def takes_in(self, counters: Counters, *, awaits_event: bool) -> bool:
         """Return whether another chunk may enter replay before the next update."""

@@ -28,12 +28,13 @@ from learner.control.parameter_publisher import ParameterPublisher
 from learner.intake.chunk_rules import ChunkRules
 from learner.intake.feed import ExperienceFeed
 from learner.intake.ledger import Ledger
+from learner.intake.limits import IntakeLimits
 from learner.intake.receiver import Receiver
 from learner.options import LearnerOptions
 from learner.reporting.phase_times import PhaseTimes
 from learner.reporting.reporter import Reporter
 from learner.schedule import Schedule
-from learner.trainer import Trainer
+from learner.trainers import make_trainer
 from learner.warm_up import warm_up
 
 HISTORY: Final = Path("history", "learner.jsonl")
@@ -65,12 +66,13 @@ class Learner:
     ) -> None:
         self._options, team = options, environment.team
         warm_up(config, team)
-        self.trainer = Trainer(config, team)
+        self.trainer = make_trainer(config, team)
         self._storage = RunStorage(options.run_dir, config)
         ledger, elapsed = self._restore()
         self._compaction = HistoryCompaction(self._history, config.learner.keep_checkpoints)
         self._schedule = Schedule(config, await_elite=options.await_elite)
         self._times, self._state = PhaseTimes(), "training"
+        self._room: int | None = None
         self._open_control(config, team, control, ledger)
         presence = Presence(control, options.run, "learner", "learner", self._epoch)
         self._reporter = Reporter(options.run_dir, environment, self.trainer, presence, config.episodes, elapsed)
@@ -110,8 +112,9 @@ class Learner:
         server = bulk.serve(keys.TRANSITION.pattern(self._options.run), 256)
         absorbed = ledger.now()
         rules, lockstep, version = ChunkRules.of(config, environment), self._options.lockstep, self.trainer.version
-        team, replay = environment.team, config.replay
-        self._receiver = Receiver(server, team, rules, ledger, replay, lockstep, self._history, version)
+        team, limits = environment.team, IntakeLimits.of(config)
+        self._receiver = Receiver(server, team, rules, ledger, limits, lockstep, self._history, version)
+        self._open_iteration()
         self._feed = ExperienceFeed(self._receiver, self.trainer, absorbed, self._reporter.log_episodes)
 
     def run(self, stop: StopSignal) -> bool:
@@ -136,6 +139,7 @@ class Learner:
     def _step(self, stop: StopSignal) -> None:
         """Take in what has arrived, then update; wait for experience or an imitation event if neither is possible."""
         self._feed.absorb_waiting(lambda: self._schedule.takes_in(self.trainer, awaits_event=self._awaits_event()))
+        self._open_iteration()
         updates = self._schedule.updates(self.trainer)
         if updates > 0:
             self._train(updates)
@@ -151,6 +155,7 @@ class Learner:
             arrival = self._feed.absorb_next(DATA_SECONDS)
         if arrival is None:
             return
+        self._open_iteration()
         self._train(max(0, self.trainer.updates_due()))
         self._publish()
         while self._schedule.event_due(self.trainer) and not (stop or self._commands.draining):
@@ -158,6 +163,11 @@ class Learner:
             self._wait_for_imitation()
         self._receiver.require_version(self.trainer.version)
         self._feed.answer(arrival)
+
+    def _open_iteration(self) -> None:
+        """Let the receiver take in chunks for the iteration that they will be learned from in."""
+        if (wanted := self.trainer.iteration) is not None:
+            self._receiver.take_in(*wanted, updating=self.trainer.updates_due() > 0)
 
     def _train(self, updates: int) -> None:
         with self._times.measure("training"):
@@ -174,9 +184,9 @@ class Learner:
     def _do_what_is_due(self) -> None:
         self._serve_requests()
         now, schedule = time.monotonic(), self._schedule
-        if schedule.publish_timer.due(now) and not self._options.lockstep:
+        if (schedule.publish_timer.due(now) or self.trainer.publishes_at_once) and not self._options.lockstep:
             self._publish()
-        if schedule.progress_timer.due(now):
+        if schedule.progress_timer.due(now) or self._receiver.wanted != self._room:
             self._publish_progress()
         if schedule.report_timer.due(now):
             self._report()
@@ -202,14 +212,18 @@ class Learner:
 
     def _publish(self) -> None:
         self._schedule.publish_timer.restart(time.monotonic())
-        if self._publisher.has_unpublished_changes or self._options.lockstep:
-            self._receiver.set_version(self.trainer.next_version())  # before any worker can fly with it
+        every_turn = self._options.lockstep and not self.trainer.publishes_at_once
+        if self._publisher.has_unpublished_changes or every_turn:
+            updating = self.trainer.iteration is not None and self.trainer.updates_due() > 0
+            # Before any worker can fly with it.
+            self._receiver.set_version(self.trainer.next_version(), updating=updating)
             self._publisher.publish_parameters()
             self._publish_progress()
 
     def _publish_progress(self) -> None:
         self._schedule.progress_timer.restart(time.monotonic())
-        self._publisher.publish_progress(self._state)
+        self._room = self._receiver.wanted
+        self._publisher.publish_progress(self._state, self._room)
 
     def _report(self) -> None:
         self._schedule.report_timer.restart(time.monotonic())
@@ -230,6 +244,7 @@ class Learner:
             state: finished or draining.
         """
         self._state = state
+        self._receiver.take_in_all()
         self._publish_progress()
         if state == "draining" and not self._options.lockstep:
             self._feed.drain(self._answer_while_draining)

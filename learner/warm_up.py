@@ -11,21 +11,28 @@ from common.config import RunConfig
 from common.team import TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
 from learner.algorithms import ALGORITHMS
-from learner.trainer import Trainer
+from learner.off_policy_trainer import OffPolicyTrainer
+from learner.on_policy.advantages import advantages
 
 
 def warm_up(config: RunConfig, team: TeamSpec) -> None:
-    """Absorb one chunk and do every kind of update once; do nothing on an accelerator.
+    """Do every kind of update once; do nothing on an accelerator.
 
     Args:
         config: the run.
         team: the layout of the team.
     """
-    if config.learner.device != "cpu":
-        return
-    steps = max(256, 2 * config.algorithm.batch)
+    if config.learns_on_policy:
+        nothing = np.zeros((1, team.agents), np.float32)
+        advantages(nothing, nothing, np.zeros(1, np.uint8), nothing[0], 0.0, time_limit_ends=True)
+    elif config.learner.device == "cpu":
+        _warm_up_off_policy(config, team)
+
+
+def _warm_up_off_policy(config: RunConfig, team: TeamSpec) -> None:
+    steps = max(256, 2 * config.off_policy.batch)
     small = replace(config.replay, capacity=steps, warmup_steps=0)
-    trainer = Trainer(
+    trainer = OffPolicyTrainer(
         replace(config, replay=small, rollout=replace(config.rollout, environments=1, chunk_steps=1)), team
     )
     flag = np.full(steps, TRANSITION, np.uint8)
@@ -34,4 +41,4 @@ def warm_up(config: RunConfig, team: TeamSpec) -> None:
         np.zeros((steps, size), np.float32) for size in (team.observation_size, team.action_size, team.agents)
     )
     trainer.absorb(Chunk(Rows(observation, action, reward, flag), ()))
-    trainer.train(ALGORITHMS[config.algorithm.name].actor_period(config.algorithm))
+    trainer.train(ALGORITHMS[config.algorithm.name].actor_period(config.off_policy))

@@ -19,6 +19,7 @@ from deploy.local.memory import keep_freed_memory
 from learner.data.replay import Replay
 from learner.intake.chunk_rules import ChunkRules
 from learner.intake.ledger import Ledger
+from learner.intake.limits import IntakeLimits
 from learner.intake.receiver import Receiver
 
 RUN = "intake"
@@ -46,7 +47,7 @@ def main() -> None:
             team,
             ChunkRules.of(configuration(options.bytes), environment),
             Ledger(),
-            ReplayConfig(capacity=CAPACITY),
+            IntakeLimits(ReplayConfig().intake_chunks, None),
             lockstep=False,
         )
         sys.stdout.write("ready\n")

@@ -13,8 +13,8 @@ class ControlConfig:
     """What the actors of each type command; heuristics and direct users of the farm command velocities (ours)."""
 
     communication: Control = "velocity"
-    """Output of the communication UAVs' actors: a velocity, or one of nine points on a lattice: one step back, none or
-    one on along x and y (ours)."""
+    """Output of the communication UAVs' actors: a velocity; one of nine points on a lattice, at most one step away
+    (lattice, or moves as a discrete choice); or one of 25 velocities (headings) (ours)."""
     monitoring: Control = "lattice"
     """The same for the monitoring UAVs (ours)."""
     collection: Control = "velocity"

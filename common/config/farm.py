@@ -46,11 +46,11 @@ class WorldConfig:
     sensor_spacing: float = 10.0
     """Smallest distance between two sampled sensors, m (ours)."""
     density: Density = "irregular"
-    """Distribution of the sensors: hills, uniform, clusters, crop rows, empty parts, or one of these by seed (ours)."""
+    """Distribution of the sensors: hills, uniform, islands, crop rows, parcels, or one of these, by seed (ours)."""
     sites: Sites = ()
-    """Measured positions of the sensors instead, each [x, y] in m or [x, y, type]; `--farm-file` sets them (ours)."""
+    """Measured positions, which replace sampled ones: [x, y] in m or [x, y, type]; `--farm-file` sets them (ours)."""
     sensor_cycles: tuple[int, ...] = (40, 50, 60)
-    """AoI update cycle T_UA of each sensor type, s; there are I_type of them."""
+    """AoI update cycle T_UA of each of the I_type sensor types, s."""
     plots_x: int = 20
     """Number of plots along x, n_px (1 to 256)."""
     plots_y: int = 20
@@ -148,7 +148,7 @@ class RadioConfig:
     frequency_unit: Literal["mhz", "ghz"] = "mhz"
     """Unit in which f_c enters both path losses (W12)."""
     interference: bool = False
-    """Whether the strongest woken sensor of each other data UAV interferes (W14)."""
+    """Whether the strongest woken sensor of every other data collection UAV interferes (W14)."""
     q_function: Literal["approximate", "exact"] = "approximate"
     """Q(x) as 0.5 exp(-x^2 / 2), or exact (W15)."""
     delivery: Literal["bernoulli", "expected"] = "bernoulli"
@@ -182,7 +182,7 @@ class CameraConfig:
     grid_y: int = 5
     """Grid cells of a plot along y, n_gy (ours)."""
     plot_threshold: float = 0.75
-    """Smallest share of acceptable cells with which the image of a plot succeeds, Q_th (ours)."""
+    """Share of acceptable cells that the image of a plot needs to succeed, Q_th (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse grids without cells and thresholds outside 0..1."""
@@ -271,9 +271,9 @@ class RelayConfig:
     capacity: int = 0
     """Most UAVs that one relay serves; 0 means ceil((n_m + n_d) / n_c) (ours)."""
     cost_distance: float = 1.0
-    """Weight of the distance, over the field's diagonal, in the assignment cost (W3)."""
+    """Weight of the distance, as a share of the field's diagonal, in the assignment cost (W3)."""
     cost_link: float = 1.0
-    """Weight of the free-space loss, over the loss at the field's diagonal, in the assignment cost (W3)."""
+    """Weight of the free-space loss, as a share of the loss at the field's diagonal, in the assignment cost (W3)."""
     require_link: bool = False
     """Whether images and packets count only while the UAV's relay is within link_range (W4)."""
     link_range: float = 150.0
@@ -304,7 +304,7 @@ class RelayConfig:
 
 @dataclass(frozen=True)
 class RewardConfig:
-    """Weights alpha_1 to alpha_10 of the reward, and how its printed terms are read."""
+    """Weights alpha_1 to alpha_10 of the reward, and how we read its printed terms."""
 
     positioning: float = 1.0
     """alpha_1, weight of the relay's change in D_c, 1/m."""

@@ -41,7 +41,7 @@ def _split_algorithm(table: dict[str, Any], algorithm: dict[str, Any]) -> None:
     """Keep only the chosen algorithm's options in `[algorithm]`, and replace an ablation's name by its switches."""
     whole = algorithm.keys() >= _OF_ALL
     if algorithm.get("critic_scope") == "algorithm":
-        del algorithm["critic_scope"]  # each class has the scope that its algorithm prefers as its default
+        del algorithm["critic_scope"]  # each class defaults to the scope that its algorithm prefers
     name = algorithm.get("name")
     if isinstance(name, str) and name in ABLATIONS:
         algorithm["name"] = "eia-sec"

@@ -14,15 +14,15 @@ class ObservationConfig:
     sensors: int = 10
     """Sensors that a data collection UAV sees, n (ours)."""
     choice: Literal["waiting", "nearest"] = "waiting"
-    """waiting: the nearest that hold data (AoI of 1 or more), then empty ones; nearest: simply the nearest (ours)."""
+    """waiting: the nearest that hold data (AoI of 1 or more), then empty ones; nearest: the nearest of all (ours)."""
     form: Literal["default", "printed"] = "default"
     """default: AoI and relative (dx, dy) of each observed sensor; printed: AoI only (W24)."""
     window: int = 5
     """Side of the square of plots whose VDF a monitoring UAV sees, in plots; odd; the paper's is 3."""
     lattice: bool = True
-    """Whether a monitoring UAV sees its offset from the centre of its plot, over half a plot (ours)."""
+    """Whether a monitoring UAV sees its offset from the centre of its plot, in units of half a plot (ours)."""
     mirrored: bool = True
-    """Whether an actor acts along axes on which its position (a monitor's in its plot) is positive (ours)."""
+    """Whether each UAV has axes of its own, on which its position (a monitor's: in its plot) is positive (ours)."""
     identity: bool = True
     """Whether an agent sees its index in its type, 1 of n_v, so that equal actors can divide the work (ours)."""
     clock: bool = True

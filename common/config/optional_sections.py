@@ -60,7 +60,7 @@ class ReplayConfig:
     max_age_versions: int = 0
     """Largest age of a row that is still sampled, in parameter versions; 0 for no limit (ours)."""
     max_lag_versions: int = 0
-    """Largest lag of an arriving chunk's policy, in parameter versions; 0 for no limit (ours)."""
+    """Largest lag of the policy behind an arriving chunk, in parameter versions; 0 for no limit (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse buffers that cannot hold a batch."""
@@ -79,7 +79,7 @@ class ReplayConfig:
 
 @dataclass(frozen=True)
 class ExplorationConfig:
-    """Gaussian noise on the actions, as a share of the action's range of 1."""
+    """Gaussian noise on the actions, which are in [-1, 1]."""
 
     noise_std_start: float = 0.3
     """Standard deviation sigma of the noise at the first episode (ours)."""
@@ -94,6 +94,6 @@ class ExplorationConfig:
         within(1e-6, 1.0, decay_share=self.decay_share)
 
     def noise_std(self, progress: float) -> float:
-        """Return the standard deviation at a progress of 0 to 1 of the run."""
+        """Return the standard deviation at a point of the run, from 0 (start) to 1 (end)."""
         share = min(1.0, max(0.0, progress) / self.decay_share)
         return self.noise_std_start + (self.noise_std_end - self.noise_std_start) * share

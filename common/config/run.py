@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Final
 
-from common.config.algorithms import OPTIONAL_SECTIONS, AlgorithmConfig, EiaSecConfig, OffPolicyConfig
+from common.config.algorithms import OPTIONAL_SECTIONS, AlgorithmConfig, EiaSecConfig, OffPolicyConfig, OnPolicyConfig
 from common.config.checks import not_negative, positive, within
 from common.config.environment import EnvConfig
 from common.config.farm import FarmConfig
@@ -25,11 +25,11 @@ class RolloutConfig:
     spool_chunks: int = 8
     """Unacknowledged chunks that a worker holds before it stops simulating."""
     train_farms: int = 20
-    """Number of training farms, with the seeds 0 to train_farms - 1 (W26); scenario seeds in other environments."""
+    """Number of training farms, whose seeds are 0 to train_farms - 1 (W26); of scenario seeds in other environments."""
     threads: int = 1
     """Compute threads of one worker."""
     max_lag_versions: int = 0
-    """Largest lag of a worker's actors, in parameter versions, before it stops simulating; 0 for no limit."""
+    """Parameter versions by which a worker's actors may lag before it stops simulating; 0 for no limit."""
     max_silence_seconds: float = 0.0
     """Time without a message from the learner after which a worker stops simulating, s; 0 for no limit."""
 
@@ -44,21 +44,21 @@ class RolloutConfig:
         not_negative(max_silence_seconds=self.max_silence_seconds)
 
     def chunk_rows(self, ends: int) -> int:
-        """Return the most rows of a chunk in which each environment ends so many episodes, at most one in each step.
+        """Return the most rows of a chunk in which each environment ends `ends` episodes, at most one a step.
 
-        An end inside the chunk is followed by a row of its own; the last row is there in any case.
+        Each environment has a row for each step and a last one. An episode that ends earlier in the chunk adds one.
         """
         return self.environments * (self.chunk_steps + 1 + min(ends, self.chunk_steps - 1))
 
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """The learner process; nothing here changes what is learned."""
+    """The learner process; these options affect its speed and rounding, not the method."""
 
     threads: int = 1
     """Compute threads of the learner."""
     device: str = "cpu"
-    """Device of the networks: cpu, cuda, or cuda:1 for the second accelerator."""
+    """Device of the networks: cpu, cuda, or cuda:1 for the second GPU."""
     publish_seconds: float = 0.5
     """Shortest time between two published parameter versions, s."""
     checkpoint_seconds: float = 60.0
@@ -111,22 +111,22 @@ class RunConfig:
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
 
     def __post_init__(self) -> None:
-        """Refuse a run that ends before it starts."""
+        """Refuse an empty run and sections that contradict each other."""
         within(0, 2**63 - 1, seed=self.seed)
         within(1, 100_000_000, episodes=self.episodes)
         if self.evaluation.first_farm < self.rollout.train_farms:
             raise ConfigError("evaluation.first_farm must lie beyond the training farms, so that they stay unseen.")
-        for section in self.unused_sections:  # alike in all runs, so that equal runs are equal
+        for section in self.unused_sections:  # equal runs compare equal
             kind = type(getattr(self, section))
             object.__setattr__(self, section, kind())
-        if "replay" in self.algorithm.sections:
-            self._check_replay()
+        if isinstance(self.algorithm, OffPolicyConfig):
+            self._check_replay(self.algorithm.batch)
 
-    def _check_replay(self) -> None:
-        rows = max(2 * self.algorithm.batch, self.rollout.chunk_rows(self.rollout.chunk_steps))
+    def _check_replay(self, batch: int) -> None:
+        rows = max(2 * batch, self.rollout.chunk_rows(self.rollout.chunk_steps))
         if self.replay.capacity < rows:
             raise ConfigError(
-                f"replay.capacity {self.replay.capacity} holds no batch of {self.algorithm.batch} or no chunk of "
+                f"replay.capacity {self.replay.capacity} holds no batch of {batch} or no chunk of "
                 f"{self.rollout.environments} times {self.rollout.chunk_steps} steps; it takes up to two rows for each."
             )
 
@@ -136,17 +136,47 @@ class RunConfig:
         return tuple(section for section in OPTIONAL_SECTIONS if section not in self.algorithm.sections)
 
     @property
+    def learns_on_policy(self) -> bool:
+        """Whether the algorithm learns on policy, from rows with log-probabilities and without a replay buffer."""
+        return isinstance(self.algorithm, OnPolicyConfig)
+
+    def exploration_at(self, progress: float, environment_steps: int) -> tuple[float, bool]:
+        """Return the exploration noise of off-policy algorithms; those that learn on policy sample without any.
+
+        Args:
+            progress: share of the run's episodes that are finished.
+            environment_steps: environment steps that the learner has accepted.
+
+        Returns:
+            the noise's standard deviation, and whether actions are drawn uniformly instead (warm-up).
+        """
+        if self.learns_on_policy:
+            return 0.0, False
+        return self.exploration.noise_std(progress), environment_steps < self.replay.warmup_steps
+
+    @property
     def imitates(self) -> bool:
         """Whether agents imitate elites."""
         return "elite" in self.algorithm.sections and self.elite.enabled
 
     @property
     def off_policy(self) -> OffPolicyConfig:
-        """The algorithm's configuration, where it learns from a replay buffer.
+        """The algorithm's configuration, for algorithms that learn from a replay buffer.
+
+        Raises:
+            ConfigError: the algorithm does not.
+        """
+        if not isinstance(self.algorithm, OffPolicyConfig):
+            raise ConfigError(f"{self.algorithm.name} does not learn from a replay buffer.")
+        return self.algorithm
+
+    @property
+    def on_policy(self) -> OnPolicyConfig:
+        """The algorithm's configuration, where it learns on policy.
 
         Raises:
             ConfigError: it does not.
         """
-        if not isinstance(self.algorithm, OffPolicyConfig):
-            raise ConfigError(f"{self.algorithm.name} does not learn from a replay buffer.")
+        if not isinstance(self.algorithm, OnPolicyConfig):
+            raise ConfigError(f"{self.algorithm.name} does not learn on policy.")
         return self.algorithm

@@ -1,1 +1,1 @@
-"""A process's own account of chunks: lines in a file, and totals that stand for old ones."""
+"""A process's own account of chunks: lines in a file, and totals that replace old lines."""

@@ -8,13 +8,13 @@ One JSON array per line:
     [verdict, worker, incarnation, first, last, steps, produced, flown]
     ["sum", worker, incarnation, last, ...]              totals of a start's chunks up to `last`, see `Summary`
 
-The fourth form is about chunks `first` to `last` of one start of a worker, each of `steps` environment steps;
-`produced` and `flown` are the worker's counts with the last of them (see `common.protocol.messages.ChunkMessage`).
+The fourth form is a verdict on chunks `first` to `last` of one start of a worker, each of `steps` environment steps.
+`produced` and `flown` are the worker's counts including the last of them (see `common.protocol.messages.ChunkMessage`).
 
-A worker writes *produced* for each chunk, and the answer that it got: *acknowledged*, *repeated* (the learner had it
+A worker writes *produced* for each chunk, and then the learner's answer: *acknowledged*, *repeated* (the learner had it
 already) or *refused*. The learner writes *accepted*, *refused*, *duplicate* and *missing* (the chunks can no longer
-arrive); for the last two, `steps` is the total of the line. Earlier versions wrote made, told and again
-for the first three.
+arrive). In lines with *duplicate* or *missing*, `steps` is the total of the line. Earlier versions wrote made, told and
+again for *produced*, *acknowledged* and *repeated*.
 
 A line reaches the operating system before the process acts on it: it survives a killed process, but not a power cut.
 The file stays small because consecutive chunks are merged into one line every REWRITE_LINES lines, and because a
@@ -33,7 +33,7 @@ from typing import Any, Final, TextIO
 from common.names import is_name
 
 REWRITE_LINES: Final = 20_000
-"""Number of lines after which the file is rewritten with consecutive chunks joined."""
+"""Number of lines after which the file is rewritten, with consecutive chunks joined."""
 MAX_BYTES: Final = 256 * 2**20
 """Largest history that is read, bytes."""
 MOST_JOINED: Final = 2**24
@@ -149,20 +149,20 @@ def parse(line: str) -> Record:
                     return entry
     except (TypeError, RecursionError) as error:
         raise ValueError(str(error)) from error
-    raise ValueError("the line is no record of a history")
+    raise ValueError("the line is not a record of a history")
 
 
 def _name(value: str) -> str:
     """Return a process's name; raise ValueError when it is not a valid name, because an audit prints it."""
     if not is_name(value):
-        raise ValueError("a name in the line is not a name")
+        raise ValueError("a name in the line is not valid")
     return value
 
 
 def _whole(*numbers: Any) -> Any:
     """Return the numbers; raise ValueError unless all are whole, at least 0 and below 2**63."""
     if not all(type(number) is int and 0 <= number < 2**63 for number in numbers):
-        raise ValueError("a number is none that a history holds")
+        raise ValueError("a number in the line is out of range")
     return numbers
 
 
@@ -247,7 +247,7 @@ class History:
 
     An existing file is continued; an unreadable one is kept under another name. If the disk is full or the file was
     removed while in use, `failure` says so, and the next record rewrites the whole file from memory. Once another
-    process has replaced the file by its own, this one writes no more (`taken_over`).
+    process has replaced the file with its own, this one stops writing (`taken_over`).
 
     Args:
         path: the file; its folder is created.
@@ -279,7 +279,7 @@ class History:
             return self._taken_over
 
     def add(self, record: Record) -> None:
-        """Append one record; nothing is written once another process has taken the file over."""
+        """Append one record, unless another process has taken over the file."""
         if self._path is None:
             return
         with self._lock:
@@ -330,7 +330,7 @@ class History:
             return True
         if self._identity is not None and (found.st_dev, found.st_ino) != self._identity:
             self._taken_over = True
-            self.failure = self._standing = "another process writes this history; this process writes no more into it."
+            self.failure = self._standing = "another process writes this history; this process has stopped writing it."
             self._shut()
         return False
 
@@ -351,7 +351,7 @@ class History:
         with suppress(OSError):
             os.replace(path, aside)
             why = getattr(error, "strerror", None) or error
-            self._standing = f"the history of earlier starts could not be read ({why}); it lies in {aside.name}."
+            self._standing = f"the history of earlier starts could not be read ({why}); it is now {aside.name}."
 
     def _rewrite(self, path: Path) -> None:
         """Write the whole file under another name, then replace the old one, which stays if that fails."""

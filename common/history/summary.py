@@ -1,7 +1,7 @@
-"""Replaces old lines of a learner's history by totals, so that it stays small and keeps every loss.
+"""Replaces old lines of a learner's history with totals, so that it stays small and keeps every loss.
 
-No resume needs the single lines of chunks that are in every kept checkpoint. So one line with totals for each start of
-a worker replaces them.
+Once chunks are in every kept checkpoint, no resume needs their lines. One line of totals for each start of a worker
+replaces them.
 """
 
 from collections import defaultdict
@@ -12,7 +12,7 @@ from typing import Final
 from common.history.history import SUMMED, Entry, Record, Resume, Start, Summary, Unreadable
 
 MOST_STARTS: Final = 64
-"""Most starts of a worker with a line each; older ones share one."""
+"""Most starts of a worker that have a line each; older starts share one line."""
 Marks = Mapping[str, tuple[int, int]]
 """For each worker the incarnation and the next sequence number in a checkpoint."""
 
@@ -84,7 +84,7 @@ class _Totals:
                 self.merge(replace(whole, duplicates=entry.steps))
 
     def roll_back(self, resume: Resume) -> None:
-        """Turn accepted chunks that a checkpoint does not hold into lost ones."""
+        """Count accepted chunks that a checkpoint does not hold as lost."""
         for entry in self._accepted:
             for part, held in _split(entry, resume.workers.get(entry.worker, (0, 0))):
                 if not held:

@@ -20,6 +20,9 @@ def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> Chu
     names = tuple(done[0].metrics) if done else ()
     values = [[e.metrics[name] for name in names] for e in done]
     rewards = [e.reward for e in done]
+    log_probability = chunk.rows.log_probability
+    if log_probability is None:
+        log_probability = np.zeros((len(chunk.rows.flag), 0), np.float32)
     return ChunkMessage(
         team=team.digest,
         version=version,
@@ -28,6 +31,7 @@ def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> Chu
         action=chunk.rows.action,
         reward=chunk.rows.reward,
         flag=chunk.rows.flag,
+        log_probability=log_probability,
         farm=np.array([e.farm for e in done], np.int64),
         episode=np.array([e.episode for e in done], np.int64),
         steps=np.array([e.steps for e in done], np.int64),
@@ -37,22 +41,30 @@ def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> Chu
     )
 
 
-def from_message(message: ChunkMessage, team: TeamSpec, episode_metrics: Collection[str]) -> Chunk:
+def from_message(
+    message: ChunkMessage, team: TeamSpec, episode_metrics: Collection[str], *, on_policy: bool = False
+) -> Chunk:
     """Return the chunk of a message, checked against the team.
 
     Args:
         message: the message.
         team: the team that its rows must fit.
         episode_metrics: names of the environment's episode metrics; a finished episode has exactly these.
+        on_policy: whether the rows must have log-probabilities; else they must have none.
 
     Raises:
         VersionError: when it is for another team.
-        SchemaError: when a shape does not fit, a number is not finite, an action leaves [-1, 1], the worker's step
-            count is impossible, or a finished episode has other metrics, or sums larger than its steps allow.
+        SchemaError: when a shape does not fit, a number is not finite, an action leaves [-1, 1] or is not the index of
+            an option, the worker's step count is impossible, or a finished episode has other metrics, or sums larger
+            than its steps allow.
     """
     if message.team != team.digest:
         raise VersionError(f"the rows are for team {message.team[:16]}, the learner trains team {team.digest}.")
-    rows = Rows(message.observation, message.action, message.reward, message.flag)
+    log_probability = message.log_probability
+    if log_probability.ndim != 2 or (log_probability.shape[1] > 0) != on_policy:
+        raise SchemaError("rows have log-probabilities if the algorithm learns on policy, and only then.")
+    columns = message.observation, message.action, message.reward, message.flag
+    rows = Rows(*columns, log_probability if on_policy else None)
     rows.check(team)
     if not rows.steps <= message.produced <= MOST_COUNT:
         raise SchemaError(f"a chunk of {rows.steps} steps cannot bring the steps produced to {message.produced}.")

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from common.errors import FrameError, SchemaError, VersionError
 
-PROTOCOL: Final = 3
+PROTOCOL: Final = 4
 """Version of the protocol; every key contains it."""
 MAX_FRAME: Final = 256 * 1024 * 1024
 """Largest frame that is decoded, bytes."""

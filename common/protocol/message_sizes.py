@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from common.actors import head_outputs, parameter_count
+from common.actors import actor_outputs, parameter_count
 from common.config import RunConfig
 from common.environment import EnvironmentSpec
 from common.errors import ConfigError
@@ -20,7 +20,8 @@ def chunk_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
     """Return the bytes of a worker's largest chunk, in which episodes are as short as the environment allows."""
     steps, team = config.rollout.chunk_steps, environment.team
     ends = math.ceil(steps / environment.episode_steps[0])
-    row = 4 * (team.observation_size + team.action_size + team.agents) + 1
+    numbers = team.observation_size + team.action_size + team.agents * (2 if config.learns_on_policy else 1)
+    row = 4 * numbers + 1
     episodes = config.rollout.environments * ends
     return config.rollout.chunk_rows(ends) * row + episodes * (EPISODE_BYTES + 4 * team.agents)
 
@@ -34,7 +35,7 @@ def evaluation_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
 
 def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
     """Return the most bytes that all actors can take."""
-    sizes = ((g.count, g.observation_size, head_outputs(g.action_size, "gaussian")) for g in team.groups)
+    sizes = ((g.count, g.observation_size, actor_outputs(g, "gaussian")) for g in team.groups)
     return 4 * sum(
         count * parameter_count(inputs, config.algorithm.hidden, outputs) for count, inputs, outputs in sizes
     )

@@ -12,6 +12,7 @@ from common.transitions import Chunk
 from elite.evaluation_plan import evaluation_plan
 from elite.scoring import decide
 from learner.trainer import Trainer
+from learner.trainers import make_trainer
 from rollout.worker.collector import Collector, run_noise_free_episodes
 
 WORKER = "0"
@@ -31,24 +32,24 @@ def train_in_process(
         The trainer with its final actors.
     """
     collector = Collector(config, WORKER, 0)
-    trainer = Trainer(config, collector.team)
+    trainer = make_trainer(config, collector.team)
     schedule = ImitationSchedule.of(config)
-    version = trainer.next_version()
+    version, published = trainer.next_version(), trainer.changes
     actors, seen_steps, progress, chunks = trainer.actors(), trainer.environment_steps, 0.0, 0
     while trainer.episodes < config.episodes:
-        uniform = seen_steps < config.replay.warmup_steps
-        chunk = collector.collect(actors, config.exploration.noise_std(progress), uniform)
+        chunk = collector.collect(actors, *config.exploration_at(progress, seen_steps))
         chunks += 1
         trainer.absorb(chunk, version, WORKER, chunks)
         trainer.train(max(0, trainer.updates_due()))
-        version = trainer.next_version()
+        if trainer.changes != published or not trainer.publishes_at_once:
+            version, published = trainer.next_version(), trainer.changes
         while schedule.is_due(trainer.events, trainer.episodes):
             number = trainer.events + 1
             due = schedule.due_episode(number) or 0
             reward, steps = run_noise_free_episodes(config, trainer.actors(), *evaluation_plan(config, number))
             rewards = [episode[:length] for episode, length in zip(reward, steps, strict=True)]
             trainer.imitate(decide(trainer.team, config.elite, number, version, due, rewards))
-            version = trainer.next_version()
+            version, published = trainer.next_version(), trainer.changes
         actors, seen_steps = trainer.actors(), trainer.environment_steps
         progress = min(1.0, trainer.episodes / config.episodes)
         watch(trainer, chunk)

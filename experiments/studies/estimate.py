@@ -13,7 +13,7 @@ from typing import Any, Final
 from common.config import RunConfig
 from experiments.studies.jobs import Job, Records
 from experiments.studies.perform import farms_of
-from learner.trainer import Trainer
+from learner.off_policy_trainer import OffPolicyTrainer
 from rollout.evaluation import evaluate
 from rollout.policies import ActorPolicy, Policy, policy_of
 from rollout.worker.collector import Collector
@@ -78,7 +78,7 @@ def _measure_training(job: Job) -> float:
     room = min(config.replay.capacity, max(4096, 2 * config.algorithm.batch, rows))
     short = replace(config, replay=replace(config.replay, warmup_steps=0, capacity=room))
     collector = Collector(short, "0", 0)
-    trainer = Trainer(short, collector.team)
+    trainer = OffPolicyTrainer(short, collector.team)
     actors, world = trainer.actors(), config.farm.world
     trainer.absorb(collector.collect(actors, 0.1, False))
     while trainer.replay.transitions < config.algorithm.batch:

@@ -8,7 +8,7 @@ from common.history.summary import Marks, summarised
 from learner.intake.ledger import LedgerSnapshot
 
 MOST_RECORDS: Final = 20_000
-"""Number of records, some megabytes, above which those before all checkpoints become totals."""
+"""Number of records (some megabytes) above which totals replace those before all checkpoints."""
 
 
 class HistoryCompaction:
@@ -16,7 +16,7 @@ class HistoryCompaction:
 
     Args:
         history: the learner's.
-        kept: checkpoints that are kept.
+        kept: number of checkpoints that are kept.
     """
 
     def __init__(self, history: History, kept: int) -> None:

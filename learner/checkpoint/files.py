@@ -130,7 +130,7 @@ def load_latest(directory: Path, most_bytes: int = MAX_TENSORS) -> Found | None:
         else:
             return Found(tensors, manifest, tuple(skipped))
     if skipped:
-        raise CheckpointError(f"no checkpoint in {directory} is whole: {' '.join(text for _, text in skipped)}")
+        raise CheckpointError(f"all checkpoints in {directory} are damaged:  {' '.join(text for _, text in skipped)}")
     return None
 
 
@@ -182,7 +182,7 @@ def _verified(manifest: Any, text: bytes, data: bytes) -> dict[str, Any]:
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT or not isinstance(manifest["body"], dict):
         raise ValueError("its manifest is of another format")
     if _manifest(manifest["body"], len(data), hashlib.sha256(data).hexdigest()) != text:
-        raise ValueError("its contents do not have the checksums in its manifest")
+        raise ValueError("its contents do not match the checksums in its manifest")
     body: dict[str, Any] = manifest["body"]
     return body
 

@@ -1,4 +1,4 @@
-"""Reads from a resumed learner's history which chunks were accepted after the checkpoint and are lost.
+"""Finds the chunks that a resumed learner had accepted after its checkpoint, and counts them as lost.
 
 A worker drops a chunk once it is acknowledged. So a chunk that the learner accepted after its last checkpoint never
 arrives again. It is booked as lost here, not at the worker's next delivery, which may never happen.
@@ -18,7 +18,7 @@ def last_epoch(records: Iterable[Record]) -> int:
 
 
 def recover_losses(history: History, ledger: Ledger, epoch: int, *, resumed: bool) -> int:
-    """Record a start of the learner in its history, and book what an earlier start accepted after the checkpoint.
+    """Record a start of the learner in its history, and book as lost what was accepted after the checkpoint.
 
     Args:
         history: the learner's own.
@@ -41,14 +41,14 @@ def recover_losses(history: History, ledger: Ledger, epoch: int, *, resumed: boo
 
 
 def _book(ledger: Ledger, entry: Entry) -> None:
-    """Book the chunks of an entry that the ledger does not know yet, in time that does not depend on their number."""
+    """Book the chunks of an entry that the ledger does not know yet, in constant time."""
     known = ledger.workers.get(entry.worker)
     if known is not None and entry.incarnation < known.incarnation:
         return
     first = max(entry.first, known.expected if known is not None and entry.incarnation == known.incarnation else 0)
     if first > entry.last:
         return
-    # Only the first chunk can follow a gap. Those behind it continue the counts, so they are booked as one.
+    # Only the first chunk can follow a gap. The others continue its counts, so they are booked at once.
     _book_chunks(ledger, entry, first, first)
     if first < entry.last:
         _book_chunks(ledger, entry, first + 1, entry.last)

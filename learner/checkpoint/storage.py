@@ -12,7 +12,6 @@ from common.process import log
 from learner.checkpoint import files
 from learner.checkpoint.trainer_state import counter, finite, mapping
 from learner.checkpoint.writer import CheckpointWriter
-from learner.data.replay import LARGE, SMALL
 from learner.intake.ledger import Ledger
 from learner.trainer import Trainer
 
@@ -72,7 +71,7 @@ class RunStorage:
             raise RunDirError(f"another directory has taken the place of the run directory {self._directory}.")
 
     def save(self, trainer: Trainer, ledger: SavableLedger, elapsed: float, epoch: int, *, wait: bool = False) -> None:
-        """Begin to write a checkpoint of this instant, or count it as skipped while the previous one is being written.
+        """Start to write a checkpoint of this instant; skip it, and count that, if the previous one is not yet written.
 
         Training continues meanwhile, and also after a failure (see `alarm`); the previous checkpoint then stays.
 
@@ -134,12 +133,12 @@ class RunStorage:
         """
         if self._directory is None or not (self._directory / CHECKPOINTS).is_dir():
             return 0.0, 0
-        found = files.load_latest(self._directory / CHECKPOINTS, largest_state(trainer))
+        found = files.load_latest(self._directory / CHECKPOINTS, trainer.largest_checkpoint() + SLACK_BYTES)
         if found is None:
             return 0.0, 0
         self._set_aside(found)
         manifest = found.manifest
-        # Checkpoints of earlier versions have no such digest or another one; config.toml has been compared already.
+        # Earlier versions saved no digest of this name. The caller has already compared config.toml.
         if manifest.get("method", self._method) != self._method:
             raise RunDirError(f"the checkpoint in {self._directory} belongs to another configuration.")
         elapsed, epoch = finite(manifest, "elapsed"), counter(manifest, "epoch")
@@ -172,13 +171,6 @@ class RunStorage:
             log(f"ALARM: {error}")
             return str(error)
         return ""
-
-
-def largest_state(trainer: Trainer) -> int:
-    """Return an upper bound, in bytes, for the tensors in a checkpoint of this trainer."""
-    engine = sum(tensor.nbytes for tensor in trainer.engine.tensors().values())
-    rows = sum(getattr(trainer.replay, name).nbytes for name in (*LARGE, *SMALL))
-    return int(engine + rows + 8 * trainer.replay.capacity + SLACK_BYTES)
 
 
 def _identity(path: Path) -> tuple[int, int] | None:

@@ -36,7 +36,7 @@ MOST_EPISODES: Final = 4096
 
 
 def checked_tensors(targets: Mapping[str, Tensor], source: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return the sources, by the targets' names, after checking that they can be copied into the targets.
+    """Check that the sources can be copied into the targets; return them by the targets' names.
 
     Raises:
         CheckpointError: when one is missing, has another type or shape, or holds a number that is not finite.

@@ -52,7 +52,7 @@ class IndexSet:
         """
         capacity = self._places.shape[0]
         if members.ndim != 1 or members.shape[0] > capacity or (members < 0).any() or (members >= capacity).any():
-            raise CheckpointError("the places that may be drawn do not fit the replay buffer.")
+            raise CheckpointError("the drawable rows do not fit the replay buffer.")
         slot = np.full(capacity, -1, np.int64)
         slot[members] = np.arange(members.shape[0])
         if np.count_nonzero(slot >= 0) != members.shape[0]:

@@ -5,7 +5,7 @@ successor, found by index. If a chunk continues a trajectory of the previous chu
 that is already in the ring (see `learner.data.segments`). A successor is always newer than its row, so the successor of
 every row with a step is in the ring.
 
-With n steps (reading A5 with more rewards before the bootstrap), a transition from row t is
+With n-step targets (A5 with more rewards before the bootstrap), a transition from row t is
 
     reward = sum_{k < m} gamma^k r_{t+k},   next_observation = o_{t+m},   discount = gamma^m,
 
@@ -107,7 +107,7 @@ class Replay:
             rows: whole segments, checked against the team.
             version: policy version that acted in them.
             source: name of their producer, whose next chunk can continue them; empty if none does.
-            number: number of this chunk among those of the source, which increases by one.
+            number: number of this chunk; a source numbers its chunks consecutively.
 
         Raises:
             ConfigError: when there are more rows than the ring holds.
@@ -120,7 +120,7 @@ class Replay:
         living = held >= self.written + count - self.capacity
         starts, held = starts[living], held[living]
         small = self.flag, self.version, self.successor, self.uses
-        # A copy, because a message's arrays are read-only, and the kernel would be compiled again for that type.
+        # A copy, because a message's arrays are read-only, and numba would compile the kernel again for that type.
         numbers, new, drawable, gone, uses = replay_kernels.enter(
             rows.flag.copy(), starts, held, version, self.written, *small
         )
@@ -262,7 +262,7 @@ class Replay:
                 raise CheckpointError(f"the replay buffer's {name} does not fit the team or the capacity.")
         drawable, successor = tensors["drawable"], tensors["successor"]
         if drawable.dtype != torch.int64 or ((drawable < 0) | (drawable >= used)).any():
-            raise CheckpointError("the places that may be drawn do not fit the replay buffer.")
+            raise CheckpointError("the drawable rows do not fit the replay buffer.")
         if ((successor < 0) | (successor >= used)).any():
             raise CheckpointError("the replay buffer's successors do not fit the replay buffer.")
         if not ((tensors["flag"][drawable] & TRANSITION) != 0).all():

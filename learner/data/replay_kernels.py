@@ -12,7 +12,7 @@ from learner.networks.kernels import Table
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function that keeps Python's lock, because it runs faster than the lock is released and regained."""
+    """Compile a function that keeps Python's lock: releasing and regaining it would take longer than the function."""
     return cast(Function, numba.njit(error_model="numpy", cache=True)(function))
 
 

@@ -107,7 +107,7 @@ class OpenEnds:
 
 def _count(value: Any, limit: int) -> int:
     if type(value) is not int or not 0 <= value < limit:
-        raise ValueError("a number is none of ours")
+        raise ValueError("a number is out of range")
     return value
 
 

@@ -37,6 +37,7 @@ class ChunkRules:
         shortest: fewest steps of an episode.
         longest: most steps of an episode.
         episode_metrics: names of the environment's episode metrics.
+        log_probabilities: whether rows hold log-probabilities, as algorithms that learn on policy need.
     """
 
     environments: int
@@ -45,12 +46,14 @@ class ChunkRules:
     shortest: int
     longest: int
     episode_metrics: tuple[str, ...] = ()
+    log_probabilities: bool = False
 
     @classmethod
     def of(cls, config: RunConfig, environment: EnvironmentSpec) -> "ChunkRules":
         """Return the rules of a run."""
-        rollout, names = config.rollout, environment.metric_names
-        return cls(rollout.environments, rollout.chunk_steps, rollout.spool_chunks, *environment.episode_steps, names)
+        rollout, steps = config.rollout, environment.episode_steps
+        sizes = rollout.environments, rollout.chunk_steps, rollout.spool_chunks
+        return cls(*sizes, *steps, environment.metric_names, config.learns_on_policy)
 
     @property
     def steps(self) -> int:

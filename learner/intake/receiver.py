@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import ReplayConfig
 from common.errors import ProtocolError, SchemaError
 from common.history.history import Entry, History
 from common.incarnation import plausible
@@ -24,6 +23,7 @@ from common.transport.bus import Incoming, Server
 from learner.intake.arrival import Arrival, OwedAnswer
 from learner.intake.chunk_rules import ChunkRules, EpisodeTracker, provable
 from learner.intake.ledger import Ledger
+from learner.intake.limits import IntakeLimits
 from learner.intake.peer_penalties import BLOCK_SECONDS, PeerPenalties
 from learner.intake.throttle import Throttle
 
@@ -63,13 +63,14 @@ class Receiver:
         gate: lock held while a chunk is booked and queued, so that ledger and queue can be read together.
         required_version: parameter version that a worker must hold before it continues (lockstep), else 0.
         version: the newest published parameter version; a chunk that claims a newer one counts as this version.
+        room: environment steps that the running iteration still takes in; None where there is no limit.
 
     Args:
         server: where chunks arrive.
         team: layout of their rows.
         rules: checks of chunks against the run's configuration.
         ledger: deduplication and the account of every worker; the receiver owns it from now on.
-        replay: gives the size of the queue and the largest version lag.
+        limits: the size of the queue and the largest version lag.
         lockstep: whether the learner itself answers, after it has trained; a request then holds one chunk.
         history: where each verdict is written before it is sent.
         version: the newest parameter version so far.
@@ -81,19 +82,21 @@ class Receiver:
         team: TeamSpec,
         rules: ChunkRules,
         ledger: Ledger,
-        replay: ReplayConfig,
+        limits: IntakeLimits,
         lockstep: bool,
         history: History | None = None,
         version: int = 0,
     ) -> None:
-        self.arrivals: queue.Queue[Arrival] = queue.Queue(replay.intake_chunks)
+        self.arrivals: queue.Queue[Arrival] = queue.Queue(limits.chunks)
         self.server, self.ledger = server, ledger
         self.malformed = self.replaced = self.uncounted_episodes = 0
         self.peer_penalties, self.throttle = PeerPenalties(), Throttle()
         self.required_version, self.version = 0, version
         self._history = history or History(None)
         self._damaged: dict[str, tuple[int, int, int]] = {}
-        self._most_lag = replay.max_lag_versions
+        self._most_lag = limits.most_lag
+        self.room: int | None = None
+        self._iteration, self._ahead = -1, 0
         self._team, self._rules, self._lockstep = team, rules, lockstep
         self._episodes = EpisodeTracker(rules)
         self._met: dict[str, int] = {}
@@ -123,9 +126,32 @@ class Receiver:
         with self.gate:
             self._closing.set()
 
-    def set_version(self, version: int) -> None:
-        """Set the newest published version, against which the age of chunks is measured."""
-        self.version = version
+    def set_version(self, version: int, *, updating: bool = False) -> None:
+        """Set the newest published version, against which the age of chunks is measured; see `take_in`."""
+        with self.gate:
+            self.version, self._ahead = version, int(updating)
+
+    def take_in(self, iteration: int, steps: int, *, updating: bool) -> None:
+        """Take in chunks until an iteration has its steps; later chunks wait. A repeated call changes nothing.
+
+        `updating` says whether another version is published before the steps are learned from.
+        """
+        with self.gate:
+            self._ahead = int(updating)
+            if iteration != self._iteration:
+                self._iteration, self.room = iteration, steps
+
+    @property
+    def wanted(self) -> int | None:
+        """Environment steps of the newest published policy that are still taken in; None where there is no limit."""
+        with self.gate:
+            too_old = self._most_lag is not None and self._ahead > self._most_lag
+            return 0 if too_old and self.room is not None else self.room
+
+    def take_in_all(self) -> None:
+        """Take in chunks without limit."""
+        with self.gate:
+            self.room = None
 
     def require_version(self, version: int) -> None:
         """Let workers continue only with this version or a later one (lockstep)."""
@@ -249,16 +275,21 @@ class Receiver:
                 self._record("duplicate", sender, 1)
             return status, ""
         try:
-            chunk = from_message(message, self._team, self._rules.episode_metrics)
+            chunk = from_message(
+                message, self._team, self._rules.episode_metrics, on_policy=self._rules.log_probabilities
+            )
             self._rules.check_counts(sender, chunk.rows.steps, message.produced, delivery.flown)
             since = self._episodes.check(sender, chunk)
         except ProtocolError as error:
             self._bad(sender.name, str(error))
             return self._refuse(sender, error)
-        sender = replace(sender, version=min(message.version, self.version))
+        if not self._await_room():
+            return "closed", ""
+        with self.gate:
+            sender = replace(sender, version=min(message.version, self.version))
+            lag = self.version + self._ahead - sender.version
         counts = chunk.rows.steps, message.produced, delivery.flown
-        lag = self.version - sender.version
-        if 0 < self._most_lag < lag:
+        if self._most_lag is not None and lag > self._most_lag:
             self._record_taken("refused", sender, counts, self.ledger.refuse_aged(sender, *counts))
             self._settle(sender, since)
             return "refused", f"its policy is {lag} versions old, more than {self._most_lag}."
@@ -266,6 +297,17 @@ class Receiver:
         if verdict == TAKEN:
             self._settle(sender, since)
         return verdict
+
+    def _await_room(self) -> bool:
+        """Wait until the running iteration takes in a chunk; return False if no more chunks are accepted."""
+        while True:
+            with self.gate:
+                if self._closing.is_set():
+                    return False
+                if self.room is None or self.room > 0:
+                    return True
+            self._dealt_with.set()
+            self._closing.wait(FULL_SECONDS)
 
     def _settle(self, sender: Envelope, since: NDArray[np.int64]) -> None:
         """Remember the worker of a whole chunk, and its environments' running episodes."""
@@ -308,7 +350,8 @@ class Receiver:
         names, reasons = zip(*verdicts, strict=True)
         if not set(names) & WORTH_LOOKING:
             self._bad(sender.name, f"chunk {sender.sequence} is a {names[0]}.")
-        incoming.reply(ChunkAck(names, reasons, self.ledger.expected(sender), version).encode())
+        room = -1 if self.room is None else max(0, self.room)
+        incoming.reply(ChunkAck(names, reasons, self.ledger.expected(sender), version, room).encode())
 
     def _record(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:
         """Write a verdict into the history."""
@@ -339,6 +382,8 @@ class Receiver:
                     self.peer_penalties.good(sender.name)
                     self._owed = owed
                     chunk = replace(chunk, episodes=counted)
+                    if self.room is not None:
+                        self.room -= counts[0]
                     self.arrivals.put_nowait(Arrival(chunk, sender, self.ledger.now(), owed))
                     return TAKEN
             self._dealt_with.set()

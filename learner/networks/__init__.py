@@ -1,1 +1,1 @@
-"""Stacked networks: many small perceptrons as a few batched matrix products, with their optimiser."""
+"""Many small perceptrons, computed as a few batched products or by compiled kernels, and their optimiser."""

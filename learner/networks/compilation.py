@@ -7,7 +7,7 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 FASTMATH: Final = {"reassoc", "contract", "nsz"}
-"""Sums may be taken in another order, as vector instructions do; numbers that are not finite stay so."""
+"""What the compiler may assume: sums may be reordered for vector instructions, but numbers need not be finite."""
 
 
 def compiled(function: Function) -> Function:

@@ -1,4 +1,4 @@
-"""`learner.networks.stacked.Pass` by compiled kernels, on one or more processor cores."""
+"""A `Pass` (see `learner.networks.stacked`) that runs compiled kernels on one or more processor cores."""
 
 import itertools
 from collections.abc import Sequence
@@ -30,34 +30,34 @@ from learner.networks.stacked import Forward, ForwardCounter, Networks, Paramete
 
 
 def make_pass(networks: Networks, like: Tensor, *, cores: int) -> Pass:
-    """Return the pass of a networks: compiled for so many processor cores, or stacked where that is 0."""
+    """Return a pass for these networks: compiled for `cores` processor cores, or stacked if `cores` is 0."""
     return CompiledPass(networks, like, cores) if cores else StackedPass(networks, like)
 
 
 def shares(costs: Sequence[float], cores: int) -> tuple[Table, Table]:
-    """Share things out among cores so that all take about as long: the dearest first, each to who has least.
+    """Distribute items so that all cores take about as long: the costliest first, each to the core with the least.
 
     Returns:
-        the order in which the things of a core are neighbours; where each core's begin, and the end [parts + 1].
+        the items in an order that keeps each core's together; where each core's items start, and the end [parts + 1].
     """
     parts: list[list[int]] = [[] for _ in range(max(1, min(cores, len(costs))))]
     loads = [0.0] * len(parts)
-    for thing in sorted(range(len(costs)), key=lambda thing: -costs[thing]):
+    for item in sorted(range(len(costs)), key=lambda item: -costs[item]):
         least = loads.index(min(loads))
-        parts[least].append(thing)
-        loads[least] += costs[thing]
-    order = [thing for part in parts for thing in sorted(part)]
+        parts[least].append(item)
+        loads[least] += costs[item]
+    order = [item for part in parts for item in sorted(part)]
     bounds = [0, *itertools.accumulate(len(part) for part in parts)]
     return np.array(order, np.int64), np.array(bounds, np.int64)
 
 
 def usable_cores(threads: int) -> int:
-    """Return on how many cores kernels can compute where torch has so many threads; numba has a limit of its own."""
+    """Return how many cores the kernels can use, given the threads of torch; numba has a limit of its own."""
     return int(min(threads, vars(numba.config)["NUMBA_NUM_THREADS"]))
 
 
 def even(size: int, cores: int) -> Table:
-    """Return where the parts of a vector begin that the cores sweep, and its end [cores + 1]."""
+    """Divide a vector evenly among cores; return where each core's part starts, and the end [cores + 1]."""
     return np.linspace(0, size, cores + 1).astype(np.int64)
 
 
@@ -69,7 +69,7 @@ def storage(tensor: Tensor) -> NDArray[Any]:
 
 
 class CompiledPass:
-    """A `Pass` by the functions of `learner.networks.kernels`; see there."""
+    """A `Pass` that calls the functions of `learner.networks.kernels`."""
 
     def __init__(self, networks: Networks, like: Tensor, cores: int) -> None:
         self.networks = networks
@@ -91,7 +91,7 @@ class CompiledPass:
 
     def _placed(self, tensors: Sequence[Tensor]) -> tuple[NDArray[Any], Table]:
         """Return the storage of one tensor for each stack, and where each network's part starts in it."""
-        # All are views of one storage in the team's order, so whoever begins, steps and ends alike is alike.
+        # All are views of one storage in the team's order, so these four numbers identify the list of tensors.
         key = tensors[0].data_ptr(), tensors[0].stride(0), tensors[-1].data_ptr(), len(tensors)
         found = self._known.get(key)
         if found is None:
@@ -135,7 +135,7 @@ class CompiledPass:
 
 
 def _table(networks: Networks) -> Table:
-    """Return where each network's parts are; see `learner.networks.kernels`."""
+    """Return where each network's parts start: the table of `learner.networks.kernels`."""
     rows = np.zeros((sum(stack.count for stack in networks.stacks), COLUMNS), np.int64)
     n = output = 0
     for stack, first, second, head in zip(networks.stacks, *networks.typed, strict=True):

@@ -25,7 +25,7 @@ class Graphs:
         self._captured: dict[tuple[bool, bool], tuple[torch.cuda.CUDAGraph, Diagnostics | None]] = {}
 
     def update(self, batch: Batch, noise: Tensor, *, actor_step: bool, diagnostics: bool) -> Diagnostics | None:
-        """Replay the update of this kind, capturing it first where it is new; see `Algorithm.update`."""
+        """Replay the update of this kind, after capturing it if it is new; see `Algorithm.update`."""
         if self._batch is None or self._noise is None:
             self._batch, self._noise = Batch(*(t.clone() for t in batch)), noise.clone()
         for mine, given in zip(self._batch, batch, strict=True):

@@ -59,7 +59,7 @@ def action_views(team: TeamSpec, batch: int, flat: Tensor) -> list[Tensor]:
 
 
 class RowLayout:
-    """Where the numbers of every agent stand in a row of the whole team.
+    """Where each agent's numbers are in a row of the whole team.
 
     Args:
         sizes: for each type the number of its agents and the size of one agent's part.
@@ -95,12 +95,12 @@ class Inputs:
         batch: rows of a batch, B.
         joint: whether critics see all agents.
         like: a tensor of the wanted device and type.
-        pooled: whether critics that a type shares take part.
+        pooled: whether types share critics.
 
     Attributes:
         actor: for each type [n_v, B, 1 + o_v].
         critic: for each type [n_v, B, 1 + width]; in the joint scope all agents see the same rows.
-        pooled: for each type the rows of all its agents for critics that it shares, [n_v * B, 1 + width].
+        pooled: for each type the rows of all its agents, as its shared critics see them, [n_v * B, 1 + width].
     """
 
     def __init__(self, team: TeamSpec, batch: int, joint: bool, like: Tensor, *, pooled: bool = False) -> None:
@@ -130,7 +130,7 @@ class Inputs:
         self._change_views = action_views(team, batch, self._change)
 
     def _split_critic_columns(self) -> None:
-        """Take the critics' inputs apart into observations and actions, the latter [n_v, B, a_v] for each type."""
+        """Split the critics' inputs into observations and actions, the latter [n_v, B, a_v] for each type."""
         if self._joint:
             row, actions = self._row[:, 1:], self._row[:, 1 + self._team.observation_size :]
             self._critic_observations = [row[:, : self._team.observation_size]]
@@ -156,7 +156,7 @@ class Inputs:
         return self
 
     def with_actions(self, action: Tensor) -> "Inputs":
-        """Replace the actions that critics see by others, given in the action layout; return these inputs."""
+        """Set the actions that critics see, given in the action layout; return these inputs."""
         views = action_views(self._team, self._batch, action)
         for x, part in zip(self._critic_actions, views, strict=True):
             x.copy_(part)
@@ -164,12 +164,12 @@ class Inputs:
         return self
 
     def action_change(self, action: Tensor) -> list[Tensor]:
-        """Return, for each type, how actions in the action layout differ from the batch's: [n_v, B, a_v]."""
+        """Return, for each type, actions in the action layout minus those of the batch: [n_v, B, a_v]."""
         torch.sub(action, self._batch_action, out=self._change)
         return self._change_views
 
     def _fill_pooled(self) -> None:
-        """Bring joint rows into every agent's own order where a type shares critics."""
+        """Write joint rows in each agent's own order for critics that a type shares."""
         if not self._joint:
             return
         for x, columns, group in zip(self.pooled, self._columns, self._team.groups, strict=False):

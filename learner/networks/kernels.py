@@ -1,11 +1,10 @@
 """The learner's arithmetic compiled for processor cores: passes of small networks, and Adam.
 
-A network's products, its biases, its rectifiers and their gradients follow one another while its numbers are in the
-cache. All arrays are flat and contiguous; a table says where each network's parts start. The products are those of
-`learner.networks.matrix_products`.
+Networks are computed one after another, so that a network's numbers stay in the cache. All arrays are flat and
+contiguous; a table says where each network's parts start. The products are those of `learner.networks.matrix_products`.
 
-The functions whose names end in `_on_cores` share the same work: `bounds` says which lines of the table, or which
-numbers, each core takes. A network's own numbers are the same on any number of cores.
+Functions whose names end in `_on_cores` divide the same work: `bounds` says which rows of the table, or which numbers,
+each core takes. A network's own numbers do not depend on the number of cores.
 """
 
 from typing import Final
@@ -20,14 +19,15 @@ from learner.networks.matrix_products import Floats, multiply, multiply_by_trans
 Table = NDArray[np.int64]
 
 ROWS, FAN_IN, WIDTH, FAN_OUT, FIRST, SECOND, HEAD, ROW, OUTPUT, OWN, OWN_SIZE, COLUMNS = range(12)
-"""Columns of a table: rows; inputs with the one; units of a hidden layer; outputs; where the layers start in the flat
-parameters; where the rows start among all rows; where the outputs start; the first input of the own action and its
-size."""
+"""Columns of a table: rows; inputs, with the leading one; units of a hidden layer; outputs; where each layer starts in
+the flat parameters; where the rows start among all rows; where the outputs start; the first input of the own action,
+and its size."""
 
 APART: Final = 336
-"""Numbers between one buffer of a network and the next: without them lines of all would share a place in the cache."""
+"""Numbers between the buffers of a network; without this gap, lines of all buffers would compete for one place in the
+cache."""
 SWEEP: Final = 2048
-"""Parameters that Adam takes before their target follows, so that these are still in the cache."""
+"""Parameters that Adam updates before it moves their targets, so that the parameters are still in the cache."""
 
 
 @compiled
@@ -152,7 +152,7 @@ def action_gradient(
     places: Table,
     piece: int,
 ) -> None:
-    """Add the gradient of sum(upstream * output) by the own actions to `into`, for scalar networks."""
+    """Add to `into` the gradient of sum(upstream * output) by the own actions, for scalar networks."""
     width = table[0, WIDTH]
     for n in range(table.shape[0]):
         rows = table[n, ROWS]
@@ -175,7 +175,7 @@ def action_gradient(
 
 
 def scratch_size(rows: int, width: int, action: int) -> int:
-    """Return how many numbers gradients need besides, for rows of a width with own actions."""
+    """Return how many numbers of scratch the gradients of one network need."""
     return 2 * (rows * width + APART) + max(rows * action, width * width)
 
 
@@ -189,7 +189,7 @@ def _scratch(scratch: Floats, rows: int, width: int) -> tuple[Floats, Floats, Fl
 
 @compiled
 def _shift(sums: Floats, change: Floats, weights: Floats) -> None:
-    """Add what a change of a few inputs [rows, a] adds to sums [rows, width]."""
+    """Add the effect of a change of a few inputs [rows, a] to sums [rows, width]."""
     for r in range(sums.shape[0]):
         for k in range(change.shape[1]):
             for c in range(sums.shape[1]):
@@ -198,7 +198,7 @@ def _shift(sums: Floats, change: Floats, weights: Floats) -> None:
 
 @compiled
 def _rectify(values: Floats, bias: Floats) -> None:
-    """Write max(values + bias, 0); adding a bias of zeros is what keeps the loop in vector instructions."""
+    """Write max(values + bias, 0). Without a bias, callers pass zeros, which keeps the loop vectorised."""
     for r in range(values.shape[0]):
         for c in range(values.shape[1]):
             value = values[r, c] + bias[c]
@@ -214,7 +214,7 @@ def _mask(gradient: Floats, activation: Floats) -> None:
 
 @compiled
 def _outer(above: Floats, head: Floats, activation: Floats, out: Floats) -> None:
-    """Write the gradient by a scalar head's sums below, above head^T, where the activation is above 0."""
+    """Write the gradient by the sums below a scalar head: above head^T where the activation is above 0, else 0."""
     for r in range(out.shape[0]):
         out_gradient, active, row = above[r], activation[r], out[r]
         for c in range(head.shape[0]):
@@ -276,7 +276,7 @@ def forward_on_cores(
     output: Floats,
     piece: int,
 ) -> None:
-    """Do `forward`; `places` has a line for each network, even where `delta` is empty."""
+    """Do `forward` on several cores; `places` has an entry for each network even if `delta` is empty."""
     for part in numba.prange(bounds.shape[0] - 1):
         a, b = bounds[part], bounds[part + 1]
         forward(table[a:b], starts[a:b], x, parameters, delta, places[a:b], h1, h2, output, piece)
@@ -296,7 +296,7 @@ def parameter_gradient_on_cores(
     into: Floats,
     piece: int,
 ) -> None:
-    """Do `parameter_gradient`; `scratch` is as large for each core."""
+    """Do `parameter_gradient` on several cores, each with `scratch_size` numbers of `scratch`."""
     size = scratch.shape[0] // (bounds.shape[0] - 1)
     for part in numba.prange(bounds.shape[0] - 1):
         a, b = bounds[part], bounds[part + 1]
@@ -317,7 +317,7 @@ def action_gradient_on_cores(
     places: Table,
     piece: int,
 ) -> None:
-    """Do `action_gradient`; `scratch` is as large for each core, each of which adds up a sum of its own first."""
+    """Do `action_gradient` on several cores, each with a sum of its own and `scratch_size` numbers of `scratch`."""
     parts = bounds.shape[0] - 1
     size = scratch.shape[0] // parts
     sums = np.zeros((parts, into.shape[0]), into.dtype)
@@ -340,7 +340,7 @@ def adam_on_cores(
     settings: Floats,
     target: Floats,
 ) -> None:
-    """Do `adam`."""
+    """Do `adam` on several cores."""
     for part in numba.prange(bounds.shape[0] - 1):
         a, b = bounds[part], bounds[part + 1]
         adam(parameters[a:b], gradient[a:b], mean[a:b], square[a:b], settings, target[a:b])

@@ -1,4 +1,4 @@
-"""Matrix products of the compiled kernels: BLAS products, cut into the pieces that BLAS is fastest at.
+"""Matrix products of the compiled kernels: BLAS products, cut into pieces of the size at which BLAS is fastest.
 
 OpenBLAS, which SciPy ships, reorders both factors before it multiplies them. That doubles the time of small products.
 With AVX-512 it has kernels that skip the reordering, for products of up to a million multiplications whose
@@ -19,22 +19,22 @@ from numpy.typing import NDArray
 from learner.networks.compilation import compiled
 
 Floats = NDArray[Any]
-"""Float32 or float64, contiguous, all of one call alike."""
+"""Contiguous float32 or float64; all arrays of one call have the same type."""
 
 SMALL: Final = 1_000_000
-"""Multiplications of a product up to which OpenBLAS copies nothing."""
+"""Largest product, in multiplications, for which OpenBLAS copies nothing."""
 WHOLE: Final = 1 << 62
-"""Multiplications of a piece where products are not to be cut."""
+"""Size of a piece, in multiplications, that leaves every product whole."""
 BLOCK: Final = 36_864
-"""Bytes of the second factor that a piece reads again for each row of its result; they fit into the nearest cache."""
+"""Bytes of the second factor in a piece. Every row of the result reads them, so they fit into the nearest cache."""
 LANES: Final = 16
-"""Numbers of the longest vector."""
+"""Numbers in the longest vector register."""
 TILE: Final = 8
 """Side of the squares in which a matrix is transposed."""
 
-# What np.dot compiles to. It stands in numba's own library under this name, by which compiled code that is kept on disk
-# finds it again. Factors are in BLAS's order of columns: letters for the type and for transposed factors, sizes, and
-# places and leading dimensions.
+# The function that np.dot compiles to. Numba's own library has it under this name, so compiled code on disk finds it
+# again. Its arguments are those of a column-major BLAS: letters for the type and for transposed factors, sizes, and
+# addresses with leading dimensions.
 _gemm: Callable[..., int] = types.ExternalFunction(
     "numba_xxgemm",
     types.int32(
@@ -49,7 +49,7 @@ _gemm: Callable[..., int] = types.ExternalFunction(
     ),
 )
 _SINGLE, _DOUBLE, _PLAIN, _TRANSPOSED = (ord(letter) for letter in "sdnt")
-# Global, because what is allocated in a kernel may be freed after the last use of its name, before BLAS reads it.
+# Global, because an array made in a kernel may be freed after the last use of its name, before BLAS reads it.
 _SINGLE_UNITS, _DOUBLE_UNITS = np.array([0.0, 1.0], np.float32), np.array([0.0, 1.0], np.float64)
 
 
@@ -113,7 +113,7 @@ def transpose(matrix: Floats, out: Floats) -> None:
         for c in range(0, whole_columns, TILE):
             for j in range(TILE):
                 for i in range(TILE):
-                    # Unsigned, because an index that could be negative keeps the loop from vector instructions.
+                    # Unsigned, because the compiler does not vectorise a loop whose index could be negative.
                     place[np.uint64((c + j) * rows + r + i)] = source[np.uint64((r + i) * columns + c + j)]
     out[whole_columns:] = matrix[:, whole_columns:].T
     out[:, whole_rows:] = matrix[whole_rows:].T
@@ -121,15 +121,15 @@ def transpose(matrix: Floats, out: Floats) -> None:
 
 @compiled
 def _in_pieces(a: Floats, b: Floats, out: Floats, letter: int, step: int, term: int, piece: int) -> None:
-    """Write a product whose sums have as many terms as b has rows.
+    """Write a product piece by piece; its sums have as many terms as b has rows.
 
     Args:
         a: the first factor, plain or to be transposed.
         b: [terms, C].
         out: [lines, C].
         letter: how BLAS is to take `a`.
-        step: how far the numbers of `a` for a line of the result and for the next are apart.
-        term: how far those of two neighbouring terms are apart.
+        step: distance in `a` from a line of the result to the next.
+        term: distance in `a` from a term of a sum to the next.
         piece: multiplications of a piece.
     """
     lines, terms, columns, size = out.shape[0], b.shape[0], b.shape[1], a.itemsize
@@ -148,7 +148,7 @@ def _in_pieces(a: Floats, b: Floats, out: Floats, letter: int, step: int, term: 
 
 @compiled
 def _share(whole: int, most: int) -> int:
-    """Return the size of the fewest even parts of a whole of which none is above `most`; of LANES where that fits."""
+    """Return the size of the fewest even parts that are at most `most`; a multiple of LANES if that fits."""
     parts = (whole + max(1, most) - 1) // max(1, most)
     even = (whole + parts - 1) // parts
     lanes = (even + LANES - 1) // LANES * LANES
@@ -157,7 +157,7 @@ def _share(whole: int, most: int) -> int:
 
 @compiled
 def _constants(size: int) -> tuple[int, int, int]:
-    """Return the letter of a type with numbers of so many bytes, and where its 0 and 1 stand."""
+    """Return BLAS's letter for the type of this size in bytes, and the addresses of its 0 and 1."""
     if size == _SINGLE_UNITS.itemsize:
         start = _SINGLE_UNITS.ctypes.data
         return _SINGLE, start, start + size

@@ -19,7 +19,7 @@ from torch import Tensor
 from common.team import Float32, TeamSpec
 
 MIN_STD: Final = 1e-2
-"""Smaller standard deviations are raised to this, so that an input that hardly ever changes is not blown up."""
+"""Smaller standard deviations are raised to this, so that an input that hardly ever changes is not amplified."""
 Float64 = NDArray[np.float64]
 
 
@@ -35,7 +35,7 @@ class Moments:
         self.state = torch.zeros(1 + 2 * size, dtype=torch.float64)
 
     def add(self, rows: Float32) -> None:
-        """Take rows [R, size]."""
+        """Add rows [R, size]."""
         if rows.shape[0] == 0:
             return
         state, size = self.state.numpy(), self._size
@@ -78,7 +78,7 @@ class Normalisation:
         self._reward_scale = like.new_ones(team.agents)
 
     def add(self, observation: Float32, reward: Float32) -> None:
-        """Take rows of observations [R, O] and rewards [R, agents]."""
+        """Add rows of observations [R, O] and rewards [R, agents]."""
         for moments, rows in zip(self._seen, self._team.split_observations(observation), strict=False):
             moments.add(rows.reshape(-1, rows.shape[-1]))
         for moments, part in zip(self._paid, self._team.agent_slices(), strict=False):
@@ -86,7 +86,7 @@ class Normalisation:
         self.refresh()
 
     def refresh(self) -> None:
-        """Recompute what updates use from the moments; call it after these were set from outside."""
+        """Recompute from the moments what updates use; call this after setting the moments from outside."""
         counts = [group.count for group in self._team.groups]
         if self._seen:
             mean = np.concatenate([np.tile(m.mean(), n) for m, n in zip(self._seen, counts, strict=True)])
@@ -106,7 +106,7 @@ class Normalisation:
         return rewards * self._reward_scale if self._paid else rewards
 
     def fold(self, flat: tuple[Float32, ...], hidden: int, *, out: bool) -> tuple[Float32, ...]:
-        """Return actors that take raw observations, given those that take standardised ones; or, not `out`, back."""
+        """Convert actors of standardised observations to actors of raw ones, or back if `out` is false."""
         if not self._seen:
             return flat
         folded = []

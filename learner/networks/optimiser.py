@@ -1,6 +1,6 @@
-"""Adam on one flat parameter vector, in one sweep on a processor core and a few whole-vector operations elsewhere.
+"""Adam on one flat parameter vector: one sweep on processor cores, a few whole-vector operations on other devices.
 
-`torch.optim.Adam` computes the same. The count of steps is a tensor, so that a step can be part of a captured graph.
+`torch.optim.Adam` computes the same. The count of steps is a tensor, so that a step can be captured in a graph.
 """
 
 import math
@@ -25,15 +25,14 @@ class Adam:
         parameters: [P], changed in place.
         rate: learning rate.
         cores: processor cores for the compiled sweep; 0 to step by torch.
-        clip: largest norm of one network's gradient; 0 for any.
-        networks: [P] int64, the network that each parameter belongs to; wanted where `clip` is above 0.
+        clip: largest norm of one network's gradient; 0 for no limit.
+        networks: [P] int64, the network that each parameter belongs to; required if `clip` is above 0.
 
     Attributes:
         mean: first moments [P].
         square: second moments [P].
         steps: steps taken, int64 [].
-        norms: norm of each network's gradient in the newest step [networks], before the clip; None without a clip,
-            where the gradient stands as it was.
+        norms: norm of each network's gradient in the newest step [networks], before the clip; None without a clip.
     """
 
     norms: Tensor | None = None
@@ -60,10 +59,10 @@ class Adam:
             self._arrays = (parameters.numpy(), self.mean.numpy(), self.square.numpy())
 
     def step(self, gradient: Tensor, target: Tensor | None = None, target_rate: float = 0.0) -> None:
-        """Take one step against a gradient, and then one of the target network, if any, in the same sweep.
+        """Take one step down a gradient, and move the target network, if any, in the same sweep.
 
         Args:
-            gradient: [P]; where there is a clip, it is clipped in place.
+            gradient: [P]; clipped in place if there is a clip.
             target: [P], target <- target_rate p + (1 - target_rate) target.
             target_rate: see `target`.
         """
@@ -98,7 +97,7 @@ class Adam:
             kernels.adam(values, gradient.numpy(), mean, square, settings, following)
 
     def _clip_norms(self, gradient: Tensor, norms: Tensor) -> None:
-        """Scale every network's gradient to at most the clip; write the norms from before."""
+        """Scale every network's gradient to at most the clip; write the norms before scaling."""
         squares = torch.mul(gradient, gradient, out=self._scratch)
         norms.zero_().index_add_(0, self._networks, squares).sqrt_()
         factors = self._clip / torch.clamp_min(norms, self._clip)

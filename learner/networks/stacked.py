@@ -7,8 +7,8 @@ neighbours and are multiplied together; the hidden layer of all types is one pro
 
 Forward, for inputs x with the leading one:  h1 = relu(x W1),  h2 = relu([1 h1] W2),  y = [1 h2] W3.
 
-`StackedPass` computes this with torch on any device; `learner.networks.compiled_pass` has the same for processor cores,
-network by network, so that a network's numbers stay in the processor's cache.
+`StackedPass` computes this with torch on any device; `learner.networks.compiled_pass` does the same on processor
+cores, network by network, so that a network's numbers stay in the cache.
 """
 
 import copy
@@ -32,9 +32,9 @@ class Stack:
         inputs: numbers that each one sees, without the leading one.
         outputs: numbers that each one returns.
         rows: rows of data that each one works on.
-        action: of critics, the input at which the own action of the first network stands, counted with the one.
-        action_step: by how much that grows from network to network.
-        action_size: numbers in the own action; 0 of actors.
+        action: for critics, index of the first network's own action among its inputs, the leading one included.
+        action_step: increase of that index from network to network.
+        action_size: numbers in the own action; 0 for actors.
     """
 
     count: int
@@ -88,7 +88,7 @@ class Parameters:
     Attributes:
         flat: [P].
         first, second, head: for each layer, one tensor [count, 1 + fan_in, fan_out] for each block.
-        own: of critics, for each type the first layer's rows of the own action, [count, action_size, hidden].
+        own: for critics, each type's rows of the first layer that take the own action, [count, action_size, hidden].
     """
 
     flat: Tensor
@@ -120,7 +120,7 @@ class Networks:
         self.blocks = [self.typed[0], _joined(self.typed[1]), _joined(self.typed[2])]
 
     def part(self, stacks: int) -> "Networks":
-        """Return the first so many stacks as networks of their own, at the same places of the same flat vector."""
+        """Return the layout of the first `stacks` stacks alone, at the same places of the same flat vector."""
         part = copy.copy(self)
         part.stacks, part.typed = self.stacks[:stacks], [blocks[:stacks] for blocks in self.typed]
         part._count()
@@ -178,7 +178,7 @@ class Networks:
 
 
 def _own(stack: Stack, first: Tensor) -> Tensor:
-    """Return the rows of the own action, which start further down from network to network, as one view."""
+    """Return the rows of the own action as one view; each network's start `action_step` rows after the last one's."""
     network, row, column = first.stride()
     return first.as_strided(
         (stack.count, stack.action_size, first.shape[2]),
@@ -198,13 +198,13 @@ def _joined(blocks: list[Block]) -> list[Block]:
 
 
 class Forward(NamedTuple):
-    """One forward pass of a `Pass`, which its gradients take.
+    """The result of a forward pass, which the gradients take.
 
     Attributes:
         parameters: the parameters used.
         inputs: for each stack [count, rows, 1 + fan_in].
         output: all outputs, flat: stack by stack, network by network, row by row; valid until the next forward pass.
-        number: which forward pass of its `Pass` it was.
+        number: its number among the forward passes of its `Pass`.
     """
 
     parameters: Parameters
@@ -236,9 +236,9 @@ class Pass(Protocol):
         ...
 
     def action_gradient(self, forward: Forward, upstream: Tensor, into: Sequence[Tensor]) -> None:
-        """Add the gradient of sum(upstream * output) of scalar networks by the own actions to `into`.
+        """Add to `into` the gradient of sum(upstream * output) by the own actions, for scalar networks.
 
-        `into` has the shapes of `delta`. Networks that share a tensor there add up.
+        `into` has the shapes of `delta`. Gradients of networks that share a tensor there add up.
         """
         ...
 
@@ -261,7 +261,7 @@ class ForwardCounter:
 
 
 class StackedPass:
-    """A `Pass` by batched products of torch, on any device."""
+    """A `Pass` that uses torch's batched products, on any device."""
 
     def __init__(self, networks: Networks, like: Tensor) -> None:
         self.networks = networks
@@ -324,7 +324,7 @@ class StackedPass:
             torch.bmm(x.transpose(1, 2), z, out=out)
 
     def _through_head(self, parameters: Parameters, upstream: Tensor) -> None:
-        """Leave the gradient by the hidden layer's sums in z."""
+        """Write the gradient by the hidden layer's sums into z."""
         for g, w, z, dh in zip(self._split(upstream), parameters.head, self._z3, self._dh_head, strict=True):
             if self.scalar:
                 torch.mul(g.transpose(1, 2), w[:, 1:].transpose(1, 2), out=z)
@@ -333,7 +333,7 @@ class StackedPass:
         _through_relu(self._z if self.scalar else self._dh, self._h2[:, 1:], self._z)
 
     def _through_hidden(self, parameters: Parameters) -> None:
-        """Leave the gradient by the first layer's sums in z."""
+        """Write the gradient by the first layer's sums into z."""
         for z, w, matrix, dh in zip(self._z2, parameters.second, self._matrices, self._dh_second, strict=True):
             torch.bmm(z, matrix.copy_(w[:, 1:]).transpose(1, 2), out=dh)
         _through_relu(self._dh, self._h1[:, 1:], self._z)

@@ -113,7 +113,7 @@ class Reporter:
         alarms = self._current_alarms(metrics["statistics"])
         message = {**metrics, "imitations": list(self._imitations), "environment": self._labels, "alarms": alarms}
         self._presence.report(message, t.version)
-        agents = t.diagnostics.by_agent()
+        agents = t.agent_statistics()
         scalars: dict[str, Any] = {name: metrics[name] for name in SCALARS if name in metrics}
         self._tensorboard.write(t.environment_steps, flattened(scalars | {"agents": agents}))
         self._log.write("status", **metrics, agents=agents)

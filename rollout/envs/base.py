@@ -44,6 +44,14 @@ class Environments(Protocol):
         """[E, agents] potential Phi of the current state, for reward shaping; 0 if there is none."""
 
     @property
+    def hindsight(self) -> Float32 | None:
+        """[E, T, agents] corrections to the rewards of the running or just ended episode's T steps.
+
+        Reward plus correction pays each agent what it turned out to be worth to the team, as far as known by now. A
+        reset sets them to 0. None if the environment knows nothing of the kind, or was not made to track it.
+        """
+
+    @property
     def time(self) -> NDArray[np.int64]:
         """[E] steps done in this episode; -1 before the first reset."""
 
@@ -59,7 +67,7 @@ class Environments(Protocol):
         """Start an episode, which is a pure function of both seeds and the actions."""
 
     def step(self, action: Float32) -> None:
-        """Step every environment with actions [E, A] in [-1, 1]."""
+        """Step every environment with actions [E, A]: in [-1, 1], or indices of options."""
 
     def summary(self, index: int) -> EpisodeSummary:
         """Return the summary of an environment's episode so far."""

@@ -10,25 +10,27 @@ from contextlib import closing
 from typing import Final
 
 from common.config import RunConfig
+from common.config.action_kinds import discrete_algorithms
 from common.config.environment import FARM
 from common.environment import EnvironmentSpec
 from common.errors import ConfigError
 from common.protocol.message_sizes import require_frames
+from common.team import TeamSpec
 from rollout.envs.base import Environments
 from rollout.sim.batch import FarmBatch
 
-Factory = Callable[[RunConfig, int], Environments]
-"""Makes the given number of environments for a run."""
+Factory = Callable[[RunConfig, int, bool], Environments]
+"""Makes the given number of environments for a run; True asks for `Environments.hindsight`, where there is any."""
 
 
-def _farms(config: RunConfig, count: int) -> Environments:
-    return FarmBatch(config.farm, count, config.rollout.threads)
+def _farms(config: RunConfig, count: int, hindsight: bool) -> Environments:
+    return FarmBatch(config.farm, count, config.rollout.threads, hindsight)
 
 
 def _pettingzoo(config: RunConfig, count: int) -> Environments:
     from rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
 
-    return PettingZooBatch(config.env, count)
+    return PettingZooBatch(config.env, count, boxes=not config.algorithm.discrete_actions)
 
 
 FACTORIES: Final[dict[str, Factory]] = {
@@ -37,11 +39,17 @@ FACTORIES: Final[dict[str, Factory]] = {
 """Environments of this package by name. A name with a colon is a PettingZoo environment's."""
 
 
-def make_environments(config: RunConfig, count: int) -> Environments:
+def make_environments(config: RunConfig, count: int, hindsight: bool = False) -> Environments:
     """Return `count` environments of a run.
 
+    Args:
+        config: the run.
+        count: how many.
+        hindsight: whether to track `Environments.hindsight`; where there is none, it stays None.
+
     Raises:
-        ConfigError: the environment that the configuration names does not exist or cannot be trained.
+        ConfigError: the environment that the configuration names does not exist or cannot be trained,
+            or a farm cannot track hindsight.
     """
     if config.env.is_third_party:
         return _pettingzoo(config, count)
@@ -50,15 +58,27 @@ def make_environments(config: RunConfig, count: int) -> Environments:
             f"env.name must be module:name or an environment of this package ({', '.join(FACTORIES)}), "
             f"not {config.env.name!r}."
         )
-    return FACTORIES[config.env.name](config, count)
+    return FACTORIES[config.env.name](config, count, hindsight)
 
 
 def environment_spec(config: RunConfig) -> EnvironmentSpec:
     """Return what generic code needs to know about a run's environment.
 
     Raises:
-        ConfigError: as for `make_environments`, or a chunk, the actors or an evaluation would not fit into a message.
+        ConfigError: as for `make_environments`; the algorithm cannot train these actions; or a chunk, the actors or an
+            evaluation would not fit into a message.
     """
     with closing(make_environments(config, 1)) as environments:
+        _require_actions(config, environments.team)
         require_frames(config, environments.spec)
         return environments.spec
+
+
+def _require_actions(config: RunConfig, team: TeamSpec) -> None:
+    """Raise ConfigError for discrete actions and an algorithm that cannot train them."""
+    discrete = [group.name for group in team.groups if group.choices]
+    if discrete and not config.algorithm.discrete_actions:
+        raise ConfigError(
+            f"{config.env.name} has discrete actions ({', '.join(discrete)}), which {config.algorithm.name} cannot "
+            f"train; {', '.join(discrete_algorithms())} can."
+        )

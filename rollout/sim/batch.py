@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig, WorldConfig
 from common.environment import EnvironmentSpec
-from common.errors import SimulationError
+from common.errors import ConfigError, SimulationError
 from common.farm import farm_environment
 from common.seeds import derive, stream
 from common.team import Float32, TeamSpec
@@ -41,6 +41,7 @@ class FarmBatch:
         config: the farm.
         environments: E.
         threads: number of threads; each steps a share of the environments. The number does not change the results.
+        hindsight: whether to track what visits turn out to be worth.
 
     Attributes:
         config: the farm.
@@ -62,19 +63,23 @@ class FarmBatch:
             delivery it is the sum of the shares delivered.
         link_quality: [E, n_m + n_d] signal-to-noise ratio of the link between each served UAV and its relay, dB:
             P_ut minus the free-space loss (km and MHz, as in the assignment's cost) minus the noise k_B T B in dBm.
+        hindsight: [E, T, n] float32 what to add to the reward of each of the episode's T steps so that a visit is paid
+            what it was worth to the team as far as known, see `rollout.sim.kernel.hindsight`; None unless tracked.
 
     Raises:
-        ConfigError: the field is too small for the link budget.
+        ConfigError: the field is too small for the link budget, or visits are to be tracked in expected delivery.
         SimulationError: there is no environment, or no thread.
     """
 
-    def __init__(self, config: FarmConfig, environments: int, threads: int = 1) -> None:
+    def __init__(self, config: FarmConfig, environments: int, threads: int = 1, hindsight: bool = False) -> None:
         if environments < 1 or threads < 1:
             raise SimulationError(f"got {environments} environments and {threads} threads; both must be at least 1.")
+        if hindsight and config.radio.delivery == "expected":
+            raise ConfigError('hindsight needs farm.radio.delivery "bernoulli": an expected delivery is no whole one.')
         self.config = config
         self.spec: EnvironmentSpec = farm_environment(config)
         self.team: TeamSpec = self.spec.team
-        shared = make_workspace(config, environments)
+        shared = make_workspace(config, environments, hindsight)
         scratches = (shared.scratch, *(make_scratch(config) for _ in range(min(threads, environments) - 1)))
         self._arguments = [PackedArguments(shared._replace(scratch=scratch)) for scratch in scratches]
         borders = [environments * k // len(self._arguments) for k in range(len(self._arguments) + 1)]
@@ -97,6 +102,7 @@ class FarmBatch:
         self.utility: NDArray[np.float64] = self._state.utility
         self.served_sensors: NDArray[np.float64] = self._state.served
         self.link_quality: NDArray[np.float64] = self._state.quality
+        self.hindsight: Float32 | None = self._state.hindsight if hindsight else None
 
     @property
     def potential(self) -> Float32:
@@ -156,6 +162,8 @@ class FarmBatch:
         state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
         for array in (state.reward, state.parts, state.energy, state.utility, state.served, state.returns, state.sums):
             array[e] = 0.0
+        for visits in (state.plot_visit, state.sensor_visit, state.hindsight):
+            visits[e] = 0
         begin_episode(self._arguments[0].address, e)
 
     def step(self, action: Float32) -> None:

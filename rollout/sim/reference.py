@@ -254,11 +254,9 @@ class ReferenceFarm:
                 dx, dy = x * width + grid_x - self.position[u, 0], y * depth + grid_y - self.position[u, 1]
                 distance = np.sqrt(dx[:, None] ** 2 + dy[None] ** 2 + world.height_monitoring**2)
                 quality = (distance < camera.image_distance).sum() / (camera.grid_x * camera.grid_y)
-                if quality >= camera.plot_threshold and self.linked[u - world.communication_uavs]:
-                    self.utility[u] += self.vdf[x, y]
-                    self.vdf[x, y] = 0.0
-                elif (self.time - self.layout.plot_phase[x, y]) % cycle == 0:
-                    self.vdf[x, y] = min(self.vdf[x, y] + 1.0, world.vdf_max)
+                good = quality >= camera.plot_threshold and self.linked[u - world.communication_uavs]
+                due = (self.time - self.layout.plot_phase[x, y]) % cycle == 0
+                self._serve(self.vdf, (x, y), int(u), float(good), bool(due), world.vdf_max)
 
     def sensor_chances(self) -> tuple[NDArray[np.intp], Array]:
         """Return each sensor's nearest data collection UAV and 1 - PLR there (W13, W14, W17)."""
@@ -288,11 +286,14 @@ class ReferenceFarm:
                 share = float(packet_draw(self.key, self.time, j) < share)
             if not self.linked[u - world.communication_uavs]:
                 share = 0.0
-            self.utility[u] += share * self.aoi[j]
-            raised = self.aoi[j]
-            if (self.time - self.layout.sensor_phase[j]) % self.layout.sensor_cycle_steps[j] == 0:
-                raised = min(raised + 1.0, world.aoi_max)
-            self.aoi[j] = (1.0 - share) * raised
+            due = (self.time - self.layout.sensor_phase[j]) % self.layout.sensor_cycle_steps[j] == 0
+            self._serve(self.aoi, (j,), int(u), share, bool(due), world.aoi_max)
+
+    def _serve(self, counter: Array, item: tuple[int, ...], u: int, share: float, due: bool, cap: int) -> None:
+        """Credit a UAV with its share of a counter, raise the counter where a cycle ends, and take the share away."""
+        self.utility[u] += share * counter[item]
+        raised = min(counter[item] + 1.0, cap) if due else counter[item]
+        counter[item] = (1.0 - share) * raised
 
     def _reward(self, service_before: Array, motivated: NDArray[np.bool_]) -> None:
         """r_c, r_m and r_d; every part except the energy is multiplied by t_step, as printed."""

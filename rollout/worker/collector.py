@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import closing
-from typing import Any, Final, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from common.actors import TeamActors
 from common.config import RunConfig
 from common.seeds import derive, stream
-from common.team import Float32
+from common.team import Float32, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from rollout.envs.registry import make_environments
+from rollout.worker.hindsight_credit import credit_newest, shares_of
+from rollout.worker.random_rows import RandomRows
 from rollout.worker.reward_shaping import RewardShaping
-
-BLOCK: Final = 128
-"""Steps for which random numbers are drawn at once."""
 
 
 class StepObserver(Protocol):
@@ -53,14 +52,17 @@ class Collector:
         self._config = config
         self._identity = (config.seed, worker, start)
         count = config.rollout.environments
-        self.environments = make_environments(config, count)
+        by_type = config.on_policy.hindsight_shares() if config.learns_on_policy else {}
+        self.environments = make_environments(config, count, any(by_type.values()))
         self.team = self.environments.team
-        self._shaping = RewardShaping(self.environments, config.algorithm.potential_discount)
+        self._share = shares_of(self.team, by_type)
+        ends = config.learns_on_policy and config.on_policy.time_limit == "terminal"
+        self._shaping = RewardShaping(self.environments, config.algorithm.potential_discount, ends=ends)
         self.environment_steps = 0
         self.probe: StepObserver | None = None
         self._episode: NDArray[np.int64] = np.full(count, -1, np.int64)
-        self._noise = _NoiseRows((*self._identity, "noise"), count, self.team.action_size)
-        self._uniform = _NoiseRows((*self._identity, "uniform"), count, self.team.action_size)
+        self._noise = RandomRows((*self._identity, "noise"), count, self.team.action_size)
+        self._uniform = RandomRows((*self._identity, "uniform"), count, self.team.action_size)
         for index in range(count):
             self._begin(index)
 
@@ -69,40 +71,61 @@ class Collector:
 
         Args:
             actors: the actors.
-            noise_std: standard deviation of the Gaussian noise on a deterministic head's action, 0..1.
-            uniform: draw actions uniformly instead (warm-up).
+            noise_std: standard deviation of the Gaussian noise on a deterministic head's action, 0..1; without meaning
+                for algorithms that learn on policy, whose actions are sampled from the actors' distributions.
+            uniform: draw actions uniformly instead (warm-up); without meaning for those algorithms, too.
 
         Returns:
             The rows of all environments, one environment after the other, and the episodes that ended. Rewards in rows
             may be shaped (`rollout.worker.reward_shaping`); rewards of episodes are not.
         """
         environments, steps = self.environments, self._config.rollout.chunk_steps
-        rows = _ChunkRows(len(environments.time), steps, self.team.observation_size, self.team.action_size)
-        reward = np.zeros((len(environments.time), steps + 1, self.team.agents), np.float32)
+        on_policy = self._config.learns_on_policy
+        rows = _ChunkRows(len(environments.time), steps, self.team, log_probabilities=on_policy)
         episodes: list[EpisodeSummary] = []
         for step in range(steps):
             rows.observation[:, step] = environments.observation
-            action = self._act(actors, noise_std, uniform)
+            if on_policy:
+                action, rows.log_probability[:, step] = self._sample(actors)
+            else:
+                action = self._explore(actors, noise_std, uniform)
             self._shaping.before_step()
             environments.step(self.team.adapt(environments.observation, action))
             if self.probe is not None:
                 self.probe.record()
-            rows.action[:, step], reward[:, step] = action, self._shaping.shaped_reward()
+            rows.action[:, step], rows.reward[:, step] = action, self._shaping.shaped_reward()
             over = np.flatnonzero(environments.ended)
             rows.observation[:, step + 1] = environments.observation
             for index in over:
+                self._credit(rows, int(index), step + 1)
                 rows.end(int(index), step, bool(environments.terminated[index]))
                 episodes.append(environments.summary(int(index)))
                 self._begin(int(index))
+        for running in range(len(environments.time)):
+            self._credit(rows, running, steps)
         self.environment_steps += len(environments.time) * steps
-        return Chunk(rows.rows(reward), tuple(episodes))
+        return Chunk(rows.rows(), tuple(episodes))
 
-    def _act(self, actors: TeamActors, noise_std: float, uniform: bool) -> Float32:
+    def _sample(self, actors: TeamActors) -> tuple[Float32, Float32]:
+        """Return actions sampled from the actors' distributions, and their log-probabilities."""
+        environments = self.environments
+        normal = self._noise.at(self._episode, environments.time, normal=True)
+        uniform = self._uniform.at(self._episode, environments.time, normal=False)
+        return actors.sample(environments.observation, normal, uniform)
+
+    def _explore(self, actors: TeamActors, noise_std: float, uniform: bool) -> Float32:
         environments = self.environments
         if uniform:
             return 2.0 * self._uniform.at(self._episode, environments.time, normal=False) - 1.0
         noise = self._noise.at(self._episode, environments.time, normal=True)
         return actors.explore(environments.observation, noise, noise_std)
+
+    def _credit(self, rows: "_ChunkRows", index: int, stop: int) -> None:
+        """Correct the rewards of an environment's running episode in the chunk's rows before row `stop`."""
+        if self.environments.hindsight is not None:
+            start = max(0, stop - int(self.environments.time[index]))
+            part = rows.reward[index, start:stop]
+            part[...] = credit_newest(self.environments, index, part, self._share)
 
     def _begin(self, index: int) -> None:
         self._episode[index] += 1
@@ -114,12 +137,17 @@ class Collector:
 
 
 class _ChunkRows:
-    """The rows of one chunk: environments by steps, and the final observations of episodes that ended in it."""
+    """The rows of one chunk: environments by steps, and the final observations of episodes that ended in it.
 
-    def __init__(self, count: int, steps: int, observations: int, actions: int) -> None:
+    Arrays are [E, steps + 1, ...]; the last row of an environment holds only its observation.
+    """
+
+    def __init__(self, count: int, steps: int, team: TeamSpec, *, log_probabilities: bool) -> None:
         self._steps = steps
-        self.observation = np.empty((count, steps + 1, observations), np.float32)
-        self.action = np.zeros((count, steps + 1, actions), np.float32)
+        self.observation = np.empty((count, steps + 1, team.observation_size), np.float32)
+        self.action = np.zeros((count, steps + 1, team.action_size), np.float32)
+        self.reward = np.zeros((count, steps + 1, team.agents), np.float32)
+        self.log_probability = np.zeros((count, steps + 1, team.agents if log_probabilities else 0), np.float32)
         self._flag = np.zeros((count, steps + 1), np.uint8)
         self._flag[:, :steps] = TRANSITION
         self._inserted: list[tuple[int, Float32]] = []
@@ -131,40 +159,20 @@ class _ChunkRows:
             place = index * (self._steps + 1) + step + 1
             self._inserted.append((place, self.observation[index, step + 1].copy()))
 
-    def rows(self, reward: Float32) -> Rows:
+    def rows(self) -> Rows:
         """Return all rows. Each episode's final observation has its own row, before the next episode's first row."""
         count = self._flag.size
-        observation, action, earned = (a.reshape(count, -1) for a in (self.observation, self.action, reward))
+        arrays = (self.observation, self.action, self.reward, self.log_probability)
+        observation, *others = (array.reshape(count, array.shape[2]) for array in arrays)
         flag = self._flag.reshape(count)
         if self._inserted:
             self._inserted.sort(key=lambda entry: entry[0])
             places = [place for place, _ in self._inserted]
             observation = np.insert(observation, places, np.stack([last for _, last in self._inserted]), axis=0)
-            action, earned = (np.insert(array, places, 0.0, axis=0) for array in (action, earned))
+            others = [np.insert(array, places, 0.0, axis=0) for array in others]
             flag = np.insert(flag, places, np.uint8(0))
-        return Rows(observation, action, earned, flag)
-
-
-class _NoiseRows:
-    """Random numbers for every step of an episode, independent across episodes and steps."""
-
-    def __init__(self, name: tuple[Any, ...], count: int, size: int) -> None:
-        self._name = name
-        self._rows = np.zeros((count, BLOCK, size), np.float32)
-        self._held: NDArray[np.int64] = np.full((count, 2), -1, np.int64)
-        self._index = np.arange(count)
-
-    def at(self, episode: NDArray[np.int64], time: NDArray[np.int64], *, normal: bool) -> Float32:
-        """Return one row for each environment: standard normal, or uniform over [0, 1)."""
-        wanted = np.stack([episode, time // BLOCK], axis=1)
-        for index in np.flatnonzero((wanted != self._held).any(axis=1)):
-            generator = stream(*self._name, int(index), *wanted[index].tolist())
-            shape = self._rows[index].shape
-            drawn = generator.standard_normal(shape, np.float32) if normal else generator.random(shape, np.float32)
-            self._rows[index] = drawn
-        self._held = wanted
-        found: Float32 = self._rows[self._index, time % BLOCK]
-        return found
+        action, reward, log_probability = others
+        return Rows(observation, action, reward, flag, log_probability if log_probability.shape[1] else None)
 
 
 def run_noise_free_episodes(

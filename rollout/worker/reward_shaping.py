@@ -9,7 +9,13 @@ potential Phi = +alpha_1 D_c t_step (Ng et al. 1999; `FarmBatch.potential`), a w
 in which the changes of D_c cancel and -(1 - gamma_s) alpha_1 D_c(k) t_step is left: the cost of being so far away in
 this step. At gamma_s = gamma the best policy stays the same; at another gamma_s it may differ. Only the rows that
 learners train on are shaped. Episode returns, evaluations and elite scores use r.
+
+A learner for which the time limit is terminal needs Phi = 0 after the last step. At gamma_s = 1 nothing is left of the
+positioning part then but -alpha_1 D_c t_step in the last step: where a relay ends is all that counts, and it is paid
+when it counts.
 """
+
+import numpy as np
 
 from common.team import Float32
 from rollout.envs.base import Environments
@@ -21,11 +27,12 @@ class RewardShaping:
     Args:
         environments: the batch.
         discount: gamma_s; 0 turns shaping off.
+        ends: whether the potential is 0 once an episode is over.
     """
 
-    def __init__(self, environments: Environments, discount: float) -> None:
+    def __init__(self, environments: Environments, discount: float, *, ends: bool = False) -> None:
         self._environments = environments
-        self._discount = discount
+        self._discount, self._ends = discount, ends
         self._before = environments.potential.copy()
 
     def before_step(self) -> None:
@@ -38,5 +45,8 @@ class RewardShaping:
         environments = self._environments
         if not self._discount:
             return environments.reward
-        shaped: Float32 = environments.reward - self._before + self._discount * environments.potential
+        after = environments.potential
+        if self._ends:
+            after = np.where(environments.ended[:, None], np.float32(0), after)
+        shaped: Float32 = environments.reward - self._before + self._discount * after
         return shaped

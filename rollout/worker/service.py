@@ -168,8 +168,7 @@ class Worker:
 
     def _exploration(self) -> tuple[float, bool]:
         """Return the noise's standard deviation, and whether actions are drawn uniformly instead (warm-up)."""
-        store, config = self._learner.store, self._config
-        return config.exploration.noise_std(store.progress), store.environment_steps < config.replay.warmup_steps
+        return self._config.exploration_at(self._learner.store.progress, self._learner.store.environment_steps)
 
     def _wait(self) -> None:
         time.sleep(IDLE_SECONDS)

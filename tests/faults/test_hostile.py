@@ -24,7 +24,7 @@ KINDS = 1_000
 
 def test_every_kind_is_answered_and_no_ledger_is_spoilt():
     """Of over a thousand kinds none ends the receiver, and an honest worker's chunks are taken in between."""
-    receiver, door = front_door(intake_chunks=8192, capacity=65_536)
+    receiver, door = front_door(chunks=8192)
     every, honest, fates = kinds(TEAM, RULES), 0, Counter[str]()
     assert len({kind.label for kind in every}) >= KINDS
     for index, kind in enumerate(every):

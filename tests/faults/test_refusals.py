@@ -147,7 +147,7 @@ def test_a_chunk_that_stays_damaged_does_not_hold_up_those_behind_it():
 
 def test_old_chunks_are_refused_beside_new_ones():
     """The limit of age looks at the version of each chunk, not of the request."""
-    receiver, door = front_door(max_lag_versions=5)
+    receiver, door = front_door(most_lag=5)
     receiver.version = 10
     answer = door.pass_on(parcel(of(a_chunk(1), 1, 4), of(a_chunk(2), 2, 5))).answer
     assert answer.verdicts == ("refused", "accepted")
@@ -157,7 +157,7 @@ def test_old_chunks_are_refused_beside_new_ones():
 
 def test_a_learner_that_ends_takes_the_beginning_of_a_request():
     """What found room is accepted, the next is answered with "closed", and the worker keeps it and the rest."""
-    receiver, door = front_door(intake_chunks=2)
+    receiver, door = front_door(chunks=2)
     delivered: list[Parcel] = []
     waiting = parcel(*(of(a_chunk(number), number) for number in (1, 2, 3, 4)))
     sending = threading.Thread(target=lambda: delivered.append(door.pass_on(waiting)))
@@ -172,7 +172,7 @@ def test_a_learner_that_ends_takes_the_beginning_of_a_request():
 @pytest.mark.parametrize("room", [16, 2])
 def test_who_waits_for_chunks_is_woken(room):
     """A whole request wakes the learner, and so does a full queue, while the rest of the request waits for room."""
-    receiver, door = front_door(intake_chunks=room)
+    receiver, door = front_door(chunks=room)
     sending = threading.Thread(target=door.pass_on, args=[parcel(*(of(a_chunk(n), n) for n in range(1, 6)))])
     sending.start()
     taken: list[int] = []
@@ -217,7 +217,7 @@ def test_sizes_that_promise_what_did_not_come():
 
 def test_a_receiver_that_waits_for_room_ends_when_nobody_makes_any():
     """With a full queue and a chunk in hand it can be joined, and the chunk is answered: not taken."""
-    receiver, door = front_door(intake_chunks=1)
+    receiver, door = front_door(chunks=1)
     assert door.pass_on(parcel(of(a_chunk(1)))).verdict == "accepted"
     late = parcel(of(a_chunk(2), 2), number=2)
     door.push(late)
@@ -249,7 +249,7 @@ def test_whoever_keeps_sending_what_brings_nothing_is_blocked(sent, answer):
 
 def test_chunks_of_a_policy_that_is_too_old_are_refused_and_counted():
     """Beyond `replay.max_lag_versions` a chunk is refused with the reason; its steps are rejected, and exactly so."""
-    receiver, door = front_door(max_lag_versions=5)
+    receiver, door = front_door(most_lag=5)
     receiver.version = 10
     assert door.pass_on(parcel(of(a_chunk(1), 1, 4))).verdict == "refused"
     assert "6 versions old" in door.pass_on(parcel(of(a_chunk(2), 2, 4), number=2)).answer.reasons[0]

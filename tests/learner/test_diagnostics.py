@@ -13,8 +13,8 @@ from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Rows
 from learner.data.replay import Replay
 from learner.diagnostics import RETURN_PERIOD, RunningDiagnostics, horizon, newest_returns, realised_returns
 from learner.engine import Batch, Diagnostics, Engine
+from learner.off_policy_trainer import OffPolicyTrainer
 from learner.reporting.tensorboard import FOLDER, Event, TensorBoardWriter, flattened
-from learner.trainer import Trainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 
@@ -151,7 +151,7 @@ def test_realised_returns_are_in_the_units_of_the_targets(normalised):
     for factor in (1.0, 10.0):
         algorithm = EiaSecConfig(hidden=8, batch=64, reward_normalisation=normalised, reward_scale=0.5)
         config = RunConfig(algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0))
-        trainer, random = Trainer(config, TEAM), np.random.default_rng(3)
+        trainer, random = OffPolicyTrainer(config, TEAM), np.random.default_rng(3)
         shapes = ((256, TEAM.observation_size), (256, TEAM.action_size), (256, TEAM.agents))
         seen, done, paid = (random.uniform(-0.9, 0.9, shape).astype(np.float32) for shape in shapes)
         flag = np.full(256, TRANSITION, np.uint8)

@@ -14,7 +14,7 @@ from common.imitation import ImitationEvent
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from learner.checkpoint import files
-from learner.trainer import DIAGNOSTIC_PERIOD, Trainer
+from learner.off_policy_trainer import DIAGNOSTIC_PERIOD, OffPolicyTrainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
 CONFIG = RunConfig(
@@ -54,7 +54,7 @@ def assert_bit_equal(one, other):
 
 def test_updates_follow_from_the_counters():
     """Updates due are updates_per_step times the steps beyond the warm-up, rounded down, less those done."""
-    trainer = Trainer(CONFIG, TEAM)
+    trainer = OffPolicyTrainer(CONFIG, TEAM)
     assert trainer.updates_due() == 0
     trainer.absorb(chunk(40, episodes=1))
     assert (trainer.environment_steps, trainer.episodes, trainer.updates_due()) == (40, 1, 0)
@@ -68,7 +68,7 @@ def test_updates_follow_from_the_counters():
 def test_no_update_is_due_before_a_batch_is_there():
     """Without a warm-up, the first updates wait until replay holds as many steps as a batch."""
     config = replace(CONFIG, replay=replace(CONFIG.replay, warmup_steps=0))
-    trainer = Trainer(config, TEAM)
+    trainer = OffPolicyTrainer(config, TEAM)
     trainer.absorb(chunk(15))
     assert trainer.updates_due() == 0
     trainer.absorb(chunk(1, 1))
@@ -77,14 +77,14 @@ def test_no_update_is_due_before_a_batch_is_there():
 
 def test_production_leads_beyond_the_slack():
     """Producers wait once more than slack_steps environment steps are not yet learnt from."""
-    trainer = Trainer(CONFIG, TEAM)
+    trainer = OffPolicyTrainer(CONFIG, TEAM)
     trainer.absorb(chunk(70))
     assert not trainer.leads()
     trainer.absorb(chunk(2, 1))
     assert trainer.leads()
     trainer.train(1)
     assert not trainer.leads()
-    idle = Trainer(replace(CONFIG, replay=replace(CONFIG.replay, updates_per_step=0.0)), TEAM)
+    idle = OffPolicyTrainer(replace(CONFIG, replay=replace(CONFIG.replay, updates_per_step=0.0)), TEAM)
     idle.absorb(chunk(400))
     assert not idle.leads()
     assert idle.updates_due() == 0
@@ -92,14 +92,14 @@ def test_production_leads_beyond_the_slack():
 
 def test_versions_count_up():
     """Each publication has the next number."""
-    trainer = Trainer(CONFIG, TEAM)
+    trainer = OffPolicyTrainer(CONFIG, TEAM)
     assert [trainer.next_version() for _ in range(3)] == [1, 2, 3]
     assert trainer.version == 3
 
 
 def test_published_actors_are_a_copy():
     """Actors handed out do not change when training goes on, and training does change the trainer's."""
-    trainer = Trainer(CONFIG, TEAM)
+    trainer = OffPolicyTrainer(CONFIG, TEAM)
     trainer.absorb(chunk(200))
     actors = trainer.actors()
     before = actors.digest()
@@ -111,7 +111,7 @@ def test_published_actors_are_a_copy():
 
 def test_imitation_is_the_workers_own_blend_and_happens_once():
     """The learner's actors end bit-equal to the workers' after an event, which a repetition does not apply again."""
-    trainer = Trainer(CONFIG, TEAM)
+    trainer = OffPolicyTrainer(CONFIG, TEAM)
     trainer.absorb(chunk(200))
     trainer.train(5)
     worker = trainer.actors()
@@ -128,7 +128,7 @@ def test_imitation_is_the_workers_own_blend_and_happens_once():
 
 def test_imitation_leaves_the_optimiser_alone():
     """An event changes actors, and neither their moments nor any critic."""
-    trainer = Trainer(CONFIG, TEAM)
+    trainer = OffPolicyTrainer(CONFIG, TEAM)
     trainer.absorb(chunk(200))
     trainer.train(5)
     before = {name: tensor.clone() for name, tensor in trainer.state()[0].items()}
@@ -140,7 +140,7 @@ def test_imitation_leaves_the_optimiser_alone():
 @pytest.mark.parametrize("wrong", [event(2), event(0), event(1, 1.5), event(1, elites=(2, 0)), event(1, elites=(0,))])
 def test_events_that_cannot_be_are_refused(wrong):
     """A gap in the numbers, a rate above 1, or an elite that is not in the type raises SchemaError."""
-    trainer = Trainer(CONFIG, TEAM)
+    trainer = OffPolicyTrainer(CONFIG, TEAM)
     before = trainer.actors().digest()
     with pytest.raises(SchemaError):
         trainer.imitate(wrong)
@@ -149,7 +149,7 @@ def test_events_that_cannot_be_are_refused(wrong):
 
 def test_same_seed_same_run():
     """Two trainers fed the same chunks are bit-equal in all they hold; another seed gives another run."""
-    trainers = [Trainer(replace(CONFIG, seed=seed), TEAM) for seed in (1, 1, 2)]
+    trainers = [OffPolicyTrainer(replace(CONFIG, seed=seed), TEAM) for seed in (1, 1, 2)]
     for number in range(3):
         for trainer in trainers:
             trainer.absorb(chunk(60, number, episodes=1), trainer.next_version())
@@ -162,7 +162,7 @@ def test_same_seed_same_run():
 def test_a_restored_trainer_goes_on_bit_equal(tmp_path, cut):
     """Saved, loaded from disk and continued, a run ends at exactly the state of the run that was not interrupted."""
     config = replace(CONFIG, algorithm=replace(CONFIG.algorithm, target_actor=True, ensemble_copy_rate=0.01))
-    whole, resumed = Trainer(config, TEAM), Trainer(config, TEAM)
+    whole, resumed = OffPolicyTrainer(config, TEAM), OffPolicyTrainer(config, TEAM)
 
     def play(trainer, first, last):
         for number in range(first, last):
@@ -193,7 +193,7 @@ def test_a_restored_trainer_goes_on_bit_equal(tmp_path, cut):
 )
 def test_a_state_that_does_not_fit_changes_nothing(name, way):
     """A state that lacks something, or holds something of another kind, is refused before anything is taken from it."""
-    source, target = Trainer(CONFIG, TEAM), Trainer(replace(CONFIG, seed=12), TEAM)
+    source, target = OffPolicyTrainer(CONFIG, TEAM), OffPolicyTrainer(replace(CONFIG, seed=12), TEAM)
     source.absorb(chunk(100, episodes=1))
     source.train(2)
     tensors, plain = source.state()
@@ -214,7 +214,7 @@ def test_a_state_that_does_not_fit_changes_nothing(name, way):
 
 def test_a_checkpoint_under_the_former_names_is_read():
     """The names that updates and diagnostics had in earlier checkpoints restore the same state."""
-    whole, resumed = Trainer(CONFIG, TEAM), Trainer(CONFIG, TEAM)
+    whole, resumed = OffPolicyTrainer(CONFIG, TEAM), OffPolicyTrainer(CONFIG, TEAM)
     whole.absorb(chunk(200, episodes=1))
     whole.train(20)
     tensors, plain = whole.state()
@@ -227,7 +227,7 @@ def test_a_checkpoint_under_the_former_names_is_read():
 
 def test_a_checkpoint_whose_diagnostics_were_one_tensor_is_taken_up():
     """Training goes on bit-equal, and the running means, of which one meant something else, begin anew."""
-    whole, resumed = Trainer(CONFIG, TEAM), Trainer(CONFIG, TEAM)
+    whole, resumed = OffPolicyTrainer(CONFIG, TEAM), OffPolicyTrainer(CONFIG, TEAM)
     whole.absorb(chunk(200, episodes=1))
     whole.train(20)
     tensors, plain = whole.state()
@@ -260,7 +260,7 @@ def test_learns_to_match_a_given_action():
 
     algorithm = EiaSecConfig(hidden=32, batch=64, reward_scale=1.0, discount=0.0, actor_rate=2e-3, critic_rate=3e-3)
     settings = ReplayConfig(capacity=4096, warmup_steps=0, updates_per_step=1.0)
-    trainer = Trainer(RunConfig(seed=3, algorithm=algorithm, replay=settings), TEAM)
+    trainer = OffPolicyTrainer(RunConfig(seed=3, algorithm=algorithm, replay=settings), TEAM)
     trainer.absorb(chunk(3000, reward=reward))
     test = chunk(500, 99).rows.observation
 
@@ -275,7 +275,7 @@ def test_learns_to_match_a_given_action():
 
 def test_rows_of_old_versions_are_not_drawn():
     """With a limit of two versions rows stay drawable until a third newer one is published, and are then counted."""
-    trainer = Trainer(replace(CONFIG, replay=replace(CONFIG.replay, max_age_versions=2)), TEAM)
+    trainer = OffPolicyTrainer(replace(CONFIG, replay=replace(CONFIG.replay, max_age_versions=2)), TEAM)
     for number in range(4):
         trainer.absorb(chunk(20, number), trainer.version)
         trainer.next_version()
@@ -287,7 +287,7 @@ def test_rows_of_old_versions_are_not_drawn():
 
 def test_statistics_hold_losses_and_age():
     """Statistics hold a finite figure of each kind for each type, the fill of replay and the age of the samples."""
-    trainer = Trainer(CONFIG, TEAM)
+    trainer = OffPolicyTrainer(CONFIG, TEAM)
     trainer.absorb(chunk(255), trainer.next_version())
     for _ in range(4):
         trainer.next_version()

@@ -17,7 +17,7 @@ from numba.core.dispatcher import Dispatcher
 from common.config import RunConfig
 from common.config.algorithms import switched
 from learner.warm_up import warm_up
-from learner.trainer import Trainer
+from learner.off_policy_trainer import OffPolicyTrainer
 from rollout.worker.collector import Collector
 
 def compiled():
@@ -36,7 +36,7 @@ before = compiled()
 if sys.argv[2] == "warmed up":
     warm_up(config, collector.team)
 warmed = compiled()
-trainer = Trainer(config, collector.team)
+trainer = OffPolicyTrainer(config, collector.team)
 while trainer.updates < 40:
     trainer.absorb(collector.collect(trainer.actors(), 0.3, False))
     trainer.train(trainer.updates_due())

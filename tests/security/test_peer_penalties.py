@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from common.config import ReplayConfig, RunConfig
+from common.config import RunConfig
 from common.errors import BusError
 from common.protocol import keys
 from common.protocol.messages import Envelope
@@ -12,6 +12,7 @@ from common.transport.bus import Bus, Sample, Server, Subscription
 from common.transport.endpoint import free_endpoint
 from learner.intake.chunk_rules import ChunkRules
 from learner.intake.ledger import Ledger
+from learner.intake.limits import IntakeLimits
 from learner.intake.peer_penalties import BLOCK_SECONDS, LIMIT, MOST_PEERS, PeerPenalties
 from learner.intake.receiver import Receiver
 from learner.intake.throttle import HOLD_SECONDS, MOST_BYTES, MOST_HELD, Throttle
@@ -103,7 +104,7 @@ def test_the_receiver_cuts_off_one_worker_and_serves_the_others(monkeypatch):
             ENVIRONMENT.team,
             ChunkRules.of(RunConfig(), ENVIRONMENT),
             Ledger(),
-            ReplayConfig(),
+            IntakeLimits(16, None),
             lockstep=False,
         )
         try:

@@ -53,6 +53,9 @@ class State(NamedTuple):
         level_above: [E, n_py + 1, n_px] the tally's other table.
         listed: [E, n_d, observed sensors] sensors that each data collection UAV sees.
         quality: [E, n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
+        plot_visit: [E, P, 4] last visit of each plot, see `hindsight`; [E, 0, 4] unless visits are tracked.
+        sensor_visit: [E, S, 4] the same of each sensor.
+        hindsight: [E, T, n] corrections of the episode's rewards; [E, 0, n] unless visits are tracked.
     """
 
     key: NDArray[np.uint64]
@@ -86,6 +89,9 @@ class State(NamedTuple):
     level_above: Array
     listed: Indices
     quality: Array
+    plot_visit: Int32
+    sensor_visit: Int32
+    hindsight: Float32
 
 
 class Farm(NamedTuple):
@@ -122,6 +128,9 @@ class Farm(NamedTuple):
     level_above: Array
     listed: Indices
     quality: Array
+    plot_visit: Int32
+    sensor_visit: Int32
+    hindsight: Float32
 
 
 class AssignmentScratch(NamedTuple):
@@ -200,8 +209,8 @@ class Scratch(NamedTuple):
     added: ViewScratch
 
 
-def make_state(config: FarmConfig, environments: int) -> State:
-    """Allocate the environments."""
+def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
+    """Allocate the environments, and what tracks visits if `hindsight` is set."""
     world, team = config.world, farm_team(config)
     count, uavs, sensors = environments, world.uavs, world.sensors
     plots, served = (world.plots_x, world.plots_y), world.monitoring_uavs + world.collection_uavs
@@ -238,6 +247,9 @@ def make_state(config: FarmConfig, environments: int) -> State:
         level_above=np.zeros((count, world.plots_y + 1, world.plots_x)),
         listed=np.zeros((count, world.collection_uavs, config.observation.sensors), np.int64),
         quality=np.zeros((count, served)),
+        plot_visit=np.zeros((count, hindsight * world.plots_x * world.plots_y, 4), np.int32),
+        sensor_visit=np.zeros((count, hindsight * sensors, 4), np.int32),
+        hindsight=np.zeros((count, hindsight * world.steps, uavs), np.float32),
     )
 
 

@@ -5,6 +5,7 @@ import math
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, CameraConstants, Constants, FleetConstants, Int32
+from rollout.sim.kernel.hindsight import note_image
 from rollout.sim.kernel.spatial.neighbours import is_nearest
 from rollout.sim.kernel.spatial.tallies import add, tally_plots
 
@@ -28,7 +29,8 @@ def photograph(c: Constants, farm: Farm, s: Scratch) -> None:
     lowest index. An image counts only if the UAV's relay is in range (W4). A plot with VDF 0 that is not due needs no
     image, because it stays at 0 either way.
 
-    Updates `level`, `level_due`, `rising` and the tally of VDF. Writes `utility` of the monitoring UAVs: VMUF.
+    Updates `level`, `level_due`, `rising`, the tally of VDF and, if visits are tracked, `plot_visit` and `hindsight`.
+    Writes `utility` of the monitoring UAVs: VMUF.
     """
     fleet, camera, position, linked, step = c.fleet, c.camera, farm.position, s.linked, farm.step
     level, due, below, above, rising = farm.level, farm.level_due, farm.level_below, farm.level_above, farm.rising
@@ -48,6 +50,7 @@ def photograph(c: Constants, farm: Farm, s: Scratch) -> None:
                     utility[u] += level[column, row]
                     taken[successes] = column * camera.plots_y + row
                     successes += 1
+                    note_image(c, farm, u, column, row)
     if due_now:
         rising[1] = _rise(camera, step, level, due)
         tally_plots(level, below, above)

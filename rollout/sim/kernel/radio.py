@@ -9,6 +9,7 @@ import numpy as np
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, FleetConstants, Indices
+from rollout.sim.kernel.hindsight import note_packet
 from rollout.sim.kernel.link import CHANCES, NEGLIGIBLE, RadioConstants
 from rollout.sim.kernel.planes import height_of
 from rollout.sim.kernel.spatial.neighbours import block_around, gather, is_nearest
@@ -146,7 +147,7 @@ def send(c: Constants, farm: Farm, s: Scratch) -> int:
 
     Writes `utility` of the data collection UAVs (DCUF) and `served`, the number of sensors with AoI above 0 that
     delivered (in expected delivery, the sum of their shares). Writes to the scratch `item`, the sensors that delivered,
-    and `share`, the share that each delivered.
+    and `share`, the share that each delivered. Updates `sensor_visit` and `hindsight` if visits are tracked.
 
     Returns:
         the number of sensors that delivered.
@@ -180,6 +181,7 @@ def send(c: Constants, farm: Farm, s: Scratch) -> int:
                 number += part if age[j] > 0.0 else 0.0
                 sent[delivered], share[delivered] = j, part
                 delivered += 1
+                note_packet(c, farm, u, j)
         utility[u], served[k] = credit, number
     return delivered
 

@@ -5,9 +5,10 @@
     collectors   r_d = + alpha_8 DCUF t_step - alpha_9 P_C t_step + alpha_10 M_D t_step     utility, idle, motivation
     everybody    ... - alpha_2 (E(k) - E(k-1)) - alpha_3 SR t_step - alpha_4 ACT t_step     energy, risk, boundary
 
-D_c is a relay's distance from where it serves well, and the relay earns the decrease of D_c in the step. P_M and P_C
-are 1 in a step that serves nothing. The energy is already an amount, so t_step does not multiply it (W7).
-`farm.reward.positioning_sign` sets the sign of alpha_1; `RewardConstants` holds all weights with their signs.
+D_c is a relay's distance from where it serves well, and the relay earns the decrease of D_c in the step. `relays.py`
+computes it: `service` holds D_c(k), `earlier` holds D_c(k-1). P_M and P_C are 1 in a step that serves nothing. The
+energy is already an amount, so t_step does not multiply it (W7). The weights are the options `farm.reward`.
+`farm.reward.positioning_sign` sets the sign of alpha_1, and `RewardConstants` holds all weights with their signs.
 
 If you change these equations, change the oracle `rollout/sim/reference.py` too. If you change the positioning part,
 change `FarmBatch.potential`, which `rollout/worker/reward_shaping.py` uses.

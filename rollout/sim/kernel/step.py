@@ -78,6 +78,9 @@ def _farm(state: State, e: int) -> Farm:
         level_above=state.level_above[e],
         listed=state.listed[e],
         quality=state.quality[e],
+        plot_visit=state.plot_visit[e],
+        sensor_visit=state.sensor_visit[e],
+        hindsight=state.hindsight[e],
     )
 
 

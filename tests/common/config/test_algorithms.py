@@ -53,7 +53,7 @@ REFUSED = [
     ("[algorithm]\ntemperature = 2.0", "algorithm.temperature has no effect with eia-sec; it is an option of masac."),
     (
         '[algorithm]\nname = "maddpg"\nensemble = false',
-        "algorithm.ensemble has no effect with maddpg; it is an option of eia-sec.",
+        "algorithm.ensemble has no effect with maddpg; it is an option of eia-sec, eia-ppo.",
     ),
     (
         '[algorithm]\nname = "masac"\nactor_delay = 3',
@@ -65,7 +65,7 @@ REFUSED = [
     ),
     (
         '[elite]\ncycle = 4\n[algorithm]\nname = "matd3"',
-        "elite.cycle has no effect with matd3; it is an option of eia-sec.",
+        "elite.cycle has no effect with matd3; it is an option of eia-sec, eia-ppo.",
     ),
 ]
 
@@ -85,11 +85,11 @@ LINES = [
     ),
     (
         ["--algorithm=masac", "--algorithm.no-ensemble"],
-        "algorithm.ensemble has no effect with masac; it is an option of eia-sec.",
+        "algorithm.ensemble has no effect with masac; it is an option of eia-sec, eia-ppo.",
     ),
     (
         ["--algorithm", "matd3", "--elite.cycle", "4"],
-        "elite.cycle has no effect with matd3; it is an option of eia-sec.",
+        "elite.cycle has no effect with matd3; it is an option of eia-sec, eia-ppo.",
     ),
     (
         ["--algorithm.no-ensemble", "--algorithm.ensemble-members", "3"],

@@ -9,12 +9,11 @@ import random
 import threading
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from common.config import ReplayConfig
 from common.farm import METRIC_NAMES
 from common.history.history import History
 from common.protocol import keys
@@ -24,6 +23,7 @@ from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
 from learner.intake.chunk_rules import ChunkRules
 from learner.intake.ledger import Ledger
+from learner.intake.limits import IntakeLimits
 from learner.intake.receiver import Receiver
 from tests.system.fleet import until
 
@@ -92,6 +92,12 @@ def a_chunk(number: int) -> Chunk:
     observation = shape(TEAM.observation_size)
     observation[0, 0] = number
     return Chunk(Rows(observation, shape(TEAM.action_size), shape(TEAM.agents), flag))
+
+
+def with_log_probabilities(chunk: Chunk) -> Chunk:
+    """Return the chunk as a worker of an algorithm that learns on policy sends it."""
+    log_probability = np.full_like(chunk.rows.reward, -1.0)
+    return replace(chunk, rows=replace(chunk.rows, log_probability=log_probability))
 
 
 @dataclass
@@ -220,10 +226,10 @@ def damage(parcel: Parcel, road: Road, draw: random.Random) -> tuple[str, int]:
     return "", 0
 
 
-def front_door(ledger: Ledger | None = None, history: History | None = None, **replay: int) -> tuple[Receiver, Door]:
+def front_door(ledger: Ledger | None = None, history: History | None = None, **limits: int) -> tuple[Receiver, Door]:
     """Return a receiver and the door before it."""
     door = Door()
-    bounds = ReplayConfig(**{"capacity": 256, "warmup_steps": 0, "intake_chunks": 64, **replay})
+    bounds = IntakeLimits(**{"chunks": 64, "most_lag": None, **limits})
     receiver = Receiver(door, TEAM, RULES, ledger or Ledger(), bounds, lockstep=False, history=history)  # type: ignore[arg-type]  # a door is all of a server that a receiver uses
     return receiver, door
 

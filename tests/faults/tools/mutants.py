@@ -16,7 +16,7 @@ from common.protocol import codec, frame, messages
 from common.protocol.chunk_messages import from_message, from_request, to_message, to_request
 from common.protocol.view_checks import check_view
 from tests.common.protocol.test_view_checks import CONFIG, a_view
-from tests.faults.tools.channel import TEAM, a_chunk
+from tests.faults.tools.channel import TEAM, a_chunk, with_log_probabilities
 
 KINDS: Final = tuple(
     kind for kind in vars(messages).values() if isinstance(kind, type) and issubclass(kind, codec.Message) and kind.KIND
@@ -25,7 +25,7 @@ _PREFIX: Final = struct.Struct("<4sBBHIQI")
 
 
 def samples() -> dict[str, bytes]:
-    """Return one whole frame of each kind of message by the kind's name, and a request of two chunks."""
+    """Return a whole frame of each kind of message by name, a request of two chunks and an on-policy chunk."""
     flat = TeamActors.initial(TEAM, 4, 0).flat
     found = [
         messages.Envelope("rollout", "w", 1, 1, 1),
@@ -48,7 +48,9 @@ def samples() -> dict[str, bytes]:
         a_view(),
     ]
     several = to_request([to_message(a_chunk(number), TEAM, 1, number).encode() for number in (1, 2)], 1, 2)
-    return {type(message).__name__: message.encode() for message in found} | {"request": several}
+    on_policy = to_message(with_log_probabilities(a_chunk(1)), TEAM, 1, 1).encode()
+    whole = {type(message).__name__: message.encode() for message in found}
+    return whole | {"request": several, "on-policy chunk": on_policy}
 
 
 def _read(kind: type[codec.Message], data: frame.Data) -> None:
@@ -70,9 +72,15 @@ def _read_request(data: bytes) -> None:
         _read(messages.ChunkMessage, part)
 
 
+def _read_on_policy(data: bytes) -> None:
+    """Read a chunk as a learner that learns on policy does."""
+    from_message(messages.ChunkMessage.decode(data), TEAM, METRIC_NAMES, on_policy=True)
+
+
 READERS: Final[dict[str, Callable[[bytes], None]]] = {
     **{kind.__name__: functools.partial(_read, kind) for kind in KINDS},
     "request": _read_request,
+    "on-policy chunk": _read_on_policy,
 }
 
 
@@ -160,4 +168,4 @@ def pass_through(count: int, seed: int) -> int:
     return taken
 
 
-assert frame.PROTOCOL == 3  # the prefix above is that of protocol 3
+assert frame.PROTOCOL == 4  # the prefix above is that of protocol 4

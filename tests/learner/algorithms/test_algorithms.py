@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 import torch
 
-from common.config import ALGORITHM_CONFIGS, EiaSecConfig, EliteConfig, RunConfig
+from common.config import ALGORITHM_CONFIGS, EiaSecConfig, EliteConfig, OffPolicyConfig, OnPolicyConfig, RunConfig
 from common.config.algorithms import switched
 from common.imitation import ImitationSchedule
+from common.team import GroupSpec, TeamSpec
 from deploy.commands.training.train import TrainArguments
 from deploy.options import base_configuration, parse
 from learner.algorithms import ALGORITHMS
 from learner.algorithms.base import Algorithm
 from learner.checkpoint.trainer_state import random_state, restored_random
 from learner.engine import Engine
+from learner.on_policy.values import make_values
 from tests.learner.algorithms.test_engine import TEAM, batches, same_state
 from tests.learner.algorithms.variants import variant
 
@@ -27,14 +29,30 @@ SMALL = EiaSecConfig(hidden=8, batch=16, actor_rate=2e-3, critic_rate=5e-3)
 
 
 def test_registry_files_names_and_documentation_agree():
-    """Every file of learner/algorithms is registered, every name is configurable and documented, and no more."""
+    """Every file of learner/algorithms is registered, every name is configurable and documented, and no more.
+
+    Algorithms that learn on policy have no file of their own: each names the value functions that it learns.
+    """
     files = {path.stem for path in (ROOT / "learner" / "algorithms").glob("*.py")} - PARTS
     assert {method.__module__.rpartition(".")[2] for method in ALGORITHMS.values()} == files
-    assert set(ALGORITHMS) == set(ALGORITHM_CONFIGS)
+    families = {
+        family: {name for name, config in ALGORITHM_CONFIGS.items() if issubclass(config, family)}
+        for family in (OffPolicyConfig, OnPolicyConfig)
+    }
+    assert set(ALGORITHMS) == families[OffPolicyConfig]
+    assert set(ALGORITHM_CONFIGS) == families[OffPolicyConfig] | families[OnPolicyConfig]
     page = (ROOT / "docs" / "reference" / "algorithms.md").read_text()
     rows = re.findall(r"^\| `([a-z0-9-]+)` \| `learner/algorithms/([a-z0-9_]+)\.py` \|", page, re.MULTILINE)
     assert dict(rows) == {name: method.__module__.rpartition(".")[2] for name, method in ALGORITHMS.items()}
     assert all(issubclass(method, Algorithm) for method in ALGORITHMS.values())
+    rows = re.findall(r"^\| `([a-z0-9-]+)` \| `([A-Za-z]+)` \|", page, re.MULTILINE)
+    assert {name for name, _ in rows} == families[OnPolicyConfig]
+    group = GroupSpec("a", 2, 3, 1)
+    for name, value in rows:
+        config = ALGORITHM_CONFIGS[name](hidden=4)
+        assert isinstance(config, OnPolicyConfig)
+        (made,) = make_values(config, TeamSpec((group,)), 0)
+        assert type(made).__name__ == value
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from common.transitions import TERMINATED, TRANSITION, Chunk, Rows
 from learner.algorithms import ALGORITHMS
 from learner.diagnostics import RETURN_PERIOD, RunningDiagnostics
 from learner.engine import NOISE, Engine
-from learner.trainer import Trainer
+from learner.off_policy_trainer import OffPolicyTrainer
 from tests.learner.algorithms.test_engine import BASE, SWITCHES, TEAM, actor_stacks, batches, twins
 from tests.learner.algorithms.test_peers import ORACLES, critics_of
 from tests.learner.algorithms.variants import variant
@@ -128,7 +128,7 @@ def test_entropy_is_reported_beside_the_soft_value():
 def test_a_soft_value_is_not_compared_with_rewards(name):
     """Where Q counts entropy, the returns are reported and its excess over them is not; elsewhere both are."""
     algorithm = variant(BASE, name, discount=0.5)
-    trainer = Trainer(RunConfig(algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0)), TEAM)
+    trainer = OffPolicyTrainer(RunConfig(algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0)), TEAM)
     flag = np.full(256, TRANSITION, np.uint8)
     flag[7::8] = 0
     flag[6::8] |= TERMINATED

@@ -92,7 +92,7 @@ def test_a_file_that_is_gone_is_noticed(tmp_path):
     """A checkpoint without its tensors is damaged, and when no other is left the error says so."""
     path = files.save(tmp_path, TENSORS, BODY, keep=2)
     (path / "tensors.safetensors").unlink()
-    with pytest.raises(CheckpointError, match="is whole"):
+    with pytest.raises(CheckpointError, match="are damaged"):
         files.load_latest(tmp_path)
 
 

@@ -19,7 +19,7 @@ from learner.algorithms import ALGORITHMS
 from learner.checkpoint import files
 from learner.checkpoint.storage import CHECKPOINTS, RunStorage
 from learner.intake.ledger import Ledger
-from learner.trainer import Trainer
+from learner.off_policy_trainer import OffPolicyTrainer
 from tests.learner.algorithms.variants import variant
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
@@ -91,14 +91,14 @@ def check_resume(directory, cut, updates, config=CONFIG):
     torch.set_num_threads(1)
     more = int(updates / (config.replay.updates_per_step * ENVIRONMENTS * STEPS)) + (8 if cut == 1 else 1)
     chunks = recorded(cut + more)
-    whole, ledger, storage = Trainer(config, TEAM), Ledger(), RunStorage(directory, config)
+    whole, ledger, storage = OffPolicyTrainer(config, TEAM), Ledger(), RunStorage(directory, config)
     play(whole, ledger, chunks, 0, cut)
     kept, before = ledger.state(), whole.updates
     storage.save(whole, ledger, 12.5, 3)
     play(whole, ledger, chunks, cut, cut + more)
     storage.close()
     assert storage.alarm == ""
-    resumed, again = Trainer(replace(config, seed=config.seed), TEAM), Ledger()
+    resumed, again = OffPolicyTrainer(replace(config, seed=config.seed), TEAM), Ledger()
     assert RunStorage(directory, config).restore(resumed, again) == (12.5, 3)
     assert (again.state(), resumed.updates) == (kept, before)
     play(resumed, again, chunks, cut, cut + more)
@@ -138,7 +138,7 @@ def test_a_checkpoint_is_of_its_instant_however_slow_the_disk(tmp_path, monkeypa
 
     monkeypatch.setattr(files, "_pieces", slow)
     chunks = recorded(90)
-    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
+    trainer, ledger, storage = OffPolicyTrainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
     play(trainer, ledger, chunks, 0, 40)
     tensors, plain = trainer.state()
     storage.save(trainer, ledger, 0.0, 1)
@@ -158,7 +158,7 @@ def test_a_checkpoint_is_of_its_instant_however_slow_the_disk(tmp_path, monkeypa
 
 def test_a_number_that_is_not_finite_is_an_alarm_and_no_checkpoint(tmp_path):
     """The checkpoint before stands, the alarm says why, and goes away with the next whole one."""
-    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
+    trainer, ledger, storage = OffPolicyTrainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
     play(trainer, ledger, recorded(6), 0, 6)
     storage.save(trainer, ledger, 0.0, 1, wait=True)
     good = trainer.engine.algorithm.actors.flat[5].clone()
@@ -176,7 +176,7 @@ def test_a_number_that_is_not_finite_is_an_alarm_and_no_checkpoint(tmp_path):
 @pytest.mark.parametrize("step", ["_write_tensors", "_write", "_flush_folder"])
 def test_a_disk_that_refuses_is_an_alarm_and_training_goes_on(tmp_path, monkeypatch, step):
     """At each step of a write an I/O error is an alarm, and the checkpoint before is the one that is found."""
-    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
+    trainer, ledger, storage = OffPolicyTrainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
     chunks = recorded(12)
     play(trainer, ledger, chunks, 0, 6)
     storage.save(trainer, ledger, 0.0, 1, wait=True)
@@ -195,7 +195,7 @@ def test_a_disk_that_refuses_is_an_alarm_and_training_goes_on(tmp_path, monkeypa
 def check_damage(directory, times, capfd):
     """Damage the newest of two checkpoints at random places; each time the one before is taken up, with a message."""
     draw = random.Random(times)
-    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(directory, CONFIG)
+    trainer, ledger, storage = OffPolicyTrainer(CONFIG, TEAM), Ledger(), RunStorage(directory, CONFIG)
     chunks = recorded(3)
     for number in range(2):
         play(trainer, ledger, chunks, number, number + 1)
@@ -203,7 +203,7 @@ def check_damage(directory, times, capfd):
     newest = directory / CHECKPOINTS / "checkpoint-00000002"
     aside = newest.with_name(f"damaged-{newest.name}")
     files = {path: path.read_bytes() for path in newest.iterdir()}
-    fresh = Trainer(CONFIG, TEAM)
+    fresh = OffPolicyTrainer(CONFIG, TEAM)
     for _ in range(times):
         path, whole = draw.choice(sorted(files.items()))
         place = draw.randrange(len(whole))
@@ -232,7 +232,7 @@ def test_a_damaged_checkpoint_is_noticed_a_thousand_times(tmp_path, capfd):
 
 def test_any_fault_of_a_write_is_an_alarm_and_the_next_one_is_written(tmp_path, monkeypatch):
     """An error that nobody thought of, of the device for instance, does not come up again at the next checkpoint."""
-    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
+    trainer, ledger, storage = OffPolicyTrainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
 
     def fail(*arguments):
         raise RuntimeError("out of memory")
@@ -248,25 +248,25 @@ def test_any_fault_of_a_write_is_an_alarm_and_the_next_one_is_written(tmp_path, 
 
 def test_a_run_goes_on_with_other_settings_of_its_process(tmp_path):
     """How many checkpoints are kept, how often, threads and the evaluation at the end may change."""
-    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
+    trainer, ledger, storage = OffPolicyTrainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
     storage.save(trainer, ledger, 3.0, 1, wait=True)
     learner = LearnerConfig(threads=2, checkpoint_seconds=7.0, keep_checkpoints=5)
     other = replace(CONFIG, learner=learner, evaluation=EvaluationConfig(farms=3))
-    assert RunStorage(tmp_path, other).restore(Trainer(other, TEAM), Ledger()) == (3.0, 1)
+    assert RunStorage(tmp_path, other).restore(OffPolicyTrainer(other, TEAM), Ledger()) == (3.0, 1)
 
 
 def test_a_checkpoint_that_names_the_whole_configuration_goes_on(tmp_path):
     """Earlier versions did not leave out the settings of the process."""
-    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
+    trainer, ledger, storage = OffPolicyTrainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
     tensors, state = trainer.snapshot()
     body = {"configuration": digest(CONFIG), "trainer": state, "intake": ledger.state(), "elapsed": 4.0, "epoch": 2}
     files.save(tmp_path / CHECKPOINTS, tensors, body, keep=1)
-    assert storage.restore(Trainer(CONFIG, TEAM), Ledger()) == (4.0, 2)
+    assert storage.restore(OffPolicyTrainer(CONFIG, TEAM), Ledger()) == (4.0, 2)
 
 
 def test_a_checkpoint_of_another_configuration_is_refused(tmp_path):
     """Resuming with other settings raises RunDirError."""
-    trainer, ledger, storage = Trainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
+    trainer, ledger, storage = OffPolicyTrainer(CONFIG, TEAM), Ledger(), RunStorage(tmp_path, CONFIG)
     storage.save(trainer, ledger, 0.0, 1, wait=True)
     other = RunStorage(tmp_path, replace(CONFIG, seed=12))
     with pytest.raises(RunDirError, match="another configuration"):

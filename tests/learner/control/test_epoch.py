@@ -11,8 +11,8 @@ from learner.checkpoint.recovery import last_epoch
 from learner.checkpoint.storage import RunStorage
 from learner.control.epoch import SuccessorWatch, next_epoch
 from learner.intake.ledger import Ledger
+from learner.off_policy_trainer import OffPolicyTrainer
 from learner.service import HISTORY, Learner
-from learner.trainer import Trainer
 from tests.learner.checkpoint.test_resume import CONFIG, TEAM
 
 DAY = 86_400 * 10**6
@@ -33,7 +33,7 @@ def start(directory, trainer, clock, monkeypatch):
 def test_the_epoch_grows_although_the_clock_was_set_back(tmp_path, monkeypatch, checkpoint):
     """The first start's clock is a day ahead; later starts get higher epochs from the checkpoint or the history."""
     now = 1_800_000_000 * 10**6
-    trainer = Trainer(CONFIG, TEAM)
+    trainer = OffPolicyTrainer(CONFIG, TEAM)
     epochs = [start(tmp_path, trainer, now + DAY, monkeypatch)]
     assert epochs == [now + DAY]
     if checkpoint:

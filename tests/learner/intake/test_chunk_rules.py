@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from common.actors import TeamActors
-from common.config import ReplayConfig, RunConfig
+from common.config import RunConfig
 from common.errors import SchemaError
 from common.history.history import Entry, History, read
 from common.protocol import keys
@@ -17,6 +17,7 @@ from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Row
 from deploy.monitor.audit import audit
 from learner.intake.chunk_rules import ChunkRules, EpisodeTracker
 from learner.intake.ledger import Ledger
+from learner.intake.limits import IntakeLimits
 from learner.intake.peer_penalties import LIMIT
 from learner.intake.receiver import Receiver
 from rollout.worker.collector import Collector
@@ -57,7 +58,7 @@ def parcel(*chunks: Chunk, number: int = 1, name: str = "w", version: int = 0, *
 
 
 def front_door(rules: ChunkRules = FARM, history: History | None = None) -> tuple[Receiver, Door]:
-    door, bounds = Door(), ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=64)
+    door, bounds = Door(), IntakeLimits(64, None)
     return Receiver(door, TEAM, rules, Ledger(), bounds, lockstep=False, history=history), door  # type: ignore[arg-type]  # a door is all that it uses
 
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from common.config import ReplayConfig
 from common.incarnation import LATEST, STRIDE, new_incarnation
 from common.protocol import keys
 from common.protocol.chunk_messages import to_message, to_request
 from common.protocol.messages import ChunkAck, Envelope
 from learner.intake.ledger import Ledger
+from learner.intake.limits import IntakeLimits
 from learner.intake.receiver import Receiver
 from tests.faults.tools.channel import RULES, RUN, TEAM, Door, Parcel, Sending, a_chunk, front_door, shut
 from tests.system.fleet import until
@@ -84,7 +84,7 @@ def test_no_start_takes_all_numbers_with_it():
 def test_a_stray_message_keeps_no_worker_out_of_a_lockstep_run():
     """Whoever sends junk before the one worker has no place in the run; the worker that delivers first has it."""
     door = Door()
-    bounds = ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=16)
+    bounds = IntakeLimits(16, None)
     receiver = Receiver(door, TEAM, RULES, Ledger(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
     try:
         stray = parcel("stranger", 1, 1)
@@ -113,7 +113,7 @@ def test_there_are_accounts_for_so_many_workers(monkeypatch):
 def test_in_lockstep_a_second_copy_waits_for_the_training_too():
     """A worker whose link broke while its chunk was trained on hears of it when that is done, and not before."""
     door, sending = Door(), Sending("0", 2)
-    bounds = ReplayConfig(capacity=256, warmup_steps=0, intake_chunks=16)
+    bounds = IntakeLimits(16, None)
     receiver = Receiver(door, TEAM, RULES, Ledger(), bounds, lockstep=True)  # type: ignore[arg-type]  # a door is all that it uses
     try:
         first, second = sending.parcel([1]), sending.parcel([1])

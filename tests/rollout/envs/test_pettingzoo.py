@@ -1,4 +1,4 @@
-"""Any PettingZoo parallel environment with Box actions is a batch of environments like the farm."""
+"""Any PettingZoo parallel environment is a batch of environments like the farm."""
 
 import sys
 from contextlib import closing
@@ -108,7 +108,7 @@ def test_an_episode_is_a_function_of_its_seeds():
         (EnvConfig("toy_env:np"), "neither a callable nor a module with a parallel_env"),
         (EnvConfig("toy_env:Whole"), "is a Whole, not a PettingZoo ParallelEnv"),
         (relay('{"speed": 3}'), "cannot be made with"),
-        (EnvConfig("toy_env:shy", arguments='{"continuous_actions": false}'), "actions other than bounded boxes"),
+        (EnvConfig("toy_env:shouting"), "actions other than bounded boxes, Discrete and MultiDiscrete"),
     ],
 )
 def test_what_cannot_be_trained_is_said_in_one_sentence(config, text):
@@ -263,7 +263,9 @@ def test_the_farm_is_one_of_them():
 def test_a_line_in_factories_is_all_that_an_environment_of_this_package_needs(monkeypatch):
     """Its name has no colon, so it is not third-party code, and a run that names it is not about the farm."""
     config = RunConfig(env=EnvConfig("small_farm"))
-    monkeypatch.setitem(registry.FACTORIES, "small_farm", lambda run, count: FarmBatch(SMALL, count))
+    monkeypatch.setitem(
+        registry.FACTORIES, "small_farm", lambda run, count, hindsight: FarmBatch(SMALL, count, 1, hindsight)
+    )
     with closing(make_environments(config, 2)) as environments:
         assert environments.team == FarmBatch(SMALL, 1).team
     assert not config.env.is_third_party

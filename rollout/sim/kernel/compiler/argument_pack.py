@@ -22,11 +22,14 @@ from rollout.sim.kernel.constants import constants
 from rollout.sim.layout import cell_counts
 
 
-def make_workspace(config: FarmConfig, environments: int) -> Workspace:
-    """Allocate a workspace."""
+def make_workspace(config: FarmConfig, environments: int, hindsight: bool = False) -> Workspace:
+    """Allocate a workspace, and what tracks visits if `hindsight` is set."""
     action = np.zeros((environments, farm_team(config).environment_action_size), np.float32)
     return Workspace(
-        constants(config, cell_counts(config.world)), make_state(config, environments), make_scratch(config), action
+        constants(config, cell_counts(config.world)),
+        make_state(config, environments, hindsight),
+        make_scratch(config),
+        action,
     )
 
 

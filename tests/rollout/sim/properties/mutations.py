@@ -15,10 +15,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[4]
 PAGE = ROOT / "docs" / "reference" / "simulator_properties.md"
-PROPERTIES = [
-    f"test_properties_{name}.py" for name in ("flight", "counters", "symmetry", "batch", "added", "reference")
-]
-"""The reference, which notices almost everything, comes last."""
+NAMES = ("flight", "counters", "symmetry", "batch", "added", "reference", "hindsight")
+PROPERTIES = [f"test_properties_{name}.py" for name in NAMES]
+"""The reference, which notices almost everything, comes after all that need none; hindsight needs it, too."""
 
 TESTS = "tests/rollout/sim"
 
@@ -178,6 +177,18 @@ MUTATIONS = (
         "sim/kernel/observation.py",
         "sx * (sensor[0, j] - x)",
         "sensor[0, j] - x",
+    ),
+    one(
+        "hindsight forgets that a service may remove a rise",
+        "sim/kernel/hindsight.py",
+        "-float(visit[item, REMOVED])",
+        "0.0",
+    ),
+    one(
+        "hindsight corrects the later visit",
+        "sim/kernel/hindsight.py",
+        "hindsight[earlier - 1, visit[item, AGENT]]",
+        "hindsight[step - 1, agent]",
     ),
     one("sums of the last episode stay after a reset", "sim/batch.py", "state.returns, state.sums)", "state.returns)"),
 )

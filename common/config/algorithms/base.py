@@ -1,0 +1,45 @@
+"""What all algorithms share."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from common.config.checks import not_negative, positive, within
+
+
+@dataclass(frozen=True)
+class AlgorithmConfig:
+    """What all algorithms share: networks, rates, and how rewards are scaled.
+
+    Attributes:
+        sections: other sections of a configuration that the algorithm reads; see OPTIONAL_SECTIONS.
+        discrete_actions: whether the algorithm can train types with discrete actions.
+    """
+
+    sections: ClassVar[tuple[str, ...]] = ()
+    discrete_actions: ClassVar[bool] = False
+
+    name: str
+    """The algorithm."""
+    hidden: int = 64
+    """Width of both hidden layers of every network (ours)."""
+    discount: float = 0.97
+    """Discount factor gamma of the return; the paper prints 0.99."""
+    actor_rate: float = 1e-3
+    """Learning rate of the actors, r_a; the paper prints 1e-4."""
+    critic_rate: float = 1e-3
+    """Learning rate of the critics and of the shared ensemble critic, r_c; the paper prints 1e-5."""
+    reward_scale: float = 0.1
+    """Factor on every reward before it enters a target (ours)."""
+    potential_discount: float = 0.995
+    """Discount gamma_s of the potential that shapes the relays' rewards; 0 for no shaping (ours)."""
+    gradient_clip: float = 0.0
+    """Largest norm of one network's gradient; 0 for no limit (ours)."""
+    initialisation: Literal["type", "independent"] = "type"
+    """One random initialisation for all agents of a type, or one for each agent (A4)."""
+
+    def __post_init__(self) -> None:
+        """Refuse rates and sizes that cannot learn."""
+        within(1, 4096, hidden=self.hidden)
+        within(0.0, 1.0, discount=self.discount, potential_discount=self.potential_discount)
+        positive(actor_rate=self.actor_rate, critic_rate=self.critic_rate, reward_scale=self.reward_scale)
+        not_negative(gradient_clip=self.gradient_clip)

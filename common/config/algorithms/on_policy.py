@@ -1,0 +1,174 @@
+"""Algorithms that learn on policy: PPO for many agents (IPPO, MAPPO), and EIA-SEC's form of it."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+from common.config.algorithms.base import AlgorithmConfig
+from common.config.checks import not_negative, positive, within
+from common.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class OnPolicyConfig(AlgorithmConfig):
+    """What PPO's forms share: iterations of collecting, estimating advantages and a few epochs of updates."""
+
+    discrete_actions: ClassVar[bool] = True
+
+    hidden: int = 128
+    """Width of both hidden layers of every network (ours)."""
+    discount: float = 0.99
+    """Discount factor gamma of the return."""
+    potential_discount: float = 1.0
+    """Discount gamma_s of the potential that shapes the relays' rewards; 0 for no shaping (ours)."""
+    gradient_clip: float = 0.5
+    """Largest norm of the gradient of a type's actors, and of its value functions; 0 for no limit."""
+    iteration_steps: int = 16_000
+    """Environment steps of an iteration; all updates of an iteration learn from the same steps."""
+    epochs: int = 3
+    """Passes over the steps of an iteration."""
+    minibatch_steps: int = 1000
+    """Environment steps in a minibatch; each holds a sample of every agent."""
+    clip: float = 0.2
+    """Clip range of the ratio between the new and the behaviour policy."""
+    gae_lambda: float = 0.95
+    """Decay lambda of generalised advantage estimation."""
+    discounts: str = "communication=1.0"
+    """Discount factors of single types, type=gamma separated by commas; all other types have `discount`."""
+    entropy_start: float = 0.02
+    """Weight of the policies' entropy at the first episode."""
+    entropy_end: float = 0.003
+    """Weight of the policies' entropy at the last episode; in between it falls linearly."""
+    entropy_scales: str = "communication=0.05"
+    """Factors on the weight of single types' entropy, type=factor separated by commas, each 0 to 1; others have 1."""
+    rate_end: float = 0.05
+    """Share of the learning rates that is left at the last episode; in between they fall linearly."""
+    target_kl: float = 0.03
+    """KL divergence from the behaviour policy beyond which an iteration's remaining updates of a type's actors are
+    skipped; 0 for no limit."""
+    max_lag_versions: int = 1
+    """Largest age of a chunk's policy when it is learned from, in parameter versions; 0 is strictly on policy."""
+    parameters: Literal["shared", "separate"] = "shared"
+    """Whether the agents of a type share one actor and one value function, or each has its own."""
+    credit: Literal["own", "type", "team"] = "own"
+    """Whether an agent learns from its own reward, the mean of its type's, or the mean of the team's."""
+    hindsight: str = ""
+    """Shares of types' task rewards that are paid as hindsight credit, what a visit was worth to the team: type=share
+    separated by commas, each 0 to 1; types that are not named have none (ours)."""
+    time_limit: Literal["terminal", "bootstrap"] = "terminal"
+    """Whether the return ends with the time limit, as suits agents that see the clock, or is continued by the value."""
+    precision: Literal["float32", "bfloat16"] = "bfloat16"
+    """Precision of the hidden layers in updates; bfloat16 applies only where the device has instructions for it."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot learn."""
+        super().__post_init__()
+        within(1, 100_000_000, iteration_steps=self.iteration_steps)
+        within(1, 1000, epochs=self.epochs)
+        within(1, 10_000_000, minibatch_steps=self.minibatch_steps)
+        within(0.0, 1.0, gae_lambda=self.gae_lambda, rate_end=self.rate_end)
+        positive(clip=self.clip)
+        not_negative(target_kl=self.target_kl, entropy_start=self.entropy_start, entropy_end=self.entropy_end)
+        within(0, 2**31, max_lag_versions=self.max_lag_versions)
+        self.type_discounts()
+        self.type_entropy_scales()
+        self.hindsight_shares()
+
+    @property
+    def sees_team(self) -> bool:
+        """Whether value functions see the observations of all agents."""
+        return False
+
+    @property
+    def ensemble_size(self) -> int:
+        """Members of a type's shared ensemble of value functions; 0 without one."""
+        return 0
+
+    @property
+    def local_weight(self) -> float:
+        """Weight of an agent's own value function beside the ensemble's mean."""
+        return 1.0
+
+    def type_discounts(self) -> dict[str, float]:
+        """Return `discounts` as a map from type to gamma; raise ConfigError when it is none."""
+        return _shares("discounts", self.discounts)
+
+    def type_entropy_scales(self) -> dict[str, float]:
+        """Return `entropy_scales` as a map from type to factor; raise ConfigError when it is none."""
+        return _shares("entropy_scales", self.entropy_scales)
+
+    def hindsight_shares(self) -> dict[str, float]:
+        """Return `hindsight` as a map from type to share; raise ConfigError when it is none."""
+        return _shares("hindsight", self.hindsight)
+
+
+def _shares(option: str, text: str) -> dict[str, float]:
+    """Return a text type=number, with commas between, as a map; the numbers are 0 to 1."""
+    found = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        kind, equals, value = (piece.strip() for piece in part.partition("="))
+        try:
+            number = float(value)
+        except ValueError:
+            number = -1.0
+        if not (kind and equals) or not 0.0 <= number <= 1.0:
+            raise ConfigError(f"{option} must be type=number with commas between, each 0 to 1, not {part!r}.")
+        found[kind] = number
+    return found
+
+
+@dataclass(frozen=True)
+class IppoConfig(OnPolicyConfig):
+    """IPPO (de Witt et al. 2020): PPO for each agent, with a value function of its own observation."""
+
+    name: Literal["ippo"] = "ippo"
+    """The algorithm, which selects the options of this section."""
+
+
+@dataclass(frozen=True)
+class MappoConfig(OnPolicyConfig):
+    """MAPPO (Yu et al. 2022): PPO for each agent, with value functions of all agents' observations."""
+
+    name: Literal["mappo"] = "mappo"
+    """The algorithm, which selects the options of this section."""
+
+    @property
+    def sees_team(self) -> bool:
+        """Whether value functions see the observations of all agents."""
+        return True
+
+
+@dataclass(frozen=True)
+class EiaPpoConfig(OnPolicyConfig):
+    """EIA-SEC on policy: actors that imitate elites (section `elite`), and a shared ensemble of value functions.
+
+    Each agent has an actor and a local value function; each type shares an ensemble of value functions.
+    """
+
+    sections: ClassVar[tuple[str, ...]] = ("elite",)
+
+    name: Literal["eia-ppo"] = "eia-ppo"
+    """The algorithm, which selects the options of this section."""
+    parameters: Literal["shared", "separate"] = "separate"
+    """Whether the agents of a type share one actor and one value function, or each has its own."""
+    ensemble: bool = True
+    """Whether the shared ensemble takes part; without it the value is the local one alone."""
+    ensemble_members: int = 2
+    """Members of a type's shared ensemble, k_s (1 to 64)."""
+    mixture_epsilon: float = 0.1
+    """Weight epsilon of the local value in the mixture, eq. (value)."""
+
+    def __post_init__(self) -> None:
+        """Refuse an ensemble that cannot be."""
+        super().__post_init__()
+        within(1, 64, ensemble_members=self.ensemble_members)
+        within(0.0, 1.0, mixture_epsilon=self.mixture_epsilon)
+
+    @property
+    def ensemble_size(self) -> int:
+        """Members of a type's shared ensemble of value functions; 0 without one."""
+        return self.ensemble_members if self.ensemble else 0
+
+    @property
+    def local_weight(self) -> float:
+        """Weight of an agent's own value function beside the ensemble's mean."""
+        return self.mixture_epsilon if self.ensemble else 1.0

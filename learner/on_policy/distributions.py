@@ -1,0 +1,56 @@
+"""Log-probability and entropy of actions, with gradients; `common.action_sampling` samples from the same policies."""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from common.action_sampling import HALF_LOG_TAU, ILLEGAL, LARGEST_ACTION
+from common.actors import LOG_STD_RANGE
+from common.team import GroupSpec
+
+
+class Evaluated(NamedTuple):
+    """A policy's view of actions that were taken.
+
+    Attributes:
+        log_probability: log pi(a | o) [B, n].
+        entropy: entropy of the policy at o [B, n], nats; of a squashed Gaussian that before the tanh.
+    """
+
+    log_probability: Tensor
+    entropy: Tensor
+
+
+def evaluate(group: GroupSpec, observation: Tensor, outputs: Tensor, action: Tensor) -> Evaluated:
+    """Evaluate actions of a type.
+
+    Args:
+        group: the type.
+        observation: [B, n, o].
+        outputs: [B, n, outputs] of its actors.
+        action: [B, n, a], as rows hold it.
+    """
+    if group.choices:
+        return _categorical(group, observation, outputs, action)
+    return _squashed_gaussian(outputs, action)
+
+
+def _categorical(group: GroupSpec, observation: Tensor, logits: Tensor, action: Tensor) -> Evaluated:
+    if group.masked:
+        logits = torch.where(observation[..., -group.options :] > 0.5, logits, ILLEGAL)
+    log_probability = entropy = logits.new_zeros(logits.shape[:-1])
+    for index, part in enumerate(torch.split(logits, list(group.choices), dim=-1)):
+        log_share = torch.log_softmax(part, dim=-1)
+        taken = action[..., index : index + 1].long()
+        log_probability = log_probability + log_share.gather(-1, taken).squeeze(-1)
+        entropy = entropy - (log_share.exp() * log_share).sum(dim=-1)
+    return Evaluated(log_probability, entropy)
+
+
+def _squashed_gaussian(outputs: Tensor, action: Tensor) -> Evaluated:
+    size = action.shape[-1]
+    mean, log_std = outputs[..., :size], outputs[..., size:].clamp(*LOG_STD_RANGE)
+    score = (torch.atanh(action.clamp(-LARGEST_ACTION, LARGEST_ACTION)) - mean) * torch.exp(-log_std)
+    log_probability = (-0.5 * score.square() - log_std - HALF_LOG_TAU).sum(dim=-1)
+    return Evaluated(log_probability, (log_std + 0.5 + HALF_LOG_TAU).sum(dim=-1))

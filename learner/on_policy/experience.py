@@ -1,0 +1,84 @@
+"""The rows of one iteration, and what its updates learn from."""
+
+from typing import Any, Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from common.errors import CheckpointError, SchemaError
+from common.team import TeamSpec
+from common.transitions import TRANSITION, Chunk, Rows
+
+FIELDS: Final = ("observation", "action", "reward", "flag", "log_probability")
+
+
+class Experience:
+    """Chunks of one iteration, in the order in which they came.
+
+    Args:
+        team: the layout of the team.
+
+    Attributes:
+        steps: environment steps in them.
+        lag: sum over the steps of their policies' ages when they came, in parameter versions.
+    """
+
+    def __init__(self, team: TeamSpec) -> None:
+        self._team = team
+        self._chunks: list[Rows] = []
+        self.steps = self.lag = 0
+
+    def add(self, chunk: Chunk, lag: int) -> None:
+        """Add a chunk whose policy is `lag` versions old."""
+        self._chunks.append(chunk.rows)
+        self.steps += chunk.rows.steps
+        self.lag += lag * chunk.rows.steps
+
+    def rows(self) -> Rows:
+        """Return all rows in one piece, in memory of its own; there must be some, with log-probabilities."""
+        if len(self._chunks) > 1 or not self._chunks[0].observation.flags.writeable:
+            parts = {name: np.concatenate([getattr(rows, name) for rows in self._chunks]) for name in FIELDS}
+            self._chunks = [Rows(**parts)]
+        return self._chunks[0]
+
+    def tensors(self, prefix: str) -> dict[str, Tensor]:
+        """Return the rows by their names in a checkpoint, which begin with `prefix`; none if there are no rows."""
+        if not self._chunks:
+            return {}
+        rows = self.rows()
+        # Rows are never written again, so a checkpoint may share their memory.
+        return {f"{prefix}.{name}": torch.from_numpy(np.asarray(getattr(rows, name))) for name in FIELDS}
+
+    @classmethod
+    def restored(cls, team: TeamSpec, tensors: dict[str, Tensor], prefix: str, steps: int, lag: int) -> "Experience":
+        """Return the experience in a checkpoint.
+
+        Raises:
+            CheckpointError: when it does not fit the team or its count of steps.
+        """
+        found = cls(team)
+        if steps == 0:
+            return found
+        rows = Rows(**{name: _array(tensors, f"{prefix}.{name}") for name in FIELDS})
+        try:
+            rows.check(team)
+        except SchemaError as error:
+            raise CheckpointError(f"the checkpoint's {prefix} cannot be used: {error}") from error
+        if rows.steps != steps:
+            raise CheckpointError(f"the checkpoint's {prefix} has another number of steps than it states.")
+        found._chunks, found.steps, found.lag = [rows], steps, lag
+        return found
+
+
+def _array(tensors: dict[str, Tensor], name: str) -> Any:
+    tensor = tensors.get(name)
+    # numpy has no bfloat16.
+    if tensor is None or tensor.dtype not in (torch.float32, torch.uint8):
+        raise CheckpointError(f"the checkpoint's {name} is missing or has an impossible type.")
+    return tensor.numpy()
+
+
+def step_rows(rows: Rows) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Return the indices of the rows from which a step follows."""
+    return np.flatnonzero(rows.flag & TRANSITION)

@@ -1,0 +1,89 @@
+"""Perceptrons with two hidden ReLU layers for all agents of a type, by plain torch autograd.
+
+A *stack* is one network that all agents of a type share, or one for each. The parameters of the S networks of a stack
+are six tensors with a leading axis S, in the order of `common.actors`: W1, b1, W2, b2, W3, b3.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from common.actors import layer_shapes, parameter_views
+from common.seeds import stream
+from common.team import Float32
+
+
+class Stack(nn.Module):
+    """S networks of equal shape.
+
+    Inputs of type bfloat16 are computed with in bfloat16, but for the last layer. Parameters and outputs are float32.
+
+    Args:
+        count: S.
+        inputs: numbers in an input.
+        hidden: width of the hidden layers.
+        outputs: numbers in an output.
+        gain: gain of the last layer's orthogonal initialisation; hidden layers have sqrt(2).
+        names: parts of the name of the random stream of each network's initialisation, one entry for each.
+    """
+
+    def __init__(
+        self, count: int, inputs: int, hidden: int, outputs: int, gain: float, names: Sequence[tuple[int | str, ...]]
+    ) -> None:
+        super().__init__()
+        self.count, self._sizes = count, (inputs, hidden, outputs)
+        shapes = layer_shapes(inputs, hidden, outputs)
+        self.layers = nn.ParameterList([nn.Parameter(torch.zeros(count, *shape)) for shape in shapes])
+        with torch.no_grad():
+            for row, name in enumerate(names):
+                generator = stream(*name)
+                for index, layer_gain in ((0, math.sqrt(2.0)), (2, math.sqrt(2.0)), (4, gain)):
+                    weights = orthogonal(shapes[index], layer_gain, generator)
+                    self.layers[index][row] = torch.from_numpy(weights)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the outputs of each agent's network.
+
+        Args:
+            x: [B, n, inputs] where S is 1 or n.
+
+        Returns:
+            [B, n, outputs].
+        """
+        if self.count == 1:
+            flat = x.reshape(-1, x.shape[2])
+            return self._one(flat).view(x.shape[0], x.shape[1], -1)
+        w1, b1, w2, b2 = (layer.to(x.dtype) for layer in self.layers[:4])
+        h = torch.relu(torch.baddbmm(b1[:, None], x.transpose(0, 1), w1))
+        h = torch.relu(torch.baddbmm(b2[:, None], h, w2))
+        return torch.baddbmm(self.layers[5][:, None], h.float(), self.layers[4]).transpose(0, 1)
+
+    def _one(self, x: Tensor) -> Tensor:
+        w1, b1, w2, b2 = (layer[0].to(x.dtype) for layer in self.layers[:4])
+        h = torch.relu(torch.addmm(b1, x, w1))
+        h = torch.relu(torch.addmm(b2, h, w2))
+        return torch.addmm(self.layers[5][0], h.float(), self.layers[4][0])
+
+    def export(self) -> Float32:
+        """Return the parameters as [S, P] float32, in the order of `common.actors`."""
+        flat = torch.cat([layer.detach().reshape(self.count, -1) for layer in self.layers], dim=1)
+        return flat.float().contiguous().cpu().numpy()
+
+    @torch.no_grad()
+    def load(self, flat: Float32) -> None:
+        """Replace the parameters by [S, P] float32."""
+        for layer, view in zip(self.layers, parameter_views(flat, *self._sizes), strict=True):
+            layer.copy_(torch.from_numpy(np.ascontiguousarray(view)))
+
+
+def orthogonal(shape: tuple[int, ...], gain: float, generator: np.random.Generator) -> Float32:
+    """Return a matrix whose rows or columns are orthonormal, times a gain (Saxe et al. 2014)."""
+    rows, columns = shape
+    square = generator.standard_normal((max(rows, columns), min(rows, columns)))
+    q, r = np.linalg.qr(square)
+    q *= np.sign(np.diag(r))
+    found: Float32 = (gain * (q if rows >= columns else q.T)).astype(np.float32)
+    return found

@@ -1,0 +1,110 @@
+"""The actors of all types, and PPO's loss for them (Schulman et al. 2017).
+
+ratio   = pi(a | o) / pi_behaviour(a | o)
+L_actor = -mean(min(ratio A, clip(ratio, 1 - c, 1 + c) A)) - w_H mean(H(pi(. | o)))
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from common.actors import Head, TeamActors, actor_outputs
+from common.config import OnPolicyConfig
+from common.team import Float32, GroupSpec, TeamSpec
+from learner.on_policy.distributions import evaluate
+from learner.on_policy.networks import Stack
+
+HEAD: Head = "gaussian"
+"""Head of types with continuous actions."""
+LAST_GAIN = 0.01
+"""Gain of the actors' last layer, so that a fresh policy is nearly uniform."""
+
+
+class ActorLoss(NamedTuple):
+    """The loss of a type's actors on a minibatch, and what it measured.
+
+    Attributes:
+        loss: L_actor.
+        entropy: mean entropy, nats.
+        kl: estimate of KL(pi_behaviour || pi), mean(ratio - 1 - ln ratio).
+        clipped: share of samples whose ratio is clipped.
+    """
+
+    loss: Tensor
+    entropy: Tensor
+    kl: Tensor
+    clipped: Tensor
+
+
+class Policies(nn.Module):
+    """All actors.
+
+    Args:
+        config: the algorithm's configuration.
+        team: the layout of the team.
+        seed: seed of the run.
+
+    Attributes:
+        stacks: the networks of each type.
+    """
+
+    def __init__(self, config: OnPolicyConfig, team: TeamSpec, seed: int) -> None:
+        super().__init__()
+        self._config, self._team = config, team
+        self.stacks = [self._stack(group, seed) for group in team.groups]
+        self.types = nn.ModuleList(self.stacks)
+
+    def _stack(self, group: GroupSpec, seed: int) -> Stack:
+        config = self._config
+        count = 1 if config.parameters == "shared" else group.count
+        names = initialisation_names("actor", group, count, seed, per_type=config.initialisation == "type")
+        return Stack(count, group.observation_size, config.hidden, actor_outputs(group, HEAD), LAST_GAIN, names)
+
+    def loss(
+        self,
+        kind: int,
+        observation: Tensor,
+        action: Tensor,
+        log_probability: Tensor,
+        advantage: Tensor,
+        entropy_weight: float,
+    ) -> ActorLoss:
+        """Return the loss of a type on a minibatch.
+
+        Args:
+            kind: index of the type.
+            observation: [B, n, o].
+            action: [B, n, a].
+            log_probability: [B, n] under the behaviour policy.
+            advantage: [B, n], normalised.
+            entropy_weight: w_H.
+        """
+        group = self._team.groups[kind]
+        policy = evaluate(group, observation, self.stacks[kind](observation), action)
+        log_ratio = policy.log_probability - log_probability
+        ratio, clip = log_ratio.exp(), self._config.clip
+        surrogate = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
+        entropy = policy.entropy.mean()
+        loss = -surrogate.mean() - entropy_weight * entropy
+        with torch.no_grad():
+            kl = (ratio - 1.0 - log_ratio).mean()
+            clipped = ((ratio - 1.0).abs() > clip).float().mean()
+        return ActorLoss(loss, entropy.detach(), kl, clipped)
+
+    def actors(self) -> TeamActors:
+        """Return a copy of all actors."""
+        return TeamActors(self._team, self._config.hidden, tuple(stack.export() for stack in self.stacks), HEAD)
+
+    def load(self, flat: Sequence[Float32]) -> None:
+        """Replace the actors' parameters, [n_v or 1, P_v] for each type."""
+        for stack, parameters in zip(self.stacks, flat, strict=True):
+            stack.load(parameters)
+
+
+def initialisation_names(
+    what: str, group: GroupSpec, count: int, seed: int, *, per_type: bool
+) -> list[tuple[int | str, ...]]:
+    """Return the names of the random streams of `count` networks: one stream for the type, or one for each agent."""
+    return [(seed, what, group.name, 0 if per_type else index) for index in range(count)]

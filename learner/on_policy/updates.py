@@ -1,0 +1,228 @@
+"""The updates of one iteration: advantages once, then epochs of minibatches.
+
+    values, advantages, returns of all rows           at the iteration's start
+    for each epoch: shuffle the steps
+        for each minibatch: one Adam step of L_actor and of L_value of every type
+        a type whose KL divergence exceeds `target_kl` keeps its actors for the rest of the iteration
+
+A chunk's behaviour policy may be some versions older than the actors (`max_lag_versions`). The ratio's denominator is
+the probability under that policy, as the worker sent it. So the surrogate stays an importance-weighted estimate, and
+the clip bounds how far the actors move from the policy that acted, however old it is. Values and advantages are those
+of the present value functions.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from common.config import OnPolicyConfig
+from common.team import Float32, TeamSpec
+from common.transitions import Rows
+from learner.networks.device import has_bfloat16
+from learner.on_policy.advantages import advantages
+from learner.on_policy.diagnostics import IterationDiagnostics
+from learner.on_policy.experience import step_rows
+from learner.on_policy.policies import ActorLoss, Policies
+from learner.on_policy.values import make_values
+
+VALUE_BATCH = 4096
+"""Rows whose values are computed at once."""
+EPSILON = 1e-8
+
+
+class Updates:
+    """Networks, optimiser and the state of a running iteration.
+
+    Args:
+        config: the algorithm's configuration.
+        team: the layout of the team.
+        seed: seed of the run.
+        device: torch device of networks and rows.
+
+    Attributes:
+        policies: the actors.
+        values: the value functions, one module for each type.
+        optimiser: Adam of all networks.
+        diagnostics: what the newest iteration's updates measured.
+    """
+
+    def __init__(self, config: OnPolicyConfig, team: TeamSpec, seed: int, device: str) -> None:
+        self._config, self._team, self._device = config, team, device
+        self._rates = config.actor_rate, config.critic_rate
+        self._dtype = torch.bfloat16 if config.precision == "bfloat16" and has_bfloat16(device) else torch.float32
+        self.policies = Policies(config, team, seed).to(device)
+        self.values = [value.to(device) for value in make_values(config, team, seed)]
+        self._all_networks = (("actors", self.policies), ("values", nn.ModuleList(self.values)))
+        self.optimiser = torch.optim.Adam(
+            [
+                {"params": list(networks.parameters()), "lr": rate}
+                for (_, networks), rate in zip(self._all_networks, self._rates, strict=True)
+            ],
+            eps=1e-5,
+            fused=True,
+        )
+        self.diagnostics = IterationDiagnostics(team)
+        self._groups = list(zip(team.groups, team.agent_slices(), strict=True))
+        gamma, scales = config.type_discounts(), config.type_entropy_scales()
+        self._entropy_scales = [scales.get(group.name, 1.0) for group in team.groups]
+        self._discount = np.concatenate(
+            [np.full(group.count, gamma.get(group.name, config.discount), np.float32) for group in team.groups]
+        )
+        self._rows: dict[str, Tensor] = {}
+        self._order: NDArray[np.int64] = np.zeros(0, np.int64)
+        self.stopped = [False] * len(team.groups)
+
+    def begin(self, rows: Rows) -> None:
+        """Compute values, advantages and returns of an iteration's rows."""
+        config, device = self._config, self._device
+        self.stopped = [False] * len(self._team.groups)
+        self._load(rows)
+        value = self._all_values()
+        reward = credited(self._team, rows.reward, config.credit) * np.float32(config.reward_scale)
+        ends = config.time_limit == "terminal"
+        gain = advantages(reward, value, rows.flag, self._discount, config.gae_lambda, time_limit_ends=ends)
+        used = step_rows(rows)
+        self._rows["returns"] = torch.from_numpy(gain + value).to(device)
+        self._rows["advantage"] = torch.from_numpy(self._normalised(gain, used)).to(device)
+        self.diagnostics.begin(value[used], (gain + value)[used])
+
+    def _load(self, rows: Rows) -> None:
+        assert rows.log_probability is not None
+        arrays = {"observation": rows.observation, "action": rows.action, "log_probability": rows.log_probability}
+        self._rows = {name: torch.from_numpy(array).to(self._device) for name, array in arrays.items()}
+        self._rows["observation"] = self._rows["observation"].to(self._dtype)
+
+    def _normalised(self, gain: Float32, used: NDArray[np.int64]) -> Float32:
+        """Return advantages with mean 0 and deviation 1 over the steps and agents of each type."""
+        found = gain.copy()
+        for _, agents in self._groups:
+            own = gain[used, agents]
+            found[:, agents] = (gain[:, agents] - own.mean()) / (own.std() + EPSILON)
+        return found
+
+    @torch.no_grad()
+    def _all_values(self) -> Float32:
+        """Return V of every row, [R, agents]."""
+        parts = []
+        for team in torch.split(self._rows["observation"], VALUE_BATCH):
+            own = split(self._team, team)
+            parts.append(torch.cat([v.value(team, o) for v, o in zip(self.values, own, strict=True)], dim=1))
+        found: Float32 = torch.cat(parts).float().cpu().numpy()
+        return found
+
+    def minibatches(self, used: NDArray[np.int64], random: np.random.Generator) -> list[NDArray[np.int64]]:
+        """Shuffle the steps and cut them into minibatches of equal size, but for one step."""
+        count = max(1, round(len(used) / self._config.minibatch_steps))
+        return np.array_split(random.permutation(used), count)
+
+    def update(self, places: NDArray[np.int64], progress: float) -> None:
+        """Do one update from the rows at `places`; `progress` is the finished share of the run, 0 to 1."""
+        config = self._config
+        self._set_rates(1.0 + (config.rate_end - 1.0) * progress)
+        weight = config.entropy_start + (config.entropy_end - config.entropy_start) * progress
+        here = torch.from_numpy(places).to(self._device)
+        batch = {name: tensor.index_select(0, here) for name, tensor in self._rows.items()}
+        actor_losses, value_losses = self._losses(batch, weight)
+        self.optimiser.zero_grad(set_to_none=True)
+        live = [part.loss for part in actor_losses if part is not None]
+        torch.autograd.backward(torch.stack([*live, *value_losses]).sum())
+        norms = self._clip()
+        self.optimiser.step()
+        self.diagnostics.add(actor_losses, value_losses, norms)
+
+    def _losses(self, batch: dict[str, Tensor], weight: float) -> tuple[list[ActorLoss | None], list[Tensor]]:
+        """Return the losses of each type's actors, None for those that have stopped, and of its value functions."""
+        own, actions = split(self._team, batch["observation"]), split_actions(self._team, batch["action"])
+        actor_losses: list[ActorLoss | None] = []
+        value_losses: list[Tensor] = []
+        for kind, (_, agents) in enumerate(self._groups):
+            sampled = batch["log_probability"][:, agents], batch["advantage"][:, agents]
+            stopped = self.stopped[kind]
+            actor_losses.append(
+                None
+                if stopped
+                else self.policies.loss(kind, own[kind], actions[kind], *sampled, weight * self._entropy_scales[kind])
+            )
+            value_losses.append(self.values[kind].loss(batch["observation"], own[kind], batch["returns"][:, agents]))
+        return actor_losses, value_losses
+
+    def end_epoch(self) -> None:
+        """Stop the actors of types that have moved too far from the behaviour policy."""
+        for kind, kl in enumerate(self.diagnostics.epoch_kl()):
+            if 0.0 < self._config.target_kl < kl:
+                self.stopped[kind] = True
+
+    def _set_rates(self, share: float) -> None:
+        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * share
+
+    def _clip(self) -> list[tuple[float, float]]:
+        """Limit each type's gradients; return the norms before, of its actors and of its value functions."""
+        limit = self._config.gradient_clip or float("inf")
+        norms = []
+        for stack, value in zip(self.policies.stacks, self.values, strict=True):
+            found = [nn.utils.clip_grad_norm_(list(part.parameters()), limit) for part in (stack, value)]
+            norms.append((float(found[0]), float(found[1])))
+        return norms
+
+    def network_tensors(self) -> Iterator[tuple[str, Tensor]]:
+        """Yield all parameters and Adam's moments by name; moments are zeros before the first step."""
+        for owner, module in self._all_networks:
+            for name, parameter in module.named_parameters():
+                yield f"{owner}.{name}", parameter.detach()
+                state = self._moments(parameter)
+                for moment, tensor in state.items():
+                    yield f"{owner}.{name}.{moment}", tensor
+
+    def _moments(self, parameter: nn.Parameter) -> dict[str, Tensor]:
+        state: dict[str, Any] = self.optimiser.state[parameter]
+        if not state:
+            state["step"] = torch.zeros((), dtype=torch.float32, device=parameter.device)
+            state["exp_avg"] = torch.zeros_like(parameter)
+            state["exp_avg_sq"] = torch.zeros_like(parameter)
+        return {name: state[name] for name in ("step", "exp_avg", "exp_avg_sq")}
+
+    def iteration_tensors(self) -> dict[str, Tensor]:
+        """Return what a running iteration has computed from its rows, by name."""
+        return {name: self._rows[name] for name in ("returns", "advantage") if name in self._rows}
+
+    def resume(self, rows: Rows, tensors: dict[str, Tensor], stopped: list[bool]) -> None:
+        """Continue an iteration with what it had computed from its rows."""
+        self._load(rows)
+        self._rows |= {name: tensor.to(self._device) for name, tensor in tensors.items()}
+        self.stopped = list(stopped)
+
+    def end(self) -> None:
+        """Forget the iteration's rows."""
+        self._rows = {}
+
+
+def credited(team: TeamSpec, reward: Float32, credit: str) -> Float32:
+    """Return the rewards [R, agents] that agents learn from: their own, their type's mean, or the team's mean."""
+    if credit == "own":
+        return reward
+    found = np.empty_like(reward)
+    if credit == "team":
+        found[:] = reward.mean(axis=1, keepdims=True)
+        return found
+    for agents in team.agent_slices():
+        found[:, agents] = reward[:, agents].mean(axis=1, keepdims=True)
+    return found
+
+
+def split(team: TeamSpec, rows: Tensor) -> list[Tensor]:
+    """Split rows [B, O] of observations into [B, n_v, o_v] for each type."""
+    sizes = [group.count * group.observation_size for group in team.groups]
+    parts = torch.split(rows, sizes, dim=1)
+    return [part.reshape(-1, g.count, g.observation_size) for g, part in zip(team.groups, parts, strict=True)]
+
+
+def split_actions(team: TeamSpec, rows: Tensor) -> list[Tensor]:
+    """Split rows [B, A] of actions into [B, n_v, a_v] for each type."""
+    sizes = [group.count * group.action_size for group in team.groups]
+    parts = torch.split(rows, sizes, dim=1)
+    return [part.reshape(-1, g.count, g.action_size) for g, part in zip(team.groups, parts, strict=True)]
