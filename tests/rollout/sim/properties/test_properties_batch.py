@@ -104,7 +104,7 @@ def test_every_value_of_every_switch_is_drawn():
     """At least one farm in twenty holds it, so a switch that is added tomorrow is tested tomorrow."""
     drawn = []
 
-    @dose(100)
+    @dose(200)
     @given(farm_configs())
     def collect(config):
         drawn.append(config)
