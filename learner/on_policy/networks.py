@@ -62,10 +62,12 @@ class Stack(nn.Module):
         return torch.baddbmm(self.layers[5][:, None], h.float(), self.layers[4]).transpose(0, 1)
 
     def _one(self, x: Tensor) -> Tensor:
-        w1, b1, w2, b2 = (layer[0].to(x.dtype) for layer in self.layers[:4])
+        # A view's gradient is a view; that of an index is a copy into zeros.
+        *hidden, w3, b3 = (layer.view(layer.shape[1:]) for layer in self.layers)
+        w1, b1, w2, b2 = (layer.to(x.dtype) for layer in hidden)
         h = torch.relu(torch.addmm(b1, x, w1))
         h = torch.relu(torch.addmm(b2, h, w2))
-        return torch.addmm(self.layers[5][0], h.float(), self.layers[4][0])
+        return torch.addmm(b3, h.float(), w3)
 
     def export(self) -> Float32:
         """Return the parameters as [S, P] float32, in the order of `common.actors`."""

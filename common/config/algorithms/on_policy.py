@@ -57,7 +57,8 @@ class OnPolicyConfig(AlgorithmConfig):
     time_limit: Literal["terminal", "bootstrap"] = "terminal"
     """Whether the return ends with the time limit, as suits agents that see the clock, or is continued by the value."""
     precision: Literal["float32", "bfloat16"] = "bfloat16"
-    """Precision of the hidden layers in updates; bfloat16 applies only where the device has instructions for it."""
+    """Precision of products in updates; bfloat16 applies only where the device has instructions for it. Parameters,
+    sums and what the networks return are float32 in any case."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot learn."""
