@@ -231,6 +231,8 @@ class Headings:
     """
 
     kind: ClassVar[str] = "headings"
+    resting: ClassVar[int] = 0
+    """Option that does least; a fresh policy favours it, because a heading that is chosen always ends at a border."""
     formula: ClassVar[str] = (
         "k = floor((a[0] - 1) / 8), angle = (a[0] - 1) mod 8 * pi / 4, p = o[:2], "
         "a = -idle p / max(|p|, floor) if a[0] < 1 else speeds[k] (cos angle, sin angle)"

@@ -16,7 +16,7 @@ from deploy.reports.plots import curves, trajectories
 from rollout.evaluation import Evaluation, evaluate_run, record
 from rollout.policies import ActorPolicy, reference_policies, run_policy
 
-TRAINED = "EIA-SEC (this run)"
+TRAINED = "this run"
 
 
 def write_report(directory: RunDirectory, config: RunConfig, command: Sequence[str], console: Console) -> None:

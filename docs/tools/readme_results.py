@@ -7,7 +7,7 @@ from experiments.studies.analysis.verdicts import shown
 from experiments.studies.methods import DEFAULT_PRESET, EIA_SEC
 from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
 
-RUN: Final = "EIA-SEC (this run)"
+RUN: Final = "this run"
 
 
 def policies_table(run: dict[str, Any], label: str) -> list[str]:

@@ -18,6 +18,8 @@ from learner.on_policy.networks import Stack
 
 HEAD: Head = "gaussian"
 """Head of types with continuous actions."""
+FAVOUR = 2.5
+"""Logit of a resting option in a fresh policy; all others have about 0."""
 LAST_GAIN = 0.01
 """Gain of the actors' last layer, so that a fresh policy is nearly uniform."""
 
@@ -60,7 +62,12 @@ class Policies(nn.Module):
         config = self._config
         count = 1 if config.parameters == "shared" else group.count
         names = initialisation_names("actor", group, count, seed, per_type=config.initialisation == "type")
-        return Stack(count, group.observation_size, config.hidden, actor_outputs(group, HEAD), LAST_GAIN, names)
+        stack = Stack(count, group.observation_size, config.hidden, actor_outputs(group, HEAD), LAST_GAIN, names)
+        for adapter in group.adapters[:1]:
+            if (option := getattr(adapter, "resting", None)) is not None:
+                with torch.no_grad():
+                    stack.layers[-1][:, option] = FAVOUR
+        return stack
 
     def loss(
         self,

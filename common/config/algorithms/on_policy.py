@@ -36,7 +36,7 @@ class OnPolicyConfig(AlgorithmConfig):
     """Discount factors of single types, type=gamma separated by commas; all other types have `discount`."""
     entropy_start: float = 0.02
     """Weight of the policies' entropy at the first episode."""
-    entropy_end: float = 0.003
+    entropy_end: float = 0.002
     """Weight of the policies' entropy at the last episode; in between it falls linearly."""
     entropy_scales: str = "communication=0.05"
     """Factors on the weight of single types' entropy, type=factor separated by commas, each 0 to 1; others have 1."""
@@ -51,7 +51,7 @@ class OnPolicyConfig(AlgorithmConfig):
     """Whether the agents of a type share one actor and one value function, or each has its own."""
     credit: Literal["own", "type", "team"] = "own"
     """Whether an agent learns from its own reward, the mean of its type's, or the mean of the team's."""
-    hindsight: str = ""
+    hindsight: str = "monitoring=1.0, collection=0.8"
     """Shares of types' task rewards that are paid as hindsight credit, what a visit was worth to the team: type=share
     separated by commas, each 0 to 1; types that are not named have none (ours)."""
     time_limit: Literal["terminal", "bootstrap"] = "terminal"

@@ -148,7 +148,8 @@ function writeNumbers(frame) {
     cells[2][which].textContent = `${(100 * cover.reach[which]).toFixed(0)} %`;
   }
   const { packet } = frame;
-  const noise = packet.uniform ? "warm-up: random actions" : `policy version ${packet.version}, noise ${packet.noise_std.toFixed(2)}`;
+  const added = packet.noise_std ? `, noise ${packet.noise_std.toFixed(2)}` : "";
+  const noise = packet.uniform ? "warm-up: random actions" : `policy version ${packet.version}${added}`;
   by("headline").replaceChildren(`farm ${packet.farm}, step ${frame.step} of ${scene.steps} `);
   const soft = by("headline").appendChild(document.createElement("span"));
   soft.textContent = noise;
