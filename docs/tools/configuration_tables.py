@@ -92,7 +92,8 @@ def _algorithm_tables() -> Iterator[str]:
     yield f"## `[algorithm]`\n\n{_ALGORITHM}"
     for owner in _declaring_classes():
         users = [name for name, kind in ALGORITHM_CONFIGS.items() if issubclass(kind, owner)]
-        fields = [field for field in vars(owner)["__annotations__"] if field != "sections"]
+        options = {entry.name for entry in dataclasses.fields(owner)}
+        fields = [field for field in vars(owner)["__annotations__"] if field in options]
         if owner is not AlgorithmConfig:
             fields = [field for field in fields if field != "name"]
         in_presets = issubclass(shown, owner)
