@@ -12,17 +12,17 @@ A Gaussian head has 2 a outputs: the mean m, then log s, clipped to LOG_STD_RANG
 a sample is tanh(m + s n) with standard normal n. Without noise, both heads compute the same function.
 
 A type with discrete actions has a categorical head, whatever the team's head is: one output, a logit, for each option
-of each branch. Its noise-free action is the legal option with the largest logit, and `common.action_sampling` samples.
+of each branch. Its noise-free action is the legal option with the largest logit, and `common.actions.sampling` samples.
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
 import numpy as np
 
-from common.action_sampling import best_options, sample_options, sample_squashed
+from common.actions.sampling import best_options, sample_options, sample_squashed
 from common.errors import SchemaError
 from common.seeds import stream
 from common.team import Float32, GroupSpec, TeamSpec
@@ -84,13 +84,16 @@ def initial_parameters(inputs: int, hidden: int, outputs: int, generator: np.ran
 def imitate(parameters: Float32, elite: int, rate: float) -> None:
     """Blend every row with the elite's in place: theta_i = (1 - vartheta) theta_i + vartheta theta_i', eq. (soft).
 
-    Learner and workers both call this function on float32 arrays, so their copies stay bit-equal.
+    Learner and workers both call this function on float32 arrays, so their copies stay bit-equal. A single row is
+    shared by all agents of the type, the elite included, and does not change.
 
     Args:
-        parameters: [n_v, P] float32, contiguous.
+        parameters: [n_v, P] or [1, P] float32, contiguous.
         elite: row of the elite, which does not change.
         rate: vartheta in 0..1.
     """
+    if len(parameters) == 1:
+        return
     keep = np.float32(1.0 - rate)
     step = np.float32(rate)
     target = parameters[elite].copy()
@@ -106,7 +109,7 @@ class TeamActors:
     Attributes:
         team: the layout.
         hidden: width of the hidden layers.
-        flat: for each type, [n_v, P_v] float32, C-contiguous.
+        flat: for each type, [n_v, P_v] or [1, P_v] float32, C-contiguous.
         head: kind of the last layer.
     """
 
@@ -180,8 +183,7 @@ class TeamActors:
         Returns:
             rows [E, A] float32: in [-1, 1], or indices of options.
         """
-        actions = [self._noise_free_action(*part) for part in self.outputs(observations)]
-        return np.concatenate([action.reshape(observations.shape[0], -1) for action in actions], axis=1)
+        return noise_free_actions(self.outputs(observations))
 
     def environment_actions(self, observations: Float32) -> Float32:
         """Return the noise-free actions after the team's adapters, rows of the environment; see `TeamSpec.adapt`."""
@@ -257,14 +259,21 @@ class TeamActors:
             found = np.matmul(h, w3) + b3[:, None]
             yield group, rows, found.reshape(*rows.shape[:2], outputs) if shared else found.transpose(1, 0, 2)
 
-    def _noise_free_action(self, group: GroupSpec, observation: Float32, outputs: Float32) -> Float32:
-        if not group.choices:
-            return np.tanh(outputs[..., : group.action_size])
-        return best_options(group, observation, outputs)
-
     def digest(self) -> str:
         """Return the SHA-256 of all parameters, in hexadecimal."""
         state = hashlib.sha256()
         for flat in self.flat:
             state.update(np.ascontiguousarray(flat).tobytes())
         return state.hexdigest()
+
+
+def noise_free_actions(parts: Iterable[tuple[GroupSpec, Float32, Float32]]) -> Float32:
+    """Return the noise-free actions for what `TeamActors.outputs` yields, rows [E, A] float32.
+
+    Outputs that are not finite may give an action that is: the index of an option, or tanh of infinity.
+    """
+    actions = [
+        best_options(group, observation, outputs) if group.choices else np.tanh(outputs[..., : group.action_size])
+        for group, observation, outputs in parts
+    ]
+    return np.concatenate([action.reshape(action.shape[0], -1) for action in actions], axis=1)

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from common.action_adapters import ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
+from common.actions.adapters import ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
 from common.config import FarmConfig, RunConfig
 from common.config.control import Control
 from common.config.environment import FARM

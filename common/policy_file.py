@@ -1,8 +1,8 @@
 """A trained policy in one file: all actors of a team, the team's layout, and metadata.
 
-The file is safetensors: eight bytes with the header's length, a JSON header, then the tensors. It has one tensor
-[n_v, P_v] of 32- or 16-bit floats for each type; all metadata are strings. Loading compares the header with the team
-and the file's size before it creates an array.
+The file is safetensors: eight bytes with the header's length, a JSON header, then the tensors. It has one tensor of
+32- or 16-bit floats for each type: [n_v, P_v], or [1, P_v] where the agents of the type share their parameters. All
+metadata are strings. Loading compares the header with the team and the file's size before it creates an array.
 """
 
 import hashlib
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from common.actors import Head, TeamActors, checked_head, head_outputs, parameter_count
+from common.actors import Head, TeamActors, actor_outputs, checked_head, parameter_count
 from common.errors import EiaSecError, PolicyError
 from common.team import TeamSpec
 
@@ -122,11 +122,11 @@ def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, head: Head, si
     expected = 0
     for group in team.groups:
         entry = header[group.name]
-        outputs = head_outputs(group.action_size, head)
-        shape = [group.count, parameter_count(group.observation_size, hidden, outputs)]
-        if entry["dtype"] not in _ITEM_BYTES or entry["shape"] != shape:
-            raise PolicyError(f"its {group.name} actors are {entry['dtype']}{entry['shape']}, not floats {shape}")
-        expected += _ITEM_BYTES[entry["dtype"]] * shape[0] * shape[1]
+        numbers = parameter_count(group.observation_size, hidden, actor_outputs(group, head))
+        shapes = [group.count, numbers], [1, numbers]
+        if entry["dtype"] not in _ITEM_BYTES or entry["shape"] not in shapes:
+            raise PolicyError(f"its {group.name} actors are {entry['dtype']}{entry['shape']}, not floats {shapes[0]}")
+        expected += _ITEM_BYTES[entry["dtype"]] * entry["shape"][0] * numbers
     held = max(entry["data_offsets"][1] for entry in header.values())
     if held != expected or size < expected:
         raise PolicyError(f"it holds {held:,} bytes of parameters, but its team needs {expected:,}")

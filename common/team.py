@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.action_adapters import ActionAdapter, Lattice, MirroredAxes, adapter_from_dict, adapter_to_dict
+from common.actions.adapters import ActionAdapter, Lattice, MirroredAxes, adapter_from_dict, adapter_to_dict
 from common.config.checks import within
 from common.errors import ConfigError, SchemaError
 from common.names import check_name
@@ -221,6 +221,15 @@ class TeamSpec:
         return [
             rows[..., part].reshape(*rows.shape[:-1], group.count, group.action_size)
             for group, part in zip(self.groups, self.action_slices(), strict=True)
+        ]
+
+    def split_environment_actions(self, rows: Float32) -> list[Float32]:
+        """Split the environment's rows, after the adapters, into one view [..., n_v, numbers] for each type."""
+        sizes = [group.environment_action_size for group in self.groups]
+        parts = _slices([group.count * size for group, size in zip(self.groups, sizes, strict=True)])
+        return [
+            rows[..., part].reshape(*rows.shape[:-1], group.count, size)
+            for group, part, size in zip(self.groups, parts, sizes, strict=True)
         ]
 
     def adapt(self, observations: Float32, actions: Float32) -> Float32:

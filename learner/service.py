@@ -72,6 +72,7 @@ class Learner:
         self._compaction = HistoryCompaction(self._history, config.learner.keep_checkpoints)
         self._schedule = Schedule(config, await_elite=options.await_elite)
         self._times, self._state = PhaseTimes(), "training"
+        self._room: int | None = None
         self._open_control(config, team, control, ledger)
         presence = Presence(control, options.run, "learner", "learner", self._epoch)
         self._reporter = Reporter(options.run_dir, environment, self.trainer, presence, config.episodes, elapsed)
@@ -185,7 +186,7 @@ class Learner:
         now, schedule = time.monotonic(), self._schedule
         if (schedule.publish_timer.due(now) or self.trainer.publishes_at_once) and not self._options.lockstep:
             self._publish()
-        if schedule.progress_timer.due(now):
+        if schedule.progress_timer.due(now) or self._receiver.wanted != self._room:
             self._publish_progress()
         if schedule.report_timer.due(now):
             self._report()
@@ -221,7 +222,8 @@ class Learner:
 
     def _publish_progress(self) -> None:
         self._schedule.progress_timer.restart(time.monotonic())
-        self._publisher.publish_progress(self._state)
+        self._room = self._receiver.wanted
+        self._publisher.publish_progress(self._state, self._room)
 
     def _report(self) -> None:
         self._schedule.report_timer.restart(time.monotonic())

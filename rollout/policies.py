@@ -39,7 +39,7 @@ class BatchPolicy(Protocol[World_contra]):
         """Prepare for the episode that environment `index` has just begun."""
 
     def act(self, world: World_contra, /) -> Float32:
-        """Return the actions [E, A] in [-1, 1] for the current state of all environments."""
+        """Return the environment's actions [E, A] for the current state of all environments."""
 
 
 Policy = BatchPolicy[FarmBatch]
@@ -85,7 +85,8 @@ def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:
 def _interface(group: GroupSpec) -> tuple[Any, ...]:
     """Return what two groups must have in common to use the same actors; the adapters' numbers may differ."""
     kinds = tuple(adapter.kind for adapter in group.adapters)
-    return group.name, group.count, group.observation_size, group.action_size, kinds
+    sizes = group.count, group.observation_size, group.action_size
+    return group.name, *sizes, group.choices, group.masked, kinds
 
 
 def trained_policy(path: Path, config: FarmConfig) -> Policy:
@@ -151,10 +152,11 @@ def reference_policies(config: RunConfig) -> tuple[str, ...]:
 
 
 def _describe(team: TeamSpec) -> str:
-    """Describe a team in words: its types' agent counts, observation sizes and adapters."""
+    """Describe a team in words: its types' agent counts, observation sizes, choices and adapters."""
     groups = []
     for group in team.groups:
-        kinds = ", ".join(adapter.kind for adapter in group.adapters)
-        how = f" ({kinds})" if kinds else ""
+        choice = [f"{' x '.join(map(str, group.choices))} options"] if group.choices else []
+        parts = [*choice, *(["a mask"] if group.masked else []), *(adapter.kind for adapter in group.adapters)]
+        how = f" ({', '.join(parts)})" if parts else ""
         groups.append(f"{group.count} {group.name} agents with {group.observation_size} inputs{how}")
     return ", ".join(groups)

@@ -9,5 +9,5 @@ ABLATIONS: Final[dict[str, dict[str, bool]]] = {
 }
 """What each changes: elite imitation alone, the shared ensemble critic alone, neither.
 
-Each is also a preset: the default preset with these changes.
+Each is also a preset: `eia-sec` with these changes.
 """

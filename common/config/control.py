@@ -12,10 +12,10 @@ discrete. moves: a choice among these nine points; headings: a choice among 24 v
 class ControlConfig:
     """What the actors of each type command; heuristics and direct users of the farm command velocities (ours)."""
 
-    communication: Control = "velocity"
+    communication: Control = "headings"
     """Output of the communication UAVs' actors: a velocity; one of nine points on a lattice, at most one step away
     (lattice, or moves as a discrete choice); or one of 25 velocities (headings) (ours)."""
-    monitoring: Control = "lattice"
+    monitoring: Control = "moves"
     """The same for the monitoring UAVs (ours)."""
-    collection: Control = "velocity"
+    collection: Control = "moves"
     """The same for the data collection UAVs (ours)."""

@@ -17,7 +17,7 @@ class ObservationConfig:
     """waiting: the nearest that hold data (AoI of 1 or more), then empty ones; nearest: the nearest of all (ours)."""
     form: Literal["default", "printed"] = "default"
     """default: AoI and relative (dx, dy) of each observed sensor; printed: AoI only (W24)."""
-    window: int = 5
+    window: int = 9
     """Side of the square of plots whose VDF a monitoring UAV sees, in plots; odd; the paper's is 3."""
     lattice: bool = True
     """Whether a monitoring UAV sees its offset from the centre of its plot, in units of half a plot (ours)."""
@@ -27,26 +27,26 @@ class ObservationConfig:
     """Whether an agent sees its index in its type, 1 of n_v, so that equal actors can divide the work (ours)."""
     clock: bool = True
     """Whether an agent sees the elapsed share of the episode (ours)."""
-    peers: int = 0
+    peers: int = 3
     """Nearest UAVs of its type whose offset, last velocity and presence an agent sees, 0 to 63 (ours)."""
-    last_move: bool = False
+    last_move: bool = True
     """Whether an agent sees its own last velocity, as a share of full speed (ours)."""
-    closing: bool = False
+    closing: bool = True
     """Whether monitors and collectors see the risk SR that each of nine moves would bring near their peers (ours)."""
-    units: int = 0
+    units: int = 2
     """Moves for which monitors and collectors see the units that each of nine would bring: 0, 1 or 2 (ours)."""
-    fields: bool = False
+    fields: bool = True
     """Whether monitors and collectors see where their own share of the task lies, near and far (ours)."""
-    coarse: bool = False
+    coarse: bool = True
     """Whether monitors and collectors see coarse maps of VDF and AoI around them (ours)."""
-    phases: bool = False
+    phases: bool = True
     """Whether agents see the phase of their counters' cycles, and the last 25 and 100 steps run down (ours)."""
-    service: bool = False
+    service: bool = True
     """Whether a relay sees its D_c and what each of nine moves would do to it (ours)."""
 
     @property
     def added(self) -> bool:
-        """Whether any observation of those above that are off by default is on."""
+        """Whether any observation is on that the paper does not have: those from `peers` on."""
         switches = self.last_move, self.closing, self.fields, self.coarse, self.phases, self.service
         return self.peers > 0 or self.units > 0 or any(switches)
 

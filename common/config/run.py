@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Final
 
-from common.config.algorithms import OPTIONAL_SECTIONS, AlgorithmConfig, EiaSecConfig, OffPolicyConfig, OnPolicyConfig
+from common.config.algorithms import OPTIONAL_SECTIONS, AlgorithmConfig, IppoConfig, OffPolicyConfig, OnPolicyConfig
 from common.config.checks import not_negative, positive, within
 from common.config.environment import EnvConfig
 from common.config.farm import FarmConfig
@@ -18,11 +18,11 @@ _DEVICE: Final = re.compile(r"cpu|cuda(:(0|[1-9]\d{0,2}))?")
 class RolloutConfig:
     """A worker process, which simulates environments and sends chunks of transitions."""
 
-    environments: int = 8
+    environments: int = 16
     """Environments of one worker, stepped as one batch."""
-    chunk_steps: int = 20
+    chunk_steps: int = 500
     """Steps of each environment in one chunk of transitions."""
-    spool_chunks: int = 8
+    spool_chunks: int = 2
     """Unacknowledged chunks that a worker holds before it stops simulating."""
     train_farms: int = 20
     """Number of training farms, whose seeds are 0 to train_farms - 1 (W26); of scenario seeds in other environments."""
@@ -98,11 +98,11 @@ class RunConfig:
 
     seed: int = 0
     """Seed of the run; initial weights, batches, the order of farms and all noise follow from it."""
-    episodes: int = 400
+    episodes: int = 24_000
     """Training episodes lambda_max, in total over all environments of all workers."""
     env: EnvConfig = field(default_factory=EnvConfig)
     farm: FarmConfig = field(default_factory=FarmConfig)
-    algorithm: AlgorithmConfig = field(default_factory=EiaSecConfig)
+    algorithm: AlgorithmConfig = field(default_factory=IppoConfig)
     elite: EliteConfig = field(default_factory=EliteConfig)
     replay: ReplayConfig = field(default_factory=ReplayConfig)
     exploration: ExplorationConfig = field(default_factory=ExplorationConfig)

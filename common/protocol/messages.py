@@ -24,8 +24,7 @@ class Envelope(Message):
     """Who sent a payload; travels as its attachment.
 
     Attributes:
-        role: rollout, learner, elite, flight or vehicle.
-        name: the sender's name, unique inside its role.
+        role, name: rollout, learner, elite, flight or vehicle, and the sender's name, unique inside its role.
         incarnation: number of the start; each start of a process of this name has a greater one.
         sequence: number of this message on this key, counted from 1; the coordinator always sends 1.
         version: parameter version that the sender held.
@@ -81,6 +80,7 @@ class ChunkAck(Message):
         reasons: for each verdict, why the chunk was not accepted, or empty.
         expected: sequence number of the next chunk that the learner accepts from this worker.
         required_version: parameter version that the worker must hold before its next chunk; 0 for none.
+        room: as in ProgressMessage, at the time of the answer.
     """
 
     KIND = 3
@@ -88,6 +88,7 @@ class ChunkAck(Message):
     reasons: tuple[str, ...]
     expected: int
     required_version: int
+    room: int = -1
 
 
 @dataclass(frozen=True)
@@ -124,12 +125,10 @@ class ProgressMessage(Message):
 
     Attributes:
         epoch: the learner's fencing epoch.
-        version: newest published parameter version.
-        events: imitation events applied.
-        episodes: training episodes finished.
-        environment_steps: environment steps accepted.
-        updates: updates done.
+        version, events: newest published parameter version, and imitation events applied.
+        episodes, environment_steps, updates: training episodes finished, environment steps accepted, updates done.
         state: starting, training, draining or finished.
+        room: environment steps that the running iteration still takes in, -1 where nothing limits them.
     """
 
     KIND = 5
@@ -140,6 +139,7 @@ class ProgressMessage(Message):
     environment_steps: int
     updates: int
     state: str
+    room: int = -1
 
 
 @dataclass(frozen=True)

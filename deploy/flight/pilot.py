@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from common.actors import TeamActors
+from common.actors import TeamActors, noise_free_actions
 from common.errors import ConfigError, ProtocolError, SchemaError
 from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
 from common.team import Float32
@@ -67,7 +67,7 @@ class Pilot:
     Args:
         actors: the actors.
         agents: for each vehicle, the agent that flies it.
-        speed: speed along x and y that an action of 1 commands, m/s.
+        speed: speed along x and y that an environment's action of 1 commands, m/s.
         limits: limits of the watchdog.
         clock: a monotonic clock for latencies, s.
 
@@ -139,10 +139,8 @@ class Pilot:
             held.reason, held.complaint = self._objection(held, now), ""
         # All actors decide on one row, as in training, so that the actions are bit-equal to those of training.
         flying = any(not held.reason for held in self._vehicles.values())
-        action = (
-            self._actors.environment_actions(self._row)[0].reshape(-1, 2) if flying else np.zeros((0, 2), np.float32)
-        )
-        return {vehicle: self._setpoint(held, action, now) for vehicle, held in self._vehicles.items()}
+        shares = self._shares() if flying else np.zeros((0, 2), np.float32)
+        return {vehicle: self._setpoint(held, shares, now) for vehicle, held in self._vehicles.items()}
 
     def hover(self, reason: str) -> dict[str, SetpointMessage]:
         """Begin a period in which every vehicle hovers, for example the last one."""
@@ -173,6 +171,14 @@ class Pilot:
             },
             "alarms": self._alarms(),
         }
+
+    def _shares(self) -> Float32:
+        """Return every agent's velocity [agents, 2] as shares of full speed; NaN where an output is not finite."""
+        parts = list(self._actors.outputs(self._row))
+        shares = self._actors.team.adapt(self._row, noise_free_actions(parts))[0].reshape(-1, 2)
+        # The largest of logits that are not finite has an index like any other, and tanh of infinity is 1.
+        finite = np.concatenate([np.isfinite(outputs[0]).all(axis=-1) for _, _, outputs in parts])
+        return np.where(finite[:, None], shares, np.float32(np.nan))
 
     def _checked(
         self, vehicle: str, held: _Vehicle, payload: bytes, attachment: bytes, now: float
@@ -217,10 +223,10 @@ class Pilot:
             return f"the observation is too old: {objection}"
         return f"no observation for {silent} period{'s' if silent > 1 else ''}"
 
-    def _setpoint(self, held: _Vehicle, action: Float32, now: float) -> SetpointMessage:
+    def _setpoint(self, held: _Vehicle, shares: Float32, now: float) -> SetpointMessage:
         if held.reason:
             return self._hover(held)
-        share = action[held.agent]
+        share = shares[held.agent]
         if not np.isfinite(share).all():
             held.reason = "the actor's output is not finite"
             return self._hover(held)

@@ -30,7 +30,7 @@ class Flight:
 
     Attributes:
         summary: the episode's summary.
-        actions: [A] float32 of each step, as received.
+        actions: the environment's actions [2 n] float32 of each step, as received.
         round_trips: seconds from publishing an observation to its set-point, for each vehicle and step.
         hovers: hover set-points received while the simulator waited; no simulated time passes.
         resent: observations that were published again.

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from safetensors.numpy import save
 
-from common.action_adapters import ADAPTERS
-from common.actors import TeamActors, parameter_views
+from common.actions.adapters import ADAPTERS
+from common.actors import TeamActors, actor_outputs, parameter_views
 from common.config import RunConfig
 from common.config.files import digest
 from common.environment import TensorNames
@@ -17,12 +17,12 @@ from common.errors import PolicyError
 from common.farm import farm_environment, farm_of
 from common.team import Float32, GroupSpec
 from deploy.local import contained_files
-from deploy.policies.onnx_actions import adapter_nodes
+from deploy.policies.onnx_actions import LAST, action_nodes
 
 if TYPE_CHECKING:
     from onnx import ModelProto
 
-FORMAT: Final = "eia-sec actors 2"
+FORMAT: Final = "eia-sec actors 3"
 LAYERS: Final = ("w1", "b1", "w2", "b2", "w3", "b3")
 OPSET: Final = 13
 """Operator set of the models; every onnxruntime since 2020 supports it."""
@@ -36,13 +36,15 @@ def agent_names(actors: TeamActors) -> list[str]:
 
 
 def agent_layers(actors: TeamActors) -> list[dict[str, Float32]]:
-    """Return each agent's W1 [o, h], b1 [h], W2 [h, h], b2 [h], W3 [h, a], b3 [a] by their names in the files."""
-    agents = []
-    for group, flat in zip(actors.team.groups, actors.noise_free().flat, strict=True):
-        views = parameter_views(flat, group.observation_size, actors.hidden, group.action_size)
-        agents += [
-            {name: view[index].copy() for name, view in zip(LAYERS, views, strict=True)} for index in range(group.count)
-        ]
+    """Return each agent's W1 [o, h], b1 [h], W2 [h, h], b2 [h], W3 [h, z], b3 [z] by their names in the files.
+
+    z is the size of the action, or the number of options. Agents that share their parameters have equal layers.
+    """
+    agents, plain = [], actors.noise_free()
+    for group, flat in zip(plain.team.groups, plain.flat, strict=True):
+        views = parameter_views(flat, group.observation_size, plain.hidden, actor_outputs(group, plain.head))
+        rows = range(group.count) if len(flat) > 1 else [0] * group.count
+        agents += [{name: view[row].copy() for name, view in zip(LAYERS, views, strict=True)} for row in rows]
     return agents
 
 
@@ -62,7 +64,11 @@ def description(config: RunConfig, actors: TeamActors, metadata: Mapping[str, st
     kinds = kinds_of(actors)
     return {
         "format": FORMAT,
-        "network": "a = tanh(relu(relu(o w1 + b1) w2 + b2) w3 + b3)",
+        "network": "z = relu(relu(o w1 + b1) w2 + b2) w3 + b3",
+        "outputs": {
+            "continuous": "a = tanh(z)",
+            "choices": "a[k] = argmax of z over branch k's options; masked: where o's last numbers exceed 0.5",
+        },
         "adapters": {kind: adapter.formula for kind, adapter in ADAPTERS.items()},
         "origin": {**metadata, "configuration": digest(config), "environment": config.env.name},
         "sha256": actors.digest(),
@@ -71,6 +77,8 @@ def description(config: RunConfig, actors: TeamActors, metadata: Mapping[str, st
             name: {
                 "type": group.name,
                 **asdict(tensor_names(config, group)),
+                "choices": list(group.choices),
+                "masked": group.masked,
                 "adapters": [{"kind": adapter.kind, **adapter.constants()} for adapter in group.adapters],
             }
             for name, group in zip(agent_names(actors), kinds, strict=True)
@@ -84,8 +92,11 @@ def tensor_names(config: RunConfig, group: GroupSpec) -> TensorNames:
     known = {} if farm is None else farm_environment(farm).tensor_names
     if group.name in known:
         return known[group.name]
-    seen = tuple(f"observation_{index}" for index in range(group.observation_size))
-    return TensorNames(seen, tuple(f"action_{index}" for index in range(group.action_size)))
+    masks = group.options if group.masked else 0
+    seen = tuple(f"observation_{index}" for index in range(group.observation_size - masks))
+    legal = tuple(f"mask_{index}" for index in range(masks))
+    word = "option" if group.choices else "action"
+    return TensorNames((*seen, *legal), tuple(f"{word}_{index}" for index in range(group.environment_action_size)))
 
 
 def export_safetensors(folder: Path, config: RunConfig, actors: TeamActors, metadata: Mapping[str, str]) -> list[Path]:
@@ -107,7 +118,9 @@ def export_safetensors(folder: Path, config: RunConfig, actors: TeamActors, meta
 def export_onnx(folder: Path, config: RunConfig, actors: TeamActors, metadata: Mapping[str, str]) -> list[Path]:
     """Write one model for each agent, AGENT.onnx, and actors.json; return the files.
 
-    A model takes `observation` [batch, o] and returns `action` [batch, a], both float32; it holds the action adapters.
+    A model takes `observation` [batch, o] and returns `action` [batch, a], both float32; it holds the choice among
+    options and the action adapters. Agents that share their parameters have a model each, so that each vehicle needs
+    only its own file.
 
     Raises:
         PolicyError: the package onnx is missing, or a file cannot be written.
@@ -137,21 +150,21 @@ def _model(name: str, layers: Mapping[str, Float32], group: GroupSpec, described
         from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415 - an extra that few users need
     except ImportError:
         raise PolicyError("ONNX export needs the package onnx: pip install 'eia-sec[export]'.") from None
-    seen, done = layers["w1"].shape[0], layers["w3"].shape[1]
-    nodes, flow = [], "observation"
-    adapted, constants = adapter_nodes(group)
-    for index, activation in (("1", "Relu"), ("2", "Relu"), ("3", "Tanh")):
-        out = f"h{index}" if index != "3" else "output" if adapted else "action"
-        nodes.append(helper.make_node("Gemm", [flow, f"w{index}", f"b{index}"], [f"z{index}"]))
-        nodes.append(helper.make_node(activation, [f"z{index}"], [out]))
-        flow = out
+    acting, constants = action_nodes(group)
+    nodes = [
+        helper.make_node("Gemm", ["observation", "w1", "b1"], ["z1"]),
+        helper.make_node("Relu", ["z1"], ["h1"]),
+        helper.make_node("Gemm", ["h1", "w2", "b2"], ["z2"]),
+        helper.make_node("Relu", ["z2"], ["h2"]),
+        helper.make_node("Gemm", ["h2", "w3", "b3"], [LAST]),
+        *(helper.make_node(node.operator, node.inputs, [node.output], **node.attributes) for node in acting),
+    ]
     numbers = {layer: layers[layer] for layer in LAYERS} | constants
-    nodes += [helper.make_node(kind, taken, [given]) for kind, taken, given in adapted]
     graph = helper.make_graph(
         nodes,
         name,
-        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", seen])],
-        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", done])],
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", group.observation_size])],
+        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", group.environment_action_size])],
         [numpy_helper.from_array(array, name) for name, array in numbers.items()],
     )
     model = helper.make_model(

@@ -92,7 +92,7 @@ def _algorithm_tables() -> Iterator[str]:
     yield f"## `[algorithm]`\n\n{_ALGORITHM}"
     for owner in _declaring_classes():
         users = [name for name, kind in ALGORITHM_CONFIGS.items() if issubclass(kind, owner)]
-        options = {entry.name for entry in dataclasses.fields(owner)}
+        options = {field.name for field in dataclasses.fields(owner)}  # class variables are none
         fields = [field for field in vars(owner)["__annotations__"] if field in options]
         if owner is not AlgorithmConfig:
             fields = [field for field in fields if field != "name"]

@@ -3,6 +3,7 @@
 import itertools
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -59,6 +60,32 @@ def spaces_table(config: FarmConfig) -> str:
     return "\n".join(lines) + "\n"
 
 
+def added_table() -> str:
+    """Return one table row for each part of the observations that switches add, all of them on."""
+    farm = preset("study").farm
+    seen = replace(
+        farm.observation,
+        peers=3,
+        last_move=True,
+        closing=True,
+        units=2,
+        fields=True,
+        coarse=True,
+        phases=True,
+        service=True,
+    )
+    plain, lines = observation_parts(farm), ["| agents | observation | numbers | from | to | meaning |"]
+    lines.append("|---|---|---:|---:|---:|---|")
+    for name, parts in observation_parts(replace(farm, observation=seen)).items():
+        added = tuple(part for part in parts if part not in plain[name])
+        label = f"`{name}`, {sum(part.size for part in added)} numbers"
+        for times, part in _runs(added):
+            numbers = f"{times} x {part.size}" if times > 1 else str(part.size)
+            lines.append(f"| {label} | {part.name} | {numbers} | {part.low:.7g} | {part.high:.7g} | {part.meaning} |")
+            label = ""
+    return "\n".join(lines) + "\n"
+
+
 def timings(root: Path) -> str:
     """Return what the interfaces cost, as measured."""
     data: dict[str, Any] = json.loads((root / TIMINGS).read_text(encoding="utf-8"))
@@ -88,5 +115,9 @@ def _runs(parts: tuple[Part, ...]) -> Iterator[tuple[int, Part]]:
             yield times, part._replace(name=name if times == 1 else f"each {name}")
 
 
-BLOCKS: Final[Mapping[str, Block]] = {"spaces": lambda _: spaces_table(preset("study").farm), "timings": timings}
+BLOCKS: Final[Mapping[str, Block]] = {
+    "spaces": lambda _: spaces_table(preset("study").farm),
+    "added": lambda _: added_table(),
+    "timings": timings,
+}
 """Every block of the page by its name."""

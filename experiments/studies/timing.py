@@ -9,7 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from common.actors import TeamActors, head_outputs, parameter_views
+from common.actions.sampling import best_options
+from common.actors import TeamActors, actor_outputs, parameter_views
 from common.config import RunConfig
 from common.team import Float32
 from learner.algorithms import ALGORITHMS
@@ -55,9 +56,9 @@ def separate_actors(actors: TeamActors) -> Callable[[Float32], Float32]:
     """Return a function that computes the noise-free actions [1, A] with one torch network after another."""
     networks: list[nn.Sequential] = []
     for group, flat in zip(actors.team.groups, actors.flat, strict=True):
-        outputs = head_outputs(group.action_size, actors.head)
+        outputs = actor_outputs(group, actors.head)
         views = parameter_views(flat, group.observation_size, actors.hidden, outputs)
-        for agent in range(group.count):
+        for agent in range(len(flat)):
             layers: list[nn.Module] = []
             for weight, bias in zip(views[::2], views[1::2], strict=True):
                 layer = nn.Linear(weight.shape[1], weight.shape[2])
@@ -65,16 +66,18 @@ def separate_actors(actors: TeamActors) -> Callable[[Float32], Float32]:
                 layer.bias.data = torch.from_numpy(bias[agent].copy())
                 layers += [layer, nn.ReLU()]
             networks.append(nn.Sequential(*layers[:-1]))
+        networks += networks[-1:] * (group.count - len(flat))  # agents that share their parameters share a network
 
     def act(observation: Float32) -> Float32:
         parts = actors.team.split_observations(observation)
         rows = [group_rows[0, agent] for group_rows in parts for agent in range(group_rows.shape[1])]
-        sizes = [group.action_size for group in actors.team.groups for _ in range(group.count)]
+        kinds = [group for group in actors.team.groups for _ in range(group.count)]
         with torch.no_grad():
-            actions = [
-                torch.tanh(network(torch.from_numpy(row))[:size]).numpy()
-                for network, row, size in zip(networks, rows, sizes, strict=True)
-            ]
+            actions = []
+            for group, row, network in zip(kinds, rows, networks, strict=True):
+                output = network(torch.from_numpy(row))
+                chosen = best_options(group, row, output.numpy()) if group.choices else None
+                actions.append(torch.tanh(output[: group.action_size]).numpy() if chosen is None else chosen)
         return actors.team.adapt(observation, np.concatenate(actions)[None])
 
     return act

@@ -47,8 +47,14 @@ class ParameterPublisher:
         )
         self._parameters.put(message.encode())
 
-    def publish_progress(self, state: str) -> None:
-        """Publish the trainer's counters and the learner's state: training, draining or finished."""
+    def publish_progress(self, state: str, room: int | None) -> None:
+        """Publish the trainer's counters and what the learner does.
+
+        Args:
+            state: training, draining or finished.
+            room: environment steps that the running iteration still takes in, or None.
+        """
         t = self._trainer
         counters = (t.version, t.events, t.episodes, t.environment_steps, t.updates)
-        self._progress.put(ProgressMessage(self._epoch, *counters, state).encode())
+        wanted = -1 if room is None else max(0, room)
+        self._progress.put(ProgressMessage(self._epoch, *counters, state, wanted).encode())

@@ -132,17 +132,21 @@ class Receiver:
             self.version, self._ahead = version, int(updating)
 
     def take_in(self, iteration: int, steps: int, *, updating: bool) -> None:
-        """Take in chunks for an iteration until it has its steps; later chunks wait. It may be called again and again.
+        """Take in chunks until an iteration has its steps; later chunks wait. A repeated call changes nothing.
 
-        Args:
-            iteration: number of the iteration.
-            steps: environment steps that it takes in.
-            updating: whether another version is published before its steps are learned from.
+        `updating` says whether another version is published before the steps are learned from.
         """
         with self.gate:
             self._ahead = int(updating)
             if iteration != self._iteration:
                 self._iteration, self.room = iteration, steps
+
+    @property
+    def wanted(self) -> int | None:
+        """Environment steps of the newest published policy that are still taken in; None where there is no limit."""
+        with self.gate:
+            too_old = self._most_lag is not None and self._ahead > self._most_lag
+            return 0 if too_old and self.room is not None else self.room
 
     def take_in_all(self) -> None:
         """Take in chunks without limit."""
@@ -346,7 +350,8 @@ class Receiver:
         names, reasons = zip(*verdicts, strict=True)
         if not set(names) & WORTH_LOOKING:
             self._bad(sender.name, f"chunk {sender.sequence} is a {names[0]}.")
-        incoming.reply(ChunkAck(names, reasons, self.ledger.expected(sender), version).encode())
+        room = -1 if self.room is None else max(0, self.room)
+        incoming.reply(ChunkAck(names, reasons, self.ledger.expected(sender), version, room).encode())
 
     def _record(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:
         """Write a verdict into the history."""

@@ -22,3 +22,11 @@ def usable_device(name: str) -> torch.device:
         if (device.index or 0) >= count:
             raise ConfigError(f"learner.device is {name}, and the last CUDA device here is cuda:{count - 1}.")
     return device
+
+
+def has_bfloat16(name: str) -> bool:
+    """Return whether a device has instructions for products of bfloat16; without them, they are slower than float32."""
+    if torch.device(name).type == "cuda":
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    native = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
+    return native is not None and bool(native())

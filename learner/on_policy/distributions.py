@@ -1,11 +1,11 @@
-"""Log-probability and entropy of actions, with gradients; `common.action_sampling` samples from the same policies."""
+"""Log-probability and entropy of actions, with gradients; `common.actions.sampling` samples from the same policies."""
 
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from common.action_sampling import HALF_LOG_TAU, ILLEGAL, LARGEST_ACTION
+from common.actions.sampling import HALF_LOG_TAU, ILLEGAL, LARGEST_ACTION
 from common.actors import LOG_STD_RANGE
 from common.team import GroupSpec
 

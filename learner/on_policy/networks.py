@@ -19,6 +19,8 @@ from common.team import Float32
 class Stack(nn.Module):
     """S networks of equal shape.
 
+    Inputs of type bfloat16 are computed with in bfloat16, but for the last layer. Parameters and outputs are float32.
+
     Args:
         count: S.
         inputs: numbers in an input.
@@ -54,16 +56,18 @@ class Stack(nn.Module):
         if self.count == 1:
             flat = x.reshape(-1, x.shape[2])
             return self._one(flat).view(x.shape[0], x.shape[1], -1)
-        w1, b1, w2, b2, w3, b3 = self.layers
+        w1, b1, w2, b2 = (layer.to(x.dtype) for layer in self.layers[:4])
         h = torch.relu(torch.baddbmm(b1[:, None], x.transpose(0, 1), w1))
         h = torch.relu(torch.baddbmm(b2[:, None], h, w2))
-        return torch.baddbmm(b3[:, None], h, w3).transpose(0, 1)
+        return torch.baddbmm(self.layers[5][:, None], h.float(), self.layers[4]).transpose(0, 1)
 
     def _one(self, x: Tensor) -> Tensor:
-        w1, b1, w2, b2, w3, b3 = (layer[0] for layer in self.layers)
+        # A view's gradient is a view; that of an index is a copy into zeros.
+        *hidden, w3, b3 = (layer.view(layer.shape[1:]) for layer in self.layers)
+        w1, b1, w2, b2 = (layer.to(x.dtype) for layer in hidden)
         h = torch.relu(torch.addmm(b1, x, w1))
         h = torch.relu(torch.addmm(b2, h, w2))
-        return torch.addmm(b3, h, w3)
+        return torch.addmm(b3, h.float(), w3)
 
     def export(self) -> Float32:
         """Return the parameters as [S, P] float32, in the order of `common.actors`."""

@@ -55,8 +55,6 @@ class OnPolicyTrainer(Trainer):
     def __init__(self, config: RunConfig, team: TeamSpec) -> None:
         super().__init__(config, team)
         algorithm = self._algorithm = config.on_policy
-        if config.learner.device == "cpu":
-            torch.set_float32_matmul_precision(algorithm.matmul_precision)
         self._updates = Updates(algorithm, team, config.seed, config.learner.device)
         self.random = stream(config.seed, "minibatches")
         self.experience, self.following = Experience(team), Experience(team)

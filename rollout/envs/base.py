@@ -67,7 +67,7 @@ class Environments(Protocol):
         """Start an episode, which is a pure function of both seeds and the actions."""
 
     def step(self, action: Float32) -> None:
-        """Step every environment with actions [E, A] in [-1, 1]."""
+        """Step every environment with actions [E, A]: in [-1, 1], or indices of options."""
 
     def summary(self, index: int) -> EpisodeSummary:
         """Return the summary of an environment's episode so far."""

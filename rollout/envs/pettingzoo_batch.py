@@ -1,9 +1,9 @@
-"""Any PettingZoo parallel environment with Box actions as a batch of environments."""
+"""Any PettingZoo parallel environment with Box, Discrete or MultiDiscrete actions as a batch of environments."""
 
-import itertools
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from common.config import EnvConfig
@@ -13,6 +13,7 @@ from common.errors import SimulationError
 from common.seeds import derive
 from common.team import Float32
 from common.transitions import EpisodeSummary
+from rollout.envs.pettingzoo_actions import RowActions
 from rollout.envs.pettingzoo_spec import describe, make_parallel
 
 
@@ -20,17 +21,19 @@ class PettingZooBatch:
     """A batch of environments that are stepped one after the other.
 
     An agent that leaves early is in an absorbing state: it observes zeros and earns nothing, and the critics learn that
-    its value is 0. Discriminator-Actor-Critic does the same (Kostrikov et al. 2019).
+    its value is 0. Discriminator-Actor-Critic does the same (Kostrikov et al. 2019). Its action mask allows everything.
 
     Args:
         config: the environment's name, and how its agents form types.
         environments: E.
+        boxes: whether environments with a choice are asked for boxes; see `make_parallel`.
 
     Attributes:
         team: layout of a row, type by type.
         spec: what generic code needs to know; there are no episode metrics.
         names: the agents in row order.
-        observation: [E, O] float32, flattened as `gymnasium.spaces.flatten` does.
+        observation: [E, O] float32, flattened as `gymnasium.spaces.flatten` does, each agent's action mask
+            at the end.
         reward: [E, agents] float32 of the last step.
         potential: [E, agents] float32, always 0, because the rewards' composition is unknown.
         hindsight: None, for the same reason.
@@ -43,22 +46,16 @@ class PettingZooBatch:
         SimulationError: there is no environment.
     """
 
-    def __init__(self, config: EnvConfig, environments: int) -> None:
+    def __init__(self, config: EnvConfig, environments: int, *, boxes: bool = True) -> None:
         if environments < 1:
             raise SimulationError(f"a batch needs at least one environment, not {environments}.")
         self._limit = config.steps or MOST_EPISODE_STEPS
-        self._environments = [make_parallel(config) for _ in range(environments)]
-        first = self._environments[0]
-        agents = describe(first, config.prefixes())
-        self.names, self.team = agents.names, agents.team
+        self._environments = [make_parallel(config, boxes=boxes) for _ in range(environments)]
+        agents = describe(self._environments[0], config.prefixes())
+        self.names, self.team = tuple(agents.views), agents.team
         self.spec = EnvironmentSpec(agents.team, (1, config.steps or MOST_EPISODE_STEPS))
-        self._low, self._high = agents.low, agents.high
-        self._seen = [first.observation_space(name) for name in self.names]
-        self._acted = [first.action_space(name) for name in self.names]
-        sizes = [(g.observation_size, g.action_size) for g in self.team.groups for _ in range(g.count)]
-        ends = np.cumsum([(0, 0), *sizes], axis=0).tolist()
-        self._observations = [slice(a[0], b[0]) for a, b in itertools.pairwise(ends)]
-        self._actions = [slice(a[1], b[1]) for a, b in itertools.pairwise(ends)]
+        self._views, self._actions = agents.views, RowActions(agents.actions)
+        self._absent = {name: view.absent() for name, view in self._views.items()}
         self.observation: Float32 = np.zeros((environments, self.team.observation_size), np.float32)
         self.reward: Float32 = np.zeros((environments, self.team.agents), np.float32)
         self.potential: Float32 = np.zeros_like(self.reward)
@@ -76,16 +73,17 @@ class PettingZooBatch:
             SimulationError: the environment returns values outside its own spaces.
         """
         self._seeds[index] = (scenario_seed, episode_seed)
-        observations, _ = self._environments[index].reset(seed=derive(scenario_seed, episode_seed, "reset") % 2**31)
+        observations, infos = self._environments[index].reset(seed=derive(scenario_seed, episode_seed, "reset") % 2**31)
         self.time[index] = 0
         self.reward[index] = self._returns[index] = 0.0
         self.terminated[index] = self.ended[index] = False
-        self._observe(index, observations)
+        self._observe(index, observations, infos)
 
     def step(self, action: Float32) -> None:
-        """Step every environment whose episode is running with actions [E, A] float32, clipped to [-1, 1].
+        """Step every environment whose episode is running with actions [E, A] float32.
 
-        Environments whose episode has ended stand still and earn nothing.
+        A box's numbers are clipped to [-1, 1], indices of options to those that exist. Environments whose episode has
+        ended stand still and earn nothing.
 
         Raises:
             SimulationError: an environment was never reset or all have ended, the actions have the wrong shape or are
@@ -96,9 +94,7 @@ class PettingZooBatch:
             raise SimulationError(f"actions must be finite numbers of shape {list(wanted)}.")
         if self.time.min() < 0 or self.ended.all():
             raise SimulationError("an environment was stepped before its reset or after its episode ended.")
-        share = (np.clip(action, -1.0, 1.0) + 1.0) / 2.0
-        spread = np.clip(self._low + share * (self._high - self._low), self._low, self._high)
-        for index, row in enumerate(spread):
+        for index, row in enumerate(self._actions.in_range(action)):
             if self.ended[index]:
                 self.reward[index] = 0.0
             else:
@@ -118,28 +114,21 @@ class PettingZooBatch:
     def _step(self, index: int, row: Float32) -> None:
         environment = self._environments[index]
         present = set(environment.agents)
-        actions = {
-            name: row[part].reshape(space.shape).astype(space.dtype)
-            for name, part, space in zip(self.names, self._actions, self._acted, strict=True)
-            if name in present
-        }
-        observations, rewards, terminations, _, _ = environment.step(actions)
+        actions = self._actions.by_agent(row, present)
+        observations, rewards, terminations, _, infos = environment.step(actions)
         self.time[index] += 1
         self.reward[index] = [float(rewards.get(name, 0.0)) for name in self.names]
         if not np.isfinite(self.reward[index]).all():
             raise SimulationError(f"the environment's reward is not finite: {rewards}.")
         self._returns[index] += self.reward[index]
-        self._observe(index, observations)
+        self._observe(index, observations, infos)
         over = not environment.agents
         self.terminated[index] = over and all(terminations.get(name, True) for name in present)
         self.ended[index] = over or self.time[index] >= self._limit
 
-    def _observe(self, index: int, observations: dict[str, object]) -> None:
-        target = self.observation[index]
-        target[:] = 0.0
-        for name, part, space in zip(self.names, self._observations, self._seen, strict=True):
-            if name in observations:
-                flat = np.asarray(spaces.flatten(space, observations[name]), np.float32).reshape(-1)
-                if flat.shape != (part.stop - part.start,) or not np.isfinite(flat).all():
-                    raise SimulationError(f"the observation of agent {name} does not fit its space or is not finite.")
-                target[part] = flat
+    def _observe(self, index: int, observations: Mapping[Any, Any], infos: Mapping[Any, Mapping[str, Any]]) -> None:
+        row = []
+        for name, view in self._views.items():
+            present = name in observations
+            row.append(view.numbers(name, observations[name], infos.get(name, {})) if present else self._absent[name])
+        np.concatenate(row, out=self.observation[index])

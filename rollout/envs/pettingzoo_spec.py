@@ -4,17 +4,17 @@ import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
-import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from common.config import EnvConfig
 from common.errors import ConfigError
 from common.names import is_name
 from common.team import GroupSpec, TeamSpec
+from rollout.envs.pettingzoo_actions import action_size, choices_of, is_bounded_box, is_choice
+from rollout.envs.pettingzoo_observations import AgentView, holds_mask, informed_agents
 
 CONTINUOUS: Final = "continuous_actions"
 """The argument that asks environments with a choice, such as MPE's, for Box actions."""
@@ -30,71 +30,111 @@ class Agents:
     """The agents of an environment in row order.
 
     Attributes:
-        names: names of the agents, type by type.
         team: layout of a row.
-        low: [A] lower bounds of a row's actions; an action in [-1, 1] is scaled to low .. high.
-        high: [A] upper bounds of a row's actions.
+        views: how each agent's observation becomes numbers, by the agent's name, type by type.
+        actions: each agent's action space, by the agent's name.
     """
 
-    names: tuple[str, ...]
     team: TeamSpec
-    low: NDArray[np.float32]
-    high: NDArray[np.float32]
+    views: dict[Any, AgentView]
+    actions: dict[Any, spaces.Space[Any]]
 
 
-def make_parallel(config: EnvConfig) -> Parallel:
+def make_parallel(config: EnvConfig, *, boxes: bool = True) -> Parallel:
     """Return a new environment.
 
-    If the agents' actions are not a Box, a second attempt passes `continuous_actions=True`.
+    Args:
+        config: its name and arguments.
+        boxes: whether an environment whose agents do not all act in boxes is asked for boxes with
+            `continuous_actions=True`. It is asked in any case if its actions cannot be trained otherwise.
 
     Raises:
         ConfigError: no environment has that name, it cannot be made with these arguments, or it is not a parallel
-            environment with Box actions.
+            environment whose actions can be trained.
     """
     factory, keywords = _factory(config.name), config.keywords()
     environment = _made(config.name, factory, keywords)
-    if _has_box_actions(environment):
+    if _all_actions(environment, is_bounded_box) or (not boxes and _all_actions(environment, _is_trainable)):
         return environment
     if CONTINUOUS not in keywords:
         try:
             continuous = _made(config.name, factory, {**keywords, CONTINUOUS: True})
         except ConfigError:
             continuous = environment
-        if _has_box_actions(continuous):
+        if _all_actions(continuous, is_bounded_box):
             return continuous
-    raise ConfigError(f"{config.name} has actions other than bounded boxes; only bounded boxes can be trained.")
+    if _all_actions(environment, _is_trainable):
+        return environment
+    raise ConfigError(
+        f"{config.name} has actions other than bounded boxes, Discrete and MultiDiscrete; only these can be trained."
+    )
 
 
 def describe(environment: Parallel, prefixes: Mapping[str, str]) -> Agents:
     """Return the agents of an environment, grouped into types.
 
     Agents form a type if their names share the longest matching prefix of the map. Without a match, agents whose names
-    differ only in their number form a type. A type whose agents differ in observation or action size is split by size.
+    differ only in their number form a type. A type whose agents differ in their observations or actions is split.
 
     Args:
-        environment: the environment.
+        environment: the environment; it is reset if its infos may hold action masks.
         prefixes: maps a prefix to its type.
 
     Raises:
         ConfigError: an observation cannot be flattened, or a type's name is not valid (see `common.names`).
     """
-    kinds: dict[str, list[str]] = {}
-    sizes = {name: _sizes(environment, name) for name in environment.possible_agents}
-    plain = {name: _type_of(str(name), prefixes) for name in sizes}
+    views = _views(environment)
+    shapes = {name: _shape(environment.action_space(name), view) for name, view in views.items()}
+    plain = {name: _type_of(str(name), prefixes) for name in shapes}
+    kinds: dict[str, list[Any]] = {}
     for name, kind in plain.items():
-        alike = {sizes[other] for other, same in plain.items() if same == kind}
-        kinds.setdefault(kind if len(alike) == 1 else f"{kind}-{sizes[name][0]}x{sizes[name][1]}", []).append(name)
+        alike = {shapes[other] for other, same in plain.items() if same == kind}
+        kinds.setdefault(kind if len(alike) == 1 else f"{kind}-{shapes[name].label}", []).append(name)
     for kind, members in kinds.items():
         if not is_name(kind):
             raise ConfigError(
                 f"agent {str(members[0])[:80]!r} is of type {kind[:80]!r}; a type's name is 1 to 63 letters, digits, "
                 "'.', '_' or '-'; name another type with env.types."
             )
-    names = tuple(name for members in kinds.values() for name in members)
-    team = TeamSpec(tuple(GroupSpec(kind, len(members), *sizes[members[0]]) for kind, members in kinds.items()))
-    boxes = [environment.action_space(name) for name in names]
-    low, high = (np.concatenate([np.ravel(getattr(box, end)) for box in boxes]) for end in ("low", "high"))
-    return Agents(names, team, low.astype(np.float32), high.astype(np.float32))
+    names = [name for members in kinds.values() for name in members]
+    team = TeamSpec(tuple(shapes[members[0]].group(kind, len(members)) for kind, members in kinds.items()))
+    return Agents(team, {name: views[name] for name in names}, {name: environment.action_space(name) for name in names})
+
+
+class _Shape(NamedTuple):
+    """What the agents of a type have in common."""
+
+    observation_size: int
+    action_size: int
+    choices: tuple[int, ...]
+    masked: bool
+
+    @property
+    def label(self) -> str:
+        """A suffix that distinguishes types of one name: 4x2 for a box, 4of3.3 for two branches of three options."""
+        if not self.choices:
+            return f"{self.observation_size}x{self.action_size}"
+        branches = ".".join(map(str, self.choices))
+        return f"{self.observation_size}of{branches}{'-masked' if self.masked else ''}"
+
+    def group(self, name: str, count: int) -> GroupSpec:
+        """Return the type of so many agents."""
+        return GroupSpec(name, count, self.observation_size, self.action_size, choices=self.choices, masked=self.masked)
+
+
+def _shape(space: spaces.Space[Any], view: AgentView) -> _Shape:
+    return _Shape(view.size, action_size(space), choices_of(space), view.masked)
+
+
+def _views(environment: Parallel) -> dict[Any, AgentView]:
+    """Return how each agent's observation becomes numbers, in the environment's own order."""
+    agents = environment.possible_agents
+    choices = {name: choices_of(environment.action_space(name)) for name in agents}
+    seen = {name: environment.observation_space(name) for name in agents}
+    informed: set[Any] = set()
+    if any(choices[name] and not holds_mask(seen[name], choices[name]) for name in agents):
+        informed = informed_agents(agents, environment.reset(seed=0)[1])
+    return {name: AgentView.of(name, seen[name], choices[name], informed=name in informed) for name in agents}
 
 
 def _factory(name: str) -> Callable[..., Any]:
@@ -128,25 +168,12 @@ def _made(name: str, factory: Callable[..., Any], keywords: Mapping[str, Any]) -
     return environment
 
 
-def _has_box_actions(environment: Parallel) -> bool:
-    found = [environment.action_space(name) for name in environment.possible_agents]
-    return all(isinstance(space, spaces.Box) and bool(np.isfinite(_widths(space)).all()) for space in found)
+def _all_actions(environment: Parallel, fits: Callable[[spaces.Space[Any]], bool]) -> bool:
+    return all(fits(environment.action_space(name)) for name in environment.possible_agents)
 
 
-def _widths(space: spaces.Box) -> NDArray[np.float32]:
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(space.high, np.float32) - np.asarray(space.low, np.float32)
-
-
-def _sizes(environment: Parallel, name: Any) -> tuple[int, int]:
-    """Return the flattened sizes of an agent's observation and action."""
-    try:
-        seen = spaces.flatten_space(environment.observation_space(name))
-    except NotImplementedError:
-        raise ConfigError(f"the observation of agent {name} cannot be flattened into numbers.") from None
-    if not isinstance(seen, spaces.Box):
-        raise ConfigError(f"the observation of agent {name} has no fixed length.")
-    return int(np.prod(seen.shape)), int(np.prod(environment.action_space(name).shape))
+def _is_trainable(space: spaces.Space[Any]) -> bool:
+    return is_bounded_box(space) or is_choice(space)
 
 
 def _type_of(name: str, prefixes: Mapping[str, str]) -> str:

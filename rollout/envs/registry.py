@@ -10,10 +10,12 @@ from contextlib import closing
 from typing import Final
 
 from common.config import RunConfig
+from common.config.action_kinds import discrete_algorithms
 from common.config.environment import FARM
 from common.environment import EnvironmentSpec
 from common.errors import ConfigError
 from common.protocol.message_sizes import require_frames
+from common.team import TeamSpec
 from rollout.envs.base import Environments
 from rollout.sim.batch import FarmBatch
 
@@ -28,7 +30,7 @@ def _farms(config: RunConfig, count: int, hindsight: bool) -> Environments:
 def _pettingzoo(config: RunConfig, count: int) -> Environments:
     from rollout.envs.pettingzoo_batch import PettingZooBatch  # noqa: PLC0415  # pettingzoo loads only for its users
 
-    return PettingZooBatch(config.env, count)
+    return PettingZooBatch(config.env, count, boxes=not config.algorithm.discrete_actions)
 
 
 FACTORIES: Final[dict[str, Factory]] = {
@@ -63,8 +65,20 @@ def environment_spec(config: RunConfig) -> EnvironmentSpec:
     """Return what generic code needs to know about a run's environment.
 
     Raises:
-        ConfigError: as for `make_environments`, or a chunk, the actors or an evaluation would not fit into a message.
+        ConfigError: as for `make_environments`; the algorithm cannot train these actions; or a chunk, the actors or an
+            evaluation would not fit into a message.
     """
     with closing(make_environments(config, 1)) as environments:
+        _require_actions(config, environments.team)
         require_frames(config, environments.spec)
         return environments.spec
+
+
+def _require_actions(config: RunConfig, team: TeamSpec) -> None:
+    """Raise ConfigError for discrete actions and an algorithm that cannot train them."""
+    discrete = [group.name for group in team.groups if group.choices]
+    if discrete and not config.algorithm.discrete_actions:
+        raise ConfigError(
+            f"{config.env.name} has discrete actions ({', '.join(discrete)}), which {config.algorithm.name} cannot "
+            f"train; {', '.join(discrete_algorithms())} can."
+        )

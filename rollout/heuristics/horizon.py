@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from common.action_adapters import fewest
+from common.actions.adapters import fewest
 from common.config import FarmConfig
 from rollout.heuristics import lawnmower
 from rollout.heuristics.beam import Array, Indices, SearchGrid, StepReward, best_path

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from common.actions.sampling import sample_options
 from common.seeds import stream
-from common.team import Float32
+from common.team import Float32, TeamSpec
 from rollout.envs.base import Environments
 
 
@@ -19,7 +20,20 @@ class RandomPolicy:
         self._streams[index] = stream("random policy", episode.farm, episode.episode)
 
     def act(self, environments: Environments) -> Float32:
-        """Return uniform actions [E, A] in [-1, 1]."""
-        size = environments.team.environment_action_size
+        """Return uniform actions of the environment [E, A]: in [-1, 1], or indices of legal options."""
+        team = environments.team
+        size = team.environment_action_size
         rows = [self._streams[index].uniform(-1.0, 1.0, size) for index in range(len(environments.time))]
-        return np.stack(rows).astype(np.float32)
+        drawn = np.stack(rows).astype(np.float32)
+        if any(group.choices and not group.adapters for group in team.groups):
+            _choose(team, environments.observation, drawn)
+        return drawn
+
+
+def _choose(team: TeamSpec, observations: Float32, drawn: Float32) -> None:
+    """Replace numbers drawn from [-1, 1] by indices of legal options, for types that act by choice."""
+    own, actions = team.split_observations(observations), team.split_environment_actions(drawn)
+    for group, seen, action in zip(team.groups, own, actions, strict=True):
+        if group.choices and not group.adapters:
+            indifferent = np.zeros((*action.shape[:-1], group.options), np.float32)
+            action[...] = sample_options(group, seen, indifferent, (action + np.float32(1)) / np.float32(2))[0]

@@ -181,7 +181,7 @@ class FarmBatch:
             raise SimulationError(f"actions are {action.dtype}{list(action.shape)}, not float32{list(own.shape)}.")
         own[...] = action
         address = self._arguments[0].address
-        objection = check_step(address) if self._pool else step_range(address, 0, len(own), True)
+        objection = check_step(address) if self._pool else step_range(address, 0, len(own), True, False)
         if objection == NOT_FINITE:
             raise SimulationError("an action is not finite.")
         if objection == OUT_OF_TIME:
@@ -191,7 +191,9 @@ class FarmBatch:
 
     def _step_shares(self, pool: ThreadPoolExecutor) -> None:
         """Step a share of the environments on each thread; the caller's own thread takes the first."""
-        work = [(packed.address, *share, False) for packed, share in zip(self._arguments, self._shares, strict=True)]
+        work = [
+            (packed.address, *share, False, False) for packed, share in zip(self._arguments, self._shares, strict=True)
+        ]
         others = [pool.submit(step_range, *share) for share in work[1:]]
         step_range(*work[0])
         for other in others:

@@ -125,7 +125,7 @@ class ReferenceFarm:
         episode_seed: determines where the UAVs start and which packets arrive.
 
     Attributes:
-        position: [n, 2] m.
+        position: [n, 2] m; before: [n, 2] the same one step ago.
         aoi: [S]; vdf: [n_px, n_py].
         assignment: [n_m + n_d] relays; assignment_cost: the sum of its costs.
         service: [n_c] D_c, m.
@@ -145,6 +145,7 @@ class ReferenceFarm:
         self.height = np.array(heights)[self.kind]
         self.key = packet_key(layout.seed, episode_seed)
         self.position = start_positions(world, layout.seed, episode_seed)
+        self.before = self.position
         self.aoi, self.vdf = start_levels(world, layout.seed, episode_seed)
         x = (np.arange(world.plots_x) + 0.5) * world.field_x / world.plots_x
         y = (np.arange(world.plots_y) + 0.5) * world.field_y / world.plots_y
@@ -168,7 +169,7 @@ class ReferenceFarm:
         self.time += 1
         velocity = np.clip(action.reshape(-1, 2).astype(np.float64), -1.0, 1.0) * (world.speed_x_max, world.speed_y_max)
         motivated = (velocity * self.direction).sum(axis=1) > 0
-        before, service_before = self.position, self.service
+        self.before, service_before = self.position, self.service
         wanted = self.position + velocity * world.step_seconds
         self.position = np.clip(wanted, 0.0, (world.field_x, world.field_y))
         self.outside = (self.position != wanted).any(axis=1)
@@ -182,7 +183,7 @@ class ReferenceFarm:
         self.utility = np.zeros(world.uavs)
         self._photograph()
         self._collect()
-        self._reward(before, service_before, motivated)
+        self._reward(service_before, motivated)
         self._look()
 
     def distance(self, a: int, b: int, position: Array) -> float:
@@ -225,10 +226,10 @@ class ReferenceFarm:
         self.linked = np.array(distances) <= (relay.link_range if relay.require_link else math.inf)
         loss = free_space_loss(self.config.radio, np.maximum(distances, 1.0))
         self.link_quality = self.config.energy.transmit_dbm - loss - 10.0 * math.log10(noise_mw(self.config.radio))
-        self.service = np.array([self._service(r) for r in range(first)])
+        self.service = np.array([self.relay_service(r) for r in range(first)])
 
-    def _service(self, relay: int) -> float:
-        """D_c = epsilon_1 D_cg + epsilon_2 D_cf + epsilon_3 D_cc."""
+    def relay_service(self, relay: int) -> float:
+        """Return D_c = epsilon_1 D_cg + epsilon_2 D_cf + epsilon_3 D_cc at the current positions, m."""
         weights, place = self.config.relay, np.column_stack([self.position, self.height])
         served = self.served(relay)
         centroid = farthest = 0.0
@@ -294,7 +295,7 @@ class ReferenceFarm:
         raised = min(counter[item] + 1.0, cap) if due else counter[item]
         counter[item] = (1.0 - share) * raised
 
-    def _reward(self, before: Array, service_before: Array, motivated: NDArray[np.bool_]) -> None:
+    def _reward(self, service_before: Array, motivated: NDArray[np.bool_]) -> None:
         """r_c, r_m and r_d; every part except the energy is multiplied by t_step, as printed."""
         weight, world, seconds = self.config.reward, self.config.world, self.config.world.step_seconds
         sign = 1.0 if weight.positioning_sign == "printed" else -1.0
@@ -302,7 +303,7 @@ class ReferenceFarm:
         for u, kind in enumerate(self.kind):
             other, risk = self.nearest_uav(u), 0.0
             if other >= 0:
-                now, then = self.distance(u, other, self.position), self.distance(u, other, before)
+                now, then = self.distance(u, other, self.position), self.distance(u, other, self.before)
                 risk = safety_risk(weight, world.safety_distance, now, then)
             energy, boundary = -weight.energy * self.energy[u], -weight.boundary * self.outside[u] * seconds
             self.parts[u, 1:4] = energy, -weight.collision_risk * risk * seconds, boundary

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.team import Float32
+from rollout.sim.reference_added import added_view
+from rollout.sim.reference_axes import place_of, plot_of, signs_of
 
 if TYPE_CHECKING:
     from rollout.sim.reference import ReferenceFarm
@@ -19,7 +21,10 @@ Array = NDArray[np.float64]
 def observe(farm: ReferenceFarm) -> Float32:
     """Return the row [O]: all relays, then all monitoring, then all data collection UAVs."""
     views = (_relay_view, _monitoring_view, _collection_view)
-    rows = [np.concatenate([views[kind](farm, u), _self(farm, u)]) for u, kind in enumerate(farm.kind)]
+    rows = [
+        np.concatenate([views[kind](farm, u), added_view(farm, u, signs_of(farm, u)), _self(farm, u)])
+        for u, kind in enumerate(farm.kind)
+    ]
     return np.concatenate(rows).astype(np.float32)
 
 
@@ -31,35 +36,16 @@ def _self(farm: ReferenceFarm, u: int) -> Array:
     return np.concatenate([rank, clock])
 
 
-def _place(farm: ReferenceFarm, u: int) -> Array:
-    world = farm.config.world
-    return np.asarray(2.0 * farm.position[u] / (world.field_x, world.field_y) - 1.0)
-
-
-def _plot(farm: ReferenceFarm, u: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the plot under a UAV, and the UAV's offset from the plot's centre divided by half a plot."""
-    world = farm.config.world
-    size = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
-    plot = np.minimum(farm.position[u] // size, (world.plots_x - 1, world.plots_y - 1)).astype(np.int64)
-    return plot, 2.0 * (farm.position[u] / size - plot) - 1.0
-
-
-def _signs(farm: ReferenceFarm, u: int) -> Array:
-    """Return the signs of a UAV's axes; both are 1 unless views are mirrored."""
-    decides = _plot(farm, u)[1] if farm.kind[u] == 1 else _place(farm, u)
-    return np.where(farm.config.observation.mirrored & (decides < 0.0), -1.0, 1.0)
-
-
 def _own(farm: ReferenceFarm, u: int) -> Array:
-    signs = _signs(farm, u)
-    return np.concatenate([_place(farm, u) * signs, signs if farm.config.observation.mirrored else []])
+    signs = signs_of(farm, u)
+    return np.concatenate([place_of(farm, u) * signs, signs if farm.config.observation.mirrored else []])
 
 
 def _towards(farm: ReferenceFarm, u: int, place: Array) -> list[float]:
     """Return the offset to a place [3] divided by the field's sides, and the 3-D distance divided by its diagonal."""
     world = farm.config.world
     dx, dy, dz = place - (*farm.position[u], farm.height[u])
-    diagonal, (along_x, along_y) = math.hypot(world.field_x, world.field_y), _signs(farm, u)
+    diagonal, (along_x, along_y) = math.hypot(world.field_x, world.field_y), signs_of(farm, u)
     return [along_x * dx / world.field_x, along_y * dy / world.field_y, math.sqrt(dx**2 + dy**2 + dz**2) / diagonal]
 
 
@@ -94,7 +80,7 @@ def _relay_view(farm: ReferenceFarm, u: int) -> Array:
 
 def _monitoring_view(farm: ReferenceFarm, u: int) -> Array:
     """Return U_m, the VDF window (0 outside the field), D_VDF, UAV_N with its distance, and the place in the plot."""
-    seen, signs, ((x, y), offset) = farm.config.observation, _signs(farm, u), _plot(farm, u)
+    seen, signs, ((x, y), offset) = farm.config.observation, signs_of(farm, u), plot_of(farm, u)
     around = np.pad(farm.vdf, seen.window // 2)[x : x + seen.window, y : y + seen.window] / farm.config.world.vdf_max
     turned = np.flip(around, tuple(np.flatnonzero(signs < 0.0).tolist())).reshape(-1)
     nearest, place = _uav(farm, u, farm.nearest_uav(u)), (offset * signs)[: 2 * seen.lattice]
@@ -103,7 +89,7 @@ def _monitoring_view(farm: ReferenceFarm, u: int) -> Array:
 
 def _collection_view(farm: ReferenceFarm, u: int) -> Array:
     """Return U_d, the n nearest sensors (AoI, clipped offset over 50 m), D_AoI, and UAV_N with its distance."""
-    seen, signs = farm.config.observation, _signs(farm, u)
+    seen, signs = farm.config.observation, signs_of(farm, u)
     offset = farm.layout.sensor_xy - farm.position[u]
     square = (offset**2).sum(axis=1)
     empty = farm.aoi < 0.5 if seen.choice == "waiting" else np.zeros(len(square), bool)

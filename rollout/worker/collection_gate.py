@@ -11,6 +11,8 @@ class CollectionGate:
 
     - No parameters have come yet, or the run drains.
     - The spool is full, because the workers produce more than the learner takes in. Nothing is dropped.
+    - The steps in its spool fill the learner's running iteration (on policy). More would be too old when their turn
+      comes.
     - Its actors are more than `rollout.max_lag_versions` versions behind the learner's.
     - The learner has published nothing for more than `rollout.max_silence_seconds`.
 
@@ -40,7 +42,13 @@ class CollectionGate:
             answered = sender.spooled == 0
             return store.actors if answered and store.version >= max(1, sender.required_version) else None
         self.pause_reason = self._too_old()
-        return None if self.pause_reason or sender.full else store.actors
+        return None if self.pause_reason or sender.full or self._fills_iteration() else store.actors
+
+    def _fills_iteration(self) -> bool:
+        """Return whether the steps in the spool fill the learner's running iteration, as far as is known."""
+        learner, sender = self._learner, self._sender
+        room = learner.room if learner.heard_at > sender.answered_at else sender.room
+        return 0 <= room <= sender.in_flight
 
     def _too_old(self) -> str:
         """Return why the actors are too old to collect with, or an empty text."""

@@ -38,6 +38,8 @@ class LearnerLink:
         state: state of the run: starting, training, draining or finished.
         epoch: the learner's fencing epoch, 0 before the first progress.
         newest_version: newest parameter version that the learner has published.
+        room: environment steps that the learner's running iteration still takes in, from all workers; -1 for no limit.
+        heard_at: time of the learner's newest progress, by the monotonic clock.
         malformed: messages that were dropped.
     """
 
@@ -49,7 +51,8 @@ class LearnerLink:
         self.store = PolicyStore(team)
         self.state = "starting"
         self.epoch = self.newest_version = self.malformed = 0
-        self._heard = time.monotonic()
+        self.room = -1
+        self.heard_at = time.monotonic()
         self._fence = EpochFence()
         self._ignored: ParametersMessage | None = None
 
@@ -61,7 +64,7 @@ class LearnerLink:
     @property
     def silence(self) -> float:
         """Seconds since the learner last published its progress."""
-        return time.monotonic() - self._heard
+        return time.monotonic() - self.heard_at
 
     @property
     def missed(self) -> int:
@@ -95,7 +98,8 @@ class LearnerLink:
             if answer is not None and answer.toml != self._toml:
                 raise UsageError(f"run {self._run} has a new learner with another configuration.")
         self.epoch, self.state, self.newest_version = message.epoch, message.state, message.version
-        self._heard = time.monotonic()
+        self.room = message.room
+        self.heard_at = time.monotonic()
         if message.epoch < before:
             self.store.follow_lower_epoch(message.epoch)
             if self._ignored is not None:

@@ -66,6 +66,8 @@ class Sender:
         learner_closed: whether the learner's last answer said that it takes no more chunks.
         replaced: whether a newer start of this worker now delivers. If so, nothing more is sent.
         required_version: parameter version that the learner asks for before the next chunk (lockstep), else 0.
+        room: environment steps that the running iteration still took in at the newest answer, -1 for no limit.
+        answered_at: time of that answer, by the monotonic clock.
         waiting: seconds that requests have waited for their answers.
         untaken: requests in a row that nobody took.
         key: where requests go.
@@ -83,7 +85,8 @@ class Sender:
         history: History | None = None,
     ) -> None:
         self.flown = self.produced = self.accepted = self.rejected = self.retries = self.required_version = 0
-        self.waiting = 0.0
+        self.waiting = self.answered_at = 0.0
+        self.room = -1
         self.untaken = 0
         self.learner_closed = self.replaced = False
         self._bus, self._team, self._capacity, self._patience = bus, team, capacity, patience
@@ -190,6 +193,7 @@ class Sender:
         self.replaced = ack is not None and "replaced" in ack.verdicts
         if ack is None:
             return False
+        self.room, self.answered_at = ack.room, time.monotonic()
         settled = [pair for pair in zip(ack.verdicts, ack.reasons, strict=False) if pair[0] in SETTLED]
         for held, (verdict, reason) in zip(batch, settled, strict=False):
             self._settle(held, verdict, reason, ack.required_version)

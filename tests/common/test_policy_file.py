@@ -42,6 +42,20 @@ def test_a_policy_comes_back_bit_equal_with_its_provenance(path, actors):
     assert metadata == PROVENANCE
 
 
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("head", ["deterministic", "gaussian"])
+def test_choices_masks_and_shared_actors_come_back(tmp_path, head, shared):
+    """A type with discrete actions has one output for each option; shared actors are one row."""
+    team = TeamSpec((GroupSpec("chooser", 3, 9, 2, choices=(2, 3), masked=True), GroupSpec("mover", 2, 4, 2)))
+    actors = TeamActors.initial(team, 8, 1, head=head, shared=shared)
+    save_policy(tmp_path / "policy", actors, {})
+    loaded, _ = load_policy(tmp_path / "policy")
+    assert (loaded.team, loaded.head, loaded.digest()) == (team, head, actors.digest())
+    assert [len(flat) for flat in loaded.flat] == ([1, 1] if shared else [3, 2])
+    rows = np.random.default_rng(0).uniform(-1, 1, (5, team.observation_size)).astype(np.float32)
+    np.testing.assert_array_equal(loaded.environment_actions(rows), actors.environment_actions(rows))
+
+
 def test_half_storage_halves_the_file_and_keeps_sixteen_bits(tmp_path):
     """With `half` the parameters come back as float32 rounded to 11 significant bits, from half the bytes."""
     actors = TeamActors.initial(TEAM, hidden=64, seed=1)
@@ -136,6 +150,8 @@ def set_metadata(key, value):
         lambda header: header.update({"monitoring": []}),
         lambda header: header["monitoring"].update({"dtype": "F64"}),
         lambda header: header["monitoring"].update({"shape": [10**9, 10**9]}),
+        lambda header: header["monitoring"].update({"shape": [1, 130]}),
+        lambda header: header["monitoring"].update({"shape": [2, 130]}),
         lambda header: header["monitoring"].update({"data_offsets": [0, 10**12]}),
     ],
 )

@@ -88,6 +88,17 @@ def test_imitation_is_the_papers_blend() -> None:
     np.testing.assert_allclose(flat, [[0.25, 3.5], [1.0, 2.0], [2.5, -1.0]])
 
 
+def test_agents_that_share_their_parameters_have_nobody_to_imitate() -> None:
+    """An event counts and changes nothing, whichever agent of the type is the elite."""
+    store = PolicyStore(TEAM)
+    actors = TeamActors.initial(TEAM, 8, 0, shared=True)
+    store.offer_parameters(dataclasses.replace(parameters(1), flat=actors.flat))
+    assert store.offer_imitation(event(1), 1)
+    assert store.event == 1
+    assert store.actors is not None
+    assert store.actors.digest() == actors.digest()
+
+
 @pytest.mark.parametrize(
     "message",
     [

@@ -64,7 +64,7 @@ PPO = """
 iteration_steps = 40
 minibatch_steps = 10
 epochs = 2
-matmul_precision = "highest"
+precision = "float32"
 max_lag_versions = {lag}
 """
 """Options of the same run with an algorithm that learns on policy."""

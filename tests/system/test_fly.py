@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from common.action_adapters import SIGNS
+from common.actions.adapters import SIGNS
 from common.actors import TeamActors
 from common.farm import farm_team
 from common.policy_file import save_policy
@@ -37,13 +37,14 @@ SECONDS = 90.0
 class Node:
     """An `eia-sec fly` process and its policy."""
 
-    def __init__(self, folder: Path) -> None:
-        self.actors = TeamActors.initial(TEAM, 16, 5, per_type=False)
+    def __init__(self, folder: Path, toml: str = TINY, *, shared: bool = False) -> None:
+        self.farm = configured(toml).farm
+        self.actors = TeamActors.initial(farm_team(self.farm), 16, 5, per_type=False, shared=shared)
         for parameters in self.actors.flat:
             np.multiply(parameters, 8.0, out=parameters)  # fresh actors hardly move
         self.endpoint: Endpoint = free_endpoint()
         self.config = folder / "farm.toml"
-        self.config.write_text(TINY, encoding="utf-8")
+        self.config.write_text(toml, encoding="utf-8")
         save_policy(folder / "actors.safetensors", self.actors, {})
         self.log = folder / "fly.log"
         command = ["fly", "--policy", str(folder / "actors.safetensors"), "--config", str(self.config)]
@@ -69,12 +70,25 @@ def node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
     flying.close()
 
 
-def test_decisions_over_the_path_are_those_in_one_process_bit_for_bit(node: Node) -> None:
+@pytest.fixture(scope="module")
+def choosing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
+    """A flight node whose actors choose headings and moves, each type with one row of parameters."""
+    control = '[farm.control]\ncommunication = "headings"\nmonitoring = "moves"\ncollection = "moves"\n'
+    flying = Node(tmp_path_factory.mktemp("choose"), TINY + control, shared=True)
+    yield flying
+    flying.close()
+
+
+@pytest.mark.parametrize("which", ["node", "choosing"])
+def test_decisions_over_the_path_are_those_in_one_process_bit_for_bit(
+    which: str, request: pytest.FixtureRequest
+) -> None:
     """An episode over the bus has the same actions and result as one without it."""
+    node: Node = request.getfixturevalue(which)
     with node.bus() as bus:
         links = {agent: VehicleLink(bus, RUN, agent, agent, FASTEST) for agent in TEAM.agent_names}
-        flight = SimulatedFleet(FARM, links, SECONDS).fly(1003, 0, StopSignal())
-    alone, policy = FarmBatch(FARM, 1), ActorPolicy(node.actors)
+        flight = SimulatedFleet(node.farm, links, SECONDS).fly(1003, 0, StopSignal())
+    alone, policy = FarmBatch(node.farm, 1), ActorPolicy(node.actors)
     alone.reset(0, 1003, episode_seed(1003, 0))
     actions = []
     while not alone.ended.all():

@@ -33,6 +33,25 @@ publish_seconds = 0.05
 [evaluation]
 farms = 3
 """
+DOORS = """
+episodes = 300
+[env]
+name = "toy_choices:Doors"
+arguments = '{"masks": "info"}'
+[algorithm]
+name = "ippo"
+hidden = 16
+iteration_steps = 64
+minibatch_steps = 32
+discounts = ""
+[rollout]
+environments = 4
+chunk_steps = 16
+[learner]
+publish_seconds = 0.05
+[evaluation]
+farms = 3
+"""
 TOYS = str(Path(__file__).parents[1] / "rollout" / "envs")
 
 
@@ -63,6 +82,32 @@ def test_trained_to_the_end_and_evaluated(tmp_path: Path) -> None:
     assert set(events[0]["elites"]) == {"runner", "keeper"}
 
 
+def test_choices_masks_and_boxes_are_trained_together(tmp_path: Path) -> None:
+    """On-policy training of a mixed team with action masks ends with a better policy, which can be exported."""
+    config, run_dir = tmp_path / "doors.toml", tmp_path / "run"
+    config.write_text(DOORS)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), TOYS])}
+    for command in (["train", "--env", "toy_choices:Doors", "--config", str(config)], ["export"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "deploy.cli", *command, "--run-dir", str(run_dir)],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=200,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    outcome = json.loads((run_dir / "evaluation.json").read_text())
+    trained, chance = (result["reward"] for result in outcome["evaluations"])
+    assert trained["mean"] > chance["mean"] + 1.0
+    assert {path.stem for path in (run_dir / "export").glob("*.onnx")} == {
+        "walker-0",
+        "walker-1",
+        "painter-0",
+        "porter-0",
+    }
+
+
 def test_a_worker_loads_no_environment_that_it_was_not_given(
     processes: Processes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -91,3 +136,28 @@ def test_a_run_directory_does_not_decide_whose_code_is_run(tmp_path: Path) -> No
         assert done.returncode == 2
         assert "--env os:system" in done.stderr
         assert not witness.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--env", "toy_choices:Doors"], "toy_choices:Doors has discrete actions (walker, porter), which eia-sec"),
+        (["--farm.control.monitoring", "moves"], "farm has discrete actions (monitoring), which eia-sec"),
+    ],
+)
+def test_discrete_actions_are_refused_before_anything_is_made(
+    tmp_path: Path, arguments: list[str], sentence: str
+) -> None:
+    """An algorithm that cannot train them says so in one sentence and leaves no run directory."""
+    done = subprocess.run(
+        [sys.executable, "-m", "deploy.cli", "train", *arguments, "--run-dir", str(tmp_path / "run")],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), TOYS])},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert sentence in " ".join(done.stderr.split())
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "run").exists()

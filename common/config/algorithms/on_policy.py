@@ -56,9 +56,9 @@ class OnPolicyConfig(AlgorithmConfig):
     separated by commas, each 0 to 1; types that are not named have none (ours)."""
     time_limit: Literal["terminal", "bootstrap"] = "terminal"
     """Whether the return ends with the time limit, as suits agents that see the clock, or is continued by the value."""
-    matmul_precision: Literal["highest", "high", "medium"] = "medium"
-    """Precision of matrix products in updates (torch.set_float32_matmul_precision); medium rounds factors to bfloat16
-    where the processor has instructions for it."""
+    precision: Literal["float32", "bfloat16"] = "bfloat16"
+    """Precision of products in updates; bfloat16 applies only where the device has instructions for it. Parameters,
+    sums and what the networks return are float32 in any case."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot learn."""

@@ -128,8 +128,8 @@ def _add_up(c: Constants, farm: Farm, s: Scratch) -> None:
 
 
 @allocation_free
-def _begin(c: Constants, farm: Farm, s: Scratch) -> None:
-    """Start an episode at the positions and levels in the state."""
+def _start(c: Constants, farm: Farm, s: Scratch) -> None:
+    """Count up the levels in the state, which begin an episode."""
     tally_plots(farm.level, farm.level_below, farm.level_above)
     tally_sensors(c.observation, farm.cell_start, farm.age, farm.age_below, farm.age_above, farm.waiting)
     for k in range(len(farm.listed)):
@@ -137,18 +137,26 @@ def _begin(c: Constants, farm: Farm, s: Scratch) -> None:
             farm.listed[k, rank] = rank
     for u in range(c.fleet.uavs):
         s.previous[u, 0], s.previous[u, 1] = farm.position[u, 0], farm.position[u, 1]
-    _update_geometry(c, farm, s, True)
-    _observe(c, farm, s)
 
 
 @inlined
-def _step(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
-    fly(c, farm, s, action)
-    _update_geometry(c, farm, s, False)
-    _serve_tasks(c, farm, s)
-    reward_step(c, farm, s)
+def _step(c: Constants, farm: Farm, s: Scratch, action: Float32, fresh: bool) -> None:
+    """Do a step, or, if the episode is fresh, only observe its start.
+
+    Both are one function, so that the compiler meets what they share once.
+    """
+    if not fresh:
+        fly(c, farm, s, action)
+    else:
+        _start(c, farm, s)
+    _update_geometry(c, farm, s, fresh)
+    if not fresh:
+        _serve_tasks(c, farm, s)
+    if not fresh:
+        reward_step(c, farm, s)
     _observe(c, farm, s)
-    _add_up(c, farm, s)
+    if not fresh:
+        _add_up(c, farm, s)
 
 
 @allocation_free
@@ -165,18 +173,6 @@ def _objection(state: State, action: Float32, steps: int) -> int:
 
 
 @allocation_free_entry
-def begin_episode(address: int, e: int) -> None:
-    """Start the episode of environment e at the positions and levels in its state.
-
-    Args:
-        address: address of a workspace, see `PackedArguments`.
-        e: the environment.
-    """
-    c, state, scratch, _ = unpack(address)
-    _begin(c, _farm(state, e), scratch)
-
-
-@allocation_free_entry
 def check_step(address: int) -> int:
     """Return whether the workspace's actions can step all environments: NOT_FINITE, OUT_OF_TIME or POSSIBLE.
 
@@ -188,14 +184,15 @@ def check_step(address: int) -> int:
 
 
 @allocation_free_entry
-def step_range(address: int, first: int, last: int, check: bool) -> int:
+def step_range(address: int, first: int, last: int, check: bool, fresh: bool) -> int:
     """Step environments `first` to `last` - 1 independently with the workspace's actions.
 
     Args:
-        address: address of a workspace.
+        address: address of a workspace, see `PackedArguments`.
         first: first environment.
         last: one past the last.
         check: whether to run `check_step` first and step nothing if it finds a problem.
+        fresh: whether to start their episodes instead, at the positions and levels in their states.
 
     Returns:
         NOT_FINITE, OUT_OF_TIME or POSSIBLE.
@@ -208,6 +205,16 @@ def step_range(address: int, first: int, last: int, check: bool) -> int:
     for e in range(first, last):
         if e + 1 < last:
             prefetch(state, e + 1)
-        state.time[e] += 1
-        _step(c, _farm(state, e), scratch, action[e])
+        state.time[e] += 0 if fresh else 1
+        _step(c, _farm(state, e), scratch, action[e], fresh)
     return POSSIBLE
+
+
+def begin_episode(address: int, e: int) -> None:
+    """Start the episode of environment e at the positions and levels in its state.
+
+    Args:
+        address: address of a workspace.
+        e: the environment.
+    """
+    step_range(address, e, e + 1, False, True)

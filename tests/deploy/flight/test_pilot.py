@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from common.action_adapters import SIGNS
+from common.actions.adapters import SIGNS
 from common.actors import TeamActors
-from common.config import FarmConfig, ObservationConfig
+from common.config import ControlConfig, FarmConfig, ObservationConfig
 from common.config.presets import preset
 from common.errors import ConfigError
 from common.farm import farm_team
@@ -220,3 +220,46 @@ def test_the_report_is_bounded_declared_and_names_who_hovers():
     ended = pilot.hover("the flight node ends")
     assert all(message.hover for message in ended.values())
     assert pilot.report()["alarms"] == ["communication_0, communication_1 and 58 others hover: the flight node ends."]
+
+
+CHOICES = ControlConfig(communication="headings", monitoring="moves", collection="moves")
+"""Discrete control of every type."""
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("shared", [False, True])
+def test_choices_become_set_points(mirrored, shared):
+    """Moves and headings fly as velocities, with one row of parameters too, bit-equal to the actors' own."""
+    team = farm_team(FarmConfig(control=CHOICES, observation=ObservationConfig(mirrored=mirrored)))
+    actors = TeamActors.initial(team, 16, 7, per_type=False, shared=shared)
+    pilot = Pilot(actors, {name: name for name in team.agent_names}, SPEED, Limits())
+    draw, found = np.random.default_rng(3), []
+    for sequence in range(1, 20):
+        row = draw.uniform(-1, 1, (1, team.observation_size)).astype(np.float32)
+        for own in team.split_observations(row):
+            own[..., SIGNS] = draw.choice([-1.0, 1.0], own[..., SIGNS].shape)
+        each = [agent for part in team.split_observations(row) for agent in part[0]]
+        for name, values in zip(team.agent_names, each, strict=True):
+            message = ObservationMessage(name, int(NOW * 1e6), np.ascontiguousarray(values))
+            assert pilot.offer(name, message.encode(), Envelope("vehicle", name, 1, sequence).encode(), NOW)
+        flown = np.array([message.velocity for message in pilot.decide(NOW).values()])
+        wanted = actors.environment_actions(row)[0].reshape(-1, 2)
+        np.testing.assert_array_equal((flown / SPEED).astype(np.float32), wanted)
+        found.append(flown)
+    assert len(np.unique(np.concatenate(found).round(3), axis=0)) > 5
+
+
+def test_logits_that_are_not_finite_are_never_flown():
+    """The largest of them would be an option like any other."""
+    team = farm_team(FarmConfig(control=CHOICES, observation=ObservationConfig(mirrored=False)))
+    broken = TeamActors.initial(team, 16, 7)
+    broken.flat[2][:] = np.random.default_rng(0).choice(np.float32([3e38, -3e38]), broken.flat[2].shape)
+    pilot = Pilot(broken, {UAV: AGENT, "other": "monitoring_0"}, SPEED, Limits())
+    size = {group.name: group.observation_size for group in team.groups}
+    other = ObservationMessage("monitoring_0", int(NOW * 1e6), seen(size=size["monitoring"]))
+    assert offer(pilot, 1, values=seen(size=size["collection"]))
+    assert pilot.offer("other", other.encode(), Envelope("vehicle", "other", 1, 1).encode(), NOW)
+    with np.errstate(all="ignore"):
+        found = pilot.decide(NOW)
+    assert "not finite" in found[UAV].reason
+    assert (found[UAV].hover, found["other"].hover) == (True, False)

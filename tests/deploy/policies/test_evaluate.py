@@ -3,7 +3,7 @@ import json
 import pytest
 
 from common.actors import TeamActors
-from common.config.files import from_toml, to_toml
+from common.config.files import from_toml, to_toml, with_setting
 from common.config.presets import PRESETS, SAVED
 from common.errors import ConfigError, PolicyError, RunDirError, UsageError
 from common.farm import farm_team
@@ -12,6 +12,7 @@ from deploy.commands.policies.evaluate import EvaluateArguments, command, parse_
 from deploy.commands.policies.fly import farm_of
 from deploy.local.run_directory import RunDirectory
 from deploy.options import base_configuration
+from deploy.policies.replay import Comparison, scenes_of
 
 SMALL = (
     "farm.world.steps=20",
@@ -125,3 +126,24 @@ def test_mistakes_are_usage_errors(run_dir, tmp_path):
     (run_dir / "policy.safetensors").unlink()
     with pytest.raises(RunDirError, match="not saved a policy yet"):
         run(EvaluateArguments(run_dir=run_dir))
+
+
+CHOICES = ("farm.control.communication=headings", "farm.control.monitoring=moves", "farm.control.collection=moves")
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_actors_that_choose_are_evaluated_and_replayed(tmp_path, shared):
+    """A run whose UAVs choose moves and headings is flown by its file, and by no file of another control."""
+    config = PRESETS["default"]
+    for line in (*SMALL, *CHOICES):
+        config = with_setting(config, line)
+    (tmp_path / "config.toml").write_text(to_toml(config))
+    actors = TeamActors.initial(farm_team(config.farm), 8, 0, shared=shared)
+    save_policy(tmp_path / "policy.safetensors", actors, {})
+    found = run(EvaluateArguments(run_dir=tmp_path, farms="5:6"))
+    assert found.total.steps == 20.0
+    path = str(tmp_path / "policy.safetensors")
+    scenes = [scene for scene, _ in scenes_of(Comparison(config.farm, (path, "static"), ("a", "b"), 5, 0))]
+    assert scenes[-1].reward["mean"] == pytest.approx(found.total.reward)
+    with pytest.raises(PolicyError, match=r"9 options, nine moves, lattice.*this environment has"):
+        run(EvaluateArguments(run_dir=tmp_path, farms="5:6", set=("farm.control.monitoring=lattice",)))

@@ -11,9 +11,10 @@ import onnxruntime
 import pytest
 from safetensors.numpy import load_file
 
-from common.action_adapters import ADAPTERS, SIGNS, MirroredAxes
+from common.actions.adapters import ADAPTERS, SIGNS, MirroredAxes
+from common.actions.sampling import best_options
 from common.actors import TeamActors
-from common.config import EnvConfig, FarmConfig, MasacConfig, ObservationConfig, ReplayConfig, RunConfig
+from common.config import ControlConfig, EnvConfig, FarmConfig, MasacConfig, ObservationConfig, ReplayConfig, RunConfig
 from common.config.files import to_toml
 from common.farm import farm_team
 from common.policy_file import save_policy
@@ -29,17 +30,27 @@ from rollout.sim.batch import FarmBatch
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "export.md"
 
 
-@pytest.fixture(params=["farm", "mirrored", "other"])
+CHOICES = ControlConfig(communication="headings", monitoring="moves", collection="moves")
+"""Discrete control of every type."""
+
+
+@pytest.fixture(params=["farm", "mirrored", "other", "choices", "mirrored choices", "masked"])
 def run(request, tmp_path):
     """A run directory with a policy of random parameters, its actors, and rows of observations."""
     config, draw = RunConfig(), np.random.default_rng(4)
+    if "choices" in request.param:
+        mirrored = ObservationConfig(mirrored="mirrored" in request.param)
+        config = replace(config, farm=FarmConfig(control=CHOICES, observation=mirrored))
     if request.param == "mirrored":
         config = replace(config, farm=FarmConfig(observation=ObservationConfig(mirrored=True)))
     team = farm_team(config.farm)
     if request.param == "other":
         config = replace(config, env=EnvConfig("some.module:env"))
         team = TeamSpec((GroupSpec("walker", 2, 5, 3), GroupSpec("flyer", 1, 4, 1)))
-    actors = TeamActors.initial(team, 24, 3, per_type=False)
+    if request.param == "masked":
+        config = replace(config, env=EnvConfig("some.module:env"))
+        team = TeamSpec((GroupSpec("chooser", 2, 9, 2, choices=(4, 3), masked=True), GroupSpec("flyer", 1, 4, 1)))
+    actors = TeamActors.initial(team, 24, 3, per_type=False, shared=request.param == "masked")
     actors = TeamActors(team, 24, tuple(flat * np.float32(5.0) for flat in actors.flat))
     (tmp_path / "config.toml").write_text(to_toml(config))
     save_policy(tmp_path / "policy.safetensors", actors, {"seed": "3", "episodes": "12"})
@@ -52,7 +63,8 @@ def run(request, tmp_path):
 
 def by_agent(actors, rows):
     """Return each agent's observations and actions by its name."""
-    seen, done = actors.team.split_observations(rows), actors.team.split_actions(actors.environment_actions(rows))
+    team = actors.team
+    seen, done = team.split_observations(rows), team.split_environment_actions(actors.environment_actions(rows))
     both = [(o[:, i], a[:, i]) for o, a in zip(seen, done, strict=True) for i in range(o.shape[1])]
     return dict(zip(agent_names(actors), both, strict=True))
 
@@ -66,7 +78,7 @@ def test_onnx_models_act_as_the_policy_does(run, capsys):
         path = directory / "export" / f"{name}.onnx"
         assert str(path) in printed
         model = onnxruntime.InferenceSession(path)
-        assert np.abs(action).max() > 0.3
+        assert np.ptp(action) > 0.3
         for part in (slice(0, 50), slice(7, 8)):
             (found,) = model.run(["action"], {"observation": observation[part]})
             np.testing.assert_allclose(found, action[part], atol=2e-6)
@@ -113,11 +125,11 @@ def test_plain_tensors_are_the_policys_own(run, tmp_path_factory):
     tensors = load_file(out / "actors.safetensors")
     assert len(tensors) == 6 * actors.team.agents
     for name, (observation, action) in by_agent(actors, rows).items():
-        h = observation
+        h, group = observation, next(group for group in actors.team.groups if name.startswith(group.name))
         for layer in "123":
             h = h @ tensors[f"{name}.w{layer}"] + tensors[f"{name}.b{layer}"]
-            h = np.tanh(h) if layer == "3" else np.maximum(h, 0)
-        group = next(group for group in actors.team.groups if name.startswith(group.name))
+            h = h if layer == "3" else np.maximum(h, 0)
+        h = best_options(group, observation, h) if group.choices else np.tanh(h)
         np.testing.assert_allclose(group.adapt(observation, h), action, atol=2e-6)
 
 
@@ -195,7 +207,7 @@ def test_every_number_has_a_name_of_its_own(observation):
     for group in farm_team(config.farm).groups:
         names = tensor_names(config, group).observation
         assert len(names) == len(set(names)) == group.observation_size
-        assert len(tensor_names(config, group).action) == group.action_size
+        assert len(tensor_names(config, group).action) == group.environment_action_size
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from common.actors import TeamActors
+from common.config import ControlConfig, FarmConfig
 from common.errors import SchemaError, SimulationError, UsageError
 from common.farm import farm_team
 from common.policy_file import load_policy
@@ -183,10 +184,20 @@ def test_a_reference_is_the_heuristics_evaluation(bench):
     np.testing.assert_allclose(bench.records.result(job)["reward"], [s.reward for s in flown.per_farm], atol=1e-4)
 
 
+@pytest.mark.parametrize("shared", [False, True])
+def test_timed_networks_choose_as_the_actors_do(shared):
+    """Types that choose moves and headings, with a network for each agent or one for all."""
+    batch = FarmBatch(FarmConfig(control=ControlConfig(communication="headings", monitoring="moves")), 1)
+    actors = TeamActors.initial(batch.team, 16, 0, per_type=False, shared=shared)
+    batch.reset(0, 1, 1)
+    np.testing.assert_allclose(
+        separate_actors(actors)(batch.observation), actors.environment_actions(batch.observation), atol=1e-6
+    )
+
+
 @pytest.mark.parametrize("method", [EIA_SEC, PEERS[2]], ids=lambda method: method.name)
 def test_timed_networks_decide_what_the_actors_decide(method, bench):
     """One network after another gives the actions of the stacked actors, with either kind of last layer."""
-    from common.actors import TeamActors  # noqa: PLC0415  (only here)
     from learner.algorithms import ALGORITHMS  # noqa: PLC0415  (only here)
 
     job = bench.timing(method, 6)[0]

@@ -25,7 +25,7 @@ _PREFIX: Final = struct.Struct("<4sBBHIQI")
 
 
 def samples() -> dict[str, bytes]:
-    """Return a whole frame of each kind of message by the kind's name, a request of two chunks, and an on-policy chunk."""
+    """Return a whole frame of each kind of message by name, a request of two chunks and an on-policy chunk."""
     flat = TeamActors.initial(TEAM, 4, 0).flat
     found = [
         messages.Envelope("rollout", "w", 1, 1, 1),

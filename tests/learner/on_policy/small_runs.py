@@ -17,7 +17,7 @@ TINY: dict[str, Any] = {
     "hidden": 8,
     "iteration_steps": 40,
     "minibatch_steps": 10,
-    "matmul_precision": "highest",
+    "precision": "float32",
     "reward_scale": 1.0,
     "discounts": "b=0.5",
     "entropy_scales": "b=0.25",

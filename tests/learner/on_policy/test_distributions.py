@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.distributions import Categorical, Independent, Normal
 
-from common.action_sampling import ILLEGAL
+from common.actions.sampling import ILLEGAL
 from common.actors import TeamActors
 from common.team import GroupSpec, TeamSpec
 from learner.on_policy.distributions import evaluate

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from common.action_sampling import LARGEST_ACTION, best_options, sample_options, sample_squashed
+from common.actions.sampling import LARGEST_ACTION, best_options, sample_options, sample_squashed
 from common.team import GroupSpec
 
 BRANCHED = GroupSpec("branched", 1, 1, 2, choices=(3, 4))

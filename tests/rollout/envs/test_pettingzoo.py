@@ -1,4 +1,4 @@
-"""Any PettingZoo parallel environment with Box actions is a batch of environments like the farm."""
+"""Any PettingZoo parallel environment is a batch of environments like the farm."""
 
 import sys
 from contextlib import closing
@@ -108,7 +108,7 @@ def test_an_episode_is_a_function_of_its_seeds():
         (EnvConfig("toy_env:np"), "neither a callable nor a module with a parallel_env"),
         (EnvConfig("toy_env:Whole"), "is a Whole, not a PettingZoo ParallelEnv"),
         (relay('{"speed": 3}'), "cannot be made with"),
-        (EnvConfig("toy_env:shy", arguments='{"continuous_actions": false}'), "actions other than bounded boxes"),
+        (EnvConfig("toy_env:shouting"), "actions other than bounded boxes, Discrete and MultiDiscrete"),
     ],
 )
 def test_what_cannot_be_trained_is_said_in_one_sentence(config, text):

@@ -78,6 +78,13 @@ def shy(**keywords):
     return environment
 
 
+def shouting():
+    """Return an environment whose agents act with words."""
+    environment = Relay()
+    environment.action_space = lambda agent: spaces.Text(5)
+    return environment
+
+
 def broken():
     """Raise an unexpected error."""
     raise RuntimeError("no licence")

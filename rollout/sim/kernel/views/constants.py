@@ -1,12 +1,13 @@
 """The constants of the added observations."""
 
 import math
+import sys
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from common.action_adapters import Lattice
+from common.actions.adapters import Lattice
 from common.config import FarmConfig, WorldConfig
 from rollout.sim.kernel.link import RadioConstants, chance_at, reach_of
 from rollout.sim.kernel.views.arrays import TWO_MOVES
@@ -153,7 +154,7 @@ def image_bounds(config: FarmConfig) -> tuple[float, float]:
     """
     world, camera = config.world, config.camera
     if camera.plot_threshold == 0.0:
-        return math.inf, math.inf
+        return sys.float_info.max, math.inf  # the first is finite, because plots of other UAVs are infinitely far
     square = camera.image_distance**2 - world.height_monitoring**2
     if square <= 0.0:
         return -1.0, -1.0

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.compiler.logarithm import vectorisable_log
 from rollout.sim.kernel.constants import Array, FleetConstants
 from rollout.sim.kernel.views.arrays import FieldScratch
@@ -124,7 +124,7 @@ def _sum_columns(across: Float32, sums: Float32, total: Array) -> None:
         total[9] += across[3, column] * sums[3, column]
 
 
-@allocation_free
+@inlined
 def put_field(
     fleet: FleetConstants,
     x: float,

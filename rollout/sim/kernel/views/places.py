@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from common.action_adapters import EDGE as EDGE_SHARE
+from common.actions.adapters import EDGE as EDGE_SHARE
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, Indices

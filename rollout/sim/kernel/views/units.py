@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rollout.sim.kernel.camera import plot_quality, span
-from rollout.sim.kernel.compiler.decorators import allocation_free
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import (
     Array,
     CameraConstants,
@@ -30,9 +30,11 @@ Float32 = NDArray[np.float32]
 
 MOST: Final = 2.0
 """Most units of one move that are seen, over their scale; two moves may bring twice as many (ours)."""
+BELOW: Final = 1.0 - 2.0**-53
+"""A positive number times this is the next smaller one."""
 
 
-@allocation_free
+@inlined
 def begin_plan(
     fleet: FleetConstants, view: ViewConstants, v: ViewScratch, x: float, y: float, u: int
 ) -> tuple[float, float, float, float]:
@@ -50,11 +52,16 @@ def begin_plan(
             place_x[k], place_y[k] = far_x[k // 5], far_y[k % 5]
     for move in range(9):
         place_x[view.first + move], place_y[view.first + move] = v.go_x[u, move // 3], v.go_y[u, move % 3]
-    west, east, south, north = x, x, y, y
-    for place in range(len(place_x)):
-        west, east = min(west, place_x[place]), max(east, place_x[place])
-        south, north = min(south, place_y[place]), max(north, place_y[place])
+    west, east = _ends(x, v.go_x[u], far_x, view.units > 1)
+    south, north = _ends(y, v.go_y[u], far_y, view.units > 1)
     return west, east, south, north
+
+
+@allocation_free
+def _ends(x: float, go: Array, far: Array, two: bool) -> tuple[float, float]:
+    """Return the least and the largest place of a plan along an axis, m."""
+    low, high = min(x, go[0], go[2]), max(x, go[0], go[2])
+    return (min(low, far[0], far[4]), max(high, far[0], far[4])) if two else (low, high)
 
 
 @allocation_free
@@ -76,23 +83,29 @@ def _add_item(two: bool, first: int, worth: float, chance: Array, gain: Array, t
     if two:
         for move in range(9):
             taken = worth * chance[first + move]
-            for k in range(twice.shape[1]):
-                twice[move, k] += taken * chance[k]
+            if taken > 0.0:
+                for k in range(twice.shape[1]):
+                    twice[move, k] += taken * chance[k]
 
 
 @allocation_free
-def _rival(position: Array, first: int, last: int, u: int, x: float, y: float) -> tuple[float, bool]:
-    """Return the square of the distance from a place to the nearest other UAV of a type, m^2, and who wins a tie."""
-    least, owner = math.inf, last
+def _own_square(position: Array, first: int, last: int, u: int, x: float, y: float, limit: float) -> float:
+    """Return the largest square of a distance from which a point would be a UAV's own, at most `limit`, m^2.
+
+    It is that of the nearest other UAV of the type if u wins a tie, and else the next smaller number.
+    """
+    rival, owner = math.inf, last
     for other in range(first, last):
         dx, dy = x - position[other, 0], y - position[other, 1]
         square = dx * dx + dy * dy
-        if other != u and square < least:
-            least, owner = square, other
-    return least, u < owner
+        if other != u and square < rival:
+            rival, owner = square, other
+    if u > owner:
+        rival = rival * BELOW if rival > 0.0 else -1.0
+    return min(rival, limit)
 
 
-@allocation_free
+@inlined
 def plan_images(
     fleet: FleetConstants,
     camera: CameraConstants,
@@ -113,24 +126,21 @@ def plan_images(
             if level[column, row] == 0.0:
                 continue
             x, y = (column + 0.5) * camera.plot_width, (row + 0.5) * camera.plot_depth
-            rival, wins = _rival(position, fleet.relays, fleet.collectors, u, x, y)
-            if _beyond(bounds, x, y) > min(rival, view.image_limit):
+            limit = _own_square(position, fleet.relays, fleet.collectors, u, x, y, view.image_limit)
+            if _beyond(bounds, x, y) > limit:
                 continue
-            _measure(v.place_x, v.place_y, x, y, view.image_limit, rival, wins, v.square)
+            _measure(v.place_x, v.place_y, x, y, limit, v.square)
             if _see_plot(camera, view.image_sure, v.place_x, v.place_y, v.square, column, row, v.chance):
                 _add_item(view.units > 1, view.first, level[column, row], v.chance, v.gain, v.twice)
 
 
 @allocation_free
-def _measure(
-    place_x: Array, place_y: Array, x: float, y: float, limit: float, rival: float, wins: bool, square: Array
-) -> None:
-    """Write the squares of the distances to a point, infinite from where it is another UAV's or too far."""
+def _measure(place_x: Array, place_y: Array, x: float, y: float, limit: float, square: Array) -> None:
+    """Write the squares of the distances to a point, infinite beyond the limit."""
     for place in range(len(square)):
         dx, dy = x - place_x[place], y - place_y[place]
         apart = dx * dx + dy * dy
-        own = (apart <= limit) & ((apart < rival) | ((apart == rival) & wins))
-        square[place] = apart if own else math.inf
+        square[place] = apart if apart <= limit else math.inf
 
 
 @allocation_free
@@ -155,7 +165,7 @@ def _see_plot(
     return some
 
 
-@allocation_free
+@inlined
 def plan_packets(
     fleet: FleetConstants,
     seen: ObservationConstants,
@@ -179,9 +189,9 @@ def plan_packets(
     for entry in range(found):
         j = around[entry]
         own_x, own_y = sensor[0, j], sensor[1, j]
-        rival, wins = _rival(position, fleet.collectors, fleet.uavs, u, own_x, own_y)
-        if _beyond(bounds, own_x, own_y) <= min(rival, view.chance_limit):
-            _measure(v.place_x, v.place_y, own_x, own_y, view.chance_limit, rival, wins, v.square)
+        limit = _own_square(position, fleet.collectors, fleet.uavs, u, own_x, own_y, view.chance_limit)
+        if _beyond(bounds, own_x, own_y) <= limit:
+            _measure(v.place_x, v.place_y, own_x, own_y, limit, v.square)
             _hear_sensor(view.chance, view.chance_scale, v.square, v.chance)
             _add_item(view.units > 1, view.first, age[j], v.chance, v.gain, v.twice)
 

@@ -1,7 +1,10 @@
 """A probe sees what the simulator does, and the simulator does not notice."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from common.config import ControlConfig
 from common.protocol.view_checks import FRAMES, check_view
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
 from rollout.worker.probe import HELD, Probe
@@ -10,9 +13,9 @@ from tests.deploy.monitor.web.stage import CONFIG, a_collector, some_actors
 WORLD = CONFIG.farm.world
 
 
-def flown(steps, opened=0, again=True):
+def flown(steps, opened=0, again=True, farm=CONFIG.farm):
     """Return the messages of a probe that was opened before a step of an episode, and the batch's own states."""
-    batch = FarmBatch(CONFIG.farm, 2)
+    batch = FarmBatch(farm, 2)
     probe = Probe(batch, 1)
     probe.again = again
     for index in range(2):
@@ -26,7 +29,7 @@ def flown(steps, opened=0, again=True):
             for index in range(2):
                 batch.reset(index, 3 + index, 8)
             probe.record()
-        batch.step(random.uniform(-1, 1, (2, batch.team.action_size)).astype(np.float32))
+        batch.step(random.uniform(-1, 1, (2, batch.team.environment_action_size)).astype(np.float32))
         probe.record()
         states.append((batch.position[1].copy(), batch.aoi[1].copy(), batch.vdf[1].copy(), batch.reward[1].copy()))
     return probe.take(5, 0.25, False), states
@@ -46,6 +49,14 @@ def test_frames_are_the_simulators_states():
         np.testing.assert_allclose(message.level[i], [aoi.mean(), vdf.mean()], rtol=1e-6)
         by_type = [reward[:1].mean(), reward[1:3].mean(), reward[3:].mean()]
         np.testing.assert_allclose(message.parts[i].sum(axis=1), by_type, rtol=1e-4, atol=1e-5)
+
+
+def test_how_uavs_are_controlled_changes_no_frame():
+    """A farm whose actors choose moves and headings takes velocities like any other, and is shown in the same way."""
+    choices = ControlConfig(communication="headings", monitoring="moves", collection="moves")
+    (shown,), _ = flown(20, farm=replace(CONFIG.farm, control=choices))
+    (wanted,), _ = flown(20)
+    assert shown.encode() == wanted.encode()
 
 
 def test_a_message_holds_consecutive_steps_of_one_episode():

@@ -15,9 +15,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[4]
 PAGE = ROOT / "docs" / "reference" / "simulator_properties.md"
-PROPERTIES = [
-    f"test_properties_{name}.py" for name in ("flight", "counters", "symmetry", "batch", "reference", "hindsight")
-]
+NAMES = ("flight", "counters", "symmetry", "batch", "added", "reference", "hindsight")
+PROPERTIES = [f"test_properties_{name}.py" for name in NAMES]
 """The reference, which notices almost everything, comes after all that need none; hindsight needs it, too."""
 
 TESTS = "tests/rollout/sim"

@@ -156,6 +156,8 @@ def numbers(world: WorldConfig) -> dict[str, dict[str, st.SearchStrategy[Any]]]:
         "observation": {
             "sensors": st.one_of(st.integers(1, min(10, world.sensors)), st.just(world.sensors)),
             "window": st.sampled_from([1, 3, 3, 5, 9]),
+            "peers": st.sampled_from([0, 0, 1, 2, 5]),
+            "units": st.sampled_from([0, 0, 1, 2]),
         },
     }
 

@@ -34,7 +34,7 @@ def perform(programmes: list[list[Flight]], ticks: int) -> list[list[Track]]:
     actions, ends = {}, {}
     tracks: list[list[Track]] = [[] for _ in programmes]
     for tick in range(ticks):
-        row = np.empty((len(programmes), batch.team.action_size), np.float32)
+        row = np.empty((len(programmes), batch.team.environment_action_size), np.float32)
         for index, programme in enumerate(programmes):
             if tick == 0 or batch.time[index] == ends[index]:
                 flight = programme[len(tracks[index]) % len(programme)]
@@ -104,7 +104,7 @@ def test_every_value_of_every_switch_is_drawn():
     """At least one farm in twenty holds it, so a switch that is added tomorrow is tested tomorrow."""
     drawn = []
 
-    @dose(100)
+    @dose(200)
     @given(farm_configs())
     def collect(config):
         drawn.append(config)

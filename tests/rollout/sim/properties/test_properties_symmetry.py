@@ -13,8 +13,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.action_adapters import SIGNS
-from common.config import FarmConfig
+from common.actions.adapters import SIGNS
+from common.config import FarmConfig, ObservationConfig
 from common.farm import farm_team
 from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_levels
 from rollout.sim.layout import Layout
@@ -80,12 +80,20 @@ SYMMETRIES = st.builds(Symmetry, st.booleans(), st.booleans(), st.booleans()).fi
 )
 
 
+def without_added(seen: ObservationConfig) -> ObservationConfig:
+    """Return observations without the added ones: a UAV between two lattice points belongs to the one further on."""
+    usual = ObservationConfig()
+    names = ("peers", "last_move", "closing", "units", "fields", "coarse", "phases", "service")
+    return replace(seen, **{name: getattr(usual, name) for name in names})
+
+
 @st.composite
 def lattice_flights(draw: st.DrawFn) -> Flight:
     """Draw a farm whose plots, grid cells and speeds are binary fractions, and whose packets need no luck."""
     config: FarmConfig = draw(farm_configs(worlds(st.integers(1, 6), 60, lattice=True)))
     cells = st.sampled_from([1, 2, 4])
     config = replace(config, camera=replace(config.camera, grid_x=draw(cells), grid_y=draw(cells)))
+    config = replace(config, observation=without_added(config.observation))
     if config.radio.delivery == "bernoulli":
         config = replace(config, radio=replace(config.radio, sensor_power_dbm=90.0, interference=False))
     manner = draw(st.sampled_from(["uniform", "lasting", "saturated", "hovering", "corners"]))

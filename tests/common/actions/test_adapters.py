@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.action_adapters import GAIN, SIGNS, Lattice, MirroredAxes, fewest
+from common.actions.adapters import GAIN, SIGNS, Lattice, MirroredAxes, fewest
 from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
 from common.config.presets import preset
 from common.errors import ConfigError, SchemaError

@@ -1,0 +1,138 @@
+"""From what a PettingZoo environment shows its agents to a row of observations, action masks included.
+
+Environments say in two ways which options are legal: an observation that is a Dict with `action_mask` and other keys,
+or `infos[agent]["action_mask"]`. Either way the mask becomes the end of the agent's observation. All options count as
+legal where a mask is missing, where it allows no option of a branch, and for an agent that has left.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from common.errors import ConfigError, SimulationError
+from common.team import Float32
+
+MASK: Final = "action_mask"
+"""Key of a mask in an observation or in an agent's info."""
+MaskSource = Literal["none", "observation", "info"]
+
+
+@dataclass(frozen=True)
+class AgentView:
+    """How one agent's observation becomes numbers.
+
+    Attributes:
+        space: what is flattened, without the mask.
+        choices: options of each branch of the agent's action; empty without a mask.
+        source: where the environment gives the mask.
+        size: numbers of the observation, the mask included.
+    """
+
+    space: spaces.Space[Any]
+    choices: tuple[int, ...]
+    source: MaskSource
+    size: int
+
+    @classmethod
+    def of(cls, name: Any, space: spaces.Space[Any], choices: tuple[int, ...], *, informed: bool) -> "AgentView":
+        """Return the view of an agent.
+
+        Args:
+            name: the agent's name, for errors.
+            space: its observation space.
+            choices: options of each branch of its action; empty for a Box.
+            informed: whether infos hold its mask.
+
+        Raises:
+            ConfigError: the observation cannot be flattened.
+        """
+        if choices and holds_mask(space, choices):
+            assert isinstance(space, spaces.Dict)
+            rest = spaces.Dict([(key, part) for key, part in space.spaces.items() if key != MASK])
+            return cls(rest, choices, "observation", _flat_size(name, rest) + sum(choices))
+        if choices and informed:
+            return cls(space, choices, "info", _flat_size(name, space) + sum(choices))
+        return cls(space, (), "none", _flat_size(name, space))
+
+    @property
+    def masked(self) -> bool:
+        """Whether the observation ends with a mask."""
+        return self.source != "none"
+
+    def numbers(self, name: Any, seen: Any, info: Mapping[str, Any]) -> Float32:
+        """Return the observation [size] float32 of an agent that is present.
+
+        Raises:
+            SimulationError: observation or mask do not fit the agent's spaces, or are not finite.
+        """
+        flat = np.asarray(spaces.flatten(self.space, seen), np.float32).reshape(-1)
+        if self.masked:
+            given = (seen if self.source == "observation" else info).get(MASK)
+            flat = np.concatenate([flat, self._legal(name, given)])
+        if flat.shape != (self.size,) or not np.isfinite(flat).all():
+            raise SimulationError(f"the observation of agent {name} does not fit its space or is not finite.")
+        return flat
+
+    def absent(self) -> Float32:
+        """Return the observation [size] float32 of an agent that has left: zeros, with all options legal."""
+        flat = np.zeros(self.size, np.float32)
+        flat[self.size - sum(self.choices) :] = 1.0
+        return flat
+
+    def _legal(self, name: Any, given: Any) -> Float32:
+        options = sum(self.choices)
+        if given is None:
+            return np.ones(options, np.float32)
+        parts = given if isinstance(given, tuple | list) else (given,)
+        legal = np.concatenate([np.ravel(np.asarray(part)) for part in parts]).astype(np.bool_)
+        if legal.shape != (options,):
+            raise SimulationError(f"the action mask of agent {name} has {legal.size} numbers, not {options}.")
+        return _with_a_way_out(legal, self.choices).astype(np.float32)
+
+
+def holds_mask(space: spaces.Space[Any], choices: tuple[int, ...]) -> bool:
+    """Return whether observations hold other keys and a mask with one number for each option."""
+    if not isinstance(space, spaces.Dict) or MASK not in space.spaces or len(space.spaces) < 2:
+        return False
+    return _numbers(space.spaces[MASK]) == sum(choices)
+
+
+def informed_agents(agents: Sequence[Any], infos: Mapping[Any, Mapping[str, Any]]) -> set[Any]:
+    """Return the agents whose masks come in infos; where there are any, agents that are yet to come belong to them.
+
+    Args:
+        agents: names of all possible agents.
+        infos: what a reset returned.
+    """
+    given = {name for name, info in infos.items() if MASK in info}
+    return given | {name for name in agents if name not in infos} if given else set()
+
+
+def _with_a_way_out(legal: NDArray[np.bool_], choices: tuple[int, ...]) -> NDArray[np.bool_]:
+    start = 0
+    for options in choices:
+        branch = legal[start : start + options]
+        if not branch.any():
+            branch[:] = True
+        start += options
+    return legal
+
+
+def _numbers(space: spaces.Space[Any]) -> int:
+    if isinstance(space, spaces.Tuple):
+        return sum(_numbers(part) for part in space.spaces)
+    return int(np.prod(space.shape or ()))
+
+
+def _flat_size(name: Any, space: spaces.Space[Any]) -> int:
+    try:
+        seen = spaces.flatten_space(space)
+    except NotImplementedError:
+        raise ConfigError(f"the observation of agent {name} cannot be flattened into numbers.") from None
+    if not isinstance(seen, spaces.Box):
+        raise ConfigError(f"the observation of agent {name} has no fixed length.")
+    return int(np.prod(seen.shape))

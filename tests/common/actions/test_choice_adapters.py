@@ -1,0 +1,90 @@
+"""The adapters of discrete controls: nine moves become steps on the lattice, headings velocities."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.actions.adapters import Headings, MirroredAxes, NineMoves
+from common.actors import TeamActors
+from common.config import ControlConfig, FarmConfig, ObservationConfig
+from common.errors import ConfigError, SchemaError
+from common.farm import HEADING_SPEEDS, farm_team
+from common.team import GroupSpec, TeamSpec
+from rollout.sim.batch import FarmBatch
+
+HEADINGS = Headings(*HEADING_SPEEDS)
+PLACES = st.floats(-1.0, 1.0, width=32)
+
+
+def test_nine_moves_are_all_pairs_of_steps():
+    """Index 3 (x + 1) + y + 1 is the step (x, y)."""
+    steps = NineMoves().adapt(np.zeros((9, 2), np.float32), np.arange(9, dtype=np.float32)[:, None])
+    assert steps.tolist() == [list(pair) for pair in itertools.product((-1.0, 0.0, 1.0), repeat=2)]
+
+
+@given(x=PLACES, y=PLACES)
+def test_headings_are_eight_ways_at_three_speeds_and_a_drift(x, y):
+    """A plain loop in double precision gives the same velocities; idle agents drift towards the middle."""
+    place = np.tile(np.array([x, y], np.float32), (25, 1))
+    found = HEADINGS.adapt(place, np.arange(25, dtype=np.float32)[:, None])
+    apart = max(math.hypot(x, y), 1e-6)
+    np.testing.assert_allclose(found[0], [-HEADINGS.idle * x / apart, -HEADINGS.idle * y / apart], atol=1e-6)
+    speeds = (HEADINGS.slow, HEADINGS.medium, HEADINGS.fast)
+    wanted = [(v * math.cos(j * math.pi / 4), v * math.sin(j * math.pi / 4)) for v in speeds for j in range(8)]
+    np.testing.assert_allclose(found[1:], wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_moves_fly_from_place_to_place(mirrored):
+    """A move leads as the lattice does for the same step, and nobody runs against the field's edge."""
+    control = ControlConfig(communication="moves", monitoring="moves", collection="moves")
+    config = FarmConfig(control=control, observation=ObservationConfig(mirrored=mirrored))
+    lattice = ControlConfig(communication="lattice", monitoring="lattice", collection="lattice")
+    steered = farm_team(FarmConfig(control=lattice, observation=config.observation))
+    farms, draw = FarmBatch(config, 3), np.random.default_rng(2)
+    for index in range(3):
+        farms.reset(index, index, 5)
+    for _ in range(60):
+        option = draw.integers(0, 9, (3, farms.team.action_size)).astype(np.float32)
+        step = np.stack([option // 3 - 1, option % 3 - 1], axis=-1).reshape(3, -1)
+        velocity = farms.team.adapt(farms.observation, option)
+        np.testing.assert_array_equal(velocity, steered.adapt(farms.observation, step))
+        farms.step(velocity)
+    assert all(farms.summary(index).metrics["boundary"] == 0 for index in range(3))
+
+
+def test_rows_of_the_environment_are_wider_than_those_of_the_actors():
+    """One index in replay, two numbers for the farm; the split follows the environment's width."""
+    team = farm_team(FarmConfig(control=ControlConfig(monitoring="headings")))
+    assert (team.action_size, team.environment_action_size) == (20, 24)
+    rows = np.random.default_rng(0).uniform(-1, 1, (5, team.observation_size)).astype(np.float32)
+    actions = TeamActors.initial(team, 8, 0).environment_actions(rows)
+    parts = team.split_environment_actions(actions)
+    assert [part.shape for part in parts] == [(5, 4, 2)] * 3
+    np.testing.assert_array_equal(np.concatenate([part.reshape(5, -1) for part in parts], axis=1), actions)
+
+
+@pytest.mark.parametrize("adapters", [(NineMoves(),), (HEADINGS,), (HEADINGS, MirroredAxes())])
+def test_descriptions_come_back(adapters):
+    """Adapters of choices survive the wire in their order."""
+    options = adapters[0].options
+    team = TeamSpec((GroupSpec("a", 2, 5, 1, adapters, (options,)),))
+    assert TeamSpec.from_dict(team.to_dict()) == team
+
+
+def test_impossible_adapters_are_refused():
+    """Choices are one index, headings need a place, and speeds are shares."""
+    with pytest.raises(ConfigError, match="chosen by one index"):
+        GroupSpec("a", 1, 5, 2, (NineMoves(),), (9, 9))
+    with pytest.raises(ConfigError, match="headings need x and y"):
+        GroupSpec("a", 1, 1, 1, (HEADINGS,), (25,))
+    with pytest.raises(ConfigError, match="fast"):
+        Headings(0.1, 0.2, 0.3, 1.5)
+    described = TeamSpec((GroupSpec("a", 2, 5, 1, (HEADINGS,), (25,)),)).to_dict()
+    described["groups"][0]["adapters"][0]["idle"] = "slow"
+    with pytest.raises(SchemaError):
+        TeamSpec.from_dict(described)

@@ -1,0 +1,187 @@
+"""The added observations against the reference, with all of them on, and what they mean in cases worked out by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.actions.adapters import Lattice
+from common.config import FarmConfig, ObservationConfig, WorldConfig
+from common.farm import farm_environment, farm_team
+from common.team import Float32
+from rollout.envs.spaces import row_box
+from rollout.sim.batch import FarmBatch
+from rollout.sim.kernel.views.constants import image_bounds
+from rollout.sim.layout import make_layout
+from rollout.sim.reference import ReferenceFarm
+from tests.rollout.sim.course import begin
+from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
+from tests.rollout.sim.properties.test_properties_reference import (
+    agree_on_directions,
+    assert_equal,
+)
+
+ALL = {
+    "peers": 3,
+    "last_move": True,
+    "closing": True,
+    "units": 2,
+    "fields": True,
+    "coarse": True,
+    "phases": True,
+    "service": True,
+}
+"""Every switch, on."""
+SMALL = worlds(st.one_of(st.integers(1, 4), st.integers(1, 10)), 90)
+
+
+def everything(config: FarmConfig) -> FarmConfig:
+    return replace(config, observation=replace(config.observation, **ALL))
+
+
+def moves(config: FarmConfig, batch: FarmBatch, random: np.random.Generator) -> Float32:
+    """Return actions [2 n] that lead to random neighbouring lattice points, so that UAVs come to stand on them."""
+    world, lattice = config.world, Lattice.spanning(*config.world.reach)
+    place = (2.0 * batch.position[0] / (world.field_x, world.field_y) - 1.0).astype(np.float32)
+    return lattice.velocity(place, random.integers(-1, 2, place.shape).astype(np.float32)).reshape(-1)
+
+
+@dose(30)
+@given(flights(farm_configs(SMALL).map(everything)), st.booleans())
+def test_all_added_observations_equal_the_reference(flight: Flight, on_lattice: bool):
+    """Every number after every step, for flights between lattice points and anywhere."""
+    batch, layout, random = begin(flight), flight.layout(), np.random.default_rng(flight.episode)
+    box = row_box(flight.config)
+    with placed(layout, flight.positions()):
+        reference = ReferenceFarm(flight.config, layout, flight.episode)
+    reference._assign(batch.assignment[0])
+    reference._look()
+    for action in flight.actions()[:12]:
+        chosen = moves(flight.config, batch, random) if on_lattice else action
+        batch.step(chosen[None])
+        reference.step(chosen, batch.assignment[0])
+        agree_on_directions(batch, reference)
+        assert_equal(batch, reference)
+        assert box.contains(batch.observation[0])
+
+
+@dose(15)
+@given(flights(farm_configs(SMALL)), st.sets(st.sampled_from(sorted(ALL))))
+def test_added_observations_change_nothing_else(flight: Flight, names: set[str]):
+    """Without its added numbers a row is bit for bit that of a farm that has them off, and so is the rest."""
+    off = ObservationConfig()
+    plain = replace(flight.config.observation, **{name: getattr(off, name) for name in ALL})
+    more = replace(plain, **{name: ALL[name] for name in names})
+    pair = [begin(replace(flight, config=replace(flight.config, observation=seen))) for seen in (plain, more)]
+    kept = []
+    for batch in pair:
+        spec = farm_environment(batch.config)
+        kept.append([spec.tensor_names[g.name].observation for g in spec.team.groups for _ in range(g.count)])
+    keep = np.concatenate([np.isin(mine, usual) for usual, mine in zip(*kept, strict=True)])
+    for action in flight.actions()[:8]:
+        for batch in pair:
+            batch.step(action[None])
+        np.testing.assert_array_equal(pair[1].observation[0][keep], pair[0].observation[0])
+        np.testing.assert_array_equal(pair[1].parts, pair[0].parts)
+
+
+def views(config: FarmConfig, batch: FarmBatch, group: int) -> dict[str, np.ndarray]:
+    """Return what the agents of a type see, [n_v] by name."""
+    spec = farm_environment(config)
+    rows = farm_team(config).split_observations(batch.observation[0])[group]
+    return dict(zip(spec.tensor_names[spec.team.groups[group].name].observation, rows.T, strict=True))
+
+
+def placed_batch(config: FarmConfig, position: np.ndarray, levels: tuple[np.ndarray, np.ndarray]) -> FarmBatch:
+    batch = FarmBatch(config, 1)
+    with placed(make_layout(config, 0), position, levels):
+        batch.reset(0, 0, 0)
+    return batch
+
+
+ONE = FarmConfig(
+    world=WorldConfig(communication_uavs=1, monitoring_uavs=2, collection_uavs=1),
+    observation=ObservationConfig(mirrored=False, **ALL),
+)
+
+
+def ground() -> tuple[np.ndarray, np.ndarray]:
+    return np.zeros(ONE.world.sensors), np.zeros((ONE.world.plots_x, ONE.world.plots_y))
+
+
+def test_a_monitor_sees_the_plots_that_its_moves_bring():
+    """One stale plot lies two moves on along x and another one move back: one each, and both in two moves never."""
+    age, level = ground()
+    level[11, 10], level[9, 10] = 5.0, 3.0
+    # On the lattice point beside the border of plot 10: the middles of the plots 9 and 11 are not on the lattice.
+    batch = placed_batch(ONE, np.array([[0.0, 0.0], [205.0, 205.0], [0.0, 0.0], [0.0, 0.0]]), (age, level))
+    seen = views(ONE, batch, 1)
+    assert seen["units_1_move_-1_0"][0] == pytest.approx(3.0 / 5.0)
+    assert seen["units_1_move_1_0"][0] == 0.0
+    assert seen["units_2_move_1_0"][0] == pytest.approx(1.0)
+    assert seen["units_2_move_-1_0"][0] == pytest.approx(3.0 / 5.0)
+
+
+def test_a_plot_closer_to_a_peer_brings_nothing():
+    """A peer over the plot would take its image."""
+    age, level = ground()
+    level[9, 10] = 3.0
+    batch = placed_batch(ONE, np.array([[0.0, 0.0], [205.0, 205.0], [190.0, 210.0], [0.0, 0.0]]), (age, level))
+    assert views(ONE, batch, 1)["units_1_move_-1_0"][0] == 0.0
+
+
+def test_the_risk_of_two_monitors_face_to_face():
+    """20 m apart, the move towards a peer that stands still costs its 10 m; the other way it costs nothing."""
+    batch = placed_batch(ONE, np.array([[0.0, 0.0], [205.0, 205.0], [225.0, 205.0], [0.0, 0.0]]), ground())
+    seen = views(ONE, batch, 1)
+    assert seen["risk_same_move_1_0"][0] == pytest.approx(10.0 / ONE.world.safety_distance)
+    assert seen["risk_same_move_-1_0"][0] == 0.0
+    assert seen["risk_any_move_1_0"][0] > seen["risk_any_move_0_0"][0] > 0.0
+
+
+def test_a_field_grows_towards_what_is_stale():
+    """The one stale plot lies far off along x: one move there is the field's largest possible growth along an axis."""
+    age, level = ground()
+    level[19, 10] = 5.0
+    batch = placed_batch(ONE, np.array([[0.0, 0.0], [205.0, 205.0], [0.0, 0.0], [0.0, 0.0]]), (age, level))
+    seen = views(ONE, batch, 1)
+    assert seen["far_move_1_0"][0] > 0.0 > seen["far_move_-1_0"][0]
+    assert seen["near_move_1_0"][0] > 0.0
+    assert seen["far_here"][0] > seen["near_here"][0] > 0.0
+
+
+def test_missing_peers_are_zeros():
+    """The only collector sees no peer, and a monitor sees one of three."""
+    batch = placed_batch(ONE, np.array([[0.0, 0.0], [205.0, 205.0], [225.0, 205.0], [0.0, 0.0]]), ground())
+    assert [views(ONE, batch, 1)[f"peer_{rank}_present"][0] for rank in range(3)] == [1.0, 0.0, 0.0]
+    assert not any(views(ONE, batch, 2)[f"peer_{rank}_present"][0] for rank in range(3))
+
+
+def test_no_velocity_outlives_a_reset():
+    """The first observation of an episode says that nobody has moved yet."""
+    batch = FarmBatch(ONE, 1)
+    for _ in range(2):
+        batch.reset(0, 0, 0)
+        assert not any(views(ONE, batch, group)["last_velocity_x"].any() for group in range(3))
+        batch.step(np.ones((1, 2 * ONE.world.uavs), np.float32))
+        assert all(views(ONE, batch, group)["last_velocity_x"].any() for group in range(3))
+
+
+@dose(20)
+@given(farm_configs(SMALL))
+def test_distance_bounds_decide_images(config: FarmConfig):
+    """Every image within the inner bound succeeds, and none beyond the outer one."""
+    world, camera = config.world, config.camera
+    size = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
+    sure, most = image_bounds(config)
+    reach = 1.2 * np.hypot(*size) + max(camera.image_distance**2 - world.height_monitoring**2, 0.0) ** 0.5
+    offset = np.random.default_rng(0).uniform(-reach, reach, (400, 2))
+    x = ((np.arange(camera.grid_x) + 0.5) / camera.grid_x - 0.5) * size[0]
+    y = ((np.arange(camera.grid_y) + 0.5) / camera.grid_y - 0.5) * size[1]
+    flat = (x[:, None] - offset[:, 0, None, None]) ** 2 + (y - offset[:, 1, None, None]) ** 2
+    quality = (flat + world.height_monitoring**2 < camera.image_distance**2).mean(axis=(1, 2))
+    square = (offset**2).sum(axis=1)
+    assert (quality[square <= sure] >= camera.plot_threshold).all()
+    assert (quality[square > most] < camera.plot_threshold).all()
