@@ -2,7 +2,7 @@
 
 from types import SimpleNamespace
 
-from common.config import RunConfig
+from common.config.presets import preset
 from common.farm import farm_team
 from common.protocol import keys
 from common.protocol.epoch_fence import PATIENCE_SECONDS, EpochFence
@@ -17,7 +17,7 @@ RUN = "epochs"
 
 def test_a_lower_epoch_is_an_alarm_until_it_is_followed():
     """Metrics name it as long as the higher epoch may come back, and no longer."""
-    endpoint, config, clock = free_endpoint(), RunConfig(), SimpleNamespace(now=0.0)
+    endpoint, config, clock = free_endpoint(), preset("eia-sec"), SimpleNamespace(now=0.0)
     with Bus.listen(endpoint, "control") as other, Bus.connect(endpoint, "control", wait=10.0) as bus:
         metrics = other.subscribe(keys.METRIC.key(RUN, role="elite", name="elite"), 64)
         progress = other.publish_state(keys.PROGRESS.key(RUN))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from common.config import EliteConfig, RunConfig
+from common.config import EliteConfig
+from common.config.presets import preset
 from common.errors import SchemaError
 from common.team import GroupSpec, TeamSpec
 from elite.evaluation_plan import evaluation_plan
@@ -59,7 +60,7 @@ def test_evaluations_that_do_not_fit_are_refused(shape: tuple[int, ...]) -> None
 
 def test_the_plan_follows_from_seed_and_event() -> None:
     """Farms are distinct training farms, equal for equal seed and event, and differ between events."""
-    config = RunConfig()
+    config = preset("eia-sec")
     farms, episodes = evaluation_plan(config, 1)
     assert len(set(farms)) == len(farms) == len(episodes) == config.elite.farms
     assert set(farms) <= set(range(config.rollout.train_farms))

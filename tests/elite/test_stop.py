@@ -2,7 +2,7 @@
 
 import threading
 
-from common.config import RunConfig
+from common.config.presets import preset
 from common.farm import farm_team
 from common.process import StopSignal
 from common.protocol import keys
@@ -22,7 +22,7 @@ def asking() -> list[threading.Thread]:
 
 def test_threads_that_still_ask_end_with_the_bus():
     """They outlive the stop, hold the process until the bus is closed, and end then."""
-    endpoint, stop, config = free_endpoint(), StopSignal(), RunConfig()
+    endpoint, stop, config = free_endpoint(), StopSignal(), preset("eia-sec")
     farms, episodes = evaluation_plan(config, 1)
     with Bus.listen(endpoint, "control") as other:
         silent = other.serve(keys.EVALUATION.key(RUN, worker="w"), 4)

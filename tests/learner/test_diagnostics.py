@@ -1,13 +1,15 @@
 """Diagnostics of updates: what they say is what plain arithmetic says."""
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from common.actors import TeamActors, parameter_views
-from common.config import EiaSecConfig, ReplayConfig, RunConfig
+from common.config import EiaSecConfig, ReplayConfig
+from common.config.presets import preset
 from common.team import GroupSpec, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, Rows
 from learner.data.replay import Replay
@@ -150,7 +152,7 @@ def test_realised_returns_are_in_the_units_of_the_targets(normalised):
     reported = []
     for factor in (1.0, 10.0):
         algorithm = EiaSecConfig(hidden=8, batch=64, reward_normalisation=normalised, reward_scale=0.5)
-        config = RunConfig(algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0))
+        config = replace(preset("eia-sec"), algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0))
         trainer, random = OffPolicyTrainer(config, TEAM), np.random.default_rng(3)
         shapes = ((256, TEAM.observation_size), (256, TEAM.action_size), (256, TEAM.agents))
         seen, done, paid = (random.uniform(-0.9, 0.9, shape).astype(np.float32) for shape in shapes)

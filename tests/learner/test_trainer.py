@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from common.actors import TeamActors, imitate
-from common.config import EiaSecConfig, ReplayConfig, RunConfig
+from common.config import EiaSecConfig, ReplayConfig
+from common.config.presets import preset
 from common.errors import CheckpointError, SchemaError
 from common.imitation import ImitationEvent
 from common.team import GroupSpec, TeamSpec
@@ -17,7 +18,8 @@ from learner.checkpoint import files
 from learner.off_policy_trainer import DIAGNOSTIC_PERIOD, OffPolicyTrainer
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
-CONFIG = RunConfig(
+CONFIG = replace(
+    preset("eia-sec"),
     seed=11,
     algorithm=EiaSecConfig(hidden=12, batch=16, reward_scale=1.0),
     replay=ReplayConfig(capacity=512, warmup_steps=40, updates_per_step=0.5, slack_steps=30),
@@ -260,7 +262,7 @@ def test_learns_to_match_a_given_action():
 
     algorithm = EiaSecConfig(hidden=32, batch=64, reward_scale=1.0, discount=0.0, actor_rate=2e-3, critic_rate=3e-3)
     settings = ReplayConfig(capacity=4096, warmup_steps=0, updates_per_step=1.0)
-    trainer = OffPolicyTrainer(RunConfig(seed=3, algorithm=algorithm, replay=settings), TEAM)
+    trainer = OffPolicyTrainer(replace(preset("eia-sec"), seed=3, algorithm=algorithm, replay=settings), TEAM)
     trainer.absorb(chunk(3000, reward=reward))
     test = chunk(500, 99).rows.observation
 

@@ -14,8 +14,8 @@ COUNT = """
 import json, sys
 from dataclasses import replace
 from numba.core.dispatcher import Dispatcher
-from common.config import RunConfig
 from common.config.algorithms import switched
+from common.config.presets import preset
 from learner.warm_up import warm_up
 from learner.off_policy_trainer import OffPolicyTrainer
 from rollout.worker.collector import Collector
@@ -27,7 +27,7 @@ def compiled():
             functions |= {f"{name}.{n}": f for n, f in vars(module).items() if isinstance(f, Dispatcher)}
     return {name: len(function.signatures) for name, function in functions.items()}
 
-base = RunConfig()
+base = preset("eia-sec")
 config = replace(
     base, algorithm=switched(base.algorithm, sys.argv[1]), replay=replace(base.replay, warmup_steps=0)
 )

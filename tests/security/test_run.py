@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from common.transport.endpoint import free_endpoint
-from tests.system.fleet import RUN, TINY
+from tests.system.fleet import PRESET, RUN, TINY
 
 SECONDS = 120.0
 
@@ -58,7 +58,8 @@ def test_a_run_with_certificates_finishes_and_denies_who_is_not_listed(audited, 
     (tmp_path / "wanted.toml").write_text(TINY)
     endpoint, tls = str(free_endpoint()), lambda name: ("--tls", str(keys_folder / name))
     joining = ("--run", RUN, "--connect", endpoint)
-    learner = ("--run", RUN, "--listen", endpoint, "--config", str(tmp_path / "wanted.toml"))
+    wanted = ("--preset", PRESET, "--config", str(tmp_path / "wanted.toml"))
+    learner = ("--run", RUN, "--listen", endpoint, *wanted)
     audited.start("learner", "learner", *learner, "--run-dir", str(tmp_path / "run"), *tls("learner.learner"))
     audited.start("unlisted", "rollout", *joining, *tls("rollout.unlisted"))
     assert audited.await_line("unlisted", "denied: "), audited.log("unlisted") + audited.log("learner")

@@ -21,6 +21,8 @@ from common.transport.endpoint import Endpoint, free_endpoint
 
 RUN = "test"
 SECONDS = 90.0
+PRESET = "eia-sec"
+"""The preset under TINY: runs that learn from a replay buffer."""
 
 TINY = """
 episodes = 8
@@ -80,7 +82,7 @@ def on_policy(name: str, lag: int = 1) -> str:
 
 def configured(toml: str = TINY) -> RunConfig:
     """Return what the commands make of a file with this text."""
-    return from_toml(toml, PRESETS["default"])
+    return from_toml(toml, PRESETS[PRESET])
 
 
 def until(condition: Callable[[], Any], what: str, seconds: float = SECONDS) -> Any:
@@ -109,6 +111,11 @@ class Processes:
         """Let the run last long enough for what is to happen in it on a machine of any speed."""
         self.config.write_text(self.config.read_text().replace("episodes = 8\n", f"episodes = {episodes}\n"))
 
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Return a command's options for the configuration."""
+        return "--preset", PRESET, "--config", str(self.config)
+
     def start(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
         """Start one command, its output in a log file."""
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
@@ -126,7 +133,7 @@ class Processes:
         """Start the learner, listening."""
         run_dir = ("--run-dir", str(self.directory / "run"))
         where = ("--run", RUN, "--listen", str(self.endpoint))
-        return self.start("learner", "learner", *where, *run_dir, "--config", str(self.config), *extra)
+        return self.start("learner", "learner", *where, *run_dir, *self.wanted, *extra)
 
     def worker(self, name: str = "0", *extra: str) -> subprocess.Popen[bytes]:
         """Start a worker, its history in the run directory."""

@@ -14,7 +14,7 @@ from typing import Any
 
 from common.transport.endpoint import free_endpoint
 from deploy.monitor.audit import Audit, audit
-from tests.system.fleet import TINY, until
+from tests.system.fleet import PRESET, TINY, until
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")
 EIA_SEC = f"env PYTHONPATH={os.environ.get('PYTHONPATH', '')} {sys.executable} -m deploy.cli"
@@ -40,7 +40,7 @@ class OnHosts:
         self.prefix: tuple[str, ...] = ()
         (folder / "wanted.toml").write_text(toml)
         network = f'[network]\nendpoint = "{self.endpoint}"\n'
-        self.write(f'run = "test"\n[training]\nconfig = "wanted.toml"\n{extra or network}{hosts}')
+        self.write(f'run = "test"\n[training]\npreset = "{PRESET}"\nconfig = "wanted.toml"\n{extra or network}{hosts}')
 
     def write(self, text: str) -> None:
         """Replace the fleet file."""

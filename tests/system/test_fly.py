@@ -12,6 +12,7 @@ import pytest
 
 from common.actions.adapters import SIGNS
 from common.actors import TeamActors
+from common.config.files import to_toml
 from common.farm import farm_team
 from common.policy_file import save_policy
 from common.process import StopSignal
@@ -44,7 +45,7 @@ class Node:
             np.multiply(parameters, 8.0, out=parameters)  # fresh actors hardly move
         self.endpoint: Endpoint = free_endpoint()
         self.config = folder / "farm.toml"
-        self.config.write_text(toml, encoding="utf-8")
+        self.config.write_text(to_toml(configured(toml)), encoding="utf-8")
         save_policy(folder / "actors.safetensors", self.actors, {})
         self.log = folder / "fly.log"
         command = ["fly", "--policy", str(folder / "actors.safetensors"), "--config", str(self.config)]

@@ -41,7 +41,7 @@ class Routed(Processes):
 
     def learner(self, *extra: str) -> subprocess.Popen[bytes]:
         """Start the learner behind the router."""
-        run_dir = ("--run-dir", str(self.directory / "run"), "--config", str(self.config))
+        run_dir = ("--run-dir", str(self.directory / "run"), *self.wanted)
         where = ("--run", RUN, "--connect", str(self.endpoint), *self.tls("learner.learner"))
         return self.start("learner", "learner", *where, *run_dir, *extra)
 

@@ -16,7 +16,7 @@ from common.transport.bus import Bus
 from common.transport.endpoint import free_endpoint
 from deploy.local.run_directory import METRICS
 from deploy.reports.run_report import read_metrics
-from tests.system.fleet import TINY, until
+from tests.system.fleet import PRESET, TINY, until
 
 LONG = TINY.replace("episodes = 8", "episodes = 1000000")
 OFTEN, RARE = "checkpoint_seconds = 0.5", "checkpoint_seconds = 3600.0"
@@ -37,7 +37,7 @@ class Training:
     def start(self, *options: str, configured: bool = True) -> None:
         """Start it, with or without the configuration file."""
         command = [sys.executable, "-m", "deploy.cli", "train", "--run-dir", str(self.run_dir)]
-        command += ["--config", str(self.config), *options] if configured else options
+        command += ["--preset", PRESET, "--config", str(self.config), *options] if configured else options
         with self.output.open("ab") as output:
             self.process = subprocess.Popen(command, stdout=output, stderr=output)
 

@@ -28,7 +28,7 @@ def test_a_class_is_registered_under_its_name(name):
 
 def test_another_algorithm_keeps_what_both_inherit():
     """Shared options keep their values, and all others take the other algorithm's defaults."""
-    eia_sec = dataclasses.replace(RunConfig().algorithm, hidden=32, n_step=3, critic_scope="local")
+    eia_sec = dataclasses.replace(preset("eia-sec").algorithm, hidden=32, n_step=3, critic_scope="local")
     assert switched(eia_sec, "eia-sec") is eia_sec
     assert switched(eia_sec, "maddpg") == MaddpgConfig(hidden=32, n_step=3)
     matd3 = Matd3Config(others="team", critic_scope="local", actor_delay=3)
@@ -39,14 +39,15 @@ def test_another_algorithm_keeps_what_both_inherit():
 
 def test_sections_that_nobody_reads_make_no_difference():
     """Two MADDPG runs are equal whatever their bases said about elites."""
+    imitating = preset("eia-sec")
     found = [
         with_values(base, {"algorithm.name": "maddpg"})
-        for base in (RunConfig(), dataclasses.replace(RunConfig(), elite=EliteConfig(cycle=3)))
+        for base in (imitating, dataclasses.replace(imitating, elite=EliteConfig(cycle=3)))
     ]
     assert found[0] == found[1]
     assert not found[0].imitates
-    assert "algorithm.ensemble: true -> none" in differences(RunConfig(), found[0])
-    assert "elite.cycle: 10 -> none" in differences(RunConfig(), found[0])
+    assert "algorithm.ensemble: true -> none" in differences(imitating, found[0])
+    assert "elite.cycle: 10 -> none" in differences(imitating, found[0])
 
 
 REFUSED = [
@@ -74,14 +75,19 @@ REFUSED = [
 def test_a_file_with_an_option_without_effect_is_refused(text, sentence):
     """The sentence names the option, the algorithm, and the algorithms that have it."""
     with pytest.raises(ConfigError) as caught:
-        from_toml(text, RunConfig())
+        from_toml(text, preset("eia-sec"))
     assert str(caught.value) == sentence
 
 
+EIA_SEC = ["--preset", "eia-sec"]
 LINES = [
     (
-        ["--algorithm.temperature", "2"],
+        [*EIA_SEC, "--algorithm.temperature", "2"],
         "algorithm.temperature has no effect with eia-sec; it is an option of masac.",
+    ),
+    (
+        ["--replay.capacity", "5000"],
+        "replay.capacity has no effect with ippo; it is an option of eia-sec, maddpg, matd3, masac.",
     ),
     (
         ["--algorithm=masac", "--algorithm.no-ensemble"],
@@ -92,10 +98,10 @@ LINES = [
         "elite.cycle has no effect with matd3; it is an option of eia-sec, eia-ppo.",
     ),
     (
-        ["--algorithm.no-ensemble", "--algorithm.ensemble-members", "3"],
+        [*EIA_SEC, "--algorithm.no-ensemble", "--algorithm.ensemble-members", "3"],
         "algorithm.ensemble_members has no effect while algorithm.ensemble is false.",
     ),
-    (["--elite.no-enabled", "--elite.cycle", "4"], "elite.cycle has no effect while elite.enabled is false."),
+    ([*EIA_SEC, "--elite.no-enabled", "--elite.cycle", "4"], "elite.cycle has no effect while elite.enabled is false."),
     (
         ["--algorithm", "sec"],
         "sec is an ablation of eia-sec: choose the preset sec, or eia-sec and set elite.enabled=false.",
@@ -200,16 +206,16 @@ def test_a_file_of_an_earlier_version_means_what_it_meant(name):
 
 
 @pytest.mark.parametrize("name", ABLATIONS)
-def test_an_ablation_is_the_default_preset_without_a_part(name):
-    """As a preset it differs from the default in its switches alone."""
+def test_an_ablation_is_eia_sec_without_a_part(name):
+    """As a preset it differs from `eia-sec` in its switches alone."""
     changes = [f"{key}: true -> false" for key in ABLATIONS[name]]
-    assert differences(preset("default"), preset(name)) == changes
+    assert differences(preset("eia-sec"), preset(name)) == changes
 
 
 def test_a_file_may_name_an_ablation_of_an_earlier_version():
     """A file that somebody wrote for an earlier version and that names an ablation is read, too."""
-    found = from_toml("[algorithm]\nname = 'base'\nhidden = 32", RunConfig())
-    assert differences(RunConfig(), found) == [
+    found = from_toml("[algorithm]\nname = 'base'\nhidden = 32", preset("eia-sec"))
+    assert differences(preset("eia-sec"), found) == [
         "algorithm.hidden: 64 -> 32",
         "algorithm.ensemble: true -> false",
         "elite.enabled: true -> false",

@@ -57,7 +57,9 @@ def test_every_key_is_written():
     """The TOML holds every field of the configuration, sections nested as the dataclasses are."""
     table = tomllib.loads(to_toml(RunConfig()))
     assert table["farm"]["world"]["sensor_cycles"] == [40, 50, 60]
-    assert set(table) == {field.name for field in dataclasses.fields(RunConfig)}
+    assert set(table) == {field.name for field in dataclasses.fields(RunConfig)} - set(RunConfig().unused_sections)
+    everything = tomllib.loads(to_toml(PRESETS["eia-sec"]))
+    assert set(everything) == {field.name for field in dataclasses.fields(RunConfig)}
 
 
 def test_what_a_file_leaves_out_is_the_base(tmp_path):
@@ -132,7 +134,7 @@ REFUSED = [
 def test_mistake_is_refused_in_one_sentence(text, sentence):
     """An unknown key, a wrong type and an impossible value are each refused with one sentence that names the key."""
     with pytest.raises(ConfigError) as caught:
-        from_toml(text, RunConfig())
+        from_toml(text, PRESETS["eia-sec"])
     assert str(caught.value) == sentence
 
 
@@ -152,8 +154,8 @@ SETTINGS = [
 @pytest.mark.parametrize(("setting", "key", "value"), SETTINGS, ids=[case[0] for case in SETTINGS])
 def test_a_setting_takes_toml_or_a_bare_word(setting, key, value):
     """`key=value` reads true, numbers, lists and quoted texts as TOML does, and a bare word as a text."""
-    config = with_setting(RunConfig(), setting)
-    assert flatten(config) == flatten(RunConfig()) | {key: value}
+    config = with_setting(PRESETS["eia-sec"], setting)
+    assert flatten(config) == flatten(PRESETS["eia-sec"]) | {key: value}
 
 
 @pytest.mark.parametrize(
@@ -232,27 +234,29 @@ WORDS = (
     "exact",
 )
 WORDS += ("expected", "ghz", "cuda", "mpe2:simple_spread_v3", "agent=runner", "banded", "maddpg")
-WORDS += ("lattice", "velocity", "policy")
+WORDS += ("lattice", "velocity", "policy", "separate", "team", "bootstrap", "float32", "monitoring=0.5")
+BASES = "eia-sec", "default"
+"""Presets that have between them every option of a preset."""
 OTHER_VALUES = {
     bool: ["true", "false"],
     str: [*(f'"{word}"' for word in WORDS), "'{\"N\": 5}'"],
     tuple: ["[30]", str([[float(i % 20), float(i // 20)] for i in range(400)])],
-    int: ["2", "3", "5", "100", "2000000"],
+    int: ["1", "2", "3", "5", "100", "2000000"],
     float: ["0.25", "0.75", "2.0", "4.0"],
 }
 
 
-@pytest.mark.parametrize("key", flatten(RunConfig()))
-def test_digest_depends_on_every_key(key):
+@pytest.mark.parametrize(("key", "name"), ({key: name for name in BASES for key in flatten(PRESETS[name])}).items())
+def test_digest_depends_on_every_key(key, name):
     """A change of any single key changes the digest and is the one difference that is reported."""
-    section, _, name = key.rpartition(".")
+    base, (section, _, field) = PRESETS[name], key.rpartition(".")
     head = f"[{section}]\n" if section else ""
-    changed = RunConfig()
-    for value in OTHER_VALUES[type(flatten(RunConfig())[key])]:
+    changed = base
+    for value in OTHER_VALUES[type(flatten(base)[key])]:
         with contextlib.suppress(ConfigError):
-            changed = from_toml(f"{head}{name} = {value}", RunConfig())
-        if changed != RunConfig():
+            changed = from_toml(f"{head}{field} = {value}", base)
+        if changed != base:
             break
-    assert digest(changed) != digest(RunConfig())
-    found = [line.split(":")[0] for line in differences(RunConfig(), changed)]
+    assert digest(changed) != digest(base)
+    found = [line.split(":")[0] for line in differences(base, changed)]
     assert found == [key] or (key == found[0] == "algorithm.name")

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from common.actors import TeamActors
-from common.config import EiaSecConfig, EliteConfig, ReplayConfig, RolloutConfig, RunConfig
+from common.config import EiaSecConfig, EliteConfig, ReplayConfig, RolloutConfig
+from common.config.presets import preset
 from common.environment import EnvironmentSpec
 from common.errors import ConfigError
 from common.farm import METRIC_NAMES, farm_environment
@@ -18,7 +19,8 @@ from common.team import GroupSpec, TeamSpec
 from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from rollout.envs.registry import environment_spec
 
-FARM = farm_environment(RunConfig().farm)
+BASE = preset("eia-sec")
+FARM = farm_environment(BASE.farm)
 TEAM = FARM.team
 OTHER = EnvironmentSpec(TEAM, (1, 1000))
 """The same team in episodes of no known length."""
@@ -44,7 +46,7 @@ def chunk_size(config, ends):
 @pytest.mark.parametrize("known", [True, False])
 def test_the_largest_chunk_has_the_computed_size(known, environments, steps, length):
     """Where episodes have a known length, a chunk holds as many ends as fit; elsewhere every step may be the last."""
-    config = RunConfig(rollout=RolloutConfig(environments=environments, chunk_steps=steps))
+    config = replace(BASE, rollout=RolloutConfig(environments=environments, chunk_steps=steps))
     environment = replace(FARM, episode_steps=(length, length)) if known else OTHER
     size = chunk_size(config, math.ceil(steps / length) if known else steps)
     assert 0.8 * size < chunk_bytes(config, environment) + 1000
@@ -57,12 +59,12 @@ def test_the_actors_have_the_computed_size(hidden, head):
     """All actors take the computed bytes, but for the room beside them."""
     actors = TeamActors.initial(TEAM, hidden, 0, head=head)
     size = len(ParametersMessage(1, 1, 0, 0, 0.0, TEAM.digest, actors.hidden, actors.head, actors.flat).encode())
-    assert size <= actor_bytes(RunConfig(algorithm=EiaSecConfig(hidden=hidden)), TEAM) + 1000 <= 1.2 * size
+    assert size <= actor_bytes(replace(BASE, algorithm=EiaSecConfig(hidden=hidden)), TEAM) + 1000 <= 1.2 * size
 
 
 def test_evaluations_have_the_computed_size():
     """Of no more farms than are trained on; without imitation, and where episodes have no known length, none."""
-    few = RunConfig(elite=EliteConfig(farms=50), rollout=RolloutConfig(train_farms=7))
+    few = replace(BASE, elite=EliteConfig(farms=50), rollout=RolloutConfig(train_farms=7))
     result = EvaluationResult(1, 1, np.zeros((7, 500, TEAM.agents), np.float32), np.full(7, 500))
     assert 0 < len(result.encode()) - evaluation_bytes(few, FARM) < 1000
     assert evaluation_bytes(replace(few, elite=EliteConfig(enabled=False)), FARM) == 0
@@ -70,24 +72,26 @@ def test_evaluations_have_the_computed_size():
 
 
 def test_what_no_frame_holds_is_refused():
-    """The sentence says what is too large and what to change; the defaults and a large fleet are taken."""
-    require_frames(RunConfig(), FARM)
-    require_frames(RunConfig(), replace(FARM, team=TeamSpec(tuple(replace(group, count=32) for group in TEAM.groups))))
+    """The sentence says what is too large and what to change; both presets and a large fleet are taken."""
+    default = preset("default")
+    require_frames(default, farm_environment(default.farm))
+    require_frames(BASE, FARM)
+    require_frames(BASE, replace(FARM, team=TeamSpec(tuple(replace(group, count=32) for group in TEAM.groups))))
     wide = RolloutConfig(environments=512, chunk_steps=1000)
     with pytest.raises(ConfigError, match=r"512 environments times 1000 steps .* lower rollout\.chunk_steps"):
-        require_frames(RunConfig(rollout=wide, replay=DEEP), FARM)
+        require_frames(replace(BASE, rollout=wide, replay=DEEP), FARM)
     with pytest.raises(ConfigError, match=r"hidden 4096 take \d+ MiB, .* lower algorithm\.hidden"):
-        require_frames(RunConfig(algorithm=EiaSecConfig(hidden=4096)), FARM)
+        require_frames(replace(BASE, algorithm=EiaSecConfig(hidden=4096)), FARM)
     seen = TeamSpec((GroupSpec("agent", 64, 65_536, 2),))
     with pytest.raises(ConfigError, match="8 environments times 20 steps"):
-        require_frames(RunConfig(algorithm=EiaSecConfig(hidden=1)), replace(FARM, team=seen))
+        require_frames(replace(BASE, algorithm=EiaSecConfig(hidden=1)), replace(FARM, team=seen))
     fleet = TeamSpec(tuple(replace(group, count=12) for group in TEAM.groups))
     long = replace(FARM, team=fleet, episode_steps=(100_000, 100_000))
     with pytest.raises(
         ConfigError, match=r"20 flights of 100000 steps with 36 agents take \d+ MiB, .* lower elite\.farms"
     ):
-        require_frames(RunConfig(elite=EliteConfig(farms=20)), long)
-    many = RunConfig(rollout=RolloutConfig(environments=4096, chunk_steps=20), replay=DEEP)
+        require_frames(replace(BASE, elite=EliteConfig(farms=20)), long)
+    many = replace(BASE, rollout=RolloutConfig(environments=4096, chunk_steps=20), replay=DEEP)
     require_frames(many, FARM)
     with pytest.raises(ConfigError, match="4096 environments times 20 steps"):
         require_frames(many, OTHER)
@@ -96,4 +100,4 @@ def test_what_no_frame_holds_is_refused():
 def test_a_run_is_refused_where_its_team_is_made():
     """Whoever starts a run asks for its team first."""
     with pytest.raises(ConfigError, match=r"lower algorithm\.hidden"):
-        environment_spec(RunConfig(algorithm=EiaSecConfig(hidden=4096)))
+        environment_spec(replace(BASE, algorithm=EiaSecConfig(hidden=4096)))

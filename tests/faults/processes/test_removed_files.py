@@ -38,7 +38,7 @@ def test_a_second_learner_is_refused_although_the_lock_file_was_removed(tmp_path
         for lock in locks:
             lock.unlink()
         where = ("--run", RUN, "--listen", str(free_endpoint()), "--run-dir", str(directory))
-        fleet.start("second", "learner", *where, "--config", str(fleet.config), "--resume")
+        fleet.start("second", "learner", *where, *fleet.wanted, "--resume")
         assert fleet.wait("second") == 2
         fleet.running.pop("second")
         assert f"{directory} is in use by another process." in fleet.log("second")

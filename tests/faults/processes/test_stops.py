@@ -14,7 +14,7 @@ import pytest
 from deploy.monitor.audit import audit
 from learner.checkpoint import files
 from tests.faults.tools.harness import LONG, record_result, spread
-from tests.system.fleet import until
+from tests.system.fleet import PRESET, until
 
 
 def stop_training(directory: Path, number: int, running: bool) -> float:
@@ -26,6 +26,8 @@ def stop_training(directory: Path, number: int, running: bool) -> float:
         "-m",
         "deploy.cli",
         "train",
+        "--preset",
+        PRESET,
         "--config",
         str(config),
         "--run-dir",

@@ -145,7 +145,7 @@ class Routed(FaultRun):
 
     def learner_at(self, folder: str, *extra: str) -> subprocess.Popen[bytes]:
         where = ("--run", RUN, "--connect", str(self.endpoint), "--run-dir", str(self.directory / folder))
-        return self.start(f"learner-{folder}", "learner", *where, "--config", str(self.config), *extra)
+        return self.start(f"learner-{folder}", "learner", *where, *self.wanted, *extra)
 
     def end(self, seconds: float = 60.0) -> float:
         """End everybody in order, the router last."""

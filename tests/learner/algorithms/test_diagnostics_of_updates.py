@@ -7,7 +7,8 @@ import pytest
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from common.config import ReplayConfig, RunConfig
+from common.config import ReplayConfig
+from common.config.presets import preset
 from common.seeds import stream
 from common.transitions import TERMINATED, TRANSITION, Chunk, Rows
 from learner.algorithms import ALGORITHMS
@@ -128,7 +129,8 @@ def test_entropy_is_reported_beside_the_soft_value():
 def test_a_soft_value_is_not_compared_with_rewards(name):
     """Where Q counts entropy, the returns are reported and its excess over them is not; elsewhere both are."""
     algorithm = variant(BASE, name, discount=0.5)
-    trainer = OffPolicyTrainer(RunConfig(algorithm=algorithm, replay=ReplayConfig(capacity=512, warmup_steps=0)), TEAM)
+    replay = ReplayConfig(capacity=512, warmup_steps=0)
+    trainer = OffPolicyTrainer(replace(preset("eia-sec"), algorithm=algorithm, replay=replay), TEAM)
     flag = np.full(256, TRANSITION, np.uint8)
     flag[7::8] = 0
     flag[6::8] |= TERMINATED

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from common.config import EiaSecConfig, EvaluationConfig, LearnerConfig, ReplayConfig, RunConfig
+from common.config import EiaSecConfig, EvaluationConfig, LearnerConfig, ReplayConfig
 from common.config.files import digest
+from common.config.presets import preset
 from common.errors import RunDirError
 from common.imitation import ImitationEvent
 from common.protocol.messages import Envelope
@@ -23,7 +24,8 @@ from learner.off_policy_trainer import OffPolicyTrainer
 from tests.learner.algorithms.variants import variant
 
 TEAM = TeamSpec((GroupSpec("a", 2, 3, 1), GroupSpec("b", 3, 2, 2)))
-CONFIG = RunConfig(
+CONFIG = replace(
+    preset("eia-sec"),
     seed=11,
     algorithm=EiaSecConfig(hidden=12, batch=16, n_step=3, target_actor=True, ensemble_copy_rate=0.01),
     replay=ReplayConfig(capacity=1500, warmup_steps=40, updates_per_step=0.25, max_age_versions=30),

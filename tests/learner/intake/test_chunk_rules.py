@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from common.actors import TeamActors
-from common.config import RunConfig
+from common.config.presets import preset
 from common.errors import SchemaError
 from common.history.history import Entry, History, read
 from common.protocol import keys
@@ -158,7 +158,7 @@ def test_chunks_of_another_shape_are_refused(chunk):
 
 def test_the_rows_of_a_collector_fit():
     """The rules of a run's configuration take what its workers fly, also where a chunk is longer than an episode."""
-    config = RunConfig()
+    config = preset("eia-sec")
     world = replace(config.farm.world, steps=7)
     rollout = replace(config.rollout, environments=2, chunk_steps=10)
     config = replace(config, farm=replace(config.farm, world=world), rollout=rollout)
