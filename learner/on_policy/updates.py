@@ -199,8 +199,9 @@ class Updates:
         self.stopped = list(stopped)
 
     def end(self) -> None:
-        """Forget the iteration's rows."""
+        """Forget the iteration's rows, and which actors have stopped in it."""
         self._rows = {}
+        self.stopped = [False] * len(self._team.groups)
 
 
 def credited(team: TeamSpec, reward: Float32, credit: str) -> Float32:

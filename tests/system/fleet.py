@@ -62,6 +62,24 @@ farms = 2
 """
 
 
+PPO = """
+iteration_steps = 40
+minibatch_steps = 10
+epochs = 2
+precision = "float32"
+max_lag_versions = {lag}
+"""
+"""Options of the same run with an algorithm that learns on policy."""
+
+
+def on_policy(name: str, lag: int = 1) -> str:
+    """Return TINY with an algorithm that learns on policy; only `eia-ppo` imitates."""
+    sections = {section.partition("]")[0]: section for section in TINY.split("\n[")}
+    sections["algorithm"] = f'algorithm]\nname = "{name}"\nhidden = 16{PPO.format(lag=lag).rstrip()}'
+    without = {"replay"} if name == "eia-ppo" else {"replay", "elite"}
+    return "\n[".join(section for title, section in sections.items() if title not in without)
+
+
 def configured(toml: str = TINY) -> RunConfig:
     """Return what the commands make of a file with this text."""
     return from_toml(toml, PRESETS[PRESET])

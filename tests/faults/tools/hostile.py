@@ -110,7 +110,7 @@ def _arrays(honest: np.ndarray) -> Iterator[tuple[str, Any]]:
     for dtype in DTYPES:
         yield f"as {dtype}", honest.astype(dtype)
     for far in FAR:
-        for place in (0, -1):
+        for place in (0, -1) if honest.size else ():
             spoilt = honest.astype(honest.dtype, copy=True)
             with np.errstate(invalid="ignore", over="ignore"):
                 spoilt.reshape(-1)[place] = np.array(far).astype(honest.dtype)
@@ -124,7 +124,7 @@ def _arrays(honest: np.ndarray) -> Iterator[tuple[str, Any]]:
     yield "no rows", honest[:0]
     yield "one dimension more", honest[None]
     yield "flat", honest.reshape(-1)
-    yield "a single number", np.array(honest.reshape(-1)[0])
+    yield "a single number", np.array(honest.reshape(-1)[0] if honest.size else 1.0)
     yield "a thousand times", np.repeat(honest, 1000, axis=0)[:200_000]
     yield "as a scalar", 1
     yield "as a list", [1.0]

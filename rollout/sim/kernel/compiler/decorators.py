@@ -7,7 +7,8 @@
     @allocation_free_entry   the same, allocation-free
 
 Numba keys the machine code on disk only by the entry's own file, not by the files of the functions that it calls. The
-two entry decorators add a digest of all kernel sources to that key, so any change recompiles the entries.
+two entry decorators add a digest of all kernel sources to that key, so any change recompiles the entries. The digest is
+that of the sources at import: code of sources that change under a running process must not pass for code of the new.
 """
 
 import functools
@@ -54,8 +55,8 @@ def allocation_free_entry(function: Function) -> Function:
 def _keyed_by_sources(dispatcher: Any) -> Any:
     """Add the digest of all kernel sources to the key of a function's machine code on disk."""
     cache = dispatcher._cache
-    plain_key = cache._index_key
-    cache._index_key = lambda signature, codegen: (*plain_key(signature, codegen), sources_digest())
+    plain_key, digest = cache._index_key, sources_digest()
+    cache._index_key = lambda signature, codegen: (*plain_key(signature, codegen), digest)
     return dispatcher
 
 

@@ -1,0 +1,90 @@
+"""Sampled actions: how often each comes, which never come, and the log-probability that is stated of them."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from common.actions.sampling import LARGEST_ACTION, best_options, sample_options, sample_squashed
+from common.team import GroupSpec
+
+BRANCHED = GroupSpec("branched", 1, 1, 2, choices=(3, 4))
+MASKED = GroupSpec("masked", 1, 8, 2, choices=(3, 4), masked=True)
+LAST_UNIFORM = np.nextafter(np.float32(1), np.float32(0))
+"""The largest number below 1."""
+
+
+def shares(logits, legal):
+    """Return the softmax over legal options in double precision."""
+    weight = np.exp(logits.astype(np.float64) - logits[legal].max()) * legal
+    return weight / weight.sum()
+
+
+def masked(*legal):
+    """Return an observation of MASKED with this mask."""
+    return np.array([0.5, *legal], np.float32)
+
+
+@pytest.mark.parametrize("legal", [[1] * 7, [1, 0, 1, 0, 1, 1, 0]], ids=["free", "masked"])
+def test_options_come_as_often_as_they_are_likely(legal):
+    """Among 20 000 samples the counts of all pairs of options fit the product of their probabilities (chi-square)."""
+    count, draw = 20_000, np.random.default_rng(7)
+    logits = draw.normal(0, 1, 7).astype(np.float32)
+    uniform = draw.random((count, 2), np.float32)
+    indices, stated = sample_options(MASKED, masked(*legal), np.tile(logits, (count, 1)), uniform)
+    mask = np.array(legal, bool)
+    pairs = np.outer(shares(logits[:3], mask[:3]), shares(logits[3:], mask[3:])).reshape(-1)
+    place = (indices[:, 0] * 4 + indices[:, 1]).astype(int)
+    counts = np.bincount(place, minlength=12)
+    assert not counts[pairs == 0].any()
+    assert stats.chisquare(counts[pairs > 0], count * pairs[pairs > 0]).pvalue > 0.001
+    np.testing.assert_allclose(stated, np.log(pairs[place]), atol=1e-5)
+
+
+def test_continuous_actions_are_distributed_as_stated():
+    """The artanh of 20 000 samples is normal with the actor's mean and deviation (Kolmogorov-Smirnov)."""
+    draw = np.random.default_rng(8)
+    mean, log_std = np.float32([0.3, -0.5]), np.float32([-1.0, 0.2])
+    action, stated = sample_squashed(
+        np.tile(mean, (20_000, 1)), np.tile(log_std, (20_000, 1)), draw.standard_normal((20_000, 2), np.float32)
+    )
+    normals = [stats.norm(mean[i], np.exp(log_std[i])) for i in range(2)]
+    x = np.arctanh(action.astype(np.float64))
+    assert all(stats.kstest(x[:, i], normals[i].cdf).pvalue > 0.001 for i in range(2))
+    inside = (np.abs(action) < 0.999).all(axis=1)
+    wanted = sum(normals[i].logpdf(x[:, i]) for i in range(2))
+    np.testing.assert_allclose(stated[inside], wanted[inside], atol=1e-3)
+
+
+@given(
+    logits=st.lists(st.floats(-200, 200, width=32), min_size=7, max_size=7),
+    first=st.integers(1, 7),
+    second=st.integers(1, 15),
+    draws=st.tuples(*[st.sampled_from([0.0, 0.5, 0.9999, float(LAST_UNIFORM)])] * 2),
+)
+def test_illegal_options_are_never_sampled(logits, first, second, draws):
+    """Whatever the logits, the mask and the random number, also at the ends of its range, the option is legal."""
+    legal = np.array([first >> i & 1 for i in range(3)] + [second >> i & 1 for i in range(4)])
+    numbers = np.array(logits, np.float32)
+    indices, stated = sample_options(MASKED, masked(*legal), numbers, np.float32(draws))
+    best = best_options(MASKED, masked(*legal), numbers)
+    for chosen in (indices, best):
+        assert legal[int(chosen[0])]
+        assert legal[3 + int(chosen[1])]
+    assert -210.0 < stated <= 0.0
+
+
+def test_the_noise_free_option_is_the_likeliest():
+    """Each branch takes its own largest logit."""
+    logits = np.float32([[0.0, 2.0, 1.0, 3.0, 0.0, 0.0, 4.0]])
+    assert best_options(BRANCHED, np.zeros((1, 1), np.float32), logits).tolist() == [[1.0, 3.0]]
+
+
+@pytest.mark.parametrize("mean", [-50.0, 50.0])
+def test_saturated_actions_have_finite_probabilities(mean):
+    """Far beyond the reach of tanh an action is cut at LARGEST_ACTION, and its log-probability is a number."""
+    action, stated = sample_squashed(np.float32([mean]), np.float32([0.0]), np.float32([0.0]))
+    assert abs(float(action[0])) == np.float32(LARGEST_ACTION)
+    assert np.isfinite(stated)
+    assert stated < -100.0

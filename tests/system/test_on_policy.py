@@ -1,0 +1,54 @@
+"""Runs of real processes that learn on policy: bit-equal to one process in lockstep, and complete without."""
+
+import pytest
+
+from common.config.files import from_toml
+from common.policy_file import load_policy
+from deploy.local.in_process import train_in_process
+from tests.system.fleet import configured, on_policy
+
+
+@pytest.mark.parametrize(("name", "events"), [("ippo", 0), ("eia-ppo", 3)])
+def test_lockstep_is_bit_equal_to_one_process(processes, name, events):
+    """After eight episodes, with three imitation events where elites are imitated, all actors are bit-equal."""
+    text = on_policy(name)
+    processes.config.write_text(text, encoding="utf-8")
+    if events:
+        processes.coordinator()
+    processes.worker()
+    processes.learner("--lockstep")
+    assert processes.wait("learner") == 0
+    alone = train_in_process(configured(text))
+    assert (alone.events, alone.updates) == (events, 2 * 4 * (alone.environment_steps // 40))
+    (end,) = processes.records("end")
+    assert (end["state"], end["digest"]) == ("finished", alone.actors().digest())
+    actors, _ = load_policy(processes.directory / "run" / "policy.safetensors")
+    assert actors.digest() == alone.actors().digest()
+    assert processes.wait("rollout-0") == 0
+
+
+def test_one_process_repeats_itself():
+    """Equal seeds give equal weights, another seed gives others."""
+    config = configured(on_policy("ippo").replace("episodes = 8", "episodes = 4"))
+    first, second = (train_in_process(config).actors().digest() for _ in range(2))
+    other = train_in_process(from_toml("seed = 1", config)).actors().digest()
+    assert first == second != other
+
+
+@pytest.mark.parametrize("lag", [0, 1])
+def test_free_running_workers_finish_a_run(processes, lag):
+    """Without lockstep a run ends with all its episodes; what was too old was refused and is accounted for."""
+    processes.config.write_text(on_policy("ippo", lag).replace("episodes = 8", "episodes = 24"), encoding="utf-8")
+    processes.learner()
+    processes.worker()
+    assert processes.wait("learner") == 0
+    (end,) = processes.records("end")
+    status = processes.records("status")[-1]
+    ledger, statistics = status["ledger"], status["statistics"]
+    assert end["state"] == "finished"
+    assert status["episodes"] >= 24
+    assert ledger["unexplained"] == ledger["lost"] == 0
+    assert ledger["accepted"] == status["environment_steps"]
+    assert ledger["rejected"] == 20 * ledger["aged"]
+    assert statistics["iterations"] == status["updates"] / 8 >= 20
+    assert 0.0 <= statistics["sample_age_versions"] <= lag
