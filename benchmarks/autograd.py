@@ -2,9 +2,9 @@
 
     python -m benchmarks.autograd [--updates 300] [--widths 64]
 
-All three do the same update of the same batch, of the default preset's sizes, in turns on one thread. `AutogradEiaSec`
-is what the engine would be without written-out gradients: a tensor for each layer of a type, `backward` and
-`torch.optim.Adam`.
+All three do the same update of the same batch, of the sizes of the preset `eia-sec`, in turns on one thread.
+`AutogradEiaSec` is what the engine would be without written-out gradients: a tensor for each layer of a type,
+`backward` and `torch.optim.Adam`.
 """
 
 import argparse
@@ -182,11 +182,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.autograd", description="Time of one update, three ways."
     )
-    parser.add_argument("--widths", type=int, nargs="+", default=[preset("default").algorithm.hidden])
+    parser.add_argument("--widths", type=int, nargs="+", default=[preset("eia-sec").algorithm.hidden])
     parser.add_argument("--updates", type=int, default=300)
     options = parser.parse_args()
     torch.set_num_threads(1)
-    run, lines = preset("default"), []
+    run, lines = preset("eia-sec"), []
     team = farm_team(run.farm)
     for width in options.widths:
         config = replace(run.algorithm, hidden=width)

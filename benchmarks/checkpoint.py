@@ -26,7 +26,8 @@ import numpy as np  # noqa: E402  (the variables above count only before numpy i
 import torch  # noqa: E402  (as above)
 
 from benchmarks.learner import filled_trainer  # noqa: E402  (as above)
-from common.config import EiaSecConfig, ReplayConfig, RunConfig  # noqa: E402  (as above)
+from common.config import EiaSecConfig, ReplayConfig  # noqa: E402  (as above)
+from common.config.presets import preset  # noqa: E402  (as above)
 from common.errors import EiaSecError  # noqa: E402  (as above)
 from common.transitions import TRANSITION, Chunk, Rows  # noqa: E402  (as above)
 from deploy.exit_codes import run_command  # noqa: E402  (as above)
@@ -70,7 +71,7 @@ def measure(width: int, checkpoints: int, capacity: int, folder: Path) -> dict[s
     """
     trainer = filled_trainer(EiaSecConfig(hidden=width), capacity=capacity)
     chunk = one_chunk(trainer)
-    storage = RunStorage(folder, replace(RunConfig(), algorithm=trainer.config.algorithm))
+    storage = RunStorage(folder, replace(preset("eia-sec"), algorithm=trainer.config.algorithm))
     quiet = [turn(trainer, chunk) for _ in range(3 * SETTLE_TURNS)][SETTLE_TURNS:]
     pauses, turns, seconds = [], [], []
     for number in range(1, checkpoints + 1):

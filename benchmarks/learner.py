@@ -38,7 +38,6 @@ from common.config import (  # noqa: E402  (as above)
     LearnerConfig,
     OffPolicyConfig,
     ReplayConfig,
-    RunConfig,
 )
 from common.config.algorithms import switched  # noqa: E402  (as above)
 from common.config.presets import preset  # noqa: E402  (as above)
@@ -139,7 +138,8 @@ def filled_trainer(
     """Return a trainer on a device whose replay buffer of so many rows is full of noise."""
     replay = ReplayConfig(capacity=capacity, warmup_steps=0)
     learner = replace(LearnerConfig(), device=device)
-    config = RunConfig(algorithm=algorithm, replay=replay, farm=farm or preset("study").farm, learner=learner)
+    base = preset("study")
+    config = replace(base, algorithm=algorithm, replay=replay, farm=farm or base.farm, learner=learner)
     team = farm_team(config.farm)
     trainer, draw = OffPolicyTrainer(config, team), np.random.default_rng(0)
     count = 4096 // (SEGMENT + 1) * (SEGMENT + 1)

@@ -31,6 +31,8 @@ from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")
+LEARNED: Final = "trained:eia-sec"
+"""The policy of all others."""
 AHEAD: Final = 16
 """Steps that the search looks ahead, to the end of the episode."""
 KINDS: Final = {MONITORING: MONITORS, COLLECTION: COLLECTORS}
@@ -73,7 +75,7 @@ class Exchange:
         searchers = partial(PartialGroupPolicy, kind=KINDS[kind], searching=searching)
         monitors = searchers if kind == MONITORING else lawnmower.monitors
         collectors = searchers if kind == COLLECTION else lawnmower.collectors
-        self._learned = policy_of("trained", config)
+        self._learned = policy_of(LEARNED, config)
         self._search = CompositePolicy(config, CentroidRelays, monitors, collectors)
         first = farm_team(config).agent_slices()[KINDS[kind]].start
         self._columns = slice(2 * first, 2 * (first + searching))
@@ -127,7 +129,7 @@ def main() -> None:
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
     arguments = parser.parse_args()
     farms = arguments.farms
-    config = PRESETS["default"].farm
+    config = PRESETS["eia-sec"].farm
     results = [fly(config, kind, searching, farms) for kind in KINDS for searching in (0, 1, 2, 3, 4)]
     data = {**provenance("experiments.exchange"), "farms": list(farms), "results": results}
     write_results(data, page, arguments.write)

@@ -23,8 +23,8 @@ from deploy.commands.policies.evaluate import parse_farms
 from deploy.reports.intervals import COLUMNS, interval_table, ranked
 from deploy.reports.provenance import provenance
 from rollout.evaluation import Evaluation, Score, evaluate
-from rollout.heuristics.registry import RELAYS
-from rollout.policies import POLICIES, policy_of
+from rollout.heuristics.registry import HEURISTICS, RELAYS
+from rollout.policies import policy_of
 
 RESAMPLES: Final = 10_000
 LEVEL: Final = 0.95
@@ -45,7 +45,7 @@ class Arguments:
 def contenders() -> list[str]:
     """Return every named policy, and one with the other relays."""
     others = list(RELAYS)[1:]
-    return [*POLICIES, *(f"lawnmower+{relays}" for relays in others)]
+    return [*HEURISTICS, "trained", *(f"lawnmower+{relays}" for relays in others)]
 
 
 def interval(values: list[float]) -> list[float]:

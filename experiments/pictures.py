@@ -31,13 +31,15 @@ from deploy.monitor.web.server import WebServer
 from deploy.monitor.web.source import Source
 from deploy.policies.replay import Comparison, scenes_of
 from deploy.reports.provenance import provenance
-from rollout.policies import TRAINED
+from rollout.policies import shipped_file
 from rollout.rendering.side_by_side import SideBySidePicture
 from rollout.worker.collector import Collector
 from rollout.worker.view_service import ViewService
 
 FOLDER = Path("docs/images")
 RUN, WORKER = "farm", "0"
+SHOWN = "trained:eia-sec"
+"""The policy that the pictures show."""
 FARM, STEP = 1003, 300
 """Farm and step of the film's picture; the page shows the worker's own farm at that step."""
 PATIENCE = 120.0
@@ -53,7 +55,7 @@ def replay_picture(path: Path) -> None:
     from matplotlib import image  # noqa: PLC0415  (loaded only where a picture is made)
 
     names = ("EIA-SEC (shipped policy)", "horizon")
-    comparison = Comparison(preset("default").farm, ("trained", "horizon"), names, FARM, 0)
+    comparison = Comparison(preset("eia-sec").farm, (SHOWN, "horizon"), names, FARM, 0)
     picture = None
     for scenes in scenes_of(comparison):
         picture = picture or SideBySidePicture(comparison.names, scenes)
@@ -122,7 +124,7 @@ def watch_picture(path: Path) -> None:
     chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         raise UsageError("there is no Chromium on the path; name one in the variable CHROMIUM.")
-    worker = flying(preset("default"), load_policy(TRAINED)[0], RUN, WORKER)
+    worker = flying(preset("eia-sec"), load_policy(shipped_file(SHOWN))[0], RUN, WORKER)
     with worker as (endpoint, _), serving(endpoint, RUN) as address, sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
@@ -146,7 +148,7 @@ def main(arguments: list[str]) -> None:
     folder = Path(arguments[0]) if arguments else FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     # Before the pictures, which would make a commit that holds them look changed.
-    notes = {**provenance("experiments.pictures"), "policy": load_policy(TRAINED)[0].digest()[:16]}
+    notes = {**provenance("experiments.pictures"), "policy": load_policy(shipped_file(SHOWN))[0].digest()[:16]}
     replay_picture(folder / "replay.png")
     watch_picture(folder / "watch.png")
     (folder / "pictures.json").write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")

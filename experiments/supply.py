@@ -24,7 +24,7 @@ from rollout.policies import Policy, policy_of
 from rollout.sim.batch import FarmBatch
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")
-POLICIES: Final = ("trained", "lawnmower", "greedy", "hungarian", "tour", "horizon")
+POLICIES: Final = ("trained:eia-sec", "lawnmower", "greedy", "hungarian", "tour", "horizon")
 PLOTS: Final = "VDF of plots"
 KINDS: Final = (PLOTS, "AoI of sensors")
 COLUMNS: Final = ("supply", "paid", "left", "service", "cap", "border")
@@ -127,7 +127,7 @@ def main() -> None:
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
     arguments = parser.parse_args()
     farms = arguments.farms
-    config = PRESETS["default"].farm
+    config = PRESETS["eia-sec"].farm
     results = [mean(config, name, farms) for name in arguments.policy]
     data = {**provenance("experiments.supply"), "farms": list(farms), "results": results}
     write_results(data, page, arguments.write)

@@ -46,7 +46,7 @@ TASKS: Final = {
     "simple_spread": Task(
         "MPE2 simple_spread_v3: three agents cover three landmarks",
         (
-            *("--env", "mpe2:simple_spread_v3", "--episodes", "4500", "--elite.cycle", "250"),
+            *("--preset", "eia-sec", "--env", "mpe2:simple_spread_v3", "--episodes", "4500", "--elite.cycle", "250"),
             *("--algorithm.discount", "0.95", "--algorithm.reward-scale", "0.3", "--algorithm.actor-rate", "5e-4"),
             *("--replay.updates-per-step", "0.5", "--replay.warmup-steps", "4000"),
             *("--exploration.noise-std-start", "0.3", "--rollout.chunk-steps", "25", "--evaluation.farms", "200"),
@@ -55,7 +55,8 @@ TASKS: Final = {
     "half_cheetah": Task(
         "MaMuJoCo HalfCheetah 2x3: two agents of three joints each",
         (
-            *("--env", "gymnasium_robotics:mamujoco_v1", "--episodes", "100", "--elite.cycle", "25"),
+            *("--preset", "eia-sec", "--env", "gymnasium_robotics:mamujoco_v1"),
+            *("--episodes", "100", "--elite.cycle", "25"),
             *("--env.arguments", '{"scenario": "HalfCheetah", "agent_conf": "2x3"}'),
             *("--algorithm.hidden", "128", "--algorithm.discount", "0.99", "--algorithm.actor-rate", "3e-4"),
             *("--replay.updates-per-step", "0.5", "--replay.capacity", "262144", "--exploration.noise-std-end", "0.1"),

@@ -25,8 +25,11 @@ from rollout.heuristics.random import RandomPolicy
 from rollout.heuristics.registry import HEURISTICS, RELAYS, heuristic
 from rollout.sim.batch import FarmBatch
 
-TRAINED: Final = Path(__file__).parent / "trained" / "default.safetensors"
-"""The policy that ships with this package."""
+_SHIPPED: Final = Path(__file__).parent / "trained"
+TRAINED: Final = _SHIPPED / "default.safetensors"
+"""The policy of the default preset that ships with this package."""
+SHIPPED: Final = {"trained": ("default", TRAINED), "trained:eia-sec": ("eia-sec", _SHIPPED / "eia-sec.safetensors")}
+"""Every policy that ships: its preset and its file by its name."""
 
 
 World_contra = TypeVar("World_contra", contravariant=True)
@@ -99,14 +102,22 @@ def trained_policy(path: Path, config: FarmConfig) -> Policy:
     return ActorPolicy(fitted(actors, farm_team(config)))
 
 
-def _shipped(config: FarmConfig) -> Policy:
-    if not TRAINED.exists():
-        raise PolicyError("no trained policy is part of this installation; train one, or name another policy.")
-    return trained_policy(TRAINED, config)
+def shipped_file(name: str) -> Path:
+    """Return the file of a policy that ships; raise PolicyError when this installation lacks it."""
+    preset, path = SHIPPED[name]
+    if not path.exists():
+        raise PolicyError(
+            f"no trained policy of the preset {preset} is part of this installation; train one, or name another policy."
+        )
+    return path
 
 
-TRAINED_NAME: Final = "trained"
-POLICIES: Final = (*HEURISTICS, TRAINED_NAME)
+def preset_of(policy: str | None) -> str:
+    """Return the preset on whose farm a policy flies unless a configuration is given."""
+    return SHIPPED[policy][0] if policy in SHIPPED else "default"
+
+
+POLICIES: Final = (*HEURISTICS, *SHIPPED)
 """The names of all policies; `rollout.heuristics.registry` lists the heuristics."""
 
 REFERENCES: Final = ("lawnmower", "greedy", "static", "random")
@@ -119,8 +130,8 @@ def policy_of(name: str, config: FarmConfig) -> Policy:
     Raises:
         PolicyError: the policy does not exist or cannot be used.
     """
-    if name == TRAINED_NAME:
-        return _shipped(config)
+    if name in SHIPPED:
+        return trained_policy(shipped_file(name), config)
     found: Policy | None = heuristic(name, config)
     if found is not None:
         return found

@@ -84,7 +84,7 @@ def scenarios() -> list[int]:
 def options_of_ours(case: Case, budget: Budget) -> list[str]:
     """Return the command line of `eia-sec` for a case."""
     return [
-        *("train", "--algorithm", case.algorithm, "--env", "mpe2:simple_spread_v3"),
+        *("train", "--preset", "eia-sec", "--algorithm", case.algorithm, "--env", "mpe2:simple_spread_v3"),
         *("--episodes", str(budget.steps // EPISODE_STEPS), "--seed", str(case.seed)),
         *("--replay.updates-per-step", str(1.0 / budget.every), "--replay.warmup-steps", str(budget.warmup)),
         *("--algorithm.actor-rate", str(case.rate), "--algorithm.critic-rate", str(case.rate)),

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.actors import TeamActors
-from common.config import LearnerConfig, RolloutConfig, RunConfig
+from common.config import RunConfig
 from common.config.checks import positive, within
 from common.config.presets import PRESETS, preset
 from common.errors import ConfigError
@@ -26,6 +26,8 @@ from common.team import TeamSpec
 from deploy.exit_codes import DONE, run_command
 from deploy.options import parse
 
+PRESET: Final = "eia-sec"
+"""The preset whose run the model describes: workers send to a replay buffer, and updates go on meanwhile."""
 SOURCES: Final = (
     "docs/results/intake/intake.json",
     "docs/results/learner/growth.json",
@@ -50,15 +52,15 @@ class Plan:
     """Environment steps a second that one worker flies. Default: as measured."""
     update_ms: float | None = None
     """Milliseconds of one update of all agents. Default: as measured on one core."""
-    updates_per_step: float = PRESETS["default"].replay.updates_per_step
+    updates_per_step: float = PRESETS[PRESET].replay.updates_per_step
     """Updates per environment step, `replay.updates_per_step`."""
-    environments: int = RolloutConfig().environments
+    environments: int = PRESETS[PRESET].rollout.environments
     """Environments of a worker, `rollout.environments`."""
-    chunk_steps: int = RolloutConfig().chunk_steps
+    chunk_steps: int = PRESETS[PRESET].rollout.chunk_steps
     """Steps of each in one chunk, `rollout.chunk_steps`."""
-    spool_chunks: int = RolloutConfig().spool_chunks
+    spool_chunks: int = PRESETS[PRESET].rollout.spool_chunks
     """Chunks that a worker holds, `rollout.spool_chunks`."""
-    publish_seconds: float = LearnerConfig().publish_seconds
+    publish_seconds: float = PRESETS[PRESET].learner.publish_seconds
     """Pause between two publications of parameters, `learner.publish_seconds`."""
     link_gbit: float = 1.0
     """Link of the learner's host, Gbit/s each way."""
@@ -109,7 +111,7 @@ class Measured:
         for source in (intake, growth, workers):
             if source.get("team") != present:
                 raise ConfigError(f"`{source['command']}` was measured with another team; run it again.")
-        wanted = {"algorithm": "eia-sec", "width": RunConfig().algorithm.hidden, "agents": 12, "threads": 1}
+        wanted = {"algorithm": "eia-sec", "width": PRESETS[PRESET].algorithm.hidden, "agents": 12, "threads": 1}
         updates = [line["ms"] for line in growth["agents"] if wanted.items() <= line.items()]
         return cls(
             worker_rate=workers["environment_steps_per_second"]["one_worker"],
@@ -144,7 +146,7 @@ def parameter_bytes(config: RunConfig, team: TeamSpec) -> int:
 
 def saturation(plan: Plan, measured: Measured) -> dict[str, float]:
     """Return, for each part, the environment steps a second of the whole run at which it is busy all the time."""
-    config = PRESETS["default"]
+    config = PRESETS[PRESET]
     size = measured.step_bytes() * plan.steps
     update_ms = plan.update_ms or measured.update_ms
     published = parameter_bytes(config, farm_team(config.farm)) / plan.publish_seconds
@@ -178,8 +180,8 @@ def table(plan: Plan, measured: Measured) -> list[str]:
 
 
 def _wider() -> float:
-    """Return by which share the whole team's observation is wider in the default preset than where it was measured."""
-    flown, measured = (farm_team(PRESETS[name].farm).observation_size for name in ("default", "study"))
+    """Return by which share the whole team's observation is wider in the preset than where it was measured."""
+    flown, measured = (farm_team(PRESETS[name].farm).observation_size for name in (PRESET, "study"))
     return flown / measured - 1.0
 
 
@@ -187,18 +189,18 @@ def block(*data: dict[str, Any]) -> str:
     """Return the generated part of docs/explanation/capacity.md."""
     measured, plan = Measured.of(*data), Plan()
     size = measured.step_bytes() * plan.steps
-    config = PRESETS["default"]
+    config = PRESETS[PRESET]
     sent = parameter_bytes(config, farm_team(config.farm))
     far = [f"{worker_rate(Plan(round_trip_ms=ms), measured):,.0f}" for ms in ROUND_TRIPS]
     return "\n".join(
         [
-            "For the default preset with one worker and a link of 1 Gbit/s, in environment steps a second and as a",
-            "number of workers:",
+            f"For the preset `{PRESET}`, which learns from a replay buffer, with one worker and a link of 1 Gbit/s, in",
+            "environment steps a second and as a number of workers:",
             "",
             *table(plan, measured),
             "",
-            "Rates of workers, updates and intake were measured with the preset `study`. The default preset's",
-            f"observations have {_wider():.0%} more numbers, so its rates are slightly lower.",
+            "Rates of workers, updates and intake were measured with the preset `study`. Observations of",
+            f"`{PRESET}` have {_wider():.0%} more numbers, so its rates are slightly lower.",
             "",
             f"There, a step is {measured.step_bytes():,.0f} bytes and a chunk of {plan.steps} steps",
             f"{size / 1000:,.0f} KB. One publication of all actors is {sent / 1000:,.0f} KB, sent to each",

@@ -4,7 +4,7 @@ import ast
 import dataclasses
 import inspect
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from common.config import ALGORITHM_CONFIGS, AlgorithmConfig, RunConfig
@@ -15,7 +15,7 @@ from common.config.presets import PRESETS
 from common.config.sites import Sites
 
 _ALGORITHM = """`name` selects the algorithm, and with it the options of this section; an option of another algorithm is
-refused. The ablations of EIA-SEC are presets as well, the default preset with one or two switches: `eia`
+refused. The ablations of EIA-SEC are presets as well, `eia-sec` with one or two switches: `eia`
 (`ensemble = false`), `sec` (`elite.enabled = false`) and `base` (both).
 """
 SHOWN = {name: config for name, config in PRESETS.items() if name not in ABLATIONS}
@@ -61,12 +61,13 @@ def configuration_tables() -> str:
         if name == "algorithm":
             parts += _algorithm_tables()
             continue
-        rows = [_row(name, section, field.name) for field in dataclasses.fields(section)]
+        presets = {shown: config for shown, config in SHOWN.items() if name not in config.unused_sections}
+        rows = [_row(name, section, field.name, presets) for field in dataclasses.fields(section)]
         rows = [row for row in rows if row]
         if rows:
             title = f"`[{name}]`" if name else "Top of the file"
             about = _about(type(section)) + _readers(name)
-            parts.append(f"## {title}\n\n{about}\n\n" + "\n".join([*_table_head(SHOWN), *rows]) + "\n")
+            parts.append(f"## {title}\n\n{about}\n\n" + "\n".join([*_table_head(presets), *rows]) + "\n")
     return "\n".join(parts)
 
 
@@ -88,7 +89,6 @@ def _listed(names: list[str]) -> str:
 
 def _algorithm_tables() -> Iterator[str]:
     """Yield a table of the options that all algorithms share, and one for each class that adds some."""
-    shown = type(RunConfig().algorithm)
     yield f"## `[algorithm]`\n\n{_ALGORITHM}"
     for owner in _declaring_classes():
         users = [name for name, kind in ALGORITHM_CONFIGS.items() if issubclass(kind, owner)]
@@ -96,10 +96,12 @@ def _algorithm_tables() -> Iterator[str]:
         fields = [field for field in vars(owner)["__annotations__"] if field in options]
         if owner is not AlgorithmConfig:
             fields = [field for field in fields if field != "name"]
-        in_presets = issubclass(shown, owner)
-        rows = [_row("algorithm", shown(), field) if in_presets else _plain_row(owner, field) for field in fields]
+        presets = {name: config for name, config in SHOWN.items() if isinstance(config.algorithm, owner)}
+        own = [_plain_row(owner, field) for field in fields]
+        section = next((config.algorithm for config in presets.values()), None)
+        rows = own if section is None else [_row("algorithm", section, field, presets) for field in fields]
         if rows:
-            head = _table_head(SHOWN if in_presets else ["default"])
+            head = _table_head(presets or ["default"])
             yield f"### {_listed(users)}\n\n{_about(owner)}\n\n" + "\n".join([*head, *rows]) + "\n"
 
 
@@ -120,14 +122,16 @@ def _table_head(columns: Iterable[str]) -> list[str]:
     return [_cells(names), _cells(["---"] * len(names))]
 
 
-def _row(section_name: str, section: Any, field: str) -> str:
-    """Return one key's table row, or nothing when the field is a section of its own."""
+def _row(section_name: str, section: Any, field: str, presets: Mapping[str, RunConfig]) -> str:
+    """Return one key's table row with its value in presets, or nothing when the field is a section of its own.
+
+    A value that the first preset does not have is bold.
+    """
     if dataclasses.is_dataclass(getattr(section, field)):
         return ""
     key = f"{section_name}.{field}" if section_name else field
-    default = flatten(PRESETS["default"])[key]
-    values = [flatten(config)[key] for config in SHOWN.values()]
-    shown = [_value(value) if value == default else f"**{_value(value)}**" for value in values]
+    values = [flatten(config)[key] for config in presets.values()]
+    shown = [_value(value) if value == values[0] else f"**{_value(value)}**" for value in values]
     kind = _type(get_type_hints(type(section))[field])
     if key == "algorithm.name":
         kind = " or ".join(f"`{name}`" for name in ALGORITHM_CONFIGS)

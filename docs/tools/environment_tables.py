@@ -12,16 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
-from common.config.presets import PRESETS, preset
+from common.config.presets import preset
 from common.farm import farm_team
 from docs.tools.blocks import Block
 from rollout.envs.spaces import Part, observation_parts
-from rollout.policies import policy_of
+from rollout.policies import policy_of, preset_of
 from rollout.rendering.render import Renderer
 from rollout.sim.batch import FarmBatch
 
 TIMINGS: Final = Path("docs/results/environment.json")
-POLICY: Final = "trained"
+POLICY: Final = "trained:eia-sec"
 FARM: Final = 1000
 EPISODE: Final = 0
 STEP: Final = 205
@@ -35,7 +35,7 @@ def draw_farm(path: Path) -> None:
 
 def picture() -> NDArray[np.uint8]:
     """Return the policy POLICY on farm FARM after STEP steps, [H, W, 3]."""
-    batch = FarmBatch(PRESETS["default"].farm, 1)
+    batch = FarmBatch(preset(preset_of(POLICY)).farm, 1)
     policy, renderer = policy_of(POLICY, batch.config), Renderer(batch, 0)
     batch.reset(0, FARM, EPISODE)
     policy.reset(batch, 0)

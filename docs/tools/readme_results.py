@@ -4,7 +4,7 @@ from typing import Any, Final
 
 from docs.tools.blocks import wrapped
 from experiments.studies.analysis.verdicts import shown
-from experiments.studies.methods import DEFAULT_PRESET, EIA_SEC
+from experiments.studies.methods import EIA_SEC, TUNED_PRESET
 from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
 
 RUN: Final = "this run"
@@ -33,8 +33,8 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any]) -> str:
         study: the results of the study `training`.
         seeds: the results of the study `default`.
     """
-    size, own = seeds["sizes"], seeds["methods"][DEFAULT_PRESET]
-    learned = {"**EIA-SEC, default preset**": own}
+    size, own = seeds["sizes"], seeds["methods"][TUNED_PRESET]
+    learned = {"**EIA-SEC, preset `eia-sec`**": own}
     learned |= {_compared(name): method for name, method in study["methods"].items()}
     rows = [(name, "learned", method["mean_reward"], method["metrics"]) for name, method in learned.items()]
     for name, policy in seeds["references"]["policies"].items():
@@ -48,10 +48,10 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any]) -> str:
     scores = [(name, round(reward[0])) for name, kind, reward, _ in rows if kind == "heuristic"]
     ahead = [name for name, score in scores if score > high]
     level = [name for name, score in scores if low <= score <= high]
-    verdict = f"{len(ahead)} of {len(scores)} heuristics score higher than the default preset: {', '.join(ahead)}."
+    verdict = f"{len(ahead)} of {len(scores)} heuristics score higher than the preset `eia-sec`: {', '.join(ahead)}."
     conditions = f"""Mean reward without noise over {size["farms"]} farms that neither training nor tuning used. Learned
         methods have {len(own["runs"])} seeds, with a 95 % interval over the seeds. Compare the preset `study`
-        with the other learned methods: it was tuned as they were. The default preset was [tuned
+        with the other learned methods: it was tuned as they were. The preset `eia-sec` was [tuned
         further](docs/explanation/method.md#the-default-preset). AoI is the mean age of
         sensor data, VDF the mean age of plot images; lower is better."""
     tied = f"Inside its interval: {', '.join(level)}. " if level else ""
@@ -120,20 +120,20 @@ def default_block(run: dict[str, Any], study: dict[str, Any], flown: dict[str, A
         flown: every policy that has a name, on all farms that are reported on.
         seeds: the results of the study `default`.
     """
-    farms, own = run["evaluations"][0]["farms"], seeds["methods"][DEFAULT_PRESET]
+    farms, own = run["evaluations"][0]["farms"], seeds["methods"][TUNED_PRESET]
     chosen = " but on which the preset's settings were chosen" if farms[0] < FIRST_REPORTED else ""
     aoi, vdf = (shown(own["metrics"][name], 2) for name in ("aoi", "vdf"))
     first = f"""The run whose policy ships, without noise on farms {farms[0]}..{farms[-1]}, which training never saw (it
         uses 0..19){chosen}; one seed:"""
     origin = f"""Made by `{run["command"]}` (seed {run["seed"]}, commit {run["commit"]}), which is what
-        `make train` does: {run["episodes"]:,} episodes, {run["environment_steps"]:,} environment steps and
-        {run["updates"]:,} updates of all
+        `eia-sec train --preset eia-sec` does: {run["episodes"]:,} episodes, {run["environment_steps"]:,} environment
+        steps and {run["updates"]:,} updates of all
         twelve agents in {run["seconds"] / 60:.0f} minutes on two shared cores without an accelerator. The paper reports
         895 for EIA-SEC, on its own farm. [Curves](default/curves.png), [paths](default/trajectories.png)."""
     several = f"""{len(own["runs"])} seeds of the preset score {shown(own["mean_reward"])} on farms
         {_farms(seeds["sizes"])} (mean, with a 95 % interval over the seeds), AoI {aoi}, VDF {vdf}
         ([study](reproduce/default/README.md))."""
     rank = f"{_rank(flown)} [All of them](../reference/heuristics.md)."
-    table = policies_table(run, "EIA-SEC, default preset")
+    table = policies_table(run, "EIA-SEC, preset `eia-sec`")
     parts = [wrapped(first), "", *table, "", wrapped(origin), "", wrapped(rank), "", wrapped(several), ""]
     return "\n".join([*parts, *_methods_rows(study)])

@@ -10,7 +10,7 @@ from common.config import RunConfig
 from common.config.presets import preset
 from experiments.studies.analysis.statistics import Numbers, interquartile_mean
 from experiments.studies.jobs import Job, Records
-from experiments.studies.methods import CANDIDATES, DEFAULT_PRESET, Method, configuration, with_uavs
+from experiments.studies.methods import CANDIDATES, TUNED_PRESET, Method, configuration, with_uavs
 from experiments.studies.scales import CHOICE_FARM, FIRST_FARM, TRIAL_SEED, Scale
 
 PRESET_CANDIDATE = next(iter(CANDIDATES))
@@ -78,10 +78,10 @@ class Bench:
         ]
 
     def preset_runs(self, seeds: int) -> list[Job]:
-        """Return runs of the default preset, for so many seeds from 0 on: those of `eia-sec train --seed N`."""
+        """Return runs of the preset `eia-sec` for so many seeds from 0 on: `train --preset eia-sec --seed N`."""
         preset = self.scale.preset()
         return [
-            self._train(f"{DEFAULT_PRESET}, seed {seed}", replace(preset, seed=seed), (FIRST_FARM, self.scale.farms))
+            self._train(f"{TUNED_PRESET}, seed {seed}", replace(preset, seed=seed), (FIRST_FARM, self.scale.farms))
             for seed in range(seeds)
         ]
 

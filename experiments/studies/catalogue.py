@@ -14,7 +14,7 @@ from experiments.studies.analysis.summary import (
 from experiments.studies.bench import TWELVE, Bench
 from experiments.studies.flights import flight_summary
 from experiments.studies.jobs import Job
-from experiments.studies.methods import ABLATIONS, DEFAULT_PRESET, EIA_SEC, PEERS, Method
+from experiments.studies.methods import ABLATIONS, EIA_SEC, PEERS, TUNED_PRESET, Method
 
 Stages = list[list[Job]]
 """Jobs in the order in which they can be done: which runs a later stage consists of follows from the earlier ones."""
@@ -138,7 +138,7 @@ def _default_stages(bench: Bench) -> Stages:
 
 def _default(bench: Bench) -> dict[str, Any]:
     seeds = bench.scale.seeds
-    runs = {DEFAULT_PRESET: bench.preset_runs(seeds), EIA_SEC.name: bench.runs(EIA_SEC, seeds)}
+    runs = {TUNED_PRESET: bench.preset_runs(seeds), EIA_SEC.name: bench.runs(EIA_SEC, seeds)}
     return _compared_runs(bench, (EIA_SEC,), runs)
 
 
@@ -156,7 +156,7 @@ STUDIES: Final[Mapping[str, Study]] = {
     "ensemble": Study("Members of the shared ensemble critic, k_s", _ensemble_stages, _ensemble),
     "scalability": Study("M4: smaller and larger teams", _scalability_stages, _scalability),
     "inference": Study("M5: time of a decision", _inference_stages, _inference),
-    "default": Study("The default preset beside EIA-SEC as the studies train it", _default_stages, _default),
+    "default": Study("The preset eia-sec beside EIA-SEC as the studies train it", _default_stages, _default),
     "trajectories": Study("Where the UAVs fly, and what they collect", _trajectory_stages, flight_summary, True),
 }
 """Every study by the word that names it."""

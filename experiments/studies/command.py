@@ -31,7 +31,7 @@ LOCK: Final = "reproduce.lock"
 
 @dataclass(frozen=True)
 class ReproduceArguments:
-    """Do one of the paper's studies, train the default preset over seeds, or do all of these.
+    """Do one of the paper's studies, train the preset `eia-sec` over seeds, or do all of these.
 
     Says beforehand how long it takes. What is there already is kept, so the same command goes on after Ctrl-C.
     """

@@ -51,8 +51,8 @@ ABLATIONS: Final = (
     Method("EIA-SEC, printed target", PRINTED_TARGET),
 )
 
-DEFAULT_PRESET: Final = "default preset"
-"""What `eia-sec train` does without options; it is tuned further than any method is here."""
+TUNED_PRESET: Final = "preset eia-sec"
+"""What `eia-sec train --preset eia-sec` does; it is tuned further than any method is here."""
 MIXTURE: Final = "mixture"
 """Whose value new records compare with realised returns; older ones do not say, and compared the local critic's Q_i."""
 CANDIDATES: Final[dict[str, dict[str, float]]] = {

@@ -26,7 +26,7 @@ class Scale:
 
     Attributes:
         name: smoke or full.
-        settings: TOML over the study preset, the same for every method, and over the default preset.
+        settings: TOML over the study preset, the same for every method, and over the preset `eia-sec`.
         episodes: budget of a run, episodes, those of elite imitation included.
         seeds: seeds of `training` and `default`.
         side_seeds: seeds of `ablation` and `ensemble`.
@@ -75,8 +75,8 @@ class Scale:
         return self._settled(PRESETS["study"])
 
     def preset(self) -> RunConfig:
-        """Return the default preset, with the episodes that it says, or the budget where that is smaller."""
-        config = self._settled(PRESETS["default"])
+        """Return the preset `eia-sec`, with the episodes that it says, or the budget where that is smaller."""
+        config = self._settled(PRESETS["eia-sec"])
         return replace(config, episodes=min(config.episodes, self.episodes))
 
     def _settled(self, config: RunConfig) -> RunConfig:

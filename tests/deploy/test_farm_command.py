@@ -125,7 +125,7 @@ def test_the_kernel_equals_the_reference_on_a_loaded_farm(here, name):
 
 def test_evaluation_flies_over_a_loaded_farm(here):
     """The heuristic and the shipped policy fly over it; another seed is another episode over the same places."""
-    for policy in ("greedy", "trained"):
+    for policy in ("greedy", "trained:eia-sec"):
         result = run(
             EvaluateArguments(
                 policy=policy, farms="5:7", farm_file=here / "orchard.geojson", set=("farm.world.steps=150",)

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from common.config.files import from_toml
-from common.config.presets import PRESETS
+from common.config.presets import PRESETS, read_saved
 from docs.tools.measurements import HEURISTICS, MEASUREMENTS, NOT_MEASURED, measured, watch_block
 from docs.tools.readme_results import default_block, results_block
+from experiments.studies.methods import TUNED_PRESET
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -32,10 +32,10 @@ def test_the_cost_of_watching_names_its_commit_when_it_is_known() -> None:
     assert [f"{watched['watching_percent']:.2f} %" in line for line in shown] == [True]
 
 
-def test_the_kept_run_is_that_of_the_default_preset() -> None:
-    """What the README calls the default preset's result was made with exactly its settings."""
-    kept = from_toml(ROOT / "docs" / "results" / "default" / "config.toml", PRESETS["quick"])
-    assert kept == PRESETS["default"]
+def test_the_kept_run_is_that_of_the_preset_eia_sec() -> None:
+    """What the README calls the result of this preset was made with exactly its settings."""
+    kept = read_saved(ROOT / "docs" / "results" / "default" / "config.toml")
+    assert kept == PRESETS["eia-sec"]
 
 
 def test_watching_costs_the_worker_less_than_two_percent() -> None:
@@ -51,7 +51,7 @@ def test_watching_costs_the_worker_less_than_two_percent() -> None:
 
 
 def results() -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]]:
-    """Return the default run, the smoke study of methods, every policy as flown, and a study of the default preset."""
+    """Return the default run, the smoke study of methods, every policy as flown, and a study of `eia-sec`."""
     folder = ROOT / "docs" / "results"
     files = ("default/evaluation.json", "reproduce/smoke/training/results.json")
     run, study = (json.loads((folder / file).read_text(encoding="utf-8")) for file in files)
@@ -66,7 +66,7 @@ def results() -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str,
         "level": {"mean_reward": 1320.0, "metrics": {"aoi": 0.1, "vdf": 0.2}},
     }
     seeds = {
-        "methods": {"default preset": own},
+        "methods": {TUNED_PRESET: own},
         "references": {"policies": policies},
         "sizes": {"first_farm": 1020, "farms": 80},
     }
@@ -84,12 +84,12 @@ def test_the_readme_orders_policies_by_reward_and_names_those_ahead() -> None:
     _, study, _, seeds = results()
     text = results_block(study, seeds)
     rows = rows_of(text)
-    assert [row[0] for row in rows][:3] == ["high", "level", "**EIA-SEC, default preset**"]
+    assert [row[0] for row in rows][:3] == ["high", "level", "**EIA-SEC, preset `eia-sec`**"]
     assert rows[2][2] == "1310 (1300..1320)"
     assert {row[0].partition(",")[0] for row in rows if row[1] == "learned"} >= set(study["methods"])
     rewards = [float(row[2].partition(" ")[0]) for row in rows]
     assert rewards == sorted(rewards, reverse=True)
-    assert "**1 of 2 heuristics score higher than the default preset: high.**" in text
+    assert "**1 of 2 heuristics score higher than the preset `eia-sec`: high.**" in text
     assert "Inside its interval: level." in " ".join(text.split())
 
 

@@ -122,13 +122,16 @@ def test_configuration_page_has_every_key_with_its_presets():
             rows.setdefault(section + cells[0].strip("`"), cells)
     others = [flatten(RunConfig(algorithm=kind())) for kind in ALGORITHM_CONFIGS.values()]
     assert set(rows) == {key for config in others for key in config}
-    for key in flatten(RunConfig()):
-        cells = rows[key]
-        shown = [cell.strip("*") for cell in cells[2 : 2 + len(SHOWN)]]
-        values = [flatten(config)[key] for config in SHOWN.values()]
-        assert shown == [value if isinstance(value, str) else format_value(value) for value in values]
-        assert cells[2 + len(SHOWN)].endswith((".", ")"))
-    for key in rows.keys() - flatten(RunConfig()).keys():
+    presets = [flatten(config) for config in SHOWN.values()]
+    named = {key for config in presets for key in config}
+    for key in named:
+        cells, values = rows[key], [config[key] for config in presets if key in config]
+        texts = [value if isinstance(value, str) else format_value(value) for value in values]
+        assert cells[2:-1] == [
+            text if value == values[0] else f"**{text}**" for text, value in zip(texts, values, strict=True)
+        ]
+        assert cells[-1].endswith((".", ")"))
+    for key in rows.keys() - named:
         assert rows[key][2] == next(str(config[key]) for config in others if key in config)
         assert rows[key][3].endswith((".", ")"))
 

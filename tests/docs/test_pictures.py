@@ -3,13 +3,13 @@
 import json
 
 from common.policy_file import load_policy
-from experiments.pictures import FOLDER
-from rollout.policies import TRAINED
+from experiments.pictures import FOLDER, SHOWN
+from rollout.policies import shipped_file
 
 
 def test_the_pictures_are_of_the_policy_that_ships():
     """Whoever ships another policy makes the pictures anew."""
     notes = json.loads((FOLDER / "pictures.json").read_text(encoding="utf-8"))
-    assert load_policy(TRAINED)[0].digest().startswith(notes["policy"])
+    assert load_policy(shipped_file(SHOWN))[0].digest().startswith(notes["policy"])
     assert len(notes["policy"]) == 16
     assert {path.name for path in FOLDER.glob("*.png")} >= {"watch.png", "replay.png"}

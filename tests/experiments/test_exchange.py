@@ -7,19 +7,19 @@ import pytest
 
 from common.config.presets import PRESETS
 from common.farm import COLLECTION, MONITORING
-from experiments.exchange import Exchange, fly, page
+from experiments.exchange import LEARNED, Exchange, fly, page
 from rollout.evaluation import evaluate
 from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
 
-FARM = replace(PRESETS["default"].farm, world=replace(PRESETS["default"].farm.world, steps=40))
+FARM = replace(PRESETS["eia-sec"].farm, world=replace(PRESETS["eia-sec"].farm.world, steps=40))
 FIRST = {MONITORING: 4, COLLECTION: 8}
 
 
 @pytest.mark.parametrize("kind", FIRST)
 def test_only_those_that_are_named_search(kind):
     """All other agents do what the policy that ships does in the same place; the two that search do not."""
-    batch, own, learned = FarmBatch(FARM, 1), Exchange(FARM, kind, 2), policy_of("trained", FARM)
+    batch, own, learned = FarmBatch(FARM, 1), Exchange(FARM, kind, 2), policy_of(LEARNED, FARM)
     batch.reset(0, 3, 0)
     own.reset(batch, 0)
     learned.reset(batch, 0)
@@ -34,7 +34,7 @@ def test_only_those_that_are_named_search(kind):
 def test_nobody_exchanged_is_the_policy_that_ships():
     """Without a search the type earns what it earns in an evaluation; with all searching nobody is left."""
     none, whole = (fly(FARM, MONITORING, searching, range(2)) for searching in (0, 4))
-    flown = evaluate(FARM, policy_of("trained", FARM), range(2), 1, name="").total
+    flown = evaluate(FARM, policy_of(LEARNED, FARM), range(2), 1, name="").total
     assert (none["search"], none["learned"]) == (None, pytest.approx(flown.types[MONITORING], abs=0.06))
     assert (whole["search"], whole["learned"]) == (whole["all"], None)
     assert whole["all"] != none["all"]

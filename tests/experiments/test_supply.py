@@ -17,7 +17,7 @@ from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import make_layout
 from tests.rollout.heuristics.small_farm import SMALL
 
-FARM = replace(SMALL, observation=PRESETS["default"].farm.observation)
+FARM = replace(SMALL, observation=PRESETS["eia-sec"].farm.observation)
 
 
 def test_every_unit_is_booked_once():

@@ -6,6 +6,7 @@ import pytest
 
 from common.actors import TeamActors
 from common.config import ControlConfig, FarmConfig, ObservationConfig
+from common.config.presets import preset
 from common.errors import PolicyError
 from common.farm import farm_team
 from common.policy_file import save_policy
@@ -82,13 +83,28 @@ def test_a_policy_file_is_a_policy(tmp_path):
 
 def test_the_trained_policy_is_that_of_the_package(tmp_path, monkeypatch):
     """The name `trained` loads the shipped file, and says so when there is none or when the team differs."""
-    monkeypatch.setattr(policies, "TRAINED", tmp_path / "default.safetensors")
-    with pytest.raises(PolicyError, match="no trained policy is part of this installation"):
+    file = tmp_path / "default.safetensors"
+    monkeypatch.setitem(policies.SHIPPED, "trained", ("default", file))
+    with pytest.raises(PolicyError, match="no trained policy of the preset default is part of this installation"):
         policy_of("trained", SMALL)
-    save_policy(policies.TRAINED, TeamActors.initial(farm_team(SMALL), 16, 3), {})
+    save_policy(file, TeamActors.initial(farm_team(SMALL), 16, 3), {})
     assert isinstance(policy_of("trained", SMALL), ActorPolicy)
     with pytest.raises(PolicyError, match="this environment has 4 communication agents"):
         policy_of("trained", FarmConfig())
+
+
+def test_the_policy_of_eia_sec_ships_too():
+    """It flies the farms of the presets `eia-sec` and `study`, and no farm with other observations."""
+    for name in ("eia-sec", "study"):
+        assert isinstance(policy_of("trained:eia-sec", preset(name).farm), ActorPolicy)
+    with pytest.raises(PolicyError, match="this environment has 4 communication agents"):
+        policy_of("trained:eia-sec", FarmConfig())
+    assert [policies.preset_of(name) for name in ("trained", "trained:eia-sec", "greedy", None)] == [
+        "default",
+        "eia-sec",
+        "default",
+        "default",
+    ]
 
 
 def test_an_unknown_policy_is_refused_with_the_known_names():

@@ -18,7 +18,7 @@ from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from deploy.options import parse, require_env, with_farm_file
 from deploy.reports.comparison_tables import comparison_table
 from rollout.evaluation import Evaluation, evaluate_run
-from rollout.policies import run_policy
+from rollout.policies import preset_of, run_policy
 
 MAX_FARMS: Final = 100_000
 
@@ -30,8 +30,9 @@ class EvaluateArguments:
     run_dir: Path | None = None
     """Run directory: its configuration and its newest policy."""
     policy: str | None = None
-    """static, random, lawnmower, greedy, tour, hungarian, horizon, trained, or a policy file; with --run-dir, instead
-    of the run's policy. horizon+centroid, for instance, names the relays too (docs/reference/heuristics.md)."""
+    """static, random, lawnmower, greedy, tour, hungarian, horizon, trained, trained:eia-sec, or a policy file; with
+    --run-dir, instead of the run's policy. horizon+centroid, for instance, names the relays too
+    (docs/reference/heuristics.md). trained:eia-sec flies the farm of the preset eia-sec."""
     farms: str = "1000:1020"
     """Farm seeds A:B, from A to B - 1; scenario seeds in other environments."""
     episodes: int = 1
@@ -104,8 +105,8 @@ def parse_farms(text: str) -> range:
 
 
 def configuration_of(arguments: EvaluateArguments) -> RunConfig:
-    """Return the run's or the default configuration with the file's and the single values in it."""
-    config = PRESETS["default"]
+    """Return the run's or the preset's configuration with the file's and the single values in it."""
+    config = PRESETS[preset_of(arguments.policy)]
     if arguments.run_dir is not None:
         path = arguments.run_dir / CONFIG
         if not path.is_file():

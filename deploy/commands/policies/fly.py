@@ -19,7 +19,7 @@ from deploy.flight.node import FlightNode, NodeOptions
 from deploy.flight.pilot import Limits, Pilot
 from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from deploy.options import parse
-from rollout.policies import TRAINED, fitted
+from rollout.policies import SHIPPED, fitted, preset_of, shipped_file
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,8 @@ class FlyArguments:
     """Fly vehicles with trained actors: observations in, velocity set-points out (docs/how-to/vehicles.md)."""
 
     policy: str | None = None
-    """Policy file, or "trained" for the one that ships. Default: the policy of --run-dir."""
+    """Policy file, "trained" for the one that ships, or "trained:eia-sec" for that of the preset eia-sec. Default: the
+    policy of --run-dir."""
     run_dir: Path | None = None
     """Run directory: its configuration, and its policy unless --policy names another."""
     config: Path | None = None
@@ -95,23 +96,24 @@ def make_pilot(options: FlyArguments) -> tuple[Pilot, tuple[str, ...]]:
     Raises:
         UsageError: when policy, farm and vehicles do not fit together.
     """
-    farm = farm_of(options.run_dir, options.config)
+    farm = farm_of(options.run_dir, options.config, preset_of(options.policy))
     name = options.policy or (str(options.run_dir / POLICY) if options.run_dir else None)
     if name is None:
         raise UsageError("nothing to fly: give --policy FILE, --policy trained or --run-dir DIR.")
-    actors = fitted(load_policy(TRAINED if name == "trained" else Path(name))[0], farm_team(farm))
+    path = shipped_file(name) if name in SHIPPED else Path(name)
+    actors = fitted(load_policy(path)[0], farm_team(farm))
     agents = vehicles_of(options.vehicle) or {agent: agent for agent in actors.team.agent_names}
     speed = farm.world.speed_x_max, farm.world.speed_y_max
     return Pilot(actors, agents, speed, Limits(options.hold, options.max_age)), tuple(agents)
 
 
-def farm_of(run_dir: Path | None, config: Path | None) -> FarmConfig:
-    """Return the farm of a run directory or the default preset, with a file's values over it.
+def farm_of(run_dir: Path | None, config: Path | None, preset: str = "default") -> FarmConfig:
+    """Return the farm of a run directory or a preset, with a file's values over it.
 
     Raises:
         UsageError: the directory is not a run's, or the configuration is not about the farm.
     """
-    found = PRESETS["default"]
+    found = PRESETS[preset]
     if run_dir is not None:
         if not (run_dir / CONFIG).is_file():
             raise RunDirError(f"{run_dir} is not a run directory: it has no {CONFIG}.")

@@ -18,6 +18,7 @@ from deploy.local.run_directory import own_folder
 from deploy.options import parse
 from deploy.policies.replay import Comparison, film, paper_pictures
 from deploy.reports.film import find_ffmpeg
+from rollout.policies import SHIPPED
 
 FOLDER: Final = "replay"
 """Output folder in the run directory or the current directory."""
@@ -32,8 +33,8 @@ class ReplayArguments:
     policy: str | None = None
     """Policy name or file, as in eia-sec evaluate; replaces the run's policy."""
     against: str = "lawnmower"
-    """The other policy: static, random, lawnmower, greedy, tour, hungarian, horizon, trained, or a policy file.
-    Both fly the run's farm, so a policy file must match its observations: "trained" fits the default preset."""
+    """The other policy: static, random, lawnmower, greedy, tour, hungarian, horizon, trained, trained:eia-sec, or a
+    policy file. Both fly one farm, so a policy must match its observations: "trained" fits the default preset."""
     farm: int = 1000
     """Farm seed; training uses 0 to 19, evaluation 1000 and above."""
     episode: int = 0
@@ -106,8 +107,8 @@ def _apart(one: str, other: str, path: str, other_path: str) -> tuple[str, str]:
 
 def _called(name: str) -> str:
     """Return a policy's name for a plot."""
-    if name == "trained":
-        return "EIA-SEC (shipped policy)"
+    if name in SHIPPED:
+        return "shipped policy" if name == "trained" else f"shipped policy, {SHIPPED[name][0]}"
     return Path(name).stem if Path(name).suffix else name
 
 

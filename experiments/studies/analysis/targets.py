@@ -9,7 +9,7 @@ import numpy as np
 
 from experiments.studies.analysis.evidence import early_farms
 from experiments.studies.analysis.verdicts import Triple, shown
-from experiments.studies.methods import DEFAULT_PRESET
+from experiments.studies.methods import TUNED_PRESET
 from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
 
 Results = Mapping[str, Any]
@@ -27,7 +27,7 @@ PARTS: Final = (0.5, 0.75, 1.0)
 """Parts of the lawnmower's reward; the target is the last one."""
 OURS: Final = "EIA-SEC"
 SHIPPED: Final = "the policy that ships"
-SEEDS: Final = "the default preset, seeds of `default`"
+SEEDS: Final = "the preset `eia-sec`, seeds of `default`"
 ABSENT: Final = "not measured"
 HEAD: Final = ("| target | of | needed | reached | verdict |", "|---|---|---|---|---|")
 
@@ -66,9 +66,9 @@ def _rewards(flown: Results | None, seeds: Results | None) -> list[list[str]]:
     if seeds is not None:
         policies, name = seeds["references"]["policies"], seeds["references"]["best"]
         level = policies[name].get("mean_reward", policies[name]["reward"])
-        found[SEEDS] = (name, level, seeds["methods"][DEFAULT_PRESET]["mean_reward"])
+        found[SEEDS] = (name, level, seeds["methods"][TUNED_PRESET]["mean_reward"])
         farms = "" if early_farms(seeds) else f"; on farms from {seeds['sizes']['first_farm']} on"
-        notes[SEEDS] = f", {len(seeds['methods'][DEFAULT_PRESET]['runs'])} seeds{farms}"
+        notes[SEEDS] = f", {len(seeds['methods'][TUNED_PRESET]['runs'])} seeds{farms}"
     rows = []
     for target in (factor, supply):
         for who, known in found.items():
@@ -102,7 +102,7 @@ def _counters(flown: Results | None, seeds: Results | None) -> list[list[str]]:
         else:
             policies = seeds["references"]["policies"]
             levels = {policy: [found["metrics"][figure]] * 3 for policy, found in policies.items()}
-            rows.append([target, SEEDS, *_below(seeds["methods"][DEFAULT_PRESET]["metrics"][figure], levels)])
+            rows.append([target, SEEDS, *_below(seeds["methods"][TUNED_PRESET]["metrics"][figure], levels)])
     return rows
 
 

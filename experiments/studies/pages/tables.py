@@ -52,7 +52,7 @@ def headline(data: Results) -> str:
 
 
 def beyond(data: Results) -> str:
-    """Return the default preset beside EIA-SEC as it is compared with other methods."""
+    """Return the preset `eia-sec` beside EIA-SEC as it is compared with other methods."""
     return headline(data) + "\n" + note("unequal")
 
 

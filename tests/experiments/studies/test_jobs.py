@@ -313,11 +313,11 @@ def test_studies_share_their_runs(tmp_path):
         assert runs <= {job.digest for stage in STUDIES[name].stages(bench) for job in stage}, name
 
 
-def test_the_default_preset_is_trained_as_it_is(tmp_path):
-    """Its runs have the configuration of `eia-sec train --seed N`; those beside them are EIA-SEC's of `training`."""
+def test_the_preset_eia_sec_is_trained_as_it_is(tmp_path):
+    """Its runs are those of `train --preset eia-sec --seed N`; those beside them are EIA-SEC's of `training`."""
     bench = Bench(FULL, Records(tmp_path))
     runs = bench.preset_runs(FULL.seeds)
-    assert [job.config for job in runs] == [replace(PRESETS["default"], seed=seed) for seed in range(FULL.seeds)]
+    assert [job.config for job in runs] == [replace(PRESETS["eia-sec"], seed=seed) for seed in range(FULL.seeds)]
     wanted = {job.digest for job in (*runs, *bench.runs(EIA_SEC, FULL.seeds))}
     trained = [job for stage in STUDIES["default"].stages(bench) for job in stage if job.kind == "train"]
     assert wanted == {job.digest for job in trained if job.config.seed != TRIAL_SEED}

@@ -67,7 +67,7 @@ def test_targets_are_met_only_by_the_whole_interval():
     assert "0 of 11 met." in targets_block(close, None, None)
 
 
-def test_the_default_presets_seeds_are_judged_by_their_interval():
+def test_the_seeds_of_the_preset_eia_sec_are_judged_by_their_interval():
     """Their mean reward, AoI and VDF stand beside the study's own heuristics, not beside those flown elsewhere."""
     study = {
         "references": {
@@ -75,7 +75,7 @@ def test_the_default_presets_seeds_are_judged_by_their_interval():
             "policies": {"horizon": {"reward": 1400.0, "metrics": {"aoi": 0.5, "vdf": 2.0}}},
         },
         "methods": {
-            "default preset": {
+            "preset eia-sec": {
                 "mean_reward": [1530.0, 1280.0, 1600.0],
                 "metrics": {"aoi": [0.45, 0.4, 0.49], "vdf": [1.9, 1.8, 2.1]},
                 "runs": [{}] * 5,
