@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from scipy.stats import bootstrap
 
 from common.config.presets import PRESETS
+from common.errors import UsageError
 from common.seeds import stream
 from deploy.commands.policies.evaluate import parse_farms
 from deploy.reports.intervals import COLUMNS, interval_table, ranked
@@ -40,6 +41,8 @@ class Arguments:
     """Where the results go."""
     redraw: bool = False
     """Make table and figure from the results that are there, and fly nothing."""
+    only: tuple[str, ...] = ()
+    """Fly only these policies; the others keep their results, which must be of the same farms."""
 
 
 def contenders() -> list[str]:
@@ -101,8 +104,8 @@ def draw(data: dict[str, Any], path: Path) -> None:
 def fly(arguments: Arguments) -> dict[str, Any]:
     """Return every policy's results."""
     made = provenance("experiments.heuristics")
-    farms, config, results = parse_farms(arguments.farms), PRESETS["default"].farm, []
-    for name in contenders():
+    farms, config, results = parse_farms(arguments.farms), PRESETS["default"].farm, _kept(arguments)
+    for name in arguments.only or contenders():
         start = time.process_time()
         evaluation = evaluate(config, policy_of(name, config), farms, 1, name=name)
         results.append(summarised(evaluation, time.process_time() - start))
@@ -110,6 +113,19 @@ def fly(arguments: Arguments) -> dict[str, Any]:
         sys.stdout.flush()
     seeds = {"first_farm": farms.start, "last_farm": farms.stop - 1, "farms": len(farms), "level": LEVEL}
     return {**made, **seeds, "results": results}
+
+
+def _kept(arguments: Arguments) -> list[dict[str, Any]]:
+    """Return the results of the policies that are not flown again."""
+    if not arguments.only:
+        return []
+    data, farms = (
+        json.loads((arguments.output / "results.json").read_text(encoding="utf-8")),
+        parse_farms(arguments.farms),
+    )
+    if (data["first_farm"], data["farms"]) != (farms.start, len(farms)):
+        raise UsageError("the results that are there are of other farms; fly all policies.")
+    return [result for result in data["results"] if result["policy"] not in arguments.only]
 
 
 def main() -> None:

@@ -272,7 +272,7 @@ MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
     "heuristics": ((HEURISTICS,), heuristics_block),
     "hosts": (("docs/results/hosts/results.json",), hosts_block),
     "paper-preset": (("docs/results/paper/evaluation.json",), paper_block),
-    "results": ((TRAINING, PRESET), results_block),
+    "results": ((TRAINING, PRESET, HEURISTICS), results_block),
     "second-worker": (("docs/results/second_worker.json",), second_worker_block),
     "tasks": (
         ("docs/results/tasks/simple_spread/results.json", "docs/results/tasks/half_cheetah/results.json"),

@@ -80,17 +80,23 @@ def rows_of(text: str) -> list[list[str]]:
 
 
 def test_the_readme_orders_policies_by_reward_and_names_those_ahead() -> None:
-    """Learned methods and heuristics share one table, best first; a heuristic inside the interval is not ahead."""
+    """Learned methods and heuristics share one table, best first; those ahead of the default preset are named."""
     _, study, _, seeds = results()
-    text = results_block(study, seeds)
+    trained = {
+        "policy": "trained",
+        "aoi": [0.4, 0.3, 0.5],
+        "vdf": [1.7, 1.6, 1.8],
+        "per_farm": [0.0] * 20 + [1312.0] * 80,
+    }
+    text = results_block(study, seeds, {"first_farm": 1000, "results": [trained]})
     rows = rows_of(text)
-    assert [row[0] for row in rows][:3] == ["high", "level", "**EIA-SEC, preset `eia-sec`**"]
-    assert rows[2][2] == "1310 (1300..1320)"
+    assert [row[0] for row in rows][:4] == ["high", "**IPPO, default preset**", "level", "EIA-SEC, preset `eia-sec`"]
+    assert rows[1][2] == "1312"
+    assert rows[3][2] == "1310 (1300..1320)"
     assert {row[0].partition(",")[0] for row in rows if row[1] == "learned"} >= set(study["methods"])
     rewards = [float(row[2].partition(" ")[0]) for row in rows]
     assert rewards == sorted(rewards, reverse=True)
-    assert "**1 of 2 heuristics score higher than the preset `eia-sec`: high.**" in text
-    assert "Inside its interval: level." in " ".join(text.split())
+    assert "**1 of 2 heuristics score higher than the default preset: high.**" in text
 
 
 def test_methods_stand_in_the_order_of_their_rewards() -> None:
@@ -121,5 +127,5 @@ def test_the_policy_that_ships_is_ranked() -> None:
     text = default_block(run, study, {"first_farm": 1, "last_farm": 2, "results": found}, seeds).replace("\n", " ")
     assert "The policy that ships scores 50 (45..55) on farms 1..2." in text
     assert "score higher: higher 80, high 70. Level with it: alike 56." in text
-    assert "5 seeds of the preset score 1310 (1300..1320) on farms 1020..1099" in text
+    assert "5 seeds of the preset `eia-sec` score 1310 (1300..1320) on farms 1020..1099" in text
     assert "AoI 0.50 (0.48..0.51), VDF 1.80 (" in text
