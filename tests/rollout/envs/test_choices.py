@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.actors import TeamActors
-from common.config import ControlConfig, EnvConfig, FarmConfig, IppoConfig, RunConfig
+from common.config import ControlConfig, EiaSecConfig, EnvConfig, FarmConfig, IppoConfig, RunConfig
 from common.config.action_kinds import discrete_algorithms
 from common.errors import ConfigError, PolicyError, SimulationError
 from common.team import TeamSpec
@@ -161,7 +161,7 @@ def test_the_first_environment_is_reset_only_where_infos_may_hold_masks():
 
 def test_an_environment_with_a_choice_follows_the_algorithm():
     """Off-policy algorithms get boxes, others what the environment has; the user's argument decides over both."""
-    config = RunConfig(env=EnvConfig("toy_choices:flexible"))
+    config = RunConfig(env=EnvConfig("toy_choices:flexible"), algorithm=EiaSecConfig())
     assert not any(group.choices for group in environment_spec(config).team.groups)
     choosing = RunConfig(env=config.env, algorithm=IppoConfig())
     assert {group.name for group in environment_spec(choosing).team.groups if group.choices} == {"walker", "porter"}
@@ -173,9 +173,13 @@ def test_an_environment_with_a_choice_follows_the_algorithm():
 @pytest.mark.parametrize(
     "config",
     [
-        RunConfig(env=EnvConfig("toy_choices:Doors")),
-        RunConfig(env=EnvConfig("toy_choices:flexible", arguments='{"continuous_actions": false}')),
-        RunConfig(farm=FarmConfig(control=ControlConfig(monitoring="moves", collection="headings"))),
+        RunConfig(env=EnvConfig("toy_choices:Doors"), algorithm=EiaSecConfig()),
+        RunConfig(
+            env=EnvConfig("toy_choices:flexible", arguments='{"continuous_actions": false}'), algorithm=EiaSecConfig()
+        ),
+        RunConfig(
+            farm=FarmConfig(control=ControlConfig(monitoring="moves", collection="headings")), algorithm=EiaSecConfig()
+        ),
     ],
 )
 def test_discrete_actions_and_an_algorithm_without_them_are_refused(config):

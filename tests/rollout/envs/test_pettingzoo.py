@@ -2,6 +2,7 @@
 
 import sys
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from common.actors import TeamActors
 from common.config import EnvConfig, ReplayConfig, RolloutConfig, RunConfig
+from common.config.presets import preset
 from common.errors import ConfigError, SimulationError
 from common.farm import farm_of
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED
@@ -179,7 +181,8 @@ def test_misuse_is_a_typed_error():
 
 
 def run_config(config, steps=4, environments=2):
-    return RunConfig(
+    return replace(
+        preset("eia-sec"),
         env=config,
         rollout=RolloutConfig(environments=environments, chunk_steps=steps),
         replay=ReplayConfig(capacity=256),

@@ -1,8 +1,12 @@
 """A farm small enough for hand-made checks of the heuristics."""
 
-from common.config import FarmConfig, WorldConfig
+from dataclasses import replace
 
-SMALL = FarmConfig(
+from common.config import WorldConfig
+from common.config.presets import preset
+
+SMALL = replace(
+    preset("eia-sec").farm,
     world=WorldConfig(
         communication_uavs=1,
         monitoring_uavs=2,
@@ -13,5 +17,5 @@ SMALL = FarmConfig(
         plots_x=10,
         plots_y=10,
         steps=300,
-    )
+    ),
 )
