@@ -16,6 +16,7 @@ from common.actions.sampling import best_options
 from common.actors import TeamActors
 from common.config import ControlConfig, EnvConfig, FarmConfig, MasacConfig, ObservationConfig, ReplayConfig, RunConfig
 from common.config.files import to_toml
+from common.config.presets import preset
 from common.farm import farm_team
 from common.policy_file import save_policy
 from common.team import GroupSpec, TeamSpec
@@ -37,12 +38,13 @@ CHOICES = ControlConfig(communication="headings", monitoring="moves", collection
 @pytest.fixture(params=["farm", "mirrored", "other", "choices", "mirrored choices", "masked"])
 def run(request, tmp_path):
     """A run directory with a policy of random parameters, its actors, and rows of observations."""
-    config, draw = RunConfig(), np.random.default_rng(4)
+    config, draw = preset("eia-sec"), np.random.default_rng(4)
     if "choices" in request.param:
-        mirrored = ObservationConfig(mirrored="mirrored" in request.param)
-        config = replace(config, farm=FarmConfig(control=CHOICES, observation=mirrored))
+        mirrored = replace(config.farm.observation, mirrored="mirrored" in request.param)
+        config = replace(config, farm=replace(config.farm, control=CHOICES, observation=mirrored))
     if request.param == "mirrored":
-        config = replace(config, farm=FarmConfig(observation=ObservationConfig(mirrored=True)))
+        mirrored = replace(config.farm.observation, mirrored=True)
+        config = replace(config, farm=replace(config.farm, observation=mirrored))
     team = farm_team(config.farm)
     if request.param == "other":
         config = replace(config, env=EnvConfig("some.module:env"))
@@ -92,7 +94,8 @@ def test_onnx_models_act_as_the_policy_does(run, capsys):
 def test_what_was_trained_with_every_aid_is_exported(tmp_path):
     """Models of MASAC's actors, whose observations were standardised, act as these without noise do."""
     team, draw = TeamSpec((GroupSpec("walker", 2, 5, 3), GroupSpec("flyer", 1, 4, 1))), np.random.default_rng(4)
-    config = RunConfig(
+    config = replace(
+        preset("eia-sec"),
         env=EnvConfig("some.module:env"),
         algorithm=MasacConfig(hidden=8, batch=16, observation_normalisation=True, actor_rate=0.05),
         replay=ReplayConfig(capacity=320, warmup_steps=0),
