@@ -72,11 +72,18 @@ max_lag_versions = {lag}
 """Options of the same run with an algorithm that learns on policy."""
 
 
+CHOICES = 'farm.control]\ncommunication = "headings"\nmonitoring = "moves"\ncollection = "moves"'
+"""The section of discrete actions."""
+
+
 def on_policy(name: str, lag: int = 1) -> str:
-    """Return TINY with an algorithm that learns on policy; only `eia-ppo` imitates."""
+    """Return TINY with an algorithm that learns on policy: `eia-ppo` imitates, the others choose discrete actions."""
     sections = {section.partition("]")[0]: section for section in TINY.split("\n[")}
     sections["algorithm"] = f'algorithm]\nname = "{name}"\nhidden = 16{PPO.format(lag=lag).rstrip()}'
-    without = {"replay"} if name == "eia-ppo" else {"replay", "elite"}
+    without = {"replay"}
+    if name != "eia-ppo":
+        without |= {"elite"}
+        sections["farm.control"] = CHOICES
     return "\n[".join(section for title, section in sections.items() if title not in without)
 
 

@@ -1,18 +1,13 @@
-"""Sampled actions: how often each comes, which never come, and the log-probability that is stated of them."""
+"""Sampled actions come as often as the log-probabilities of `common.actions.sampling` state."""
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy import stats
 
-from common.actions.sampling import LARGEST_ACTION, best_options, sample_options, sample_squashed
+from common.actions.sampling import LARGEST_ACTION, sample_options, sample_squashed
 from common.team import GroupSpec
 
-BRANCHED = GroupSpec("branched", 1, 1, 2, choices=(3, 4))
 MASKED = GroupSpec("masked", 1, 8, 2, choices=(3, 4), masked=True)
-LAST_UNIFORM = np.nextafter(np.float32(1), np.float32(0))
-"""The largest number below 1."""
 
 
 def shares(logits, legal):
@@ -55,30 +50,6 @@ def test_continuous_actions_are_distributed_as_stated():
     inside = (np.abs(action) < 0.999).all(axis=1)
     wanted = sum(normals[i].logpdf(x[:, i]) for i in range(2))
     np.testing.assert_allclose(stated[inside], wanted[inside], atol=1e-3)
-
-
-@given(
-    logits=st.lists(st.floats(-200, 200, width=32), min_size=7, max_size=7),
-    first=st.integers(1, 7),
-    second=st.integers(1, 15),
-    draws=st.tuples(*[st.sampled_from([0.0, 0.5, 0.9999, float(LAST_UNIFORM)])] * 2),
-)
-def test_illegal_options_are_never_sampled(logits, first, second, draws):
-    """Whatever the logits, the mask and the random number, also at the ends of its range, the option is legal."""
-    legal = np.array([first >> i & 1 for i in range(3)] + [second >> i & 1 for i in range(4)])
-    numbers = np.array(logits, np.float32)
-    indices, stated = sample_options(MASKED, masked(*legal), numbers, np.float32(draws))
-    best = best_options(MASKED, masked(*legal), numbers)
-    for chosen in (indices, best):
-        assert legal[int(chosen[0])]
-        assert legal[3 + int(chosen[1])]
-    assert -210.0 < stated <= 0.0
-
-
-def test_the_noise_free_option_is_the_likeliest():
-    """Each branch takes its own largest logit."""
-    logits = np.float32([[0.0, 2.0, 1.0, 3.0, 0.0, 0.0, 4.0]])
-    assert best_options(BRANCHED, np.zeros((1, 1), np.float32), logits).tolist() == [[1.0, 3.0]]
 
 
 @pytest.mark.parametrize("mean", [-50.0, 50.0])
