@@ -82,7 +82,7 @@ def rows_of(text: str) -> list[list[str]]:
 def test_the_readme_orders_policies_by_reward_and_names_those_ahead() -> None:
     """Learned methods and heuristics share one table, best first; those ahead of the default preset are named."""
     _, study, _, seeds = results()
-    metrics = {"aoi": [0.4, 0.3, 0.5], "vdf": [1.7, 1.6, 1.8], "reward": [1312.0, 1308.0, 1316.0]}
+    metrics = {"aoi": [0.4, 0.3, 0.5], "vdf": [1.7, 1.6, 1.8], "reward": [1312.0, 1303.0, 1320.0]}
     trained = {"policy": "trained", **metrics, "per_farm": [0.0] * 20 + [1312.0] * 80}
     text = results_block(study, seeds, {"first_farm": 1000, "results": [trained]})
     rows = rows_of(text)
