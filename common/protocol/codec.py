@@ -15,6 +15,9 @@ import numpy as np
 from common.errors import SchemaError
 from common.protocol import frame
 
+NO_LIMIT: Final = 2**63 - 1
+"""The largest integer of a field; as a limit it means that there is none."""
+
 
 class Message:
     """Base of all messages, which are frozen dataclasses with a KIND of their own."""
@@ -132,7 +135,7 @@ def _scalar(name: str, kind: Any, value: Any) -> Any:
         value = float(value)
     if type(value) is not kind:
         raise SchemaError(f"field {name} is {type(value).__name__}, not {kind.__name__}.")
-    if kind is int and not 0 <= value < 2**63:
+    if kind is int and not 0 <= value <= NO_LIMIT:
         raise SchemaError(f"field {name} is {value}, out of range.")
     if kind is float and not math.isfinite(value):
         raise SchemaError(f"field {name} is not finite.")

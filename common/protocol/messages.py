@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.imitation import ImitationEvent
-from common.protocol.codec import Message
+from common.protocol.codec import NO_LIMIT, Message
 from common.protocol.frame import MAX_HEADER
 from common.team import Float32
 
@@ -88,7 +88,7 @@ class ChunkAck(Message):
     reasons: tuple[str, ...]
     expected: int
     required_version: int
-    room: int = -1
+    room: int = NO_LIMIT
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class ProgressMessage(Message):
         version, events: newest published parameter version, and imitation events applied.
         episodes, environment_steps, updates: training episodes finished, environment steps accepted, updates done.
         state: starting, training, draining or finished.
-        room: environment steps that the running iteration still takes in, -1 where nothing limits them.
+        room: environment steps that the running iteration still takes in, NO_LIMIT where nothing limits them.
     """
 
     KIND = 5
@@ -139,7 +139,7 @@ class ProgressMessage(Message):
     environment_steps: int
     updates: int
     state: str
-    room: int = -1
+    room: int = NO_LIMIT
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from common.config import RunConfig
 from common.protocol import keys
+from common.protocol.codec import NO_LIMIT
 from common.protocol.messages import ParametersMessage, ProgressMessage
 from common.transport.bus import Bus
 from learner.trainer import Trainer
@@ -56,5 +57,5 @@ class ParameterPublisher:
         """
         t = self._trainer
         counters = (t.version, t.events, t.episodes, t.environment_steps, t.updates)
-        wanted = -1 if room is None else max(0, room)
+        wanted = NO_LIMIT if room is None else max(0, room)
         self._progress.put(ProgressMessage(self._epoch, *counters, state, wanted).encode())

@@ -15,6 +15,7 @@ from common.incarnation import plausible
 from common.process import log
 from common.protocol import keys
 from common.protocol.chunk_messages import MOST_COUNT, from_message, from_request
+from common.protocol.codec import NO_LIMIT
 from common.protocol.frame import Data
 from common.protocol.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from common.team import TeamSpec
@@ -350,7 +351,7 @@ class Receiver:
         names, reasons = zip(*verdicts, strict=True)
         if not set(names) & WORTH_LOOKING:
             self._bad(sender.name, f"chunk {sender.sequence} is a {names[0]}.")
-        room = -1 if self.room is None else max(0, self.room)
+        room = NO_LIMIT if self.room is None else max(0, self.room)
         incoming.reply(ChunkAck(names, reasons, self.ledger.expected(sender), version, room).encode())
 
     def _record(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:

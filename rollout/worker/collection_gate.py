@@ -48,7 +48,7 @@ class CollectionGate:
         """Return whether the steps in the spool fill the learner's running iteration, as far as is known."""
         learner, sender = self._learner, self._sender
         room = learner.room if learner.heard_at > sender.answered_at else sender.room
-        return 0 <= room <= sender.in_flight
+        return room <= sender.in_flight
 
     def _too_old(self) -> str:
         """Return why the actors are too old to collect with, or an empty text."""

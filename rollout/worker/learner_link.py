@@ -6,6 +6,7 @@ from common.errors import ProtocolError, UsageError
 from common.policy_store import PolicyStore
 from common.process import StopSignal, fetch_configuration, log
 from common.protocol import keys
+from common.protocol.codec import NO_LIMIT
 from common.protocol.epoch_fence import EpochFence
 from common.protocol.messages import ImitationMessage, ParametersMessage, ProgressMessage
 from common.team import TeamSpec
@@ -38,7 +39,7 @@ class LearnerLink:
         state: state of the run: starting, training, draining or finished.
         epoch: the learner's fencing epoch, 0 before the first progress.
         newest_version: newest parameter version that the learner has published.
-        room: environment steps that the learner's running iteration still takes in, from all workers; -1 for no limit.
+        room: environment steps that the learner's running iteration still takes in, from all workers.
         heard_at: time of the learner's newest progress, by the monotonic clock.
         malformed: messages that were dropped.
     """
@@ -51,7 +52,7 @@ class LearnerLink:
         self.store = PolicyStore(team)
         self.state = "starting"
         self.epoch = self.newest_version = self.malformed = 0
-        self.room = -1
+        self.room = NO_LIMIT
         self.heard_at = time.monotonic()
         self._fence = EpochFence()
         self._ignored: ParametersMessage | None = None

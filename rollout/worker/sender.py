@@ -11,6 +11,7 @@ from common.history.history import Entry, History
 from common.process import QUICK_SECONDS, log
 from common.protocol import keys
 from common.protocol.chunk_messages import fitting, to_message, to_request
+from common.protocol.codec import NO_LIMIT
 from common.protocol.messages import MOST_CHUNKS, SETTLED, ChunkAck, Envelope
 from common.team import TeamSpec
 from common.transitions import Chunk
@@ -66,7 +67,7 @@ class Sender:
         learner_closed: whether the learner's last answer said that it takes no more chunks.
         replaced: whether a newer start of this worker now delivers. If so, nothing more is sent.
         required_version: parameter version that the learner asks for before the next chunk (lockstep), else 0.
-        room: environment steps that the running iteration still took in at the newest answer, -1 for no limit.
+        room: environment steps that the running iteration still took in at the newest answer.
         answered_at: time of that answer, by the monotonic clock.
         waiting: seconds that requests have waited for their answers.
         untaken: requests in a row that nobody took.
@@ -86,7 +87,7 @@ class Sender:
     ) -> None:
         self.flown = self.produced = self.accepted = self.rejected = self.retries = self.required_version = 0
         self.waiting = self.answered_at = 0.0
-        self.room = -1
+        self.room = NO_LIMIT
         self.untaken = 0
         self.learner_closed = self.replaced = False
         self._bus, self._team, self._capacity, self._patience = bus, team, capacity, patience

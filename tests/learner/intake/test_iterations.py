@@ -9,7 +9,8 @@ from common.errors import SchemaError
 from common.farm import METRIC_NAMES
 from common.protocol import keys
 from common.protocol.chunk_messages import from_message, to_message, to_request
-from common.protocol.messages import Envelope
+from common.protocol.codec import NO_LIMIT
+from common.protocol.messages import Envelope, ProgressMessage
 from tests.faults.tools.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut, with_log_probabilities
 from tests.system.fleet import until
 
@@ -117,6 +118,27 @@ def test_a_draining_learner_takes_everything():
         assert second.answered.wait(60.0)
         assert [second.verdict, *(door.pass_on(parcel(n)).verdict for n in range(3, 9))] == ["accepted"] * 7
         assert receiver.ledger.totals()["accepted"] == receiver.arrivals.qsize() == 8
+
+
+def test_answers_say_how_much_is_still_wanted():
+    """They hold the steps that the iteration still takes in, and NO_LIMIT where nothing limits them."""
+    with opened(most_lag=0) as (receiver, door):
+        assert door.pass_on(parcel(1)).answer.room == NO_LIMIT
+        assert receiver.wanted is None
+        receiver.take_in(0, 2, updating=False)
+        assert [door.pass_on(parcel(number)).answer.room for number in (2, 3)] == [1, 0]
+        receiver.take_in(1, 2, updating=True)
+        assert (receiver.room, receiver.wanted) == (2, 0)
+        receiver.set_version(2)
+        assert receiver.wanted == 2
+
+
+def test_progress_without_a_limit_can_be_read():
+    """Its message survives the wire, as does that of a learner whose iteration is full."""
+    for room in (NO_LIMIT, 0):
+        message = ProgressMessage(1, 1, 0, 1, 10, 1, "training", room)
+        assert ProgressMessage.decode(message.encode()) == message
+    assert ProgressMessage(1, 1, 0, 1, 10, 1, "training").room == NO_LIMIT
 
 
 def test_a_learner_that_closes_lets_nobody_wait():
