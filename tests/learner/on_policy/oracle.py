@@ -154,6 +154,7 @@ class Oracle:
             "type": [other for other in self.agents if other.group is agent.group],
             "team": self.agents,
         }[self.config.credit]
+        assert rows.log_probability is not None
         reward = rows.reward[:, [mate.place for mate in mates]].mean(axis=1) * self.config.reward_scale
         with torch.no_grad():
             value = self.mixture(agent, own, team).numpy()
@@ -161,7 +162,7 @@ class Oracle:
         agent.data = {
             "own": own,
             "action": torch.from_numpy(actions[kind][:, agent.index].copy()),
-            "sent": torch.from_numpy(rows.log_probability[:, agent.place].copy()),  # type: ignore[index]  # on policy
+            "sent": torch.from_numpy(rows.log_probability[:, agent.place].copy()),
             "advantage": torch.from_numpy(advantage),
             "returns": torch.from_numpy(advantage + value),
         }
