@@ -16,11 +16,11 @@ FARM = farm_environment(RunConfig().farm)
 
 
 def test_a_farm_names_every_number_of_every_type():
-    """Each type has as many names as its observation and its action have numbers, all of them different."""
+    """Each type has as many names as its observation and the farm's action have numbers, all of them different."""
     for group in FARM.team.groups:
         names = FARM.tensor_names[group.name]
         assert len(set(names.observation)) == group.observation_size
-        assert len(names.action) == len(names.action_scale) == group.action_size
+        assert len(names.action) == len(names.action_scale) == group.environment_action_size
 
 
 def test_metrics_have_text_in_the_unit_of_their_heading():

@@ -17,6 +17,8 @@ from common.team import GroupSpec, TeamSpec
 from rollout.sim.batch import FarmBatch
 
 FIELD = 400.0
+PLAIN = preset("eia-sec").farm
+"""A farm with continuous actions."""
 SQUARE = Lattice.spanning(10.0 / FIELD, 10.0 / FIELD)
 
 
@@ -97,7 +99,7 @@ def test_only_those_with_a_lattice_are_steered():
     ):
         wanted = group.adapters[0].velocity(own[..., :2], given) if group.adapters else given
         np.testing.assert_array_equal(taken, wanted)
-    plain_team = farm_team(replace(study, control=ControlConfig(monitoring="velocity")))
+    plain_team = farm_team(replace(study, control=replace(study.control, monitoring="velocity")))
     assert plain_team.adapt(seen, action) is action
     assert plain_team.digest != team.digest
 
@@ -132,7 +134,7 @@ def test_the_mirrored_command_along_axes_of_their_own(control):
 
 def test_no_sign_makes_a_command_larger():
     """Whatever stands where the signs belong: it only says which way an axis points."""
-    team, draw = farm_team(FarmConfig(observation=ObservationConfig(mirrored=True))), np.random.default_rng(5)
+    team, draw = farm_team(PLAIN), np.random.default_rng(5)
     seen = draw.uniform(-4, 4, (50, team.observation_size)).astype(np.float32)
     action = draw.uniform(-1, 1, (50, team.action_size)).astype(np.float32)
     assert np.abs(team.adapt(seen, action)).max() <= 1.0
@@ -151,7 +153,7 @@ def test_the_fewest_cells_within_reach(reach, cells):
 def test_a_lattice_follows_the_field_and_the_speed():
     """Half the speed along y: twice the rows."""
     world = WorldConfig(field_x=300.0, speed_y_max=5.0)
-    lattice = farm_team(FarmConfig(world=world)).groups[1].adapters[0]
+    lattice = farm_team(replace(PLAIN, world=world)).groups[1].adapters[0]
     assert (lattice.columns, lattice.rows) == (30, 80)
 
 
@@ -171,8 +173,8 @@ EARLIER = {
 def test_teams_of_earlier_versions_keep_their_digest_and_are_read(digest, earlier):
     """Checkpoints and policy files name their team by its digest, and policy files hold its description."""
     mirrored, control, monitors = earlier
-    observation = ObservationConfig(mirrored=mirrored)
-    team = farm_team(FarmConfig(observation=observation, control=ControlConfig(monitoring=control)))
+    observation, steering = replace(PLAIN.observation, mirrored=mirrored), replace(PLAIN.control, monitoring=control)
+    team = farm_team(replace(PLAIN, observation=observation, control=steering))
     assert team.digest == digest
     plain_list = [None, True] if mirrored else []
     lists = [["communication", 4, 22 + 2 * mirrored, 2, *plain_list], *monitors]

@@ -59,7 +59,7 @@ def test_moves_fly_from_place_to_place(mirrored):
 
 def test_rows_of_the_environment_are_wider_than_those_of_the_actors():
     """One index in replay, two numbers for the farm; the split follows the environment's width."""
-    team = farm_team(FarmConfig(control=ControlConfig(monitoring="headings")))
+    team = farm_team(FarmConfig(control=ControlConfig("velocity", "headings", "velocity")))
     assert (team.action_size, team.environment_action_size) == (20, 24)
     rows = np.random.default_rng(0).uniform(-1, 1, (5, team.observation_size)).astype(np.float32)
     actions = TeamActors.initial(team, 8, 0).environment_actions(rows)
