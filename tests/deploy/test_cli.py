@@ -31,7 +31,7 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["train", "--seed", "x"], "--seed"),
         (["train", "--episodes", "0"], "episodes must be"),
         (["train", "--farm.world.sensors", "0"], "sensors must be"),
-        (["train", "--algorithm.batch", "-3"], "batch must be"),
+        (["train", "--algorithm.epochs", "-3"], "epochs must be"),
         (["train", "--workers", "0"], "workers must be"),
         (["train", "--lockstep", "--workers", "2"], "exactly one worker"),
         (["train", "--config", "nowhere.toml"], "nowhere.toml"),

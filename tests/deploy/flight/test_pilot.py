@@ -55,7 +55,7 @@ def test_set_points_are_the_actors_actions_in_metres_per_second():
 @pytest.mark.parametrize("bad", [0.0, 0.5, -4.0])
 def test_a_mirrored_agents_signs_are_1_or_minus_1(bad):
     """Others are refused, and the set-point of what is accepted points along the field's axes."""
-    team = farm_team(FarmConfig(observation=ObservationConfig(mirrored=True)))
+    team = farm_team(preset("eia-sec").farm)
     actors = TeamActors.initial(team, 16, 7, per_type=False)
     pilot = Pilot(actors, {UAV: AGENT}, SPEED, Limits())
     size = team.groups[2].observation_size

@@ -220,7 +220,7 @@ def test_names_stand_where_the_simulator_writes(mirrored):
     farms = FarmBatch(config.farm, 1)
     farms.reset(0, 0, 0)
     for _ in range(30):
-        farms.step(np.random.default_rng(1).uniform(-1, 1, (1, farms.team.action_size)).astype(np.float32))
+        farms.step(np.random.default_rng(1).uniform(-1, 1, (1, farms.team.environment_action_size)).astype(np.float32))
     for group, seen in zip(farms.team.groups, farms.team.split_observations(farms.observation), strict=True):
         named = [dict(zip(tensor_names(config, group).observation, row, strict=True)) for row in seen[0]]
         for numbers in named:
@@ -228,7 +228,7 @@ def test_names_stand_where_the_simulator_writes(mirrored):
             assert len(signs) == 2 * mirrored
             assert set(signs) <= {-1.0, 1.0}
             assert all(0.0 <= value <= 1.0 for name, value in numbers.items() if name.endswith(("distance", "aoi")))
-            assert all(0.0 <= value <= 1.0 for name, value in numbers.items() if name.startswith("vdf"))
+            assert all(0.0 <= value <= 1.0 for name, value in numbers.items() if name.startswith("vdf_"))
             for kind in ("d_vdf", "d_aoi"):
                 if f"{kind}_x" in numbers:
                     length = np.hypot(numbers[f"{kind}_x"], numbers[f"{kind}_y"])
