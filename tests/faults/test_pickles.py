@@ -22,7 +22,7 @@ def test_no_process_of_a_run_unpickles_anything(tmp_path: Path) -> None:
         fleet.kill("learner")
         fleet.learner("--resume")
         fleet.until_more()
-        fleet.start("fly", "fly", "--policy", "trained:eia-sec", *joining)
+        fleet.start("fly", "fly", "--policy", "trained", *joining)
         fleet.start("simulator", "simulator", *joining, "--steps", "3")
         assert fleet.wait("simulator") == 0, fleet.log("simulator")
         for name in ("fly", "monitor"):

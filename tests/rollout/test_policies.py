@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from common.actors import TeamActors
-from common.config import ControlConfig, FarmConfig, ObservationConfig
+from common.config import FarmConfig, ObservationConfig
 from common.config.presets import preset
 from common.errors import PolicyError
 from common.farm import farm_team
@@ -94,9 +94,8 @@ def test_the_trained_policy_is_that_of_the_package(tmp_path, monkeypatch):
 
 
 def test_the_policy_of_eia_sec_ships_too():
-    """It flies the farms of the presets `eia-sec` and `study`, and no farm with other observations."""
-    for name in ("eia-sec", "study"):
-        assert isinstance(policy_of("trained:eia-sec", preset(name).farm), ActorPolicy)
+    """It flies the farm of the preset `eia-sec`, and no farm with other observations."""
+    assert isinstance(policy_of("trained:eia-sec", preset("eia-sec").farm), ActorPolicy)
     with pytest.raises(PolicyError, match="this environment has 4 communication agents"):
         policy_of("trained:eia-sec", FarmConfig())
     assert [policies.preset_of(name) for name in ("trained", "trained:eia-sec", "greedy", None)] == [
@@ -147,8 +146,9 @@ def test_other_combinations_are_refused(name):
 
 def test_a_policy_steers_by_the_lattice_of_the_farm_that_it_flies_over():
     """Actors of one field fly over a wider one by its own lattice; those that command velocities are another kind."""
-    wide = FarmConfig(world=replace(FarmConfig().world, field_x=500.0, field_y=300.0))
-    policy = ActorPolicy(TeamActors.initial(farm_team(FarmConfig()), 16, 3))
+    farm = preset("eia-sec").farm
+    wide = replace(farm, world=replace(farm.world, field_x=500.0, field_y=300.0))
+    policy = ActorPolicy(TeamActors.initial(farm_team(farm), 16, 3))
     farms = begin(wide, policy)
     lattice = farms.team.groups[1].adapters[0]
     assert (lattice.columns, lattice.rows) == (50, 30)
@@ -156,7 +156,7 @@ def test_a_policy_steers_by_the_lattice_of_the_farm_that_it_flies_over():
         [TeamActors.initial(farms.team, 16, 3).environment_actions(row[None]) for row in farms.observation]
     )
     np.testing.assert_array_equal(policy.act(farms), action)
-    printed = FarmConfig(control=ControlConfig(monitoring="velocity"))
+    printed = replace(farm, control=replace(farm.control, monitoring="velocity"))
     with pytest.raises(PolicyError, match=r"\(lattice, mirrored axes\)"):
         begin(printed, policy)
 

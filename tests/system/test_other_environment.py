@@ -60,9 +60,9 @@ def test_trained_to_the_end_and_evaluated(tmp_path: Path) -> None:
     config, run_dir = tmp_path / "relay.toml", tmp_path / "run"
     config.write_text(RELAY.replace('name = "toy_env:Relay"', "").replace("episodes = 120", "episodes = 300"))
     where = os.pathsep.join([str(Path.cwd()), TOYS])
-    command = [sys.executable, "-m", "deploy.cli", "train", "--env", "toy_env:Relay", "--config", str(config)]
+    command = [sys.executable, "-m", "deploy.cli", "train", "--preset", "eia-sec", "--env", "toy_env:Relay"]
     done = subprocess.run(
-        [*command, "--run-dir", str(run_dir), "--algorithm.actor-rate", "0.001"],
+        [*command, "--config", str(config), "--run-dir", str(run_dir), "--algorithm.actor-rate", "0.001"],
         env={**os.environ, "PYTHONPATH": where},
         capture_output=True,
         text=True,
@@ -150,7 +150,17 @@ def test_discrete_actions_are_refused_before_anything_is_made(
 ) -> None:
     """An algorithm that cannot train them says so in one sentence and leaves no run directory."""
     done = subprocess.run(
-        [sys.executable, "-m", "deploy.cli", "train", *arguments, "--run-dir", str(tmp_path / "run")],
+        [
+            sys.executable,
+            "-m",
+            "deploy.cli",
+            "train",
+            "--preset",
+            "eia-sec",
+            *arguments,
+            "--run-dir",
+            str(tmp_path / "run"),
+        ],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), TOYS])},
         capture_output=True,
         text=True,

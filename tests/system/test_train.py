@@ -37,7 +37,8 @@ class Training:
     def start(self, *options: str, configured: bool = True) -> None:
         """Start it, with or without the configuration file."""
         command = [sys.executable, "-m", "deploy.cli", "train", "--run-dir", str(self.run_dir)]
-        command += ["--preset", PRESET, "--config", str(self.config), *options] if configured else options
+        preset = [] if "--preset" in options else ["--preset", PRESET]
+        command += [*preset, "--config", str(self.config), *options] if configured else options
         with self.output.open("ab") as output:
             self.process = subprocess.Popen(command, stdout=output, stderr=output)
 

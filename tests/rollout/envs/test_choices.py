@@ -184,7 +184,7 @@ def test_an_environment_with_a_choice_follows_the_algorithm():
 )
 def test_discrete_actions_and_an_algorithm_without_them_are_refused(config):
     """One sentence names the types and the algorithms that can; flying such an environment needs no algorithm."""
-    with pytest.raises(ConfigError, match=r"has discrete actions \(\w+, \w+\), which eia-sec cannot train; .*ippo"):
+    with pytest.raises(ConfigError, match=r"has discrete actions \(\w+(, \w+)+\), which eia-sec cannot train; .*ippo"):
         environment_spec(config)
     with closing(make_environments(config, 1)) as environments:
         assert any(group.choices for group in environments.team.groups)

@@ -81,7 +81,7 @@ def test_a_flight_is_assigned_as_by_scipy(relay):
     config = FarmConfig(world=WorldConfig(communication_uavs=12, monitoring_uavs=12, collection_uavs=12), relay=relay)
     batch, reference = FarmBatch(config, 1), ReferenceFarm(config, make_layout(config, 2), 5)
     batch.reset(0, 2, 5)
-    random, action, changed = np.random.default_rng(1), np.zeros((1, batch.team.action_size), np.float32), 0
+    random, action, changed = np.random.default_rng(1), np.zeros((1, batch.team.environment_action_size), np.float32), 0
     equal = 0
     for _ in range(150):
         kept, before = random.uniform(size=action.shape) < 0.95, batch.assignment[0].copy()

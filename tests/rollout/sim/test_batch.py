@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from common.config import CameraConfig, FarmConfig, RadioConfig, RelayConfig, WorldConfig
+from common.config.presets import preset
 from common.errors import SimulationError
 from rollout.sim.batch import FarmBatch, start_positions
 from rollout.sim.kernel.compiler import decorators
@@ -16,7 +17,7 @@ from rollout.sim.kernel.compiler.decorators import allocation_free, compiled_ent
 from rollout.sim.kernel.radio import draw
 from rollout.sim.reference import packet_draw
 
-SHORT = FarmConfig(world=WorldConfig(steps=40, start_levels="random"))
+SHORT = replace(preset("eia-sec").farm, world=WorldConfig(steps=40, start_levels="random"))
 ARRAYS = (
     "observation",
     "reward",
@@ -37,10 +38,12 @@ def fly(
 ) -> list[dict[str, np.ndarray]]:
     """Fly the episodes as one batch, each with actions that follow from its seeds; return what each looked like."""
     batch = FarmBatch(config, len(episodes), threads)
-    action = np.empty((steps, len(episodes), batch.team.action_size), np.float32)
+    action = np.empty((steps, len(episodes), batch.team.environment_action_size), np.float32)
     for index, (farm, episode) in enumerate(episodes):
         batch.reset(index, farm, episode)
-        action[:, index] = np.random.default_rng((farm, episode)).uniform(-1.0, 1.0, (steps, batch.team.action_size))
+        action[:, index] = np.random.default_rng((farm, episode)).uniform(
+            -1.0, 1.0, (steps, batch.team.environment_action_size)
+        )
     course = {name: [getattr(batch, name).copy()] for name in ARRAYS}
     for step in range(steps):
         batch.step(action[step])
@@ -78,7 +81,7 @@ def test_a_deep_copy_goes_on_as_the_original_would(threads):
     for e in range(3):
         batch.reset(e, e, 5)
     random = np.random.default_rng(0)
-    actions = random.uniform(-1, 1, (8, 3, batch.team.action_size)).astype(np.float32)
+    actions = random.uniform(-1, 1, (8, 3, batch.team.environment_action_size)).astype(np.float32)
     batch.step(actions[0])
     twin = copy.deepcopy(batch)
     seen = batch.observation.copy()

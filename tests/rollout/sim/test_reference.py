@@ -1,8 +1,11 @@
 """The compiled farm against the reference farm over a long episode; test_properties_reference.py draws the switches."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from common.config import FarmConfig, WorldConfig
+from common.config.presets import preset
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import make_layout
 from rollout.sim.reference import ReferenceFarm
@@ -102,9 +105,8 @@ def test_the_episodes_exercise_what_they_compare():
 
 def test_sixty_four_of_each_type_equal_the_reference():
     """A full fleet on a wide farm, for a few steps."""
-    config = FarmConfig(
-        world=WorldConfig(communication_uavs=64, monitoring_uavs=64, collection_uavs=64, start_levels="random")
-    )
+    world = WorldConfig(communication_uavs=64, monitoring_uavs=64, collection_uavs=64, start_levels="random")
+    config = replace(preset("eia-sec").farm, world=world)
     batch, reference = pair(config, 0, 0)
     assert_equal(batch, reference)
     for action in actions(config, 4, 1):

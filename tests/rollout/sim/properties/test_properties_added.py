@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from common.actions.adapters import Lattice
 from common.config import FarmConfig, ObservationConfig, WorldConfig
+from common.config.presets import preset
 from common.farm import farm_environment, farm_team
 from common.team import Float32
 from rollout.envs.spaces import row_box
@@ -71,7 +72,7 @@ def test_all_added_observations_equal_the_reference(flight: Flight, on_lattice: 
 @given(flights(farm_configs(SMALL)), st.sets(st.sampled_from(sorted(ALL))))
 def test_added_observations_change_nothing_else(flight: Flight, names: set[str]):
     """Without its added numbers a row is bit for bit that of a farm that has them off, and so is the rest."""
-    off = ObservationConfig()
+    off = preset("eia-sec").farm.observation
     plain = replace(flight.config.observation, **{name: getattr(off, name) for name in ALL})
     more = replace(plain, **{name: ALL[name] for name in names})
     pair = [begin(replace(flight, config=replace(flight.config, observation=seen))) for seen in (plain, more)]

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from common.actions.adapters import SIGNS
 from common.config import FarmConfig, ObservationConfig
+from common.config.presets import preset
 from common.farm import farm_team
 from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_levels
 from rollout.sim.layout import Layout
@@ -82,7 +83,7 @@ SYMMETRIES = st.builds(Symmetry, st.booleans(), st.booleans(), st.booleans()).fi
 
 def without_added(seen: ObservationConfig) -> ObservationConfig:
     """Return observations without the added ones: a UAV between two lattice points belongs to the one further on."""
-    usual = ObservationConfig()
+    usual = preset("eia-sec").farm.observation
     names = ("peers", "last_move", "closing", "units", "fields", "coarse", "phases", "service")
     return replace(seen, **{name: getattr(usual, name) for name in names})
 
