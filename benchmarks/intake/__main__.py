@@ -28,7 +28,6 @@ from benchmarks.intake.player import in_flight
 from benchmarks.intake.record import record, write
 from benchmarks.peers.catalogue import ROOT, Program
 from benchmarks.peers.venvs import interpreter, provide
-from common.config import RolloutConfig
 from common.config.presets import preset
 from common.errors import EiaSecError
 from common.farm import farm_team
@@ -216,7 +215,9 @@ def options() -> argparse.Namespace:
     parser.add_argument("--repeats", type=int, default=2)
     more = f"workers that play: the first number at every size, the others at {SWEPT}"
     parser.add_argument("--workers", type=int, nargs="+", default=[WORKERS], metavar="N", help=more)
-    parser.add_argument("--spool", type=int, default=RolloutConfig().spool_chunks, help="chunks in a worker's spool")
+    parser.add_argument(
+        "--spool", type=int, default=preset("study").rollout.spool_chunks, help="chunks in a worker's spool"
+    )
     parser.add_argument("--only", nargs="+", metavar="WORD", help="only transports whose name holds one of these")
     parser.add_argument("--venvs", type=Path, default=ROOT / "benchmarks" / ".venvs")
     parser.add_argument("--pip-args", default="", help="added to pip install")
