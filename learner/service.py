@@ -14,6 +14,7 @@ from common.history.history import History
 from common.imitation import ImitationEvent
 from common.process import Presence, StopSignal, connect
 from common.protocol import keys
+from common.protocol.codec import NO_LIMIT
 from common.protocol.messages import ConfigurationMessage
 from common.team import TeamSpec
 from common.transport.admission import admission
@@ -72,7 +73,7 @@ class Learner:
         self._compaction = HistoryCompaction(self._history, config.learner.keep_checkpoints)
         self._schedule = Schedule(config, await_elite=options.await_elite)
         self._times, self._state = PhaseTimes(), "training"
-        self._room: int | None = None
+        self._window = NO_LIMIT
         self._open_control(config, team, control, ledger)
         presence = Presence(control, options.run, "learner", "learner", self._epoch)
         self._reporter = Reporter(options.run_dir, environment, self.trainer, presence, config.episodes, elapsed)
@@ -167,7 +168,7 @@ class Learner:
     def _open_iteration(self) -> None:
         """Let the receiver take in chunks for the iteration that they will be learned from in."""
         if (wanted := self.trainer.iteration) is not None:
-            self._receiver.take_in(*wanted, updating=self.trainer.updates_due() > 0)
+            self._receiver.room.open(*wanted, updating=self.trainer.updates_due() > 0)
 
     def _train(self, updates: int) -> None:
         with self._times.measure("training"):
@@ -186,7 +187,7 @@ class Learner:
         now, schedule = time.monotonic(), self._schedule
         if (schedule.publish_timer.due(now) or self.trainer.publishes_at_once) and not self._options.lockstep:
             self._publish()
-        if schedule.progress_timer.due(now) or self._receiver.wanted != self._room:
+        if schedule.progress_timer.due(now) or self._receiver.room.window > self._window:
             self._publish_progress()
         if schedule.report_timer.due(now):
             self._report()
@@ -216,14 +217,14 @@ class Learner:
         if self._publisher.has_unpublished_changes or every_turn:
             updating = self.trainer.iteration is not None and self.trainer.updates_due() > 0
             # Before any worker can fly with it.
-            self._receiver.set_version(self.trainer.next_version(), updating=updating)
+            self._receiver.room.set_version(self.trainer.next_version(), updating=updating)
             self._publisher.publish_parameters()
             self._publish_progress()
 
     def _publish_progress(self) -> None:
         self._schedule.progress_timer.restart(time.monotonic())
-        self._room = self._receiver.wanted
-        self._publisher.publish_progress(self._state, self._room)
+        self._window = self._receiver.room.window
+        self._publisher.publish_progress(self._state, self._window)
 
     def _report(self) -> None:
         self._schedule.report_timer.restart(time.monotonic())
@@ -244,7 +245,7 @@ class Learner:
             state: finished or draining.
         """
         self._state = state
-        self._receiver.take_in_all()
+        self._receiver.room.lift()
         self._publish_progress()
         if state == "draining" and not self._options.lockstep:
             self._feed.drain(self._answer_while_draining)

@@ -80,7 +80,7 @@ class ChunkAck(Message):
         reasons: for each verdict, why the chunk was not accepted, or empty.
         expected: sequence number of the next chunk that the learner accepts from this worker.
         required_version: parameter version that the worker must hold before its next chunk; 0 for none.
-        room: as in ProgressMessage, at the time of the answer.
+        window: as in ProgressMessage, at the time of the answer.
     """
 
     KIND = 3
@@ -88,7 +88,7 @@ class ChunkAck(Message):
     reasons: tuple[str, ...]
     expected: int
     required_version: int
-    room: int = NO_LIMIT
+    window: int = NO_LIMIT
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,8 @@ class ProgressMessage(Message):
         version, events: newest published parameter version, and imitation events applied.
         episodes, environment_steps, updates: training episodes finished, environment steps accepted, updates done.
         state: starting, training, draining or finished.
-        room: environment steps that the running iteration still takes in, NO_LIMIT where nothing limits them.
+        window: environment steps that a worker may have under way, NO_LIMIT where nothing limits them. A worker that
+            has as many waits, because the learner would get what it flew too late (on policy).
     """
 
     KIND = 5
@@ -139,7 +140,7 @@ class ProgressMessage(Message):
     environment_steps: int
     updates: int
     state: str
-    room: int = NO_LIMIT
+    window: int = NO_LIMIT
 
 
 @dataclass(frozen=True)

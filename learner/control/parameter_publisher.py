@@ -2,7 +2,6 @@
 
 from common.config import RunConfig
 from common.protocol import keys
-from common.protocol.codec import NO_LIMIT
 from common.protocol.messages import ParametersMessage, ProgressMessage
 from common.transport.bus import Bus
 from learner.trainer import Trainer
@@ -48,14 +47,13 @@ class ParameterPublisher:
         )
         self._parameters.put(message.encode())
 
-    def publish_progress(self, state: str, room: int | None) -> None:
+    def publish_progress(self, state: str, window: int) -> None:
         """Publish the trainer's counters and what the learner does.
 
         Args:
             state: training, draining or finished.
-            room: environment steps that the running iteration still takes in, or None.
+            window: environment steps that a worker may have under way, or NO_LIMIT.
         """
         t = self._trainer
         counters = (t.version, t.events, t.episodes, t.environment_steps, t.updates)
-        wanted = NO_LIMIT if room is None else max(0, room)
-        self._progress.put(ProgressMessage(self._epoch, *counters, state, wanted).encode())
+        self._progress.put(ProgressMessage(self._epoch, *counters, state, window).encode())

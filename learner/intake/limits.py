@@ -6,7 +6,7 @@ from typing import Final
 from common.config import RunConfig
 
 ITERATION_CHUNKS: Final = 64
-"""Queue of a learner that learns on policy; the steps of an iteration limit it first."""
+"""Least queue of a learner that learns on policy; it always holds the chunks of an iteration."""
 
 
 @dataclass(frozen=True)
@@ -16,14 +16,21 @@ class IntakeLimits:
     Attributes:
         chunks: most chunks in the queue.
         most_lag: largest age of a chunk's policy when it is learned from, in parameter versions; None for no limit.
+        iteration_steps: environment steps of an iteration (on policy).
+        chunk_steps: environment steps of a chunk.
     """
 
     chunks: int
     most_lag: int | None
+    iteration_steps: int = 0
+    chunk_steps: int = 1
 
     @classmethod
     def of(cls, config: RunConfig) -> "IntakeLimits":
         """Return the limits of a run."""
+        chunk = config.rollout.environments * config.rollout.chunk_steps
         if config.learns_on_policy:
-            return cls(ITERATION_CHUNKS, config.on_policy.max_lag_versions)
-        return cls(config.replay.intake_chunks, config.replay.max_lag_versions or None)
+            whole = config.on_policy.iteration_steps
+            chunks = max(ITERATION_CHUNKS, -(-whole // chunk))
+            return cls(chunks, config.on_policy.max_lag_versions, whole, chunk)
+        return cls(config.replay.intake_chunks, config.replay.max_lag_versions or None, chunk_steps=chunk)

@@ -23,6 +23,7 @@ from common.transitions import Chunk
 from common.transport.bus import Incoming, Server
 from learner.intake.arrival import Arrival, OwedAnswer
 from learner.intake.chunk_rules import ChunkRules, EpisodeTracker, provable
+from learner.intake.iteration_room import IterationRoom
 from learner.intake.ledger import Ledger
 from learner.intake.limits import IntakeLimits
 from learner.intake.peer_penalties import BLOCK_SECONDS, PeerPenalties
@@ -63,8 +64,7 @@ class Receiver:
         server: where chunks arrive.
         gate: lock held while a chunk is booked and queued, so that ledger and queue can be read together.
         required_version: parameter version that a worker must hold before it continues (lockstep), else 0.
-        version: the newest published parameter version; a chunk that claims a newer one counts as this version.
-        room: environment steps that the running iteration still takes in; None where there is no limit.
+        room: the steps that the running iteration still takes in; chunks beyond them wait.
 
     Args:
         server: where chunks arrive.
@@ -92,17 +92,15 @@ class Receiver:
         self.server, self.ledger = server, ledger
         self.malformed = self.replaced = self.uncounted_episodes = 0
         self.peer_penalties, self.throttle = PeerPenalties(), Throttle()
-        self.required_version, self.version = 0, version
+        self.required_version = 0
+        self.gate = threading.Lock()
+        self.room = IterationRoom(limits, version, self.gate)
         self._history = history or History(None)
         self._damaged: dict[str, tuple[int, int, int]] = {}
-        self._most_lag = limits.most_lag
-        self.room: int | None = None
-        self._iteration, self._ahead = -1, 0
         self._team, self._rules, self._lockstep = team, rules, lockstep
         self._episodes = EpisodeTracker(rules)
         self._met: dict[str, int] = {}
         self._closing, self._dealt_with = threading.Event(), threading.Event()
-        self.gate = threading.Lock()
         self._logged = 0
         self._owed: OwedAnswer | None = None
         self._thread = threading.Thread(target=self._run, name="receiver", daemon=True)
@@ -126,33 +124,7 @@ class Receiver:
         """Accept no more chunks; every accepted one is in the queue when this returns."""
         with self.gate:
             self._closing.set()
-
-    def set_version(self, version: int, *, updating: bool = False) -> None:
-        """Set the newest published version, against which the age of chunks is measured; see `take_in`."""
-        with self.gate:
-            self.version, self._ahead = version, int(updating)
-
-    def take_in(self, iteration: int, steps: int, *, updating: bool) -> None:
-        """Take in chunks until an iteration has its steps; later chunks wait. A repeated call changes nothing.
-
-        `updating` says whether another version is published before the steps are learned from.
-        """
-        with self.gate:
-            self._ahead = int(updating)
-            if iteration != self._iteration:
-                self._iteration, self.room = iteration, steps
-
-    @property
-    def wanted(self) -> int | None:
-        """Environment steps of the newest published policy that are still taken in; None where there is no limit."""
-        with self.gate:
-            too_old = self._most_lag is not None and self._ahead > self._most_lag
-            return 0 if too_old and self.room is not None else self.room
-
-    def take_in_all(self) -> None:
-        """Take in chunks without limit."""
-        with self.gate:
-            self.room = None
+        self.room.lift()
 
     def require_version(self, version: int) -> None:
         """Let workers continue only with this version or a later one (lockstep)."""
@@ -287,13 +259,13 @@ class Receiver:
         if not self._await_room():
             return "closed", ""
         with self.gate:
-            sender = replace(sender, version=min(message.version, self.version))
-            lag = self.version + self._ahead - sender.version
+            sender = replace(sender, version=self.room.version_of(message.version))
+            refusal = self.room.refusal(sender.version)
         counts = chunk.rows.steps, message.produced, delivery.flown
-        if self._most_lag is not None and lag > self._most_lag:
+        if refusal:
             self._record_taken("refused", sender, counts, self.ledger.refuse_aged(sender, *counts))
             self._settle(sender, since)
-            return "refused", f"its policy is {lag} versions old, more than {self._most_lag}."
+            return "refused", refusal
         verdict = self._queue(sender, chunk, counts, OwedAnswer(incoming) if self._lockstep else None)
         if verdict == TAKEN:
             self._settle(sender, since)
@@ -305,7 +277,7 @@ class Receiver:
             with self.gate:
                 if self._closing.is_set():
                     return False
-                if self.room is None or self.room > 0:
+                if self.room.is_open():
                     return True
             self._dealt_with.set()
             self._closing.wait(FULL_SECONDS)
@@ -346,13 +318,22 @@ class Receiver:
         return "refused", str(error)[:REASON]
 
     def _answer(self, incoming: Incoming, sender: Envelope, verdicts: list[Verdict]) -> None:
-        """Send the verdicts; a request that achieved nothing first counts against its sender."""
-        version = 0 if verdicts[-1][0] == "refused" else self.required_version
+        """Send the verdicts, or let them wait for room; a request that achieved nothing counts against its sender."""
         names, reasons = zip(*verdicts, strict=True)
-        if not set(names) & WORTH_LOOKING:
+        if not (set(names) & WORTH_LOOKING or self.room.holds(sender.name)):
             self._bad(sender.name, f"chunk {sender.sequence} is a {names[0]}.")
-        room = NO_LIMIT if self.room is None else max(0, self.room)
-        incoming.reply(ChunkAck(names, reasons, self.ledger.expected(sender), version, room).encode())
+        expected = self.ledger.expected(sender)
+        incoming.payload = b""  # the answer may be held back for long
+
+        def reply(version: int, window: int) -> None:
+            incoming.reply(ChunkAck(names, reasons, expected, version, window).encode())
+
+        if self._lockstep:
+            reply(0 if names[-1] == "refused" else self.required_version, NO_LIMIT)
+        elif names[-1] in SETTLED:
+            self.room.answer(sender.name, reply)
+        else:
+            reply(0, self.room.window)
 
     def _record(self, verdict: str, sender: Envelope, steps: int, produced: int = 0, flown: int = 0) -> None:
         """Write a verdict into the history."""
@@ -383,8 +364,7 @@ class Receiver:
                     self.peer_penalties.good(sender.name)
                     self._owed = owed
                     chunk = replace(chunk, episodes=counted)
-                    if self.room is not None:
-                        self.room -= counts[0]
+                    self.room.take(counts[0])
                     self.arrivals.put_nowait(Arrival(chunk, sender, self.ledger.now(), owed))
                     return TAKEN
             self._dealt_with.set()

@@ -1,6 +1,6 @@
 """The actors of all types, and PPO's loss for them (Schulman et al. 2017).
 
-ratio   = pi(a | o) / pi_behaviour(a | o)
+ratio   = pi(a | o) / pi_behaviour(a | o)          see `learner.on_policy.updates` for the decoupled objective
 L_actor = -mean(min(ratio A, clip(ratio, 1 - c, 1 + c) A)) - w_H mean(H(pi(. | o)))
 """
 
@@ -84,7 +84,7 @@ class Policies(nn.Module):
             kind: index of the type.
             observation: [B, n, o].
             action: [B, n, a].
-            log_probability: [B, n] under the behaviour policy.
+            log_probability: [B, n] under the policy that the ratio is taken against.
             advantage: [B, n], normalised.
             entropy_weight: w_H.
         """
@@ -99,6 +99,10 @@ class Policies(nn.Module):
             kl = (ratio - 1.0 - log_ratio).mean()
             clipped = ((ratio - 1.0).abs() > clip).float().mean()
         return ActorLoss(loss, entropy.detach(), kl, clipped)
+
+    def log_probability(self, kind: int, observation: Tensor, action: Tensor) -> Tensor:
+        """Return log pi(a | o) [B, n] of a type's actions [B, n, a] at observations [B, n, o]."""
+        return evaluate(self._team.groups[kind], observation, self.stacks[kind](observation), action).log_probability
 
     def actors(self) -> TeamActors:
         """Return a copy of all actors."""

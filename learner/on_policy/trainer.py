@@ -193,7 +193,7 @@ class OnPolicyTrainer(Trainer):
         if epochs > self._algorithm.epochs or not experience.steps:
             raise CheckpointError("the checkpoint's iteration has impossible epochs.")
         like = torch.zeros(len(experience.rows().flag), self.team.agents)
-        computed = checked_tensors({f"{STATE}{name}": like for name in ("returns", "advantage")}, tensors)
+        computed = checked_tensors({f"{STATE}{name}": like for name in self._updates.computed}, tensors)
         sizes, stopped = state.get("pending"), state.get("stopped")
         places = tensors.get(f"{STATE}pending")
         if not isinstance(sizes, list) or not sizes or not isinstance(stopped, list):

@@ -5,10 +5,13 @@
         for each minibatch: one Adam step of L_actor and of L_value of every type
         a type whose KL divergence exceeds `target_kl` keeps its actors for the rest of the iteration
 
-A chunk's behaviour policy may be some versions older than the actors (`max_lag_versions`). The ratio's denominator is
-the probability under that policy, as the worker sent it. So the surrogate stays an importance-weighted estimate, and
-the clip bounds how far the actors move from the policy that acted, however old it is. Values and advantages are those
-of the present value functions.
+A chunk's behaviour policy may be some versions older than the actors (`max_lag_versions`). Values and advantages are
+those of the present value functions. `objective` says what the ratio's denominator is:
+
+    ppo        pi_behaviour, as the worker sent it. The clip bounds how far the actors move from the policy that acted.
+               Steps of an older policy begin with ratios beyond the clip, so that part of them teaches nothing.
+    decoupled  pi_newest, the actors at the iteration's start (Hilton et al. 2022). Advantages are multiplied by
+               min(pi_newest / pi_behaviour, 2), so steps of an older policy count as much as the others.
 """
 
 from collections.abc import Iterator
@@ -32,6 +35,8 @@ from learner.on_policy.values import make_values
 VALUE_BATCH = 4096
 """Rows whose values are computed at once."""
 EPSILON = 1e-8
+MOST_WEIGHT = 2.0
+"""Largest weight of a step in the decoupled objective; rare actions of an older policy would else drown the others."""
 
 
 class Updates:
@@ -90,7 +95,24 @@ class Updates:
         used = step_rows(rows)
         self._rows["returns"] = torch.from_numpy(gain + value).to(device)
         self._rows["advantage"] = torch.from_numpy(self._normalised(gain, used)).to(device)
+        if config.objective == "decoupled":
+            self._decouple()
         self.diagnostics.begin(value[used], (gain + value)[used])
+
+    @torch.no_grad()
+    def _decouple(self) -> None:
+        """Replace the behaviour policy by the present actors, and weight the advantages."""
+        given = self._rows["observation"], self._rows["action"]
+        pieces = zip(*(torch.split(part, VALUE_BATCH) for part in given), strict=True)
+        newest = torch.cat([self._log_probability(*piece) for piece in pieces])
+        weight = (newest - self._rows["log_probability"]).exp().clamp(max=MOST_WEIGHT)
+        self._rows["log_probability"] = newest
+        self._rows["advantage"] = self._rows["advantage"] * weight
+
+    def _log_probability(self, observation: Tensor, action: Tensor) -> Tensor:
+        """Return log pi(a | o) [B, agents] of rows under the present actors."""
+        own = zip(split(self._team, observation), split_actions(self._team, action), strict=True)
+        return torch.cat([self.policies.log_probability(kind, *pair) for kind, pair in enumerate(own)], dim=1)
 
     def _load(self, rows: Rows) -> None:
         assert rows.log_probability is not None
@@ -190,7 +212,12 @@ class Updates:
 
     def iteration_tensors(self) -> dict[str, Tensor]:
         """Return what a running iteration has computed from its rows, by name."""
-        return {name: self._rows[name] for name in ("returns", "advantage") if name in self._rows}
+        return {name: self._rows[name] for name in self.computed if "returns" in self._rows}
+
+    @property
+    def computed(self) -> tuple[str, ...]:
+        """Names of what an iteration computes from its rows, [R, agents] each."""
+        return ("returns", "advantage", *(("log_probability",) if self._config.objective == "decoupled" else ()))
 
     def resume(self, rows: Rows, tensors: dict[str, Tensor], stopped: list[bool]) -> None:
         """Continue an iteration with what it had computed from its rows."""

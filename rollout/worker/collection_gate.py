@@ -11,13 +11,13 @@ class CollectionGate:
 
     - No parameters have come yet, or the run drains.
     - The spool is full, because the workers produce more than the learner takes in. Nothing is dropped.
-    - The steps in its spool fill the learner's running iteration (on policy). More would be too old when their turn
-      comes.
+    - It has as many steps under way as the learner's window allows (on policy), or its actors are older than the
+      learner's last answer asks for. More would be too old when their turn comes.
     - Its actors are more than `rollout.max_lag_versions` versions behind the learner's.
     - The learner has published nothing for more than `rollout.max_silence_seconds`.
 
-    While the learner is gone, a worker collects until its spool is full, then waits for the learner to come back. In
-    lockstep it waits after every chunk for the answer and for the parameters that the answer requires.
+    While the learner is gone, a worker collects until its spool or the window is full, then waits for the learner to
+    come back. In lockstep it waits after every chunk for the answer and for the parameters that the answer requires.
 
     Args:
         config: the limits.
@@ -32,6 +32,7 @@ class CollectionGate:
     def __init__(self, config: RolloutConfig, learner: LearnerLink, sender: Sender, lockstep: bool) -> None:
         self._config, self._learner, self._sender, self._lockstep = config, learner, sender, lockstep
         self.pause_reason = ""
+        self._epoch = 0
 
     def actors(self) -> TeamActors | None:
         """Return the actors to collect the next chunk with, or None to wait."""
@@ -42,13 +43,16 @@ class CollectionGate:
             answered = sender.spooled == 0
             return store.actors if answered and store.version >= max(1, sender.required_version) else None
         self.pause_reason = self._too_old()
-        return None if self.pause_reason or sender.full or self._fills_iteration() else store.actors
+        return None if self.pause_reason or sender.full or self._awaits_learner() else store.actors
 
-    def _fills_iteration(self) -> bool:
-        """Return whether the steps in the spool fill the learner's running iteration, as far as is known."""
+    def _awaits_learner(self) -> bool:
+        """Return whether the learner lets nothing more be under way, or asks for newer parameters first."""
         learner, sender = self._learner, self._sender
-        room = learner.room if learner.heard_at > sender.answered_at else sender.room
-        return room <= sender.in_flight
+        if learner.epoch != self._epoch:
+            # Versions of another learner; this one may have begun anew below them.
+            self._epoch, sender.required_version = learner.epoch, 0
+        window = learner.window if learner.heard_at > sender.answered_at else sender.window
+        return window <= sender.in_flight or learner.store.version < sender.required_version
 
     def _too_old(self) -> str:
         """Return why the actors are too old to collect with, or an empty text."""

@@ -39,7 +39,7 @@ class LearnerLink:
         state: state of the run: starting, training, draining or finished.
         epoch: the learner's fencing epoch, 0 before the first progress.
         newest_version: newest parameter version that the learner has published.
-        room: environment steps that the learner's running iteration still takes in, from all workers.
+        window: environment steps that a worker may have under way, as the learner last published.
         heard_at: time of the learner's newest progress, by the monotonic clock.
         malformed: messages that were dropped.
     """
@@ -52,7 +52,7 @@ class LearnerLink:
         self.store = PolicyStore(team)
         self.state = "starting"
         self.epoch = self.newest_version = self.malformed = 0
-        self.room = NO_LIMIT
+        self.window = NO_LIMIT
         self.heard_at = time.monotonic()
         self._fence = EpochFence()
         self._ignored: ParametersMessage | None = None
@@ -99,7 +99,7 @@ class LearnerLink:
             if answer is not None and answer.toml != self._toml:
                 raise UsageError(f"run {self._run} has a new learner with another configuration.")
         self.epoch, self.state, self.newest_version = message.epoch, message.state, message.version
-        self.room = message.room
+        self.window = message.window
         self.heard_at = time.monotonic()
         if message.epoch < before:
             self.store.follow_lower_epoch(message.epoch)

@@ -66,8 +66,8 @@ class Sender:
         retries: requests that had to be repeated.
         learner_closed: whether the learner's last answer said that it takes no more chunks.
         replaced: whether a newer start of this worker now delivers. If so, nothing more is sent.
-        required_version: parameter version that the learner asks for before the next chunk (lockstep), else 0.
-        room: environment steps that the running iteration still took in at the newest answer.
+        required_version: parameter version that the learner asks for before the next chunk, 0 for none.
+        window: environment steps that may be under way, by the newest answer.
         answered_at: time of that answer, by the monotonic clock.
         waiting: seconds that requests have waited for their answers.
         untaken: requests in a row that nobody took.
@@ -87,7 +87,7 @@ class Sender:
     ) -> None:
         self.flown = self.produced = self.accepted = self.rejected = self.retries = self.required_version = 0
         self.waiting = self.answered_at = 0.0
-        self.room = NO_LIMIT
+        self.window = NO_LIMIT
         self.untaken = 0
         self.learner_closed = self.replaced = False
         self._bus, self._team, self._capacity, self._patience = bus, team, capacity, patience
@@ -194,7 +194,7 @@ class Sender:
         self.replaced = ack is not None and "replaced" in ack.verdicts
         if ack is None:
             return False
-        self.room, self.answered_at = ack.room, time.monotonic()
+        self.window, self.answered_at = ack.window, time.monotonic()
         settled = [pair for pair in zip(ack.verdicts, ack.reasons, strict=False) if pair[0] in SETTLED]
         for held, (verdict, reason) in zip(batch, settled, strict=False):
             self._settle(held, verdict, reason, ack.required_version)
@@ -229,7 +229,7 @@ class Sender:
         """Record the verdict and remove the oldest chunk."""
         number, steps = held.sequence, held.steps
         with self._changed:
-            # In lockstep the worker collects as soon as the spool is empty, so the version must be known before that.
+            # The worker may collect as soon as the spool is empty, so the version must be known before that.
             self.required_version = required_version
             recorded = {"refused": "refused", "duplicate": "repeated"}.get(verdict, "acknowledged")
             self._history.add(Entry(recorded, self._worker, self._incarnation, number, number, steps))

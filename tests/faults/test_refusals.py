@@ -148,7 +148,7 @@ def test_a_chunk_that_stays_damaged_does_not_hold_up_those_behind_it():
 def test_old_chunks_are_refused_beside_new_ones():
     """The limit of age looks at the version of each chunk, not of the request."""
     receiver, door = front_door(most_lag=5)
-    receiver.version = 10
+    receiver.room.set_version(10)
     answer = door.pass_on(parcel(of(a_chunk(1), 1, 4), of(a_chunk(2), 2, 5))).answer
     assert answer.verdicts == ("refused", "accepted")
     assert [receiver.arrivals.get_nowait().sender.version] == [5]
@@ -250,7 +250,7 @@ def test_whoever_keeps_sending_what_brings_nothing_is_blocked(sent, answer):
 def test_chunks_of_a_policy_that_is_too_old_are_refused_and_counted():
     """Beyond `replay.max_lag_versions` a chunk is refused with the reason; its steps are rejected, and exactly so."""
     receiver, door = front_door(most_lag=5)
-    receiver.version = 10
+    receiver.room.set_version(10)
     assert door.pass_on(parcel(of(a_chunk(1), 1, 4))).verdict == "refused"
     assert "6 versions old" in door.pass_on(parcel(of(a_chunk(2), 2, 4), number=2)).answer.reasons[0]
     totals = receiver.ledger.totals()
@@ -264,7 +264,7 @@ def test_no_limit_of_age_is_the_default():
     """Without the setting a chunk of any version is taken."""
     assert ReplayConfig().max_lag_versions == 0
     receiver, door = front_door()
-    receiver.version = 1_000_000
+    receiver.room.set_version(1_000_000)
     assert door.pass_on(parcel(of(a_chunk(1)))).verdict == "accepted"
     shut(receiver, door)
 

@@ -45,6 +45,9 @@ class OnPolicyConfig(AlgorithmConfig):
     target_kl: float = 0.03
     """KL divergence from the behaviour policy beyond which an iteration's remaining updates of a type's actors are
     skipped; 0 for no limit."""
+    objective: Literal["ppo", "decoupled"] = "ppo"
+    """Whether ratios are taken and clipped against the policy that acted, or against the newest one, with older steps
+    weighted by how likely it is to act as they did (decoupled PPO). The latter learns as well from older chunks."""
     max_lag_versions: int = 1
     """Largest age of a chunk's policy when it is learned from, in parameter versions; 0 is strictly on policy."""
     parameters: Literal["shared", "separate"] = "shared"

@@ -214,7 +214,7 @@ def test_one_chunk_many_times_in_a_delivery_is_taken_once(tmp_path):
 def test_no_chunk_counts_as_newer_than_what_was_published(version):
     """A version from the future would pass every limit of age and spoil the running means."""
     receiver, door = front_door()
-    receiver.version = 7
+    receiver.room.set_version(7)
     assert door.pass_on(parcel(a_chunk({}), version=version)).verdict == "accepted"
     assert receiver.arrivals.get_nowait().sender.version == 7
     shut(receiver, door)

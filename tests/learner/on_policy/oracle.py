@@ -51,6 +51,8 @@ class Agent:
     members: list[nn.Sequential]
     gamma: float
     data: dict[str, Tensor] = field(default_factory=dict)
+    weight: Tensor = field(default_factory=lambda: torch.ones(()))
+    """pi_newest / pi_behaviour of its steps, at most 2."""
 
 
 class Oracle:
@@ -131,12 +133,15 @@ class Oracle:
         used = np.flatnonzero(flag & TRANSITION)
         for agent in self.agents:
             self._prepare(agent, rows, team)
+        if config.objective == "decoupled":
+            for agent in self.agents:
+                self._newest(agent)
         for group in self.team.groups:
             mates = [agent for agent in self.agents if agent.group is group]
             every = torch.cat([agent.data["advantage"][used] for agent in mates])
             for agent in mates:
                 centred = agent.data["advantage"] - every.mean()
-                agent.data["advantage"] = centred / (every.std(correction=0) + 1e-8)
+                agent.data["advantage"] = centred / (every.std(correction=0) + 1e-8) * agent.weight
         share = 1 + (config.rate_end - 1) * progress
         for part, rate in zip(self.adam.param_groups, (config.actor_rate, config.critic_rate), strict=True):
             part["lr"] = rate * share
@@ -166,6 +171,13 @@ class Oracle:
             "advantage": torch.from_numpy(advantage),
             "returns": torch.from_numpy(advantage + value),
         }
+
+    def _newest(self, agent: Agent) -> None:
+        """Take ratios against the present actor."""
+        with torch.no_grad():
+            newest, _ = self.policy(agent, agent.data["own"], agent.data["action"])
+        agent.weight = (newest - agent.data["sent"]).exp().clamp(max=2.0)
+        agent.data["sent"] = newest
 
     def _gae(self, agent: Agent, reward: Any, value: Any, flag: Any) -> Any:
         advantage, last = np.zeros(len(flag), np.float32), 0.0

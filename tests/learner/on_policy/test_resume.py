@@ -15,6 +15,7 @@ from tests.learner.on_policy.small_runs import TEAM, chunk, configured, moved
 from tests.learner.test_trainer import assert_bit_equal
 
 CONFIG = configured("eia-ppo", epochs=3, target_kl=0.02, actor_rate=0.01)
+DECOUPLED = configured("eia-ppo", epochs=3, target_kl=0.02, actor_rate=0.01, objective="decoupled")
 """Iterations of 40 steps with 12 updates; types stop at different epochs."""
 STEPS: tuple[str | int, ...] = ("chunk", "chunk", 1, 1, 1, "chunk", 3, 1, 5, "chunk", 2, 2, 8, "publish", "chunk")
 """Chunks of 20 steps and updates: cuts lie before an iteration is full, inside its updates, and behind them.
@@ -57,6 +58,16 @@ def test_a_run_continues_bit_equal(uncut, tmp_path, cut):
     play(after, STEPS[cut:], cut)
     assert_bit_equal(after, uncut)
     assert after.statistics() == uncut.statistics()
+
+
+def test_a_decoupled_iteration_continues_bit_equal():
+    """The probabilities and weights from its start are in the checkpoint; the actors have changed since."""
+    before, after, whole = (OnPolicyTrainer(DECOUPLED, TEAM) for _ in range(3))
+    play(before, STEPS[:4])
+    after.restore(*before.state())
+    play(after, STEPS[4:], 4)
+    play(whole, STEPS)
+    assert_bit_equal(after, whole)
 
 
 def test_the_steps_hold_what_they_are_for(uncut):

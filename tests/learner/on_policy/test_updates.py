@@ -17,6 +17,7 @@ CASES = {
     "ippo tight clips": ("ippo", {"gradient_clip": 0.01, "clip": 0.02, "target_kl": 0.0}),
     "ippo entropy": ("ippo", {"entropy_start": 0.5, "entropy_end": 0.1, "rate_end": 0.5, "target_kl": 0.0}),
     "ippo stops": ("ippo", {"actor_rate": 0.02, "target_kl": 0.02, "epochs": 4}),
+    "ippo decoupled": ("ippo", {"objective": "decoupled", "target_kl": 0.0}),
     "mappo": ("mappo", {"target_kl": 0.0}),
     "mappo separate": ("mappo", {"parameters": "separate", "credit": "team", "gae_lambda": 0.5}),
     "eia-ppo": ("eia-ppo", {"target_kl": 0.0}),
@@ -126,3 +127,19 @@ def test_statistics_are_those_of_the_last_iteration():
     assert 0.0 <= found["kl/a"] < 0.05
     assert found["entropy/a"] < np.log(6) + 1e-6
     assert (found["iterations"], found["iteration_occupancy"]) == (1.0, 0.0)
+
+
+def test_steps_of_an_older_policy_are_weighted():
+    """Decoupled, an iteration's ratios begin at 1, whoever acted; otherwise many are clipped at once."""
+    config = configured(objective="decoupled", epochs=1, minibatch_steps=40, target_kl=0.0)
+    trainer = OnPolicyTrainer(config, TEAM)
+    behaviour = moved(trainer.actors(), 0.3, np.random.default_rng(0))
+    trainer.absorb(chunk(behaviour, 0, ENDS))
+    trainer.train(1)
+    found = trainer.statistics()
+    assert found["kl/a"] == pytest.approx(0.0, abs=1e-5)
+    assert found["clipped_share/b"] == 0.0
+    plain = OnPolicyTrainer(configured(epochs=1, minibatch_steps=40, target_kl=0.0), TEAM)
+    plain.absorb(chunk(behaviour, 0, ENDS))
+    plain.train(1)
+    assert plain.statistics()["clipped_share/b"] > 0.5

@@ -1,0 +1,214 @@
+"""How many steps workers may fly for the iterations that still learn from them (on policy).
+
+A chunk is refused when its policy is more than L = `max_lag_versions` versions old. So what workers fly beyond the
+steps that their policy still serves is flown for nothing. The newest policy serves the open iteration and, before that
+iteration's updates begin, L more:
+
+    budget = steps + S (L - ahead)        steps: what the open iteration still takes in; S: steps of an iteration;
+                                          ahead: 1 while updates are due, else 0
+
+Every worker that has its answer flies one chunk of c steps. While budget >= 2 c workers, all of them may fly on
+without waiting for answers. Below that, a worker flies its next chunk when its answer has come, and answers are held
+back, first come first served, while the chunks that are being flown fill the budget.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from common.protocol.codec import NO_LIMIT
+from learner.intake.limits import IntakeLimits
+
+REMEMBERED: Final = 2
+"""Versions beyond L after which a worker that has delivered nothing is no longer counted."""
+STALL_SECONDS: Final = 2.0
+STALL_FLIGHTS: Final = 3.0
+"""Time with room in which nobody delivered, s, or as a multiple of the longest recent flight, whichever is longer.
+Those who were to fly have then probably left, and others fly instead."""
+
+Reply = Callable[[int, int], None]
+"""Sends an answer, given the parameter version that its worker must hold, and the steps that it may have under way."""
+Answer = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class _Held:
+    worker: str
+    reply: Reply
+
+
+@dataclass(frozen=True)
+class _Flight:
+    version: int
+    began: float
+
+
+class IterationRoom:
+    """The room of the open iteration, who flies for it, and who waits.
+
+    The receiver's thread asks, and the learner's opens iterations.
+
+    Args:
+        limits: S, c and L.
+        version: the newest published parameter version.
+        gate: the receiver's lock; methods that say so are called with it, all others take it.
+        clock: returns monotonic seconds.
+    """
+
+    def __init__(
+        self, limits: IntakeLimits, version: int, gate: threading.Lock, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._limits, self._version, self._gate, self._clock = limits, version, gate, clock
+        self._steps: int | None = None
+        self._ahead, self._iteration = 0, -1
+        self._flying: dict[str, _Flight] = {}
+        self._held: list[_Held] = []
+        self._seen, self._longest = clock(), 0.0
+
+    def open(self, iteration: int, steps: int, *, updating: bool) -> None:
+        """Let an iteration take in its steps; a repeated call opens nothing again.
+
+        To be called regularly, because it also lets held answers go out.
+
+        Args:
+            iteration: its number.
+            steps: environment steps that it takes in.
+            updating: whether another version is published before the steps are learned from.
+        """
+        with self._gate:
+            self._ahead = int(updating)
+            if iteration != self._iteration:
+                self._iteration, self._steps, self._seen = iteration, steps, self._clock()
+            answers = self._release()
+        _send(answers)
+
+    def set_version(self, version: int, *, updating: bool = False) -> None:
+        """Set the newest published version, against which the age of chunks is measured; see `open`."""
+        with self._gate:
+            self._version, self._ahead, self._seen = version, int(updating), self._clock()
+            kept = (self._limits.most_lag or 0) + REMEMBERED
+            self._flying = {name: flight for name, flight in self._flying.items() if self._age(flight.version) <= kept}
+            answers = self._release()
+        _send(answers)
+
+    def lift(self) -> None:
+        """Take in chunks without limit, and answer everybody."""
+        with self._gate:
+            self._steps = None
+            answers = self._release()
+        _send(answers)
+
+    def answer(self, worker: str, reply: Reply) -> None:
+        """Answer a worker whose chunks are settled, now or when there is room for its next one.
+
+        A worker that asks again while its answer is held back may be ending: it is answered at once, and waits for the
+        next published window.
+        """
+        with self._gate:
+            self._land(worker)
+            others = [held for held in self._held if held.worker != worker]
+            if len(others) < len(self._held):
+                self._held, answers = others, [lambda: reply(0, 0)]
+            elif not others and (self._steps is None or self._free() > 0):
+                oldest = self._version + self._ahead - (self._limits.most_lag or 0)
+                answers = [self._grant(worker, reply, oldest)]
+            else:
+                self._held.append(_Held(worker, reply))
+                answers = []
+            # There may be more room than before, because the worker flies no longer.
+            answers += self._release()
+        _send(answers)
+
+    def holds(self, worker: str) -> bool:
+        """Return whether a worker's answer is held back."""
+        with self._gate:
+            return any(held.worker == worker for held in self._held)
+
+    @property
+    def steps(self) -> int | None:
+        """Environment steps that the open iteration still takes in; None where there is no limit."""
+        with self._gate:
+            return self._steps
+
+    @property
+    def window(self) -> int:
+        """Environment steps that a worker may have under way; NO_LIMIT where nothing limits them."""
+        with self._gate:
+            return self._window()
+
+    def is_open(self) -> bool:
+        """Return whether a chunk may be taken in now; with the gate."""
+        return self._steps is None or self._steps > 0
+
+    def version_of(self, claimed: int) -> int:
+        """Return a chunk's version, at most the newest published one; with the gate."""
+        return min(claimed, self._version)
+
+    def refusal(self, version: int) -> str:
+        """Return why a chunk of this version is too old, or an empty text; with the gate."""
+        age, most = self._age(version), self._limits.most_lag
+        return "" if most is None or age <= most else f"its policy is {age} versions old, more than {most}."
+
+    def take(self, steps: int) -> None:
+        """Note that so many steps were accepted; with the gate."""
+        if self._steps is not None:
+            self._steps -= steps
+
+    def _age(self, version: int) -> int:
+        """Return the age that a chunk taken in now has when it is learned from, in versions."""
+        return self._version + self._ahead - version
+
+    def _budget(self) -> int:
+        """Return the environment steps of the newest policy that are still learned from."""
+        more = (self._limits.most_lag or 0) - self._ahead
+        return 0 if more < 0 else max(0, self._steps or 0) + more * self._limits.iteration_steps
+
+    def _flyers(self) -> int:
+        """Return the number of workers that fly a chunk which is not too old by now."""
+        return sum(self._age(flight.version) <= (self._limits.most_lag or 0) for flight in self._flying.values())
+
+    def _land(self, worker: str) -> None:
+        """Note that a worker flies no longer."""
+        self._seen = self._clock()
+        if (flight := self._flying.pop(worker, None)) is not None:
+            self._longest = max(0.9 * self._longest, self._seen - flight.began)
+
+    def _free(self) -> int:
+        """Return the steps of the budget that nobody flies for."""
+        return self._budget() - self._flyers() * self._limits.chunk_steps
+
+    def _window(self) -> int:
+        if self._steps is None:
+            return NO_LIMIT
+        budget, chunk = self._budget(), self._limits.chunk_steps
+        workers = len(self._flying) + len(self._held)
+        roomy = workers > 0 and budget >= 2 * chunk * workers
+        return budget // workers - chunk if roomy else min(1, budget)
+
+    def _release(self) -> list[Answer]:
+        """Return the held answers that may go out now."""
+        found = []
+        patience = max(STALL_SECONDS, STALL_FLIGHTS * self._longest)
+        if self._held and self._budget() > 0 and self._clock() - self._seen > patience:
+            self._flying.clear()
+        while self._held and (self._steps is None or self._free() > 0):
+            held = self._held.pop(0)
+            # The newest parameters may still be on their way, and what is flown with older ones may come too late.
+            found.append(self._grant(held.worker, held.reply, self._version))
+        return found
+
+    def _grant(self, worker: str, reply: Reply, required: int) -> Answer:
+        if self._steps is None:
+            return lambda: reply(0, NO_LIMIT)
+        self._seen = self._clock()
+        self._flying[worker] = _Flight(self._version, self._seen)
+        window = self._window()
+        return lambda: reply(max(0, required), window)
+
+
+def _send(answers: Iterable[Answer]) -> None:
+    """Send answers, without the gate."""
+    for answer in answers:
+        answer()

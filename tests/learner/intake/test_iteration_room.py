@@ -1,0 +1,179 @@
+"""Who may fly for an iteration: nothing is flown that is learned from too late, and nobody waits for good."""
+
+import threading
+
+import pytest
+
+from common.protocol.codec import NO_LIMIT
+from learner.intake.iteration_room import STALL_SECONDS, IterationRoom
+from learner.intake.limits import IntakeLimits
+from tests.learner.intake.simulated_workers import Simulation
+
+
+class Field:
+    """Workers that fly one chunk after each answer, and a learner that opens iterations; no time passes by itself."""
+
+    def __init__(self, *, workers: int, chunk: int, iteration: int, most_lag: int = 1) -> None:
+        self.now, self.version, self.iteration, self.size = 0.0, 1, 0, iteration
+        self.gate = threading.Lock()
+        limits = IntakeLimits(64, most_lag, iteration, chunk)
+        self.room = IterationRoom(limits, self.version, self.gate, lambda: self.now)
+        self.chunk = chunk
+        self.answers: dict[str, tuple[int, int]] = {}
+        self.room.open(0, iteration, updating=False)
+        self.names = [str(index) for index in range(workers)]
+
+    def land(self, worker: str) -> bool:
+        """Deliver a worker's chunk; return whether it may fly the next one."""
+        self.answers.pop(worker, None)
+        with self.gate:
+            self.room.take(self.chunk)
+        self.room.answer(worker, lambda version, window: self.answers.__setitem__(worker, (version, window)))
+        return worker in self.answers
+
+    def fill(self) -> None:
+        """Begin the updates of the open iteration, and open the next."""
+        self.iteration += 1
+        self.room.open(self.iteration, self.size, updating=True)
+
+    def publish(self, *, updating: bool = False) -> None:
+        """Publish the version that the updates have made."""
+        self.version += 1
+        self.room.set_version(self.version, updating=updating)
+
+
+def test_while_updates_run_workers_fly_what_the_next_iteration_takes():
+    """Four workers with chunks of half an iteration: two fly at a time, first come first served, and all fit."""
+    field = Field(workers=4, chunk=500, iteration=1000)
+    field.iteration = 1
+    field.room.open(1, 0, updating=True)
+    assert not any(field.land(worker) for worker in "0123")
+    for waiting in ("01", "23", "01"):
+        field.publish(updating=True)
+        field.fill()
+        assert field.answers == {worker: (field.version, 1) for worker in waiting}
+        assert [field.land(worker) for worker in waiting] == [False, False]
+        assert field.room.steps == 0
+
+
+def test_many_workers_with_few_steps_fly_on_without_waiting():
+    """With room for two chunks of each, answers give a window of a chunk or more, and nobody is held."""
+    field = Field(workers=16, chunk=25, iteration=1000)
+    assert all(field.land(worker) for worker in field.names)
+    assert all(window >= 25 for _, window in field.answers.values())
+    assert field.room.window >= 25
+
+
+def test_before_updates_begin_an_iteration_more_may_be_flown():
+    """What does not fit into the open iteration enters the next one, a version old."""
+    field = Field(workers=3, chunk=1000, iteration=1000)
+    assert [field.land(worker) for worker in field.names[:2]] == [True, False]
+    assert field.room.steps == -1000
+
+
+def test_strictly_on_policy_nobody_flies_during_updates():
+    """With L = 0 answers wait for the version that the updates make, and ask for it."""
+    field = Field(workers=2, chunk=100, iteration=1000, most_lag=0)
+    assert field.land("0")
+    field.fill()
+    assert field.room.window == 0
+    assert not field.land("0")
+    field.publish()
+    assert field.answers["0"][0] == 2
+
+
+@pytest.mark.parametrize("most_lag", [0, 1, 3])
+def test_an_answer_asks_for_a_version_that_is_still_learned_from(most_lag):
+    """A worker that is answered at once may fly with the oldest version that is not refused."""
+    field = Field(workers=1, chunk=100, iteration=1000, most_lag=most_lag)
+    field.version = 6
+    field.room.set_version(6)
+    field.land("0")
+    (required, _) = field.answers["0"]
+    with field.gate:
+        assert field.room.refusal(required) == ""
+        assert field.room.refusal(required - 1) != ""
+
+
+def test_a_worker_that_left_counts_until_its_chunk_would_be_too_old():
+    """Whoever waits behind it flies with the next but one version at the latest."""
+    field = Field(workers=2, chunk=500, iteration=1000)
+    field.fill()
+    assert field.land("left")
+    field.room.open(1, 500, updating=True)
+    assert not field.land("0")
+    field.publish(updating=True)
+    assert not field.answers.get("0")
+    field.iteration, field.size = 1, 500
+    field.fill()
+    assert field.answers["0"] == (2, 1)
+
+
+def test_after_a_silence_nobody_is_waited_for():
+    """When those who may fly deliver nothing for a while, the others fly instead."""
+    field = Field(workers=3, chunk=2000, iteration=1000)
+    assert field.land("left")
+    field.room.open(1, 1000, updating=True)
+    field.publish()
+    assert not field.land("0")
+    field.publish(updating=True)
+    field.iteration = 1
+    field.fill()
+    assert field.answers.pop("0")
+    field.room.open(field.iteration, 1000, updating=True)
+    field.room.answer("1", lambda version, window: field.answers.__setitem__("1", (version, window)))
+    for seconds, answered in ((0.0, False), (STALL_SECONDS - 0.1, False), (0.2, True)):
+        field.now += seconds
+        field.room.open(field.iteration, 1000, updating=True)
+        assert ("1" in field.answers) == answered
+
+
+def test_a_copy_of_a_held_request_is_answered_without_leave_to_fly():
+    """A worker that ends asks again soon; its first request stays unanswered."""
+    field = Field(workers=1, chunk=1000, iteration=1000, most_lag=0)
+    assert not field.land("0")
+    found = []
+    field.room.answer("0", lambda version, window: found.append((version, window)))
+    assert found == [(0, 0)]
+    assert not field.room.holds("0")
+
+
+def test_without_iterations_nothing_is_limited():
+    """A learner that takes in all the time, or that drains, answers everybody with NO_LIMIT."""
+    field = Field(workers=2, chunk=1000, iteration=1000, most_lag=0)
+    assert not field.land("0")
+    field.room.lift()
+    assert field.answers == {"0": (0, NO_LIMIT)}
+    assert field.land("1")
+    assert field.room.window == NO_LIMIT
+
+
+@pytest.mark.parametrize(
+    ("workers", "chunk", "iteration", "flight", "update"),
+    [
+        (1, 25, 1000, 0.5, 0.1),
+        (16, 25, 1000, 0.5, 0.1),
+        (32, 25, 1000, 0.5, 0.1),
+        (32, 25, 1000, 0.5, 1.0),
+        (100, 25, 1000, 0.5, 2.0),
+        (1, 8000, 16_000, 0.25, 1.0),
+        (2, 8000, 16_000, 0.25, 1.0),
+        (4, 8000, 16_000, 0.25, 1.0),
+        (4, 8000, 16_000, 2.0, 5.0),
+        (16, 8000, 16_000, 0.5, 1.0),
+    ],
+)
+def test_nothing_is_flown_for_nothing_and_nobody_waits_longer_than_he_must(workers, chunk, iteration, flight, update):
+    """After the first seconds no chunk comes too late, and workers or the learner are busy all the time."""
+    run = Simulation(workers, chunk, iteration, flight, update)
+    run.run(20.0 * max(flight, update))
+    run.refused = 0
+    rate = run.run(300.0)
+    assert run.refused == 0
+    assert rate >= 0.95 * min(workers * chunk / flight, iteration / update)
+
+
+def test_a_worker_that_leaves_stops_nobody():
+    """With leave to fly for half of an iteration it never comes again; the others go on at their rate."""
+    run = Simulation(3, 8000, 16_000, 0.5, 1.0, gone=1)
+    assert run.run(60.0) >= 0.9 * 16_000

@@ -1,0 +1,57 @@
+"""When a worker collects its next chunk on policy: its window, the version that it needs, and another learner."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from common.config import RolloutConfig
+from common.protocol.codec import NO_LIMIT
+from rollout.worker.collection_gate import CollectionGate
+
+
+def worker(**changed):
+    """Return the gate of a worker that may collect, with what it looks at."""
+    store = SimpleNamespace(actors="actors", version=5, epoch=1)
+    learner = SimpleNamespace(
+        store=store, state="training", epoch=1, window=NO_LIMIT, heard_at=1.0, newest_version=5, silence=0.0
+    )
+    sender = SimpleNamespace(window=NO_LIMIT, answered_at=2.0, in_flight=0, full=False, required_version=0, spooled=0)
+    for name, value in changed.items():
+        part, _, field = name.partition("_")
+        setattr({"store": store, "learner": learner, "sender": sender}[part], field, value)
+    gate = CollectionGate(RolloutConfig(), learner, sender, lockstep=False)  # type: ignore[arg-type]  # plain values
+    gate._epoch = 1
+    return gate, learner, sender
+
+
+@pytest.mark.parametrize(("window", "under_way", "free"), [(1, 0, True), (1, 25, False), (50, 25, True), (0, 0, False)])
+def test_a_worker_keeps_to_its_window(window, under_way, free):
+    """With as many steps under way as the newest answer allows it waits."""
+    gate, _, _ = worker(sender_window=window, sender_in_flight=under_way)
+    assert (gate.actors() is not None) == free
+
+
+def test_the_newest_word_counts():
+    """A window that was published after the last answer replaces the answer's."""
+    gate, learner, _ = worker(sender_window=0, learner_window=1)
+    assert gate.actors() is None
+    learner.heard_at = 3.0
+    assert gate.actors() == "actors"
+
+
+def test_a_worker_waits_for_the_version_that_the_answer_asks_for():
+    """It collects as soon as these parameters have come."""
+    gate, learner, _ = worker(sender_required_version=6)
+    assert gate.actors() is None
+    learner.store.version = 6
+    assert gate.actors() == "actors"
+
+
+def test_another_learner_may_have_lower_versions():
+    """What the learner before it asked for no longer counts."""
+    gate, learner, sender = worker(sender_required_version=900)
+    assert gate.actors() is None
+    learner.epoch = 2
+    assert gate.actors() == "actors"
+    sender.required_version = 7
+    assert gate.actors() is None
