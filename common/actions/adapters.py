@@ -12,7 +12,7 @@ allowed actions.
 import math
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
@@ -187,16 +187,24 @@ class NineMoves:
     """The output is the index of one of nine moves: one step back, none or one step on along x and along y.
 
     It becomes the two numbers with which `Lattice` selects the neighbour.
+
+    Attributes:
+        suggestion: index of the first of nine numbers of the observation that mark the move which the environment
+            suggests; -1 if it suggests none. Fresh policies favour that move.
     """
 
     kind: ClassVar[str] = "nine moves"
     formula: ClassVar[str] = "a = (floor(a[0] / 3) - 1, a[0] mod 3 - 1)"
     options: ClassVar[int] = 9
 
+    suggestion: int = -1
+
     def require(self, observation_size: int, action_size: int) -> None:
-        """Raise ConfigError unless the action is one index."""
+        """Raise ConfigError unless the action is one index and observations hold the suggestion."""
         if action_size != 1:
             raise ConfigError("nine moves are chosen by one index.")
+        if self.suggestion != -1 and not 0 <= self.suggestion <= observation_size - self.options:
+            raise ConfigError("the observation is too short for the suggested move.")
 
     def output_size(self, action_size: int) -> int:
         """Return 2."""
@@ -305,8 +313,9 @@ def adapter_from_dict(data: Any) -> ActionAdapter:
     if not isinstance(data, Mapping) or (kind := ADAPTERS.get(str(data.get("kind")))) is None:
         raise ConfigError("the description of an action adapter names an unknown kind.")
     wanted = {field.name: int if field.type is int else float for field in fields(kind)}
+    needed = {field.name for field in fields(kind) if field.default is MISSING}
     values = {name: value for name, value in data.items() if name != "kind"}
-    if values.keys() != wanted.keys():
+    if not needed <= values.keys() <= wanted.keys():
         raise ConfigError(f"a {kind.kind} takes {', '.join(wanted) or 'no values'}.")
     for name, value in values.items():
         if type(value) is not wanted[name] and not (wanted[name] is float and type(value) is int):

@@ -72,6 +72,7 @@ def added_table() -> str:
         fields=True,
         coarse=True,
         phases=True,
+        route=True,
         service=True,
     )
     plain, lines = observation_parts(farm), ["| agents | observation | numbers | from | to | meaning |"]

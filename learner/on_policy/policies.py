@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from common.actors import Head, TeamActors, actor_outputs
 from common.config import OnPolicyConfig
+from common.errors import ConfigError
 from common.team import Float32, GroupSpec, TeamSpec
 from learner.on_policy.distributions import evaluate
 from learner.on_policy.networks import Stack
@@ -20,6 +21,8 @@ HEAD: Head = "gaussian"
 """Head of types with continuous actions."""
 FAVOUR = 2.5
 """Logit of a resting option in a fresh policy; all others have about 0."""
+FOLLOW = 4.0
+"""Logit of a suggested option in a fresh policy, which then follows the suggestion seven times in eight (of nine)."""
 LAST_GAIN = 0.01
 """Gain of the actors' last layer, so that a fresh policy is nearly uniform."""
 
@@ -67,6 +70,8 @@ class Policies(nn.Module):
             if (option := getattr(adapter, "resting", None)) is not None:
                 with torch.no_grad():
                     stack.layers[-1][:, option] = FAVOUR
+            if (first := getattr(adapter, "suggestion", -1)) >= 0:
+                favour_suggestion(stack, first, group.choices[0])
         return stack
 
     def loss(
@@ -108,6 +113,31 @@ class Policies(nn.Module):
         """Replace the actors' parameters, [n_v or 1, P_v] for each type."""
         for stack, parameters in zip(self.stacks, flat, strict=True):
             stack.load(parameters)
+
+
+@torch.no_grad()
+def favour_suggestion(stack: Stack, first: int, options: int) -> None:
+    """Let fresh networks favour the option that their input marks with 1.
+
+    A unit of each hidden layer for each option hands the mark on, and gives the option a logit of about FOLLOW.
+
+    Args:
+        stack: the networks.
+        first: index of the first of the marks in an input.
+        options: number of marks, and of outputs.
+
+    Raises:
+        ConfigError: the hidden layers are too narrow.
+    """
+    w1, b1, w2, b2, w3, _ = stack.layers
+    if w1.shape[2] < options:
+        raise ConfigError(f"algorithm.hidden must be at least {options} where the environment suggests a move.")
+    eye = torch.eye(options)
+    w1[:, :, :options], w2[:, :, :options], w3[:, :options] = 0.0, 0.0, 0.0
+    b1[:, :options], b2[:, :options] = 0.0, 0.0
+    w1[:, first : first + options, :options] = eye
+    w2[:, :options, :options] = eye
+    w3[:, :options, :options] = FOLLOW * eye
 
 
 def initialisation_names(

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.team import Float32
-from rollout.heuristics.steering import Array, keep_apart, loiter, loiter_speed, towards
+from rollout.heuristics.steering import keep_apart, loiter, loiter_speed, towards
 from rollout.sim.batch import FarmBatch
+from rollout.sim.boxes import Array
 from rollout.sim.layout import Layout
 
 RELAYS: Final = 0

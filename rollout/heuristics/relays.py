@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 
 from common.config import WorldConfig
 from rollout.heuristics.composite import FarmState
-from rollout.heuristics.steering import Array
+from rollout.sim.boxes import Array
 from rollout.sim.kernel.constants import LEAST_LINK, RelayConstants, constants
 from rollout.sim.layout import cell_counts
 

@@ -21,6 +21,7 @@ from rollout.sim.kernel.arrays import REWARD_PARTS, make_scratch
 from rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_workspace
 from rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
 from rollout.sim.layout import Layout, make_layout
+from rollout.sim.sweep_routes import assigned_routes, sweep_routes
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
 
@@ -84,6 +85,7 @@ class FarmBatch:
         self._arguments = [PackedArguments(shared._replace(scratch=scratch)) for scratch in scratches]
         borders = [environments * k // len(self._arguments) for k in range(len(self._arguments) + 1)]
         self._shares = list(itertools.pairwise(borders))
+        self._routes = sweep_routes(config) if config.observation.route else []
         self._pool = ThreadPoolExecutor(len(self._arguments) - 1, "farms") if len(self._arguments) > 1 else None
         self._constants, self._state, self._action = shared.constants, shared.state, shared.action
         self._seeds: list[tuple[int, int]] = [(-1, -1)] * environments
@@ -160,6 +162,9 @@ class FarmBatch:
         level_due = np.where(layout.plot_phase > 0, layout.plot_phase, self._constants.camera.cycle)
         state.level_due[e] = np.minimum(level_due, NEVER)
         state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
+        if self._routes:
+            monitors = self.team.agent_slices()[1]
+            state.sweep[e] = assigned_routes(self._routes, state.position[e, monitors], world)
         for array in (state.reward, state.parts, state.energy, state.utility, state.served, state.returns, state.sums):
             array[e] = 0.0
         for visits in (state.plot_visit, state.sensor_visit, state.hindsight):

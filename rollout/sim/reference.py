@@ -15,6 +15,7 @@ from common.config import EnergyConfig, FarmConfig, RadioConfig, RewardConfig
 from common.team import Float32
 from rollout.sim.batch import packet_key, start_levels, start_positions
 from rollout.sim.layout import Layout
+from rollout.sim.reference_routes import first_sweep
 from rollout.sim.reference_views import observe
 
 Array = NDArray[np.float64]
@@ -134,6 +135,7 @@ class ReferenceFarm:
         chance: [S] 1 - PLR of each sensor's packet in the last step.
         energy: [n] J; utility: [n]; parts: [n, K]; reward: [n]; all of the last step.
         observation: [O] float32.
+        sweep: [n_m, 2] sweep route of each monitoring UAV and the box on it that comes next, if seen.
         time: steps done.
     """
 
@@ -153,6 +155,7 @@ class ReferenceFarm:
         self.chance = np.zeros(world.sensors)
         self.energy, self.utility, self.reward = np.zeros(world.uavs), np.zeros(world.uavs), np.zeros(world.uavs)
         self.parts = np.zeros((world.uavs, 7))
+        self.sweep = first_sweep(self)
         self.crowded, self.outside = np.zeros(world.uavs, bool), np.zeros(world.uavs, bool)
         self._assign()
         self._look()

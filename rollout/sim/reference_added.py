@@ -19,6 +19,7 @@ from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, fiel
 from rollout.sim.kernel.views.fields import FLOOR, SCALE
 from rollout.sim.kernel.views.units import MOST
 from rollout.sim.reference_axes import place_of, signs_of
+from rollout.sim.reference_routes import route_view
 
 if TYPE_CHECKING:
     from rollout.sim.reference import ReferenceFarm
@@ -39,6 +40,7 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
         parts += [_fields(farm, u)] if seen.fields else []
         parts += [_maps(farm, u, signs)] if seen.coarse else []
     parts += [_phases(farm, u)] if seen.phases else []
+    parts += [route_view(farm, u, signs, places(farm, u))] if seen.route and kind == 1 else []
     parts += [_service(farm, u, signs)] if seen.service and kind == 0 else []
     return np.concatenate(parts)
 

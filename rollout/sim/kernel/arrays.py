@@ -37,6 +37,7 @@ class State(NamedTuple):
         age_due: [E, S] step at which AoI rises next.
         level: [E, n_px, n_py] VDF.
         level_due: [E, n_px, n_py] step at which VDF rises next.
+        sweep: [E, n_m, 2] sweep route of each monitoring UAV and the box on it that comes next, see `views.routes`.
         observation: [E, O] observations.
         reward: [E, n] reward of the last step.
         parts: [E, n, K] reward parts of the last step.
@@ -73,6 +74,7 @@ class State(NamedTuple):
     age_due: Int32
     level: Array
     level_due: Int32
+    sweep: Int32
     observation: Float32
     reward: Float32
     parts: Array
@@ -112,6 +114,7 @@ class Farm(NamedTuple):
     age_due: Int32
     level: Array
     level_due: Int32
+    sweep: Int32
     observation: Float32
     reward: Float32
     parts: Array
@@ -231,6 +234,7 @@ def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
         age_due=np.zeros((count, sensors), np.int32),
         level=np.zeros((count, *plots)),
         level_due=np.zeros((count, *plots), np.int32),
+        sweep=np.zeros((count, world.monitoring_uavs, 2), np.int32),
         observation=np.zeros((count, team.observation_size), np.float32),
         reward=np.zeros((count, uavs), np.float32),
         parts=np.zeros((count, uavs, len(REWARD_PARTS))),

@@ -62,6 +62,7 @@ def _farm(state: State, e: int) -> Farm:
         age_due=state.age_due[e],
         level=state.level[e],
         level_due=state.level_due[e],
+        sweep=state.sweep[e],
         observation=state.observation[e],
         reward=state.reward[e],
         parts=state.parts[e],

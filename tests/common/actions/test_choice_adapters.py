@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.actions.adapters import Headings, MirroredAxes, NineMoves
+from common.actions.adapters import Headings, MirroredAxes, NineMoves, adapter_from_dict, adapter_to_dict
 from common.actors import TeamActors
 from common.config import ControlConfig, FarmConfig, ObservationConfig
 from common.errors import ConfigError, SchemaError
@@ -24,6 +24,15 @@ def test_nine_moves_are_all_pairs_of_steps():
     """Index 3 (x + 1) + y + 1 is the step (x, y)."""
     steps = NineMoves().adapt(np.zeros((9, 2), np.float32), np.arange(9, dtype=np.float32)[:, None])
     assert steps.tolist() == [list(pair) for pair in itertools.product((-1.0, 0.0, 1.0), repeat=2)]
+
+
+def test_nine_moves_of_older_files_suggest_none():
+    """Files that were written before moves could be suggested still load; a suggestion must lie in the observation."""
+    assert adapter_from_dict({"kind": "nine moves"}) == NineMoves()
+    assert adapter_from_dict(adapter_to_dict(NineMoves(7))) == NineMoves(7)
+    GroupSpec("a", 1, 16, 1, (NineMoves(7),), (9,))
+    with pytest.raises(ConfigError, match="too short for the suggested move"):
+        GroupSpec("a", 1, 15, 1, (NineMoves(7),), (9,))
 
 
 @given(x=PLACES, y=PLACES)

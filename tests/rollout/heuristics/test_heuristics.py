@@ -9,20 +9,19 @@ from rollout.heuristics import greedy, hungarian
 from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
 from rollout.heuristics.greedy import best_targets
 from rollout.heuristics.hungarian import HungarianGroupPolicy, chain_value
-from rollout.heuristics.lawnmower import INSET, collection_routes, monitoring_routes, round_steps
+from rollout.heuristics.lawnmower import INSET, collection_routes
 from rollout.heuristics.registry import HEURISTICS, TASKS
 from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centres, total_service
-from rollout.heuristics.sites import (
-    plot_centres,
-    steps_between,
-)
+from rollout.heuristics.sites import steps_between
 from rollout.heuristics.static import StaticPolicy
-from rollout.heuristics.steering import aim, inside, keep_apart, loiter_speed, reach, steps_to, towards
+from rollout.heuristics.steering import keep_apart, loiter_speed, towards
 from rollout.heuristics.tour import grouped_tours, plot_tours, short_tour, tries
 from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
+from rollout.sim.boxes import aim, inside, reach, steps_to
 from rollout.sim.kernel.constants import constants
 from rollout.sim.layout import cell_counts
+from rollout.sim.sweep_routes import plot_centres, round_steps, sweep_routes
 from tests.rollout.heuristics.small_farm import SMALL
 
 WORLD = SMALL.world
@@ -187,7 +186,7 @@ def test_who_waits_flies_at_the_cheapest_speed():
 def test_lawnmower_sweeps_every_plot_once(uavs):
     """All monitors together pass every plot once in a lap, one per step inside a lane of two."""
     config = FarmConfig(world=WorldConfig(monitoring_uavs=uavs))
-    routes = monitoring_routes(config)
+    routes = sweep_routes(config)
     assert len(routes) == uavs
     visited = np.concatenate([(route.mean(axis=0) // 20.0) @ (20, 1) for route in routes])
     np.testing.assert_array_equal(np.sort(visited), np.arange(400))

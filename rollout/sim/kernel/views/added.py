@@ -7,11 +7,13 @@ from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Constants
 from rollout.sim.kernel.spatial.neighbours import cell_of
+from rollout.sim.kernel.spatial.tallies import total
 from rollout.sim.kernel.views.constants import ViewConstants
 from rollout.sim.kernel.views.fields import put_field, share_points, weigh_points
 from rollout.sim.kernel.views.maps import put_cells, put_plots
 from rollout.sim.kernel.views.peers import find_near, put_peers, put_risk
 from rollout.sim.kernel.views.places import find_places
+from rollout.sim.kernel.views.routes import put_route
 from rollout.sim.kernel.views.service import put_service
 from rollout.sim.kernel.views.units import plan_images, plan_packets, put_units
 
@@ -134,6 +136,23 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
     if view.phases:
         seen[at] = farm.step % camera.cycle / camera.cycle
         at = _put_left(fleet.steps - farm.step, seen, at + 1)
+    if view.route:
+        at = put_route(
+            farm.sweep[u - fleet.relays],
+            view.route_box,
+            view.route_plot,
+            view.route_start,
+            farm.level,
+            total(farm.level_above) > 0.0,
+            position[u, 0],
+            position[u, 1],
+            sx,
+            sy,
+            v.go_x[u],
+            v.go_y[u],
+            seen,
+            at,
+        )
     return at
 
 
