@@ -100,7 +100,8 @@ def _group(farm: FarmConfig, name: str, count: int, observation_size: int, contr
         moves = NineMoves(_suggestion(farm, name, count, observation_size))
         return GroupSpec(name, count, observation_size, 1, (moves, *adapters), (NineMoves.options,))
     if control == "headings":
-        return GroupSpec(name, count, observation_size, 1, (Headings(*HEADING_SPEEDS), *adapters), (Headings.options,))
+        headings = Headings(*HEADING_SPEEDS, farm.world.reach[0])
+        return GroupSpec(name, count, observation_size, 1, (headings, *adapters), (Headings.options,))
     return GroupSpec(name, count, observation_size, 2, adapters)
 
 
