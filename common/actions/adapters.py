@@ -229,7 +229,7 @@ class Headings:
     """The output is the index of a velocity: idle, or one of eight headings at one of three speeds.
 
     Index 0 is idle: the agent flies slowly back and forth along x, where the printed flight power is far below that of
-    hovering. Its place alone says which way: on from even cells and back from odd ones, each as wide as its way in a step.
+    hovering. Its place says which way: on from even cells and back from odd ones, each as wide as its way in a step.
     Index 1 + 8 k + j is the speed k (slow, medium, fast) on the heading j times 45 degrees.
 
     Attributes:

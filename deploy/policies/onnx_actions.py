@@ -171,9 +171,9 @@ def _headings(adapter: ActionAdapter) -> tuple[tuple[Node, ...], Numbers]:
     assert isinstance(adapter, Headings)
     one, idle = np.float32(1), np.array([[adapter.idle, 0.0]], np.float32)
     scalars = {"one": 1.0, "zero": 0.0, "half": 0.5, "two": 2.0}
+    scalars |= {"way": float(adapter.way), "high": float(one - adapter.way), "low": float(adapter.way - one)}
     return HEADINGS, {
         **{name: np.array(value, np.float32) for name, value in scalars.items()},
-        **{"way": adapter.way, "high": one - adapter.way, "low": adapter.way - one},
         **{"minus idle": -idle, "plus idle": idle},
         **_bounds(slice(0, 1)),
         "velocities": adapter.velocities(),
