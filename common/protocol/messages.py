@@ -46,7 +46,8 @@ class ChunkMessage(Message):
         team: digest of the team layout.
         version: parameter version of the actors that produced the rows.
         produced: environment steps that this incarnation has produced, this chunk included.
-        observation, action, reward, flag, log_probability: the rows, see `common.transitions.Rows`; [R, 0] for None.
+        observation, action, reward, flag: the rows, see `common.transitions.Rows`.
+        log_probability, state: likewise, where the rows have them; else [R, 0] and left out.
         farm, episode, steps: [K] int64, farm seed, episode seed and length of each finished episode.
         episode_reward: [K, agents] float32.
         episode_metrics: [K, F] float64, the environment's episode metrics.
@@ -68,6 +69,7 @@ class ChunkMessage(Message):
     episode_reward: Float32
     episode_metrics: NDArray[np.float64]
     metric_names: tuple[str, ...]
+    state: Float32 | None = None
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,7 @@ class ParametersMessage(Message):
         hidden: width of the hidden layers.
         head: kind of the last layer, deterministic or gaussian.
         flat: for each type, [n_v, P_v] float32, see `common.actors`.
+        memory: kind of memory, see `common.gru`; left out for actors without memory.
     """
 
     KIND = 4
@@ -117,6 +120,7 @@ class ParametersMessage(Message):
     hidden: int
     head: str
     flat: tuple[Float32, ...]
+    memory: str | None = None
 
 
 @dataclass(frozen=True)
@@ -187,8 +191,7 @@ class EvaluationOrder(Message):
         epoch: the learner's fencing epoch.
         event: number of the imitation event that needs them.
         version: lowest parameter version with which the worker may fly them.
-        farms: farm seeds, one for each episode.
-        episodes: episode seeds, in the same order.
+        farms, episodes: farm and episode seeds, one of both for each episode.
     """
 
     KIND = 9
@@ -258,8 +261,7 @@ class MetricMessage(Message):
 
     Attributes:
         counter: grows by one with each message, so gaps show.
-        host: the machine's name.
-        pid: process id.
+        host, pid: the machine's name, and the process id.
         uptime: seconds since the process started.
         values: metrics by name, see `common.protocol.metrics`; numbers, strings, and lists and maps of them.
     """
@@ -297,8 +299,7 @@ class SetpointMessage(Message):
         velocity: along x and y of the field, m/s; zeros command hover.
         hover: whether the watchdog commands hover; the velocity is then zero.
         reason: why the watchdog commands hover, or empty.
-        answers: sequence number of the observation behind the decision; 0 with hover.
-        stamp: that observation's stamp; 0 with hover.
+        answers, stamp: sequence number and stamp of the observation behind the decision; 0 with hover.
         period: number of the flight node's period, counted from 1.
         latency: seconds from receiving the observation to sending this message; 0 with hover.
     """
@@ -351,8 +352,7 @@ class ViewMessage(Message):
     """Consecutive steps of one of a worker's farms, one frame each; checked by `common.protocol.view_checks`.
 
     Attributes:
-        farm: the farm's seed.
-        episode: the episode's seed.
+        farm, episode: seeds of the farm and of the episode.
         first: step of the first frame.
         skipped: steps of this farm, flown while somebody watched, that were not published.
         noise_std: standard deviation of the exploration noise.
