@@ -191,7 +191,9 @@ class Pilot:
             raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}.")
         # An incarnation that is invented or from a fast clock locks nobody out for longer than `age`.
         waited = message.stamp > held.stamp + self._limits.age * 1e6
-        if (sender.incarnation, sender.sequence) <= held.mark and not waited:
+        mark = sender.incarnation, sender.sequence
+        repeated = mark == held.mark and message.stamp > held.stamp
+        if mark <= held.mark and not (waited or repeated):
             raise ProtocolError(f"observation {sender.sequence} is not newer than {held.mark[1]}.")
         if message.agent != self._names[held.agent]:
             raise SchemaError(f"it is for agent {message.agent[:64]!r}, not {self._names[held.agent]}.")

@@ -85,7 +85,7 @@ def _next_state(asked: Tensor, state: Tensor, u: Tensor, c: Tensor) -> Tensor:
     width = state.shape[2]
     known = torch.baddbmm(c[:, None], state.to(u.dtype), u).float()
     (asked_gates, asked_candidate), (known_gates, known_candidate) = (
-        part.split([2 * width, width], dim=2) for part in (asked, known)
+        torch.split(part, [2 * width, width], dim=2) for part in (asked, known)
     )
     reset, keep = torch.sigmoid(asked_gates + known_gates).chunk(2, dim=2)
     candidate = torch.tanh(asked_candidate + reset * known_candidate)
