@@ -47,11 +47,10 @@ class ChunkMessage(Message):
         version: parameter version of the actors that produced the rows.
         produced: environment steps that this incarnation has produced, this chunk included.
         observation, action, reward, flag: the rows, see `common.transitions.Rows`.
-        log_probability, state: likewise, where the rows have them; else [R, 0] and left out.
+        log_probability, state: likewise; for None, [R, 0] and left out.
         farm, episode, steps: [K] int64, farm seed, episode seed and length of each finished episode.
         episode_reward: [K, agents] float32.
-        episode_metrics: [K, F] float64, the environment's episode metrics.
-        metric_names: names of the F metrics.
+        episode_metrics, metric_names: [K, F] float64, the environment's episode metrics, and their names.
     """
 
     KIND = 2
@@ -207,8 +206,7 @@ class EvaluationResult(Message):
     """The step rewards of F noise-free episodes.
 
     Attributes:
-        event: number of the imitation event that needs them.
-        version: parameter version that was evaluated.
+        event, version: number of the imitation event that needs them, and parameter version that was evaluated.
         reward: [F, T, agents] float32 step rewards R_v-i; zeros after the end of a shorter episode.
         steps: [F] int64 length of each episode, at most T.
     """
@@ -261,7 +259,8 @@ class MetricMessage(Message):
 
     Attributes:
         counter: grows by one with each message, so gaps show.
-        host, pid: the machine's name, and the process id.
+        host: the machine's name.
+        pid: process id.
         uptime: seconds since the process started.
         values: metrics by name, see `common.protocol.metrics`; numbers, strings, and lists and maps of them.
     """
@@ -299,7 +298,8 @@ class SetpointMessage(Message):
         velocity: along x and y of the field, m/s; zeros command hover.
         hover: whether the watchdog commands hover; the velocity is then zero.
         reason: why the watchdog commands hover, or empty.
-        answers, stamp: sequence number and stamp of the observation behind the decision; 0 with hover.
+        answers: sequence number of the observation behind the decision; 0 with hover.
+        stamp: that observation's stamp; 0 with hover.
         period: number of the flight node's period, counted from 1.
         latency: seconds from receiving the observation to sending this message; 0 with hover.
     """
@@ -352,7 +352,8 @@ class ViewMessage(Message):
     """Consecutive steps of one of a worker's farms, one frame each; checked by `common.protocol.view_checks`.
 
     Attributes:
-        farm, episode: seeds of the farm and of the episode.
+        farm: the farm's seed.
+        episode: the episode's seed.
         first: step of the first frame.
         skipped: steps of this farm, flown while somebody watched, that were not published.
         noise_std: standard deviation of the exploration noise.
@@ -384,9 +385,7 @@ class ViewMessage(Message):
 
 @dataclass(frozen=True)
 class DeliveryMessage(Message):
-    """The first frame of a transition request; the frames of its chunks follow.
-
-    The chunks have consecutive sequence numbers. The envelope holds the first.
+    """The first frame of a transition request; its chunks' frames follow, numbered from the envelope's number on.
 
     Attributes:
         oldest: sequence number of the oldest chunk that the worker still holds.

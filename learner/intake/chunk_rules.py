@@ -4,8 +4,8 @@ Every worker simulates the configured number of environments, `chunk_steps` step
 number determines a chunk's steps and the steps that its start has produced. The rows determine which episodes end and
 how long they were.
 
-Only the parameter version cannot be checked. `Receiver` clamps a future version to the newest published one and trusts
-an older one; docs/reference/security.md describes what a false one can do.
+Only the parameter version, and the values of actors' states, cannot be checked. `Receiver` clamps a future version to
+the newest published one and trusts an older one; docs/reference/security.md describes what a false one can do.
 """
 
 from dataclasses import dataclass

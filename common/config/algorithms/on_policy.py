@@ -18,7 +18,7 @@ class OnPolicyConfig(AlgorithmConfig):
     discrete_actions: ClassVar[bool] = True
 
     hidden: int = 128
-    """Width of both hidden layers of every network (ours)."""
+    """Width of both hidden layers of every network, and of its state where it has memory (ours)."""
     discount: float = 0.99
     """Discount factor gamma of the return."""
     potential_discount: float = 1.0
