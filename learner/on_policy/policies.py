@@ -16,6 +16,8 @@ from common.errors import ConfigError
 from common.team import Float32, GroupSpec, TeamSpec
 from learner.on_policy.distributions import evaluate
 from learner.on_policy.networks import Stack
+from learner.on_policy.recurrent import make_stack
+from learner.on_policy.sequences import Sequences
 
 HEAD: Head = "gaussian"
 """Head of types with continuous actions."""
@@ -65,7 +67,7 @@ class Policies(nn.Module):
         config = self._config
         count = 1 if config.parameters == "shared" else group.count
         names = initialisation_names("actor", group, count, seed, per_type=config.initialisation == "type")
-        stack = Stack(count, group.observation_size, config.hidden, actor_outputs(group, HEAD), LAST_GAIN, names)
+        stack = make_stack(config, count, group.observation_size, actor_outputs(group, HEAD), LAST_GAIN, names)
         for adapter in group.adapters[:1]:
             if (option := getattr(adapter, "resting", None)) is not None:
                 with torch.no_grad():
@@ -82,6 +84,7 @@ class Policies(nn.Module):
         log_probability: Tensor,
         advantage: Tensor,
         entropy_weight: float,
+        sequences: Sequences | None = None,
     ) -> ActorLoss:
         """Return the loss of a type on a minibatch.
 
@@ -92,9 +95,10 @@ class Policies(nn.Module):
             log_probability: [B, n] under the behaviour policy.
             advantage: [B, n], normalised.
             entropy_weight: w_H.
+            sequences: how the rows follow one another, for actors with memory.
         """
         group = self._team.groups[kind]
-        policy = evaluate(group, observation, self.stacks[kind](observation), action)
+        policy = evaluate(group, observation, self.stacks[kind](observation, sequences), action)
         log_ratio = policy.log_probability - log_probability
         ratio, clip = log_ratio.exp(), self._config.clip
         surrogate = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
@@ -107,7 +111,8 @@ class Policies(nn.Module):
 
     def actors(self) -> TeamActors:
         """Return a copy of all actors."""
-        return TeamActors(self._team, self._config.hidden, tuple(stack.export() for stack in self.stacks), HEAD)
+        flat = tuple(stack.export() for stack in self.stacks)
+        return TeamActors(self._team, self._config.hidden, flat, HEAD, self._config.memory)
 
     def load(self, flat: Sequence[Float32]) -> None:
         """Replace the actors' parameters, [n_v or 1, P_v] for each type."""
