@@ -72,7 +72,7 @@ class Policies(nn.Module):
             if (option := getattr(adapter, "resting", None)) is not None:
                 with torch.no_grad():
                     stack.layers[-1][:, option] = FAVOUR
-            if (first := getattr(adapter, "suggestion", -1)) >= 0:
+            if config.memory == "none" and (first := getattr(adapter, "suggestion", -1)) >= 0:
                 favour_suggestion(stack, first, group.choices[0])
         return stack
 
@@ -122,7 +122,7 @@ class Policies(nn.Module):
 
 @torch.no_grad()
 def favour_suggestion(stack: Stack, first: int, options: int) -> None:
-    """Let fresh networks favour the option that their input marks with 1.
+    """Let fresh networks without memory favour the option that their input marks with 1.
 
     A unit of each hidden layer for each option hands the mark on, and gives the option a logit of about FOLLOW.
 
