@@ -65,6 +65,17 @@ def test_networks_of_equal_weights_are_equal_shared_or_not():
     torch.testing.assert_close(shared(x, sequences), separate(x, sequences))
 
 
+def test_rough_products_leave_states_whole():
+    """With inputs of bfloat16, outputs and states are float32 and near those of float32; gradients are finite."""
+    stack, sequences = stack_of(2), sequences_of(torch.ones(20, 3), 2)
+    x = torch.randn(60, 2, INPUTS).to(torch.bfloat16)
+    exact, rough = stack.unroll(x.float(), sequences), stack.unroll(x, sequences)
+    assert {part.dtype for part in rough} == {torch.float32}
+    torch.testing.assert_close(rough.state, exact.state, atol=0.05, rtol=0.0)
+    rough.outputs.square().sum().backward()
+    assert all(bool(torch.isfinite(layer.grad).all()) and bool(layer.grad.any()) for layer in stack.layers)
+
+
 def test_sequences_hold_the_steps_in_order():
     """Every step is in one sequence, after the step before; an episode begins where the segment before has ended."""
     actors = OnPolicyTrainer(with_memory(), TEAM).actors()
