@@ -53,7 +53,8 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any], default: dict[st
     level = [name for name, score in scores if low <= score <= high]
     verdict = f"{len(ahead)} of {len(scores)} heuristics score higher than the default preset: {', '.join(ahead)}."
     conditions = f"""Mean reward without noise over {size["farms"]} farms that training never saw. Learned methods have
-        {len(own["runs"])} seeds, with a 95 % interval over the seeds. The preset `study` was tuned as the other learned
+        {len(own["runs"])} seeds, the default preset {len(default["runs"])}, with a 95 % interval over the seeds. The
+        preset `study` was tuned as the other learned
         methods were, the other two [further](docs/explanation/method.md#the-default-preset). AoI is the mean age of
         sensor data, VDF that of plot images; lower is better."""
     tied = f"Level with it: {', '.join(level)}. " if level else ""
