@@ -94,9 +94,7 @@ def left_over(config: FarmConfig, living: tuple[int, int, int]) -> FarmConfig:
         return config
     relays, monitors, collectors = (max(1, count) for count in living)
     capacity = max(config.relay.capacity_for(config.world), -(-(monitors + collectors) // relays))
-    world = replace(
-        config.world, communication_uavs=relays, monitoring_uavs=monitors, collection_uavs=collectors
-    )
+    world = replace(config.world, communication_uavs=relays, monitoring_uavs=monitors, collection_uavs=collectors)
     relay = replace(config.relay, capacity=capacity)
     return replace(config, world=world, relay=relay, failures=FailureConfig())
 

@@ -72,7 +72,9 @@ class SearchRelays:
         for relay in range(len(places)):
             tried = np.repeat(places[None], 1 + len(MOVES), axis=0)
             tried[1:, relay] = np.clip(places[relay] + stride * MOVES, 0.0, size)
-            places = tried[np.argmin([total_service(world, self._relay, candidate, served, self._heights) for candidate in tried])]
+            places = tried[
+                np.argmin([total_service(world, self._relay, candidate, served, self._heights) for candidate in tried])
+            ]
         return places
 
 

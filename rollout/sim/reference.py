@@ -233,7 +233,7 @@ class ReferenceFarm:
         self.assignment, self.assignment_cost = np.full(len(costs), -1), 0.0
         if len(relays) and len(served):
             capacity = max(relay.capacity_for(world), math.ceil(len(served) / len(relays)))
-            rows, columns = linear_sum_assignment(np.repeat(costs[np.ix_(served, relays)], capacity, axis=1))
+            _, columns = linear_sum_assignment(np.repeat(costs[np.ix_(served, relays)], capacity, axis=1))
             self.assignment[served] = relays[columns // capacity]
             self.assignment_cost = float(costs[served, self.assignment[served]].sum())
         if chosen is not None:

@@ -1,8 +1,9 @@
 """Observations of each type of UAV, scaled to about [-1, 1] (W24).
 
 A position is 2 x / X - 1 and an offset is dx / X, dy / Y. A distance is three-dimensional and divided by the field's
-diagonal. VDF and AoI are divided by their maxima. A UAV that does not exist is (0, 0, 1). One that
-is gone observes zeros and is no part of what others observe. The agent's index within its type and the elapsed fraction of the episode come last.
+diagonal. VDF and AoI are divided by their maxima. A UAV that does not exist is (0, 0, 1). One that is gone observes
+zeros and is no part of what others observe. The agent's index within its type and the elapsed fraction of the episode
+come last.
 
 A mirrored view flips the axes so that one position, measured from the middle, is never below 0. For a relay or a
 collector it is the position in the field; for a monitor it is the position in its plot. Everything along an axis is

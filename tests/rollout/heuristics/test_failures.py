@@ -49,14 +49,16 @@ def test_relays_without_anybody_to_serve():
 def test_nothing_changes_before_the_first_failure():
     """The flight until then is that of the farm without failures, bit by bit."""
     plain = flown("lawnmower", SHORT, 30)[1]
-    np.testing.assert_array_equal(flown("lawnmower", replace(SHORT, failures=FailureConfig(per_hour=1e-9)), 30)[1], plain)
+    np.testing.assert_array_equal(
+        flown("lawnmower", replace(SHORT, failures=FailureConfig(per_hour=1e-9)), 30)[1], plain
+    )
     late = flown("lawnmower", replace(SHORT, failures=FailureConfig(at="monitoring 0 at 21")), 30)[1]
     np.testing.assert_array_equal(late[:21], plain[:21])
     assert (late[21:, 10:16] != plain[21:, 10:16]).any()
 
 
 def test_the_living_sweep_the_whole_field():
-    """One monitor of four fails early. Three that divide the field anew serve every plot; those of the old parts not."""
+    """One monitor of four fails early. The other three divide the field anew and serve every plot."""
     config = replace(FarmConfig(), failures=FailureConfig(at="monitoring 0 at 2"))
     batch, _ = flown("lawnmower", config, 500)
     assert (batch.vdf < config.world.vdf_max).all()

@@ -111,7 +111,10 @@ def test_a_plot_falls_to_the_next_monitor():
     age, level = ground()
     level[10, 10] = 3.0
     places = np.array([[0.0, 0.0], [205.0, 205.0], [214.0, 214.0], [0.0, 0.0]])
-    both, one = placed_batch(SMALL, places, (age, level)), placed_batch(losing(SMALL, "monitoring 1 at 1"), places, (age, level))
+    both, one = (
+        placed_batch(SMALL, places, (age, level)),
+        placed_batch(losing(SMALL, "monitoring 1 at 1"), places, (age, level)),
+    )
     hover(both)
     hover(one)
     np.testing.assert_array_equal(both.utility[0, 1:3], (0.0, 3.0))
