@@ -113,8 +113,8 @@ MUTATIONS = (
     one(
         "images and packets count without a relay in range",
         "sim/kernel/relays.py",
-        "1.0 if distance <= relay.link_range else 0.0",
-        "1.0",
+        "1.0 if distance <= relay.link_range and not gone[u] else 0.0",
+        "0.0 if gone[u] else 1.0",
     ),
     one(
         "the relays' centroid keeps what the last environment left",
