@@ -50,7 +50,8 @@ def show_places(farm: Farm) -> None:
 def capacity_left(capacity: int, living: Indices) -> int:
     """Return how many UAVs each living relay serves: more than its capacity only if not all would be served else."""
     served, relays = living[1] + living[2], max(living[0], 1)
-    return max(capacity, (served + relays - 1) // relays)
+    most: int = max(capacity, (served + relays - 1) // relays)
+    return most
 
 
 @allocation_free
