@@ -43,6 +43,9 @@ EPISODE_METRICS: Final = (
     EpisodeMetric("energy_j", "J", "energy of all UAVs", "energy, kJ", digits=0, factor=1e-3),
 )
 
+FAILED: Final = EpisodeMetric("failed", "UAVs", "that had failed by the end", "failed", digits=1)
+"""The metric of farms whose UAVs can fail."""
+
 METRIC_NAMES: Final = tuple(metric.name for metric in EPISODE_METRICS)
 
 
@@ -50,7 +53,8 @@ def farm_environment(farm: FarmConfig) -> EnvironmentSpec:
     """Return a farm's description for generic code."""
     team = farm_team(farm)
     names = {group.name: _tensor_names(farm, group) for group in team.groups}
-    return EnvironmentSpec(team, (farm.world.steps, farm.world.steps), EPISODE_METRICS, LETTERS, names)
+    metrics = (*EPISODE_METRICS, *([FAILED] if farm.failures.some else []))
+    return EnvironmentSpec(team, (farm.world.steps, farm.world.steps), metrics, LETTERS, names)
 
 
 def farm_of(config: RunConfig) -> FarmConfig | None:
@@ -158,7 +162,7 @@ def _added(farm: FarmConfig, name: str) -> list[str]:
         added += [*_nine(ROUTE), *(f"{ROUTE}_{plot + 1}_{end}" for plot in range(ROUTE_PLOTS) for end in ("dx", "dy"))]
     if seen.service and not task:
         added += ["service", *_nine("service")]
-    return added
+    return [*added, *(["alive"] if farm.failures.some else [])]
 
 
 def _maps(name: str) -> list[str]:

@@ -359,7 +359,7 @@ class ViewMessage(Message):
         noise_std: standard deviation of the exploration noise.
         uniform: whether actions were drawn uniformly instead (warm-up).
         position: [F, n, 2] m.
-        assignment: [F, n_m + n_d] relay of each served UAV.
+        assignment: [F, n_m + n_d] relay of each served UAV; 255 for none.
         quality: [F, n_m + n_d] signal-to-noise ratio of each served UAV's link, dB.
         aoi: [F, S] AoI of each sensor over AoI_max, in 255ths.
         vdf: [F, n_px, n_py] VDF of each plot over VDF_max, in 255ths.

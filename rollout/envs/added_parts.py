@@ -59,6 +59,8 @@ def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...
         parts += (Part("plot ahead", 2, -MOST_OFFSET, MOST_OFFSET, plots),) * ROUTE_PLOTS
     if seen.service and not task:
         parts += _service(config, served)
+    if config.failures.some:
+        parts.append(Part("alive", 1, 0.0, 1.0, "share of the own type's UAVs that have not failed"))
     return tuple(parts)
 
 

@@ -13,6 +13,7 @@ from rollout.sim.kernel.views.arrays import ViewScratch, make_view_scratch
 from rollout.sim.layout import cell_counts
 
 Float32 = NDArray[np.float32]
+Flags = NDArray[np.bool_]
 
 REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "idle", "motivation")
 """The weighted parts of a reward in storage order; the reward is their sum."""
@@ -56,6 +57,10 @@ class State(NamedTuple):
         quality: [E, n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
         plot_visit: [E, P, 4] last visit of each plot, see `hindsight`; [E, 0, 4] unless visits are tracked.
         sensor_visit: [E, S, 4] the same of each sensor.
+        failure: [E, n] first step of which each UAV is no part.
+        gone: [E, n] whether each UAV has failed, see `failures`; the position of one that has is infinite.
+        living: [E, 3] UAVs of each type that have not failed.
+        shown: [E, n, 2] positions, of UAVs that have failed the last ones, m; [E, 0, 2] unless UAVs can fail.
         hindsight: [E, T, n] corrections of the episode's rewards; [E, 0, n] unless visits are tracked.
     """
 
@@ -93,6 +98,10 @@ class State(NamedTuple):
     quality: Array
     plot_visit: Int32
     sensor_visit: Int32
+    failure: Int32
+    gone: Flags
+    living: Indices
+    shown: Array
     hindsight: Float32
 
 
@@ -133,6 +142,10 @@ class Farm(NamedTuple):
     quality: Array
     plot_visit: Int32
     sensor_visit: Int32
+    failure: Int32
+    gone: Flags
+    living: Indices
+    shown: Array
     hindsight: Float32
 
 
@@ -142,9 +155,9 @@ class AssignmentScratch(NamedTuple):
     Attributes:
         pair: [n_m + n_d, n_c] cost of each pair.
         exchanges: working memory of the exchanges between relays.
-        cost: [n_m + n_d, n_c capacity] cost of each UAV in each slot of a relay.
-        numbers: [3, n_c capacity] scratch.
-        indices: [4, n_c capacity] scratch.
+        cost: [n_m + n_d, L] cost of each UAV in each slot of a relay; L is the largest number of slots.
+        numbers: [3, L] scratch.
+        indices: [4, L] scratch.
     """
 
     pair: Array
@@ -253,6 +266,10 @@ def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
         quality=np.zeros((count, served)),
         plot_visit=np.zeros((count, hindsight * world.plots_x * world.plots_y, 4), np.int32),
         sensor_visit=np.zeros((count, hindsight * sensors, 4), np.int32),
+        failure=np.zeros((count, uavs), np.int32),
+        gone=np.zeros((count, uavs), np.bool_),
+        living=np.zeros((count, 3), np.int64),
+        shown=np.zeros((count, config.failures.some * uavs, 2)),
         hindsight=np.zeros((count, hindsight * world.steps, uavs), np.float32),
     )
 
@@ -262,8 +279,10 @@ def make_scratch(config: FarmConfig) -> Scratch:
     world = config.world
     uavs, sensors, collectors = world.uavs, world.sensors, world.collection_uavs
     served = world.monitoring_uavs + collectors
-    places = world.communication_uavs * config.relay.capacity_for(world)
     relays = world.communication_uavs
+    places = relays * config.relay.capacity_for(world)
+    if config.failures.some:
+        places = max(places, served + relays - 1)  # a living relay may serve more, see `capacity_left`
     return Scratch(
         previous=np.zeros((uavs, 2)),
         outside=np.zeros(uavs),

@@ -11,7 +11,7 @@ from rollout.heuristics.greedy import best_targets
 from rollout.heuristics.hungarian import HungarianGroupPolicy, chain_value
 from rollout.heuristics.lawnmower import INSET, collection_routes
 from rollout.heuristics.registry import HEURISTICS, TASKS
-from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centres, total_service
+from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centres, served_heights, total_service
 from rollout.heuristics.sites import steps_between
 from rollout.heuristics.static import StaticPolicy
 from rollout.heuristics.steering import keep_apart, loiter_speed, towards
@@ -324,8 +324,9 @@ def test_total_service_is_the_simulators():
     config = FarmConfig(world=WorldConfig(communication_uavs=3, monitoring_uavs=4, collection_uavs=3))
     relay = constants(config, cell_counts(config.world)).relay
     farms = begin(config, StaticPolicy(), [(farm, 1) for farm in range(8)])
+    heights = served_heights(state(config))
     for index in range(8):
-        total = total_service(config.world, relay, farms.position[index, :3], farms.position[index, 3:])
+        total = total_service(config.world, relay, farms.position[index, :3], farms.position[index, 3:], heights)
         assert total == pytest.approx(farms.service[index].sum())
 
 
@@ -349,5 +350,6 @@ def test_search_relays_wait_for_the_last_steps():
         relays.goals(replace(late, time=time))
     own, served = late.position[:4], late.position[4:]
     relay = constants(config, cell_counts(config.world)).relay
-    found = total_service(config.world, relay, relays._places, served)
-    assert found < total_service(config.world, relay, served_centres(own, served, late.assignment), served)
+    heights, centres = served_heights(late), served_centres(own, served, late.assignment)
+    found = total_service(config.world, relay, relays._places, served, heights)
+    assert found < total_service(config.world, relay, centres, served, heights)

@@ -78,6 +78,13 @@ def _put_left(left: int, seen: Float32, at: int) -> int:
     return at + 2
 
 
+@allocation_free
+def _put_alive(living: int, count: int, seen: Float32, at: int) -> int:
+    """Write the share of a type's UAVs that have not failed; return where it ends."""
+    seen[at] = living / count
+    return at + 1
+
+
 @inlined
 def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     """Write the added observations of a relay; return where they end."""
@@ -94,6 +101,7 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
             view.per_step,
             farm.position,
             farm.assignment,
+            farm.living[0],
             s.centroid,
             farm.service[u],
             u,
@@ -102,6 +110,8 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
             seen,
             at,
         )
+    if view.alive:
+        at = _put_alive(farm.living[0], fleet.relays, seen, at)
     return at
 
 
@@ -153,6 +163,8 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
             seen,
             at,
         )
+    if view.alive:
+        at = _put_alive(farm.living[1], fleet.collectors - fleet.relays, seen, at)
     return at
 
 
@@ -196,4 +208,6 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.phases:
         at = _put_phases(view, farm.step, seen, at)
         at = _put_left(fleet.steps - farm.step, seen, at)
+    if view.alive:
+        at = _put_alive(farm.living[2], fleet.uavs - fleet.collectors, seen, at)
     return at

@@ -46,6 +46,7 @@ class ViewConstants(NamedTuple):
         phases: whether they see the phase of the counters and the steps left.
         route: whether monitoring UAVs see their sweep routes.
         service: whether relays see what each move does to D_c.
+        alive: whether they see how many of their type have not failed.
         columns: lattice points along x.
         rows: lattice points along y.
         reach_x: distance at full speed along x in a step, as a share of the field's width.
@@ -82,6 +83,7 @@ class ViewConstants(NamedTuple):
     phases: bool
     route: bool
     service: bool
+    alive: bool
     columns: int
     rows: int
     reach_x: float
@@ -118,7 +120,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
     sure, most = image_bounds(config)
     boxes, plots, starts = flat_routes(config)
     return ViewConstants(
-        some=seen.added,
+        some=seen.added or config.failures.some,
         peers=seen.peers,
         last_move=seen.last_move,
         closing=seen.closing,
@@ -128,6 +130,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         phases=seen.phases,
         route=seen.route,
         service=seen.service,
+        alive=config.failures.some,
         columns=lattice.columns,
         rows=lattice.rows,
         reach_x=lattice.reach_x,
