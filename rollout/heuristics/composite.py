@@ -144,7 +144,8 @@ class CompositePolicy:
     def _goals(self, farms: FarmBatch, index: int) -> Array:
         if (farms.gone[index] != self._gone[index]).any():
             self._begin(farms, index)
-        state, goals = self._farm_state(farms, index), np.full_like(farms.position[index], AWAY)
+        state = self._farm_state(farms, index)
+        goals: Array = np.full(farms.position[index].shape, AWAY)
         goals[~farms.gone[index]] = np.concatenate([group.goals(state) for group in self._groups[index]])
         return goals
 
