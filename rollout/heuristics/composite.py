@@ -145,7 +145,7 @@ class CompositePolicy:
         if (farms.gone[index] != self._gone[index]).any():
             self._begin(farms, index)
         state = self._farm_state(farms, index)
-        goals: Array = np.full_like(farms.position[index], AWAY)
+        goals: Array = np.full(farms.position[index].shape, AWAY)
         goals[~farms.gone[index]] = np.concatenate([group.goals(state) for group in self._groups[index]])
         return goals
 

@@ -42,7 +42,8 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     parts += [_phases(farm, u)] if seen.phases else []
     parts += [route_view(farm, u, signs, places(farm, u))] if seen.route and kind == 1 else []
     parts += [_service(farm, u, signs)] if seen.service and kind == 0 else []
-    parts += [np.array([len(farm.living(kind)) / (farm.kind == kind).sum()])] if farm.config.failures.some else []
+    share = len(farm.living(kind)) / (farm.kind == kind).sum()
+    parts += [np.array([share])] if farm.config.failures.some else []
     return np.concatenate(parts)
 
 

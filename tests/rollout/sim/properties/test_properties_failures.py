@@ -55,7 +55,7 @@ def assert_least_cost(batch: FarmBatch, reference: ReferenceFarm) -> None:
         np.testing.assert_allclose(cost, reference.assignment_cost, rtol=1e-9, atol=1e-9)
 
 
-@dose(60)
+@dose(40)
 @given(flights(FARMS), st.booleans())
 def test_any_flight_with_failures_equals_the_reference(flight: Flight, all_on: bool):
     """Every quantity after every step, within the bounds of the observation."""
