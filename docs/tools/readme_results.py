@@ -59,7 +59,7 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any], default: dict[st
         sensor data, VDF that of plot images; lower is better."""
     tied = f"Level with it: {', '.join(level)}. " if level else ""
     reading = f"""**{verdict}** {tied}Heuristics see the whole farm and plan with its dynamics; a trained UAV acts on
-        what it observes."""
+        what it observes. The default preset's monitors observe a sweep route, and begin with following it."""
     return "\n".join([wrapped(conditions), "", *lines, "", wrapped(reading)])
 
 
