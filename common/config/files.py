@@ -31,8 +31,14 @@ _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
 _WORD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.:/+-]*")
 """A string that needs no quotes on a command line."""
 
-LATER: Final[Mapping[str, Value]] = {"algorithm.memory": "none", "algorithm.sequence_steps": 50}
-"""Options that earlier versions did not have, with the defaults under which a run is what it was before."""
+LATER: Final[Mapping[str, Value]] = {
+    "algorithm.memory": "none",
+    "algorithm.sequence_steps": 50,
+    "farm.failures.at": "",
+    "farm.failures.per_hour": 0.0,
+    "farm.observation.route": False,
+}
+"""Options that earlier versions did not have, with the values under which a run is what it was before."""
 
 _LONG: Final = 8
 """Longest list that a message shows in full."""
@@ -126,7 +132,7 @@ def differences(a: RunConfig, b: RunConfig) -> list[str]:
 def digest(config: RunConfig) -> str:
     """Return sixteen hexadecimal digits that identify this configuration; equal ones have equal digests.
 
-    Options of LATER with their defaults are left out, so that checkpoints and records of earlier versions still count.
+    Options of LATER with these values are left out, so that checkpoints and records of earlier versions still count.
     """
     flat = {key: value for key, value in flatten(config).items() if (key, value) not in LATER.items()}
     return hashlib.sha256(_toml(flat).encode()).hexdigest()[:16]
