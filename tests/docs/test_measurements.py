@@ -83,7 +83,7 @@ def default_seeds() -> dict[str, Any]:
     return {**size, "reward": [1312.0, 1303.0, 1320.0], "aoi": [0.4, 0.3, 0.5], "vdf": [1.7, 1.6, 1.8]}
 
 
-def test_seeds_of_the_default_preset_are_told_with_their_slowest() -> None:
+def test_seeds_of_the_default_preset_are_shown_with_their_slowest() -> None:
     """A share that one seed never reaches is never reached."""
     run, study, flown, seeds = results()
     text = " ".join(default_block(run, study, flown, seeds, default_seeds()).split())
