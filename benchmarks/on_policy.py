@@ -64,7 +64,7 @@ def operations(config: OnPolicyConfig, team: TeamSpec) -> float:
     """Return the operations of all updates of one environment step's samples."""
     h, total = config.hidden, 0.0
     for group in team.groups:
-        first, rest = group.observation_size * h, h * h
+        first, rest = group.observation_size * h, h * h * (1 if config.memory == "none" else 6)
         last = h * actor_outputs(group, HEAD)
         actor = group.count * (2 * first + 3 * (rest + last))
         own = group.count * (1 + config.ensemble_size) * (2 * first + 3 * (rest + h))

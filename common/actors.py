@@ -8,6 +8,10 @@ flat vector theta in this order, each matrix stored input-major:
 The agents of a type are the rows of one [n_v, P] array, so imitation blends two rows. A type whose agents share their
 parameters has one row, [1, P]; it then serves any number of agents.
 
+An actor with memory has a gated recurrent unit (`common.gru`) in place of the second hidden layer, W2 and b2. Its order
+is W1, b1, W, b, U, c, W3, b3. Whoever lets it decide keeps its state: zeros at the start of an episode, and updated in
+place by every decision.
+
 A Gaussian head has 2 a outputs: the mean m, then log s, clipped to LOG_STD_RANGE. Its noise-free action is tanh(m), and
 a sample is tanh(m + s n) with standard normal n. Without noise, both heads compute the same function.
 
@@ -17,13 +21,14 @@ of each branch. Its noise-free action is the legal option with the largest logit
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
 import numpy as np
 
 from common.actions.sampling import best_options, sample_options, sample_squashed
 from common.errors import SchemaError
+from common.gru import Memory, next_state, unit_shapes
 from common.seeds import stream
 from common.team import Float32, GroupSpec, TeamSpec
 
@@ -51,31 +56,35 @@ def checked_head(name: str) -> Head:
     raise SchemaError(f"there is no actor head {name[:40]!r}.")
 
 
-def layer_shapes(inputs: int, hidden: int, outputs: int) -> list[tuple[int, ...]]:
-    """Return the shapes of W1, b1, W2, b2, W3, b3."""
-    return [(inputs, hidden), (hidden,), (hidden, hidden), (hidden,), (hidden, outputs), (outputs,)]
+def layer_shapes(inputs: int, hidden: int, outputs: int, memory: Memory = "none") -> list[tuple[int, ...]]:
+    """Return the shapes of W1, b1, W2, b2, W3, b3; with memory the unit's four stand in place of W2 and b2."""
+    middle = [(hidden, hidden), (hidden,)] if memory == "none" else unit_shapes(hidden)
+    return [(inputs, hidden), (hidden,), *middle, (hidden, outputs), (outputs,)]
 
 
-def parameter_count(inputs: int, hidden: int, outputs: int) -> int:
+def parameter_count(inputs: int, hidden: int, outputs: int, memory: Memory = "none") -> int:
     """Return P, the length of one network's flat parameter vector."""
-    return sum(int(np.prod(shape)) for shape in layer_shapes(inputs, hidden, outputs))
+    return sum(int(np.prod(shape)) for shape in layer_shapes(inputs, hidden, outputs, memory))
 
 
-def parameter_views(flat: Float32, inputs: int, hidden: int, outputs: int) -> list[Float32]:
-    """Return views [n, *shape] of W1, b1, W2, b2, W3, b3 into stacked flat parameters [n, P]."""
+def parameter_views(flat: Float32, inputs: int, hidden: int, outputs: int, memory: Memory = "none") -> list[Float32]:
+    """Return views [n, *shape] of W1, b1, ..., W3, b3 into stacked flat parameters [n, P]."""
     views, start = [], 0
-    for shape in layer_shapes(inputs, hidden, outputs):
+    for shape in layer_shapes(inputs, hidden, outputs, memory):
         size = int(np.prod(shape))
         views.append(flat[:, start : start + size].reshape(flat.shape[0], *shape))
         start += size
     return views
 
 
-def initial_parameters(inputs: int, hidden: int, outputs: int, generator: np.random.Generator) -> Float32:
+def initial_parameters(
+    inputs: int, hidden: int, outputs: int, generator: np.random.Generator, memory: Memory = "none"
+) -> Float32:
     """Return one network's flat parameters [P], uniform in +-1/sqrt(fan-in), in the last layer a tenth of it."""
     parts = []
-    for index, (rows, columns) in enumerate(((inputs, hidden), (hidden, hidden), (hidden, outputs))):
-        bound = (0.1 if index == 2 else 1.0) / np.sqrt(rows)
+    matrices = layer_shapes(inputs, hidden, outputs, memory)[::2]
+    for index, (rows, columns) in enumerate(matrices):
+        bound = (0.1 if index == len(matrices) - 1 else 1.0) / np.sqrt(rows)
         parts.append(generator.uniform(-bound, bound, rows * columns))
         parts.append(generator.uniform(-bound, bound, columns))
     return np.concatenate(parts).astype(np.float32)
@@ -111,19 +120,21 @@ class TeamActors:
         hidden: width of the hidden layers.
         flat: for each type, [n_v, P_v] or [1, P_v] float32, C-contiguous.
         head: kind of the last layer.
+        memory: kind of memory.
     """
 
     team: TeamSpec
     hidden: int
     flat: tuple[Float32, ...]
     head: Head = "deterministic"
+    memory: Memory = "none"
 
     def __post_init__(self) -> None:
         """Raise SchemaError unless every array has the team's shape and is finite."""
         if len(self.flat) != len(self.team.groups):
             raise SchemaError(f"actors for {len(self.flat)} types given, the team has {len(self.team.groups)}.")
         for group, flat in zip(self.team.groups, self.flat, strict=True):
-            size = parameter_count(group.observation_size, self.hidden, actor_outputs(group, self.head))
+            size = parameter_count(group.observation_size, self.hidden, actor_outputs(group, self.head), self.memory)
             shapes = (group.count, size), (1, size)
             if flat.shape not in shapes or flat.dtype != np.float32 or not flat.flags.c_contiguous:
                 raise SchemaError(
@@ -142,6 +153,7 @@ class TeamActors:
         per_type: bool = True,
         head: Head = "deterministic",
         shared: bool = False,
+        memory: Memory = "none",
     ) -> "TeamActors":
         """Return freshly initialised actors: one initialisation for each type, or for each agent (A4).
 
@@ -151,14 +163,14 @@ class TeamActors:
         def rows(group: GroupSpec) -> Float32:
             names = [0 if per_type else index for index in range(1 if shared else group.count)]
             sizes = (group.observation_size, hidden, actor_outputs(group, head))
-            draw = [initial_parameters(*sizes, stream(seed, "actor", group.name, name)) for name in names]
+            draw = [initial_parameters(*sizes, stream(seed, "actor", group.name, name), memory) for name in names]
             return np.ascontiguousarray(np.stack(draw))
 
-        return cls(team, hidden, tuple(rows(group) for group in team.groups), head)
+        return cls(team, hidden, tuple(rows(group) for group in team.groups), head, memory)
 
     def copy(self) -> "TeamActors":
         """Return a copy that shares no array with these actors."""
-        return TeamActors(self.team, self.hidden, tuple(flat.copy() for flat in self.flat), self.head)
+        return replace(self, flat=tuple(flat.copy() for flat in self.flat))
 
     def noise_free(self) -> "TeamActors":
         """Return actors that act as these do without noise; Gaussian heads become deterministic."""
@@ -169,25 +181,30 @@ class TeamActors:
             if group.choices:
                 parts.append(flat)
                 continue
-            views = parameter_views(flat, group.observation_size, self.hidden, 2 * group.action_size)
-            views[4:] = [view[..., : group.action_size] for view in views[4:]]
+            views = parameter_views(flat, group.observation_size, self.hidden, 2 * group.action_size, self.memory)
+            views[-2:] = [view[..., : group.action_size] for view in views[-2:]]
             parts.append(np.concatenate([view.reshape(len(flat), -1) for view in views], axis=1))
-        return TeamActors(self.team, self.hidden, tuple(parts))
+        return replace(self, flat=tuple(parts), head="deterministic")
 
-    def act(self, observations: Float32) -> Float32:
+    def initial_state(self, count: int) -> Float32 | None:
+        """Return the state [E, agents, h] of E environments whose episodes begin, or None for actors without memory."""
+        return None if self.memory == "none" else np.zeros((count, self.team.agents, self.hidden), np.float32)
+
+    def act(self, observations: Float32, state: Float32 | None = None) -> Float32:
         """Return the noise-free actions of all agents.
 
         Args:
             observations: rows [E, O] float32.
+            state: as for `outputs`.
 
         Returns:
             rows [E, A] float32: in [-1, 1], or indices of options.
         """
-        return noise_free_actions(self.outputs(observations))
+        return noise_free_actions(self.outputs(observations, state))
 
-    def environment_actions(self, observations: Float32) -> Float32:
+    def environment_actions(self, observations: Float32, state: Float32 | None = None) -> Float32:
         """Return the noise-free actions after the team's adapters, rows of the environment; see `TeamSpec.adapt`."""
-        return self.team.adapt(observations, self.act(observations))
+        return self.team.adapt(observations, self.act(observations, state))
 
     def explore(self, observations: Float32, noise: Float32, noise_std: float) -> Float32:
         """Return the continuous actions of all agents with exploration noise, as off-policy algorithms explore.
@@ -210,13 +227,16 @@ class TeamActors:
             parts.append(np.tanh(head[..., :size] + scale * own).reshape(observations.shape[0], -1))
         return np.concatenate(parts, axis=1)
 
-    def sample(self, observations: Float32, normal: Float32, uniform: Float32) -> tuple[Float32, Float32]:
+    def sample(
+        self, observations: Float32, normal: Float32, uniform: Float32, state: Float32 | None = None
+    ) -> tuple[Float32, Float32]:
         """Return sampled actions of all agents and their log-probabilities, as on-policy algorithms act.
 
         Args:
             observations: rows [E, O] float32.
             normal: rows [E, A] float32, standard normal; continuous actions take theirs.
             uniform: rows [E, A] float32, uniform over [0, 1); discrete actions take theirs.
+            state: as for `outputs`.
 
         Returns:
             actions, rows [E, A] float32, and log-probabilities [E, agents] float32.
@@ -225,9 +245,8 @@ class TeamActors:
             SchemaError: a type with continuous actions has deterministic heads.
         """
         count, actions, log_probabilities = observations.shape[0], [], []
-        parts = zip(
-            self.outputs(observations), self.team.split_actions(normal), self.team.split_actions(uniform), strict=True
-        )
+        draws = self.team.split_actions(normal), self.team.split_actions(uniform)
+        parts = zip(self.outputs(observations, state), *draws, strict=True)
         for (group, own, outputs), noise, draw in parts:
             if group.choices:
                 action, log_probability = sample_options(group, own, outputs, draw)
@@ -241,23 +260,41 @@ class TeamActors:
             log_probabilities.append(log_probability)
         return np.concatenate(actions, axis=1), np.concatenate(log_probabilities, axis=1)
 
-    def outputs(self, observations: Float32) -> Iterator[tuple[GroupSpec, Float32, Float32]]:
+    def outputs(
+        self, observations: Float32, state: Float32 | None = None
+    ) -> Iterator[tuple[GroupSpec, Float32, Float32]]:
         """Yield each type, its observations [E, n_v, o_v], and the outputs [E, n_v, outputs] of its actors.
 
         Args:
             observations: rows [E, O] float32.
+            state: [E, agents, h] float32 state of actors with memory before this step, which is updated in place; None
+                for actors without. See `initial_state`.
+
+        Raises:
+            SchemaError: the state does not fit the actors.
         """
-        for group, flat, rows in zip(
-            self.team.groups, self.flat, self.team.split_observations(observations), strict=True
-        ):
+        self._check_state(state, len(observations))
+        own = zip(self.flat, self.team.agent_slices(), self.team.split_observations(observations), strict=True)
+        for group, (flat, agents, rows) in zip(self.team.groups, own, strict=True):
             outputs = actor_outputs(group, self.head)
-            w1, b1, w2, b2, w3, b3 = parameter_views(flat, group.observation_size, self.hidden, outputs)
+            views = parameter_views(flat, group.observation_size, self.hidden, outputs, self.memory)
+            w1, b1, *middle, w3, b3 = views
             shared = len(flat) == 1
             x = rows.reshape(1, -1, rows.shape[-1]) if shared else np.ascontiguousarray(rows.transpose(1, 0, 2))
             h = np.maximum(np.matmul(x, w1) + b1[:, None], np.float32(0))
-            h = np.maximum(np.matmul(h, w2) + b2[:, None], np.float32(0))
+            if state is None:
+                w2, b2 = middle
+                h = np.maximum(np.matmul(h, w2) + b2[:, None], np.float32(0))
+            else:
+                h = _remembered(h, state[:, agents], middle, shared=shared)
             found = np.matmul(h, w3) + b3[:, None]
             yield group, rows, found.reshape(*rows.shape[:2], outputs) if shared else found.transpose(1, 0, 2)
+
+    def _check_state(self, state: Float32 | None, count: int) -> None:
+        wanted = None if self.memory == "none" else (count, self.team.agents, self.hidden)
+        found = None if state is None else state.shape
+        if found != wanted:
+            raise SchemaError(f"actors with the memory {self.memory!r} take a state {wanted}, not {found}.")
 
     def digest(self) -> str:
         """Return the SHA-256 of all parameters, in hexadecimal."""
@@ -277,3 +314,18 @@ def noise_free_actions(parts: Iterable[tuple[GroupSpec, Float32, Float32]]) -> F
         for group, observation, outputs in parts
     ]
     return np.concatenate([action.reshape(action.shape[0], -1) for action in actions], axis=1)
+
+
+def _remembered(x: Float32, state: Float32, unit: list[Float32], *, shared: bool) -> Float32:
+    """Update the states [E, n_v, h] of a type's actors in place; return them as the networks compute them.
+
+    Args:
+        x: [n, B, h] outputs of the first hidden layer: [1, E n_v, h] of shared parameters, else [n_v, E, h].
+        state: [E, n_v, h].
+        unit: W, b, U, c.
+        shared: whether the agents share their parameters.
+    """
+    before = state.reshape(x.shape) if shared else np.ascontiguousarray(state.transpose(1, 0, 2))
+    after = next_state(x, before, *unit)
+    state[...] = after.reshape(state.shape) if shared else after.transpose(1, 0, 2)
+    return after

@@ -25,6 +25,10 @@ HEADING_SPEEDS: Final = (0.041, 0.12, 0.35, 0.9)
 """Speeds of the control "headings" as shares of full speed: idle, slow, medium and fast (ours). The printed model needs
 least power at the idle speed, 0.41 m/s at a full speed of 10 m/s."""
 
+ROUTE: Final = "route"
+ROUTE_PLOTS: Final = 4
+"""Plots on its sweep route that a monitoring UAV sees (ours)."""
+
 EPISODE_METRICS: Final = (
     EpisodeMetric("aoi", "units", "mean AoI over sensors and steps", "AoI", plotted=True, group=COLLECTION),
     EpisodeMetric("vdf", "units", "mean VDF over plots and steps", "VDF", plotted=True, group=MONITORING),
@@ -39,6 +43,9 @@ EPISODE_METRICS: Final = (
     EpisodeMetric("energy_j", "J", "energy of all UAVs", "energy, kJ", digits=0, factor=1e-3),
 )
 
+FAILED: Final = EpisodeMetric("failed", "UAVs", "that had failed by the end", "failed", digits=1)
+"""The metric of farms whose UAVs can fail."""
+
 METRIC_NAMES: Final = tuple(metric.name for metric in EPISODE_METRICS)
 
 
@@ -46,7 +53,8 @@ def farm_environment(farm: FarmConfig) -> EnvironmentSpec:
     """Return a farm's description for generic code."""
     team = farm_team(farm)
     names = {group.name: _tensor_names(farm, group) for group in team.groups}
-    return EnvironmentSpec(team, (farm.world.steps, farm.world.steps), EPISODE_METRICS, LETTERS, names)
+    metrics = (*EPISODE_METRICS, *([FAILED] if farm.failures.some else []))
+    return EnvironmentSpec(team, (farm.world.steps, farm.world.steps), metrics, LETTERS, names)
 
 
 def farm_of(config: RunConfig) -> FarmConfig | None:
@@ -93,10 +101,18 @@ def _group(farm: FarmConfig, name: str, count: int, observation_size: int, contr
     if control in ("lattice", "moves"):
         adapters = (Lattice.spanning(*farm.world.reach), *adapters)
     if control == "moves":
-        return GroupSpec(name, count, observation_size, 1, (NineMoves(), *adapters), (NineMoves.options,))
+        moves = NineMoves(_suggestion(farm, name, count, observation_size))
+        return GroupSpec(name, count, observation_size, 1, (moves, *adapters), (NineMoves.options,))
     if control == "headings":
-        return GroupSpec(name, count, observation_size, 1, (Headings(*HEADING_SPEEDS), *adapters), (Headings.options,))
+        headings = Headings(*HEADING_SPEEDS, farm.world.reach[0])
+        return GroupSpec(name, count, observation_size, 1, (headings, *adapters), (Headings.options,))
     return GroupSpec(name, count, observation_size, 2, adapters)
+
+
+def _suggestion(farm: FarmConfig, name: str, count: int, observation_size: int) -> int:
+    """Return where a type's observation says which of nine moves follows its route; -1 if it does not."""
+    added, first = _added(farm, name), _nine(ROUTE)[0]
+    return observation_size - _self(farm, count) - len(added) + added.index(first) if first in added else -1
 
 
 def _self(farm: FarmConfig, count: int) -> int:
@@ -142,9 +158,11 @@ def _added(farm: FarmConfig, name: str) -> list[str]:
             COLLECTION: [f"aoi_phase_{k}" for k in range(len(farm.world.sensor_cycles))],
         }
         added += [*cycles.get(name, []), "left_25", "left_100"]
+    if seen.route and name == MONITORING:
+        added += [*_nine(ROUTE), *(f"{ROUTE}_{plot + 1}_{end}" for plot in range(ROUTE_PLOTS) for end in ("dx", "dy"))]
     if seen.service and not task:
         added += ["service", *_nine("service")]
-    return added
+    return [*added, *(["alive"] if farm.failures.some else [])]
 
 
 def _maps(name: str) -> list[str]:

@@ -20,13 +20,14 @@ from safetensors.numpy import load, save
 
 from common.actors import Head, TeamActors, actor_outputs, checked_head, parameter_count
 from common.errors import EiaSecError, PolicyError
+from common.gru import Memory, checked_memory
 from common.team import TeamSpec
 
 FORMAT: Final = "eia-sec policy 1"
 MAX_FILE_BYTES: Final = 256 * 2**20
 MAX_HEADER_BYTES: Final = 64 * 2**10
 MAX_HIDDEN: Final = 65_536
-RESERVED: Final = ("format", "team", "hidden", "head", "digest")
+RESERVED: Final = ("format", "team", "hidden", "head", "memory", "digest")
 """Metadata keys that this module writes itself."""
 _ITEM_BYTES: Final = {"F32": 4, "F16": 2}
 
@@ -58,6 +59,8 @@ def save_policy(path: Path, actors: TeamActors, metadata: Mapping[str, str], *, 
         "head": actors.head,
         "digest": _digest(stored),
     }
+    if actors.memory != "none":  # files of actors without memory are those of earlier versions
+        header["memory"] = actors.memory
     names = [group.name for group in actors.team.groups]
     _write(path, save(dict(zip(names, stored, strict=True)), metadata=header))
 
@@ -79,12 +82,14 @@ def load_policy(path: Path) -> tuple[TeamActors, dict[str, str]]:
         header, metadata = _header(data)
         team, hidden = TeamSpec.from_dict(json.loads(metadata["team"])), int(metadata["hidden"])
         head = checked_head(metadata.get("head", "deterministic"))  # older files name no head
-        _compare(header, team, hidden, head, len(data))
+        memory = checked_memory(metadata.get("memory", "none"))
+        _compare(header, team, hidden, (head, memory), len(data))
         tensors = load(data)
         stored = [tensors[group.name] for group in team.groups]
         if _digest(stored) != metadata["digest"]:
             raise PolicyError("its parameters do not match its digest")
-        actors = TeamActors(team, hidden, tuple(np.ascontiguousarray(flat, dtype=np.float32) for flat in stored), head)
+        flats = tuple(np.ascontiguousarray(flat, dtype=np.float32) for flat in stored)
+        actors = TeamActors(team, hidden, flats, head, memory)
     except (EiaSecError, SafetensorError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")
         raise PolicyError(f"{path} is not a valid policy file: {reason}.") from error
@@ -115,14 +120,14 @@ def _header(data: bytes) -> tuple[dict[str, Any], dict[str, str]]:
     return header, metadata
 
 
-def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, head: Head, size: int) -> None:
+def _compare(header: dict[str, Any], team: TeamSpec, hidden: int, kind: tuple[Head, Memory], size: int) -> None:
     """Raise PolicyError unless the header lists this team's tensors and they fit the file's size."""
     if not 1 <= hidden <= MAX_HIDDEN or set(header) != {group.name for group in team.groups}:
         raise PolicyError("its tensors are not those of its team")
     expected = 0
     for group in team.groups:
         entry = header[group.name]
-        numbers = parameter_count(group.observation_size, hidden, actor_outputs(group, head))
+        numbers = parameter_count(group.observation_size, hidden, actor_outputs(group, kind[0]), kind[1])
         shapes = [group.count, numbers], [1, numbers]
         if entry["dtype"] not in _ITEM_BYTES or entry["shape"] not in shapes:
             raise PolicyError(f"its {group.name} actors are {entry['dtype']}{entry['shape']}, not floats {shapes[0]}")

@@ -2,6 +2,7 @@
 
 from common.actors import TeamActors, checked_head, imitate
 from common.errors import VersionError
+from common.gru import checked_memory
 from common.imitation import ImitationEvent
 from common.protocol.messages import ParametersMessage
 from common.team import TeamSpec
@@ -49,7 +50,8 @@ class PolicyStore:
             self.ignored += 1
             return False
         arrays = tuple(flat.copy() for flat in message.flat)
-        actors = TeamActors(self.team, message.hidden, arrays, checked_head(message.head))
+        head, memory = checked_head(message.head), checked_memory(message.memory or "none")
+        actors = TeamActors(self.team, message.hidden, arrays, head, memory)
         self.actors, self.epoch, self.version, self.event = actors, message.epoch, message.version, message.event
         self.environment_steps, self.progress = message.environment_steps, message.progress
         self._apply()

@@ -199,15 +199,15 @@ class TeamSpec:
 
     def agent_slices(self) -> tuple[slice, ...]:
         """Return each type's slice of all agents."""
-        return _slices([group.count for group in self.groups])
+        return slices([group.count for group in self.groups])
 
     def observation_slices(self) -> tuple[slice, ...]:
         """Return each type's slice of a row of observations."""
-        return _slices([group.count * group.observation_size for group in self.groups])
+        return slices([group.count * group.observation_size for group in self.groups])
 
     def action_slices(self) -> tuple[slice, ...]:
         """Return each type's slice of a row of actions."""
-        return _slices([group.count * group.action_size for group in self.groups])
+        return slices([group.count * group.action_size for group in self.groups])
 
     def split_observations(self, rows: Float32) -> list[Float32]:
         """Split rows [..., O] into one view [..., n_v, o_v] for each type."""
@@ -226,7 +226,7 @@ class TeamSpec:
     def split_environment_actions(self, rows: Float32) -> list[Float32]:
         """Split the environment's rows, after the adapters, into one view [..., n_v, numbers] for each type."""
         sizes = [group.environment_action_size for group in self.groups]
-        parts = _slices([group.count * size for group, size in zip(self.groups, sizes, strict=True)])
+        parts = slices([group.count * size for group, size in zip(self.groups, sizes, strict=True)])
         return [
             rows[..., part].reshape(*rows.shape[:-1], group.count, size)
             for group, part, size in zip(self.groups, parts, sizes, strict=True)
@@ -267,6 +267,7 @@ class TeamSpec:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _slices(sizes: list[int]) -> tuple[slice, ...]:
+def slices(sizes: list[int]) -> tuple[slice, ...]:
+    """Return the slices of parts of these sizes, one after another."""
     ends = np.cumsum([0, *sizes]).tolist()
     return tuple(slice(a, b) for a, b in itertools.pairwise(ends))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.errors import SchemaError
+from common.gru import MOST_STATE
 from common.team import Float32, TeamSpec
 
 TRANSITION: Final = 1
@@ -43,6 +44,9 @@ class Rows:
         flag: [R] uint8 of TRANSITION, TERMINATED and TRUNCATED.
         log_probability: [R, agents] float32, log-probability of each agent's action under the policy that acted, for
             algorithms that learn on policy; zeros where no step follows. None for others.
+        state: [E, agents, h] float32, the actors' states before the first row of each environment; None for actors
+            without memory. The rows then hold E environments, one after another, with equally many steps of each. An
+            environment's later segments in the same rows begin an episode, and so with a state of 0.
     """
 
     observation: Float32
@@ -50,14 +54,35 @@ class Rows:
     reward: Float32
     flag: NDArray[np.uint8]
     log_probability: Float32 | None = None
+    state: Float32 | None = None
 
     @property
     def steps(self) -> int:
         """Environment steps in these rows."""
         return int(np.count_nonzero(self.flag & TRANSITION))
 
-    def check(self, team: TeamSpec) -> None:
-        """Raise SchemaError unless shapes fit the team, all numbers are finite, and flags form whole segments."""
+    def steps_by_environment(self) -> NDArray[np.int64]:
+        """Return the rows from which steps follow, [S, E]: a column for each environment, in order of time.
+
+        Raises:
+            SchemaError: there are no states, or the rows do not hold equally many steps of so many environments.
+        """
+        count = 0 if self.state is None else len(self.state)
+        steps = np.flatnonzero(self.flag & TRANSITION)
+        if not count or not len(steps) or len(steps) % count:
+            raise SchemaError(f"{len(steps)} steps are not equally many of {count} environments.")
+        found = steps.reshape(count, -1).T
+        if (self.flag[found[-1] + 1] & TRANSITION).any():
+            raise SchemaError("a segment reaches from one environment into the next.")
+        return found
+
+    def check(self, team: TeamSpec, memory: int = 0) -> None:
+        """Raise SchemaError unless shapes fit the team, all numbers are finite, and flags form whole segments.
+
+        Args:
+            team: the layout of the team.
+            memory: h, numbers in an actor's state; 0 for actors without memory.
+        """
         rows = self.flag.shape[0] if self.flag.ndim == 1 else -1
         wanted = {
             "observation": (self.observation, (rows, team.observation_size)),
@@ -75,6 +100,17 @@ class Rows:
         if self.flag.dtype != np.uint8 or not _WHOLE.fullmatch(self.flag.tobytes()):
             raise SchemaError("the flags do not form whole segments.")
         self._check_actions(team)
+        self._check_state(team, memory)
+
+    def _check_state(self, team: TeamSpec, memory: int) -> None:
+        if self.state is None and not memory:
+            return
+        found = None if self.state is None else self.state.shape
+        if self.state is None or self.state.dtype != np.float32 or self.state.shape[1:] != (team.agents, memory):
+            raise SchemaError(f"the actors' state is {found}, which does not fit {team.agents} agents of {memory}.")
+        if not (np.abs(self.state) <= MOST_STATE).all():
+            raise SchemaError(f"the actors' state holds a number that is not finite or larger than {MOST_STATE}.")
+        self.steps_by_environment()
 
     def _check_actions(self, team: TeamSpec) -> None:
         if not any(group.choices for group in team.groups):

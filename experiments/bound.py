@@ -26,12 +26,12 @@ from common.errors import ConfigError
 from deploy.reports.provenance import provenance
 from experiments.reporting import farm_range
 from rollout.evaluation import episode_seed
-from rollout.heuristics.sites import plot_half
 from rollout.sim.batch import FarmBatch
 from rollout.sim.kernel.camera import plot_quality
 from rollout.sim.kernel.constants import constants
 from rollout.sim.kernel.motion import flight_power
 from rollout.sim.layout import cell_counts, make_layout
+from rollout.sim.sweep_routes import plot_half
 
 SPEEDS: Final = 2001
 """Speeds among which the cheapest is sought."""

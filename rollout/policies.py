@@ -9,6 +9,7 @@ A policy is called in this loop:
         farms.step(policy.act(farms))
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeVar
 
@@ -58,10 +59,19 @@ class ActorPolicy:
 
     def __init__(self, actors: TeamActors) -> None:
         self._actors = actors
+        self._state: Float32 | None = None
 
     def reset(self, environments: Environments, index: int) -> None:
-        """Adopt the environments' action adapters; raise PolicyError unless the actors fit their team."""
+        """Adopt the environments' action adapters and forget the environment's earlier observations.
+
+        Raises:
+            PolicyError: the actors do not fit the environments' team.
+        """
         self._actors = fitted(self._actors, environments.team)
+        if self._state is None or len(self._state) != len(environments.time):
+            self._state = self._actors.initial_state(len(environments.time))
+        if self._state is not None:
+            self._state[index] = 0.0
 
     def act(self, environments: Environments) -> Float32:
         """Return the actors' actions.
@@ -69,7 +79,10 @@ class ActorPolicy:
         Environments are computed one at a time, because an episode must not depend on the rest of its batch: the number
         of rows changes the order in which a matrix product sums.
         """
-        return np.concatenate([self._actors.environment_actions(row[None]) for row in environments.observation])
+        state, rows = self._state, environments.observation
+        each = [None] * len(rows) if state is None else [state[index : index + 1] for index in range(len(rows))]
+        actions = [self._actors.environment_actions(row[None], own) for row, own in zip(rows, each, strict=True)]
+        return np.concatenate(actions)
 
 
 def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:
@@ -82,7 +95,7 @@ def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:
         return actors
     if [_interface(group) for group in actors.team.groups] != [_interface(group) for group in team.groups]:
         raise PolicyError(f"the policy is for {_describe(actors.team)}, but this environment has {_describe(team)}.")
-    return TeamActors(team, actors.hidden, actors.flat, actors.head)
+    return replace(actors, team=team)
 
 
 def _interface(group: GroupSpec) -> tuple[Any, ...]:

@@ -12,7 +12,7 @@ allowed actions.
 import math
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
@@ -32,7 +32,7 @@ GAIN: Final = 1.5
 EDGE: Final = 1e-4
 """Rounding tolerance, as a share of a cell: an agent this close below the next cell counts as inside it."""
 NEAR: Final = 1e-6
-"""Distance from the middle of the field below which an idle agent slows down; the field spans -1 to 1."""
+"""Least way of an idle agent in a step, for the division by it; the field spans -1 to 1."""
 
 
 class ActionAdapter(Protocol):
@@ -187,16 +187,24 @@ class NineMoves:
     """The output is the index of one of nine moves: one step back, none or one step on along x and along y.
 
     It becomes the two numbers with which `Lattice` selects the neighbour.
+
+    Attributes:
+        suggestion: index of the first of nine numbers of the observation that mark the move which the environment
+            suggests; -1 if it suggests none. Fresh policies favour that move.
     """
 
     kind: ClassVar[str] = "nine moves"
     formula: ClassVar[str] = "a = (floor(a[0] / 3) - 1, a[0] mod 3 - 1)"
     options: ClassVar[int] = 9
 
+    suggestion: int = -1
+
     def require(self, observation_size: int, action_size: int) -> None:
-        """Raise ConfigError unless the action is one index."""
+        """Raise ConfigError unless the action is one index and observations hold the suggestion."""
         if action_size != 1:
             raise ConfigError("nine moves are chosen by one index.")
+        if self.suggestion != -1 and not 0 <= self.suggestion <= observation_size - self.options:
+            raise ConfigError("the observation is too short for the suggested move.")
 
     def output_size(self, action_size: int) -> int:
         """Return 2."""
@@ -220,22 +228,25 @@ class NineMoves:
 class Headings:
     """The output is the index of a velocity: idle, or one of eight headings at one of three speeds.
 
-    Index 0 is idle: the agent drifts slowly towards the middle of the field, where the printed flight power is far
-    below that of hovering. Index 1 + 8 k + j is the speed k (slow, medium, fast) on the heading j times 45 degrees.
+    Index 0 is idle: the agent flies slowly back and forth along x, where the printed flight power is far below that of
+    hovering. Its place says which way: on from even cells and back from odd ones, each as wide as its way in a step.
+    Index 1 + 8 k + j is the speed k (slow, medium, fast) on the heading j times 45 degrees.
 
     Attributes:
-        idle: speed of the drift, as a share of full speed.
+        idle: speed of an idle agent, as a share of full speed.
         slow: lowest speed on a heading, as a share of full speed.
         medium: the next speed.
         fast: the highest speed.
+        reach: distance that full speed along x covers in a step, as a share of the field's width.
     """
 
     kind: ClassVar[str] = "headings"
     resting: ClassVar[int] = 0
     """Option that does least; a fresh policy favours it, because a heading that is chosen always ends at a border."""
     formula: ClassVar[str] = (
-        "k = floor((a[0] - 1) / 8), angle = (a[0] - 1) mod 8 * pi / 4, p = o[:2], "
-        "a = -idle p / max(|p|, floor) if a[0] < 1 else speeds[k] (cos angle, sin angle)"
+        "k = floor((a[0] - 1) / 8), angle = (a[0] - 1) mod 8 * pi / 4, x = o[0], "
+        "back = (floor(x / way) mod 2 = 1 or x > 1 - way) and x >= way - 1, "
+        "a = ((-idle if back else idle), 0) if a[0] < 1 else speeds[k] (cos angle, sin angle)"
     )
     options: ClassVar[int] = 25
 
@@ -243,10 +254,13 @@ class Headings:
     slow: float
     medium: float
     fast: float
+    reach: float
 
     def __post_init__(self) -> None:
-        """Refuse speeds outside 0..1."""
+        """Refuse speeds outside 0..1, and agents that cannot move."""
         within(0.0, 1.0, idle=self.idle, slow=self.slow, medium=self.medium, fast=self.fast)
+        if not 0.0 < self.reach < math.inf:
+            raise ConfigError(f"the reach of headings must be positive and finite, not {self.reach}.")
 
     def require(self, observation_size: int, action_size: int) -> None:
         """Raise ConfigError unless the action is one index and observations hold a position."""
@@ -257,13 +271,20 @@ class Headings:
         """Return 2."""
         return 2
 
+    @property
+    def way(self) -> np.float32:
+        """How far an idle agent flies in a step; the field spans -1 to 1."""
+        return np.float32(max(2.0 * self.idle * self.reach, NEAR))
+
     def adapt(self, observation: Float32, action: Float32) -> Float32:
         """Return velocities [..., 2] as shares of full speed, for indices [..., 1]."""
-        position = observation[..., POSITION]
-        apart = np.sqrt((position * position).sum(axis=-1, keepdims=True))
-        drift = np.float32(-self.idle) * position / np.maximum(apart, np.float32(NEAR))
+        x, way = observation[..., :1], self.way
+        cell = np.floor(x / way)
+        odd = cell - np.float32(2) * np.floor(np.float32(0.5) * cell) > np.float32(0.5)
+        back = (odd | (x > np.float32(1) - way)) & ~(x < way - np.float32(1))
+        idle = np.where(back, np.float32(-self.idle), np.float32(self.idle)) * np.array([1, 0], np.float32)
         index = np.rint(action[..., 0]).astype(np.int64)
-        velocity: Float32 = np.where(action < np.float32(1), drift, self.velocities()[np.maximum(index - 1, 0)])
+        velocity: Float32 = np.where(action < np.float32(1), idle, self.velocities()[np.maximum(index - 1, 0)])
         return velocity
 
     def velocities(self) -> Float32:
@@ -274,12 +295,12 @@ class Headings:
         return np.concatenate([speed * heading for speed in speeds]).astype(np.float32)
 
     def complaint(self, observation: Float32) -> str:
-        """Return an empty string: every position has a way to the middle."""
+        """Return an empty string: there is a velocity for every position."""
         return ""
 
     def constants(self) -> dict[str, Any]:
-        """Return idle, speeds and floor."""
-        return {"idle": self.idle, "speeds": [self.slow, self.medium, self.fast], "floor": NEAR}
+        """Return idle, way and speeds."""
+        return {"idle": self.idle, "way": float(self.way), "speeds": [self.slow, self.medium, self.fast]}
 
 
 ADAPTERS: Final[dict[str, type[Lattice] | type[MirroredAxes] | type[NineMoves] | type[Headings]]] = {
@@ -305,8 +326,9 @@ def adapter_from_dict(data: Any) -> ActionAdapter:
     if not isinstance(data, Mapping) or (kind := ADAPTERS.get(str(data.get("kind")))) is None:
         raise ConfigError("the description of an action adapter names an unknown kind.")
     wanted = {field.name: int if field.type is int else float for field in fields(kind)}
+    needed = {field.name for field in fields(kind) if field.default is MISSING}
     values = {name: value for name, value in data.items() if name != "kind"}
-    if values.keys() != wanted.keys():
+    if not needed <= values.keys() <= wanted.keys():
         raise ConfigError(f"a {kind.kind} takes {', '.join(wanted) or 'no values'}.")
     for name, value in values.items():
         if type(value) is not wanted[name] and not (wanted[name] is float and type(value) is int):

@@ -16,6 +16,7 @@ from common.config.algorithms import (
 )
 from common.config.control import ControlConfig
 from common.config.environment import EnvConfig
+from common.config.failures import FailureConfig
 from common.config.farm import (
     CameraConfig,
     EnergyConfig,
@@ -42,6 +43,7 @@ __all__ = [
     "EnvConfig",
     "EvaluationConfig",
     "ExplorationConfig",
+    "FailureConfig",
     "FarmConfig",
     "IppoConfig",
     "LearnerConfig",

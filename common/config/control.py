@@ -5,7 +5,7 @@ from typing import Literal
 
 Control = Literal["velocity", "lattice", "moves", "headings"]
 """velocity: the output is the velocity, as printed; lattice: it selects one of nine points to fly to. The others are
-discrete. moves: a choice among these nine points; headings: a choice among 24 velocities and an idle drift."""
+discrete. moves: a choice among these nine points; headings: a choice among 24 velocities and idling."""
 
 
 @dataclass(frozen=True)

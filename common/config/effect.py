@@ -1,9 +1,17 @@
 """Refuses options without effect under the chosen algorithm, in a sentence that names the algorithms that use them."""
 
 from dataclasses import fields
+from typing import Final
 
 from common.config.algorithms import ALGORITHM_CONFIGS, OPTIONAL_SECTIONS
 from common.config.run import RunConfig
+
+SWITCHES: Final = (
+    ("algorithm.ensemble_", "algorithm.ensemble", False),
+    ("elite.", "elite.enabled", False),
+    ("algorithm.sequence_", "algorithm.memory", "none"),
+)
+"""The beginning of options' keys, the switch of their part of the algorithm, and its value when the part is off."""
 
 
 def without_effect(config: RunConfig, key: str) -> str | None:
@@ -24,10 +32,10 @@ def without_effect(config: RunConfig, key: str) -> str | None:
 
 def switched_off(config: RunConfig, key: str) -> str | None:
     """Return why an option has no effect because its part of the algorithm is switched off, or None."""
-    for part, switch in (("algorithm.ensemble_", "algorithm.ensemble"), ("elite.", "elite.enabled")):
+    for part, switch, off in SWITCHES:
         section, _, field = switch.partition(".")
-        if key.startswith(part) and key != switch and not getattr(getattr(config, section), field, True):
-            return f"{key} has no effect while {switch} is false."
+        if key.startswith(part) and key != switch and getattr(getattr(config, section), field, None) == off:
+            return f"{key} has no effect while {switch} is {str(off).lower()}."
     return None
 
 

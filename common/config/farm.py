@@ -9,6 +9,7 @@ from typing import Literal
 
 from common.config.checks import finite, not_negative, positive, within
 from common.config.control import ControlConfig
+from common.config.failures import FailureConfig
 from common.config.observation import ObservationConfig
 from common.config.sites import MAX_SENSORS, Sites, check_sites
 from common.errors import ConfigError
@@ -109,6 +110,11 @@ class WorldConfig:
     def uavs(self) -> int:
         """Number of all UAVs, n_UAV."""
         return self.communication_uavs + self.monitoring_uavs + self.collection_uavs
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Numbers of UAVs of each type: n_c, n_m and n_d."""
+        return self.communication_uavs, self.monitoring_uavs, self.collection_uavs
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -361,10 +367,12 @@ class FarmConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
+    failures: FailureConfig = field(default_factory=FailureConfig)
 
     def __post_init__(self) -> None:
         """Refuse sections that contradict each other."""
         self.relay.capacity_for(self.world)
+        self.failures.check(self.world.counts, self.world.steps)
         if self.observation.sensors > self.world.sensors:
             raise ConfigError(
                 f"observation.sensors {self.observation.sensors} exceeds the {self.world.sensors} sensors there are."

@@ -31,6 +31,15 @@ _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
 _WORD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.:/+-]*")
 """A string that needs no quotes on a command line."""
 
+LATER: Final[Mapping[str, Value]] = {
+    "algorithm.memory": "none",
+    "algorithm.sequence_steps": 50,
+    "farm.failures.at": "",
+    "farm.failures.per_hour": 0.0,
+    "farm.observation.route": False,
+}
+"""Options that earlier versions did not have, with the values under which a run is what it was before."""
+
 _LONG: Final = 8
 """Longest list that a message shows in full."""
 
@@ -55,8 +64,12 @@ def flatten(config: Any) -> dict[str, Value]:
 
 def to_toml(config: RunConfig) -> str:
     """Return the whole configuration as TOML; `from_toml` returns an equal one."""
+    return _toml(flatten(config))
+
+
+def _toml(flat: Mapping[str, Value]) -> str:
     sections: dict[str, list[str]] = {"": []}
-    for key, value in flatten(config).items():
+    for key, value in flat.items():
         section, _, name = key.rpartition(".")
         sections.setdefault(section, []).append(f"{name} = {format_value(value)}")
     blocks = ["\n".join(([f"[{name}]"] if name else []) + lines) for name, lines in sections.items()]
@@ -117,8 +130,12 @@ def differences(a: RunConfig, b: RunConfig) -> list[str]:
 
 
 def digest(config: RunConfig) -> str:
-    """Return sixteen hexadecimal digits that identify this configuration; equal ones have equal digests."""
-    return hashlib.sha256(to_toml(config).encode()).hexdigest()[:16]
+    """Return sixteen hexadecimal digits that identify this configuration; equal ones have equal digests.
+
+    Options of LATER with these values are left out, so that checkpoints and records of earlier versions still count.
+    """
+    flat = {key: value for key, value in flatten(config).items() if (key, value) not in LATER.items()}
+    return hashlib.sha256(_toml(flat).encode()).hexdigest()[:16]
 
 
 def method_of(config: RunConfig) -> RunConfig:

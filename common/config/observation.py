@@ -41,13 +41,16 @@ class ObservationConfig:
     """Whether monitors and collectors see coarse maps of VDF and AoI around them (ours)."""
     phases: bool = True
     """Whether agents see the phase of their counters' cycles, and the last 25 and 100 steps run down (ours)."""
+    route: bool = True
+    """Whether a monitoring UAV sees which of nine moves follows its sweep route, and the next plots on it. Fresh actors
+    of its moves begin with following it (ours)."""
     service: bool = True
     """Whether a relay sees its D_c and what each of nine moves would do to it (ours)."""
 
     @property
     def added(self) -> bool:
         """Whether any observation is on that the paper does not have: those from `peers` on."""
-        switches = self.last_move, self.closing, self.fields, self.coarse, self.phases, self.service
+        switches = self.last_move, self.closing, self.fields, self.coarse, self.phases, self.route, self.service
         return self.peers > 0 or self.units > 0 or any(switches)
 
     def __post_init__(self) -> None:

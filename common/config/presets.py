@@ -34,6 +34,7 @@ units = 0
 fields = false
 coarse = false
 phases = false
+route = false
 service = false
 [farm.control]
 communication = "velocity"

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from common.config.algorithms import OPTIONAL_SECTIONS, AlgorithmConfig, IppoConfig, OffPolicyConfig, OnPolicyConfig
+from common.config.algorithms.on_policy import Memory
 from common.config.checks import not_negative, positive, within
 from common.config.environment import EnvConfig
 from common.config.farm import FarmConfig
@@ -98,7 +99,7 @@ class RunConfig:
 
     seed: int = 0
     """Seed of the run; initial weights, batches, the order of farms and all noise follow from it."""
-    episodes: int = 24_000
+    episodes: int = 8_000
     """Training episodes lambda_max, in total over all environments of all workers."""
     env: EnvConfig = field(default_factory=EnvConfig)
     farm: FarmConfig = field(default_factory=FarmConfig)
@@ -121,6 +122,11 @@ class RunConfig:
             object.__setattr__(self, section, kind())
         if isinstance(self.algorithm, OffPolicyConfig):
             self._check_replay(self.algorithm.batch)
+        if self.memory != "none" and self.rollout.chunk_steps % self.on_policy.sequence_steps:
+            raise ConfigError(
+                f"rollout.chunk_steps {self.rollout.chunk_steps} must be a multiple of algorithm.sequence_steps "
+                f"{self.on_policy.sequence_steps}, because networks with memory learn from whole sequences."
+            )
 
     def _check_replay(self, batch: int) -> None:
         rows = max(2 * batch, self.rollout.chunk_rows(self.rollout.chunk_steps))
@@ -153,6 +159,16 @@ class RunConfig:
         if self.learns_on_policy:
             return 0.0, False
         return self.exploration.noise_std(progress), environment_steps < self.replay.warmup_steps
+
+    @property
+    def memory(self) -> Memory:
+        """Kind of memory of the algorithm's networks."""
+        return self.algorithm.memory if isinstance(self.algorithm, OnPolicyConfig) else "none"
+
+    @property
+    def memory_size(self) -> int:
+        """Numbers h in the state of one network with memory; 0 without memory."""
+        return self.algorithm.memory_size if isinstance(self.algorithm, OnPolicyConfig) else 0
 
     @property
     def imitates(self) -> bool:

@@ -38,11 +38,12 @@ def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> Chu
         episode_reward=np.array(rewards, np.float32).reshape(len(done), team.agents),
         episode_metrics=np.array(values, np.float64).reshape(len(done), len(names)),
         metric_names=names,
+        state=chunk.rows.state,
     )
 
 
 def from_message(
-    message: ChunkMessage, team: TeamSpec, episode_metrics: Collection[str], *, on_policy: bool = False
+    message: ChunkMessage, team: TeamSpec, episode_metrics: Collection[str], *, on_policy: bool = False, memory: int = 0
 ) -> Chunk:
     """Return the chunk of a message, checked against the team.
 
@@ -51,6 +52,7 @@ def from_message(
         team: the team that its rows must fit.
         episode_metrics: names of the environment's episode metrics; a finished episode has exactly these.
         on_policy: whether the rows must have log-probabilities; else they must have none.
+        memory: numbers in an actor's state; 0 if the rows must have none.
 
     Raises:
         VersionError: when it is for another team.
@@ -64,8 +66,8 @@ def from_message(
     if log_probability.ndim != 2 or (log_probability.shape[1] > 0) != on_policy:
         raise SchemaError("rows have log-probabilities if the algorithm learns on policy, and only then.")
     columns = message.observation, message.action, message.reward, message.flag
-    rows = Rows(*columns, log_probability if on_policy else None)
-    rows.check(team)
+    rows = Rows(*columns, log_probability if on_policy else None, message.state)
+    rows.check(team, memory)
     if not rows.steps <= message.produced <= MOST_COUNT:
         raise SchemaError(f"a chunk of {rows.steps} steps cannot bring the steps produced to {message.produced}.")
     count = message.farm.shape[0] if message.farm.ndim == 1 else -1

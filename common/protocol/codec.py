@@ -1,13 +1,14 @@
 """Encodes a message as a frame and decodes it again, from its dataclass alone.
 
-Scalar fields go into the frame's header and arrays into its body, by name. Decoding checks every field against its
-declared type, so every decoded message fits its declaration.
+Scalar fields go into the frame's header and arrays into its body, by name. A field that is None is left out. Decoding
+checks every field against its declared type, so every decoded message fits its declaration.
 """
 
 import functools
 import math
 from collections.abc import Callable
 from dataclasses import fields
+from types import NoneType, UnionType
 from typing import Any, ClassVar, Final, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -32,6 +33,8 @@ class Message:
         arrays: dict[str, frame.Array] = {}
         for item in fields(self):  # type: ignore[arg-type]  # every subclass is a dataclass; a test asserts it
             value = getattr(self, item.name)
+            if value is None:
+                continue
             if isinstance(value, np.ndarray):
                 arrays[item.name] = value
             elif isinstance(value, tuple) and value and isinstance(value[0], np.ndarray):
@@ -76,6 +79,9 @@ def _plan(cls: type[Message]) -> tuple[tuple[str, Reader], ...]:
 
 
 def _reader(name: str, kind: Any) -> Reader:
+    if isinstance(kind, UnionType):
+        (inner,) = (part for part in get_args(kind) if part is not NoneType)
+        return functools.partial(_read_optional, name, _reader(name, inner))
     if get_origin(kind) is np.ndarray:
         return functools.partial(_read_array, name, _dtype(kind))
     if get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is np.ndarray:
@@ -103,6 +109,10 @@ def _read_arrays(
     while (key := f"{name}.{len(parts)}") in arrays:
         parts.append(_array(name, wanted, arrays.pop(key)))
     return tuple(parts)
+
+
+def _read_optional(name: str, read: Reader, scalars: dict[str, Any], arrays: dict[str, frame.Array]) -> Any:
+    return read(scalars, arrays) if name in scalars or name in arrays else None
 
 
 def _read_scalar(name: str, kind: Any, scalars: dict[str, Any], arrays: dict[str, frame.Array]) -> Any:

@@ -23,7 +23,8 @@ def chunk_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
     numbers = team.observation_size + team.action_size + team.agents * (2 if config.learns_on_policy else 1)
     row = 4 * numbers + 1
     episodes = config.rollout.environments * ends
-    return config.rollout.chunk_rows(ends) * row + episodes * (EPISODE_BYTES + 4 * team.agents)
+    state = 4 * config.rollout.environments * team.agents * config.memory_size
+    return config.rollout.chunk_rows(ends) * row + episodes * (EPISODE_BYTES + 4 * team.agents) + state
 
 
 def evaluation_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
@@ -36,9 +37,8 @@ def evaluation_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
 def actor_bytes(config: RunConfig, team: TeamSpec) -> int:
     """Return the most bytes that all actors can take."""
     sizes = ((g.count, g.observation_size, actor_outputs(g, "gaussian")) for g in team.groups)
-    return 4 * sum(
-        count * parameter_count(inputs, config.algorithm.hidden, outputs) for count, inputs, outputs in sizes
-    )
+    hidden, memory = config.algorithm.hidden, config.memory
+    return 4 * sum(count * parameter_count(inputs, hidden, outputs, memory) for count, inputs, outputs in sizes)
 
 
 def require_frames(config: RunConfig, environment: EnvironmentSpec) -> None:

@@ -46,11 +46,11 @@ class ChunkMessage(Message):
         team: digest of the team layout.
         version: parameter version of the actors that produced the rows.
         produced: environment steps that this incarnation has produced, this chunk included.
-        observation, action, reward, flag, log_probability: the rows, see `common.transitions.Rows`; [R, 0] for None.
+        observation, action, reward, flag: the rows, see `common.transitions.Rows`.
+        log_probability, state: likewise; for None, [R, 0] and left out.
         farm, episode, steps: [K] int64, farm seed, episode seed and length of each finished episode.
         episode_reward: [K, agents] float32.
-        episode_metrics: [K, F] float64, the environment's episode metrics.
-        metric_names: names of the F metrics.
+        episode_metrics, metric_names: [K, F] float64, the environment's episode metrics, and their names.
     """
 
     KIND = 2
@@ -68,6 +68,7 @@ class ChunkMessage(Message):
     episode_reward: Float32
     episode_metrics: NDArray[np.float64]
     metric_names: tuple[str, ...]
+    state: Float32 | None = None
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ class ParametersMessage(Message):
         hidden: width of the hidden layers.
         head: kind of the last layer, deterministic or gaussian.
         flat: for each type, [n_v, P_v] float32, see `common.actors`.
+        memory: kind of memory, see `common.gru`; left out for actors without memory.
     """
 
     KIND = 4
@@ -117,6 +119,7 @@ class ParametersMessage(Message):
     hidden: int
     head: str
     flat: tuple[Float32, ...]
+    memory: str | None = None
 
 
 @dataclass(frozen=True)
@@ -188,8 +191,7 @@ class EvaluationOrder(Message):
         epoch: the learner's fencing epoch.
         event: number of the imitation event that needs them.
         version: lowest parameter version with which the worker may fly them.
-        farms: farm seeds, one for each episode.
-        episodes: episode seeds, in the same order.
+        farms, episodes: farm and episode seeds, one of both for each episode.
     """
 
     KIND = 9
@@ -205,8 +207,7 @@ class EvaluationResult(Message):
     """The step rewards of F noise-free episodes.
 
     Attributes:
-        event: number of the imitation event that needs them.
-        version: parameter version that was evaluated.
+        event, version: number of the imitation event that needs them, and parameter version that was evaluated.
         reward: [F, T, agents] float32 step rewards R_v-i; zeros after the end of a shorter episode.
         steps: [F] int64 length of each episode, at most T.
     """
@@ -359,7 +360,7 @@ class ViewMessage(Message):
         noise_std: standard deviation of the exploration noise.
         uniform: whether actions were drawn uniformly instead (warm-up).
         position: [F, n, 2] m.
-        assignment: [F, n_m + n_d] relay of each served UAV.
+        assignment: [F, n_m + n_d] relay of each served UAV; 255 for none.
         quality: [F, n_m + n_d] signal-to-noise ratio of each served UAV's link, dB.
         aoi: [F, S] AoI of each sensor over AoI_max, in 255ths.
         vdf: [F, n_px, n_py] VDF of each plot over VDF_max, in 255ths.
@@ -385,9 +386,7 @@ class ViewMessage(Message):
 
 @dataclass(frozen=True)
 class DeliveryMessage(Message):
-    """The first frame of a transition request; the frames of its chunks follow.
-
-    The chunks have consecutive sequence numbers. The envelope holds the first.
+    """The first frame of a transition request; its chunks' frames follow, numbered from the envelope's number on.
 
     Attributes:
         oldest: sequence number of the oldest chunk that the worker still holds.

@@ -14,6 +14,8 @@ FRAMES: Final = 32
 """Most frames in one message."""
 MAX_PARTS: Final = 32
 """Most parts of a reward."""
+NO_RELAY: Final = 255
+"""Assignment of a UAV that has no relay."""
 EDGE: Final = 1e-3
 """Rounding error allowed for a position at the field's edge, m."""
 
@@ -49,7 +51,8 @@ def check_view(message: ViewMessage, farm: FarmConfig, parts: int) -> None:
             raise SchemaError(f"array {name} holds a number that is not finite.")
     _within(message.position, np.array([world.field_x, world.field_y]) + EDGE, -EDGE, "position")
     _within(message.level, np.array([world.aoi_max, world.vdf_max]) + EDGE, -EDGE, "level")
-    _within(message.assignment, np.array(world.communication_uavs - 1), 0.0, "assignment")
+    linked = message.assignment[message.assignment != NO_RELAY]
+    _within(linked, np.array(world.communication_uavs - 1), 0.0, "assignment")
     if message.first + frames > world.steps + 1:
         raise SchemaError(f"a view reaches step {message.first + frames - 1} of {world.steps}.")
 

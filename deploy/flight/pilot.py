@@ -19,6 +19,7 @@ from common.actors import TeamActors, noise_free_actions
 from common.errors import ConfigError, ProtocolError, SchemaError
 from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
 from common.team import Float32
+from deploy.flight.states import AgentStates
 
 LARGEST: Final = 4.0
 """Largest absolute value in an observation. Scaled values lie within about [-1, 1]; far larger ones are in other
@@ -100,6 +101,7 @@ class Pilot:
         numbers = {vehicle: self._names.index(agent) for vehicle, agent in agents.items()}
         self._vehicles = {vehicle: _Vehicle(number, places[number]) for vehicle, number in numbers.items()}
         self._row = np.zeros((1, actors.team.observation_size), np.float32)
+        self._states = AgentStates(actors)
         self._latency: deque[float] = deque(maxlen=KEPT)
         self._age: deque[float] = deque(maxlen=KEPT)
         self.period = self.decisions = self.hovers = 0
@@ -174,7 +176,8 @@ class Pilot:
 
     def _shares(self) -> Float32:
         """Return every agent's velocity [agents, 2] as shares of full speed; NaN where an output is not finite."""
-        parts = list(self._actors.outputs(self._row))
+        state = self._states.begin({held.agent: held.mark for held in self._vehicles.values()})
+        parts = list(self._actors.outputs(self._row, state))
         shares = self._actors.team.adapt(self._row, noise_free_actions(parts))[0].reshape(-1, 2)
         # The largest of logits that are not finite has an index like any other, and tanh of infinity is 1.
         finite = np.concatenate([np.isfinite(outputs[0]).all(axis=-1) for _, _, outputs in parts])
@@ -188,7 +191,9 @@ class Pilot:
             raise ProtocolError(f"the envelope names {sender.role[:16]} {sender.name[:64]!r}.")
         # An incarnation that is invented or from a fast clock locks nobody out for longer than `age`.
         waited = message.stamp > held.stamp + self._limits.age * 1e6
-        if (sender.incarnation, sender.sequence) <= held.mark and not waited:
+        mark = sender.incarnation, sender.sequence
+        repeated = mark == held.mark and message.stamp > held.stamp
+        if mark <= held.mark and not (waited or repeated):
             raise ProtocolError(f"observation {sender.sequence} is not newer than {held.mark[1]}.")
         if message.agent != self._names[held.agent]:
             raise SchemaError(f"it is for agent {message.agent[:64]!r}, not {self._names[held.agent]}.")
@@ -231,6 +236,7 @@ class Pilot:
             held.reason = "the actor's output is not finite"
             return self._hover(held)
         self.decisions += 1
+        self._states.keep(held.agent, held.mark)
         # Double precision, so that dividing by the speed recovers the actor's action exactly.
         velocity = tuple(float(part) * speed for part, speed in zip(share, self._speed, strict=True))
         latency = self._clock() - held.began

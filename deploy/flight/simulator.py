@@ -105,7 +105,7 @@ class SimulatedFleet:
             if now - resent > RESEND_SECONDS:
                 resent = now
                 for agent in seen.keys() - found.keys():
-                    self._links[agent].observe(seen[agent])
+                    self._links[agent].repeat()
                     flight.resent += 1
             stop.event.wait(LOOK_SECONDS)
         return np.array([found[agent].velocity for agent in team.agent_names])

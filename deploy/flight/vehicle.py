@@ -48,6 +48,7 @@ class VehicleLink:
         self._vehicle, self._agent, self._fastest, self._clock = vehicle, agent, fastest, clock
         self._start, self._sequence = new_incarnation(), 0
         self._mark, self._obeyed = (0, 0), float("-inf")
+        self._values: Float32 = np.zeros(0, np.float32)
         self.refused = 0
 
     def observe(self, values: Float32) -> int:
@@ -57,9 +58,17 @@ class VehicleLink:
             values: [o] float32, scaled as in training.
         """
         self._sequence += 1
-        message = ObservationMessage(self._agent, int(self._clock() * 1e6), np.ascontiguousarray(values, np.float32))
-        self._publisher.put(message.encode(), Envelope("vehicle", self._vehicle, self._start, self._sequence).encode())
+        self._values = np.ascontiguousarray(values, np.float32).copy()
+        self.repeat()
         return self._sequence
+
+    def repeat(self) -> None:
+        """Publish the last observation again under its number, because it or its set-point may have been lost.
+
+        Actors with memory count it once.
+        """
+        message = ObservationMessage(self._agent, int(self._clock() * 1e6), self._values)
+        self._publisher.put(message.encode(), Envelope("vehicle", self._vehicle, self._start, self._sequence).encode())
 
     def setpoints(self) -> list[SetpointMessage]:
         """Return the set-points since the last call, oldest first; the vehicle obeys the last one."""

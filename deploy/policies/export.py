@@ -15,15 +15,28 @@ from common.config.files import digest
 from common.environment import TensorNames
 from common.errors import PolicyError
 from common.farm import farm_environment, farm_of
+from common.gru import Memory
 from common.team import Float32, GroupSpec
 from deploy.local import contained_files
-from deploy.policies.onnx_actions import LAST, action_nodes
+from deploy.policies.onnx_actions import action_nodes
+from deploy.policies.onnx_networks import NEXT_STATE, STATE, Network, network_nodes
 
 if TYPE_CHECKING:
     from onnx import ModelProto
 
-FORMAT: Final = "eia-sec actors 3"
-LAYERS: Final = ("w1", "b1", "w2", "b2", "w3", "b3")
+FORMATS: Final[dict[Memory, str]] = {"none": "eia-sec actors 3", "gru": "eia-sec recurrent actors 1"}
+"""Format of the description by the actors' memory."""
+LAYERS: Final[dict[Memory, tuple[str, ...]]] = {
+    "none": ("w1", "b1", "w2", "b2", "w3", "b3"),
+    "gru": ("w1", "b1", "w", "b", "u", "c", "w3", "b3"),
+}
+"""Names of an agent's layers in the files, by its memory."""
+NETWORKS: Final[dict[Memory, str]] = {
+    "none": "z = relu(relu(o w1 + b1) w2 + b2) w3 + b3",
+    "gru": "x = relu(o w1 + b1); p = x w + b, q = h u + c, each of three parts; r = sigmoid(p[0] + q[0]), "
+    "y = sigmoid(p[1] + q[1]), n = tanh(p[2] + r q[2]); next h = n + y (h - n); z = (next h) w3 + b3",
+}
+"""What a network computes, by its memory; h is its state, 0 where an episode begins."""
 OPSET: Final = 13
 """Operator set of the models; every onnxruntime since 2020 supports it."""
 IR_VERSION: Final = 7
@@ -36,15 +49,17 @@ def agent_names(actors: TeamActors) -> list[str]:
 
 
 def agent_layers(actors: TeamActors) -> list[dict[str, Float32]]:
-    """Return each agent's W1 [o, h], b1 [h], W2 [h, h], b2 [h], W3 [h, z], b3 [z] by their names in the files.
+    """Return each agent's layers by their names in the files: LAYERS, with the shapes of `common.actors.layer_shapes`.
 
-    z is the size of the action, or the number of options. Agents that share their parameters have equal layers.
+    A last layer has as many outputs as the action numbers, or one for each option. Agents that share their parameters
+    have equal layers.
     """
     agents, plain = [], actors.noise_free()
     for group, flat in zip(plain.team.groups, plain.flat, strict=True):
-        views = parameter_views(flat, group.observation_size, plain.hidden, actor_outputs(group, plain.head))
+        sizes = group.observation_size, plain.hidden, actor_outputs(group, plain.head)
+        named = dict(zip(LAYERS[plain.memory], parameter_views(flat, *sizes, plain.memory), strict=True))
         rows = range(group.count) if len(flat) > 1 else [0] * group.count
-        agents += [{name: view[row].copy() for name, view in zip(LAYERS, views, strict=True)} for row in rows]
+        agents += [{name: view[row].copy() for name, view in named.items()} for row in rows]
     return agents
 
 
@@ -63,8 +78,8 @@ def description(config: RunConfig, actors: TeamActors, metadata: Mapping[str, st
     """
     kinds = kinds_of(actors)
     return {
-        "format": FORMAT,
-        "network": "z = relu(relu(o w1 + b1) w2 + b2) w3 + b3",
+        "format": FORMATS[actors.memory],
+        "network": NETWORKS[actors.memory],
         "outputs": {
             "continuous": "a = tanh(z)",
             "choices": "a[k] = argmax of z over branch k's options; masked: where o's last numbers exceed 0.5",
@@ -100,7 +115,7 @@ def tensor_names(config: RunConfig, group: GroupSpec) -> TensorNames:
 
 
 def export_safetensors(folder: Path, config: RunConfig, actors: TeamActors, metadata: Mapping[str, str]) -> list[Path]:
-    """Write actors.safetensors with tensors AGENT.w1 to AGENT.b3, and actors.json; return the files.
+    """Write actors.safetensors with the tensors AGENT.LAYER, and actors.json; return the files.
 
     Raises:
         PolicyError: a file cannot be written.
@@ -119,8 +134,8 @@ def export_onnx(folder: Path, config: RunConfig, actors: TeamActors, metadata: M
     """Write one model for each agent, AGENT.onnx, and actors.json; return the files.
 
     A model takes `observation` [batch, o] and returns `action` [batch, a], both float32; it holds the choice among
-    options and the action adapters. Agents that share their parameters have a model each, so that each vehicle needs
-    only its own file.
+    options and the action adapters. A model with memory also takes `state` and returns `next_state`, both [batch, h].
+    Agents that share their parameters have a model each, so that each vehicle needs only its own file.
 
     Raises:
         PolicyError: the package onnx is missing, or a file cannot be written.
@@ -129,7 +144,8 @@ def export_onnx(folder: Path, config: RunConfig, actors: TeamActors, metadata: M
     paths = []
     for name, layers, group in zip(agent_names(actors), agent_layers(actors), kinds_of(actors), strict=True):
         shared = {key: value for key, value in described.items() if key != "agents"}
-        model = _model(name, layers, group, {**shared, **described["agents"][name]})
+        network = network_nodes(layers, actors.memory)
+        model = _model(name, network, group, {**shared, **described["agents"][name]})
         paths.append(_write(folder, f"{name}.onnx", model.SerializeToString()))
     return [*paths, _describe(folder, json.dumps(described, indent=2))]
 
@@ -145,27 +161,21 @@ def _write(folder: Path, name: str, data: bytes) -> Path:
         raise PolicyError(f"{folder / name} cannot be written: {error.strerror}.") from error
 
 
-def _model(name: str, layers: Mapping[str, Float32], group: GroupSpec, described: Mapping[str, Any]) -> "ModelProto":
+def _model(name: str, network: Network, group: GroupSpec, described: Mapping[str, Any]) -> "ModelProto":
     try:
         from onnx import TensorProto, checker, helper, numpy_helper  # noqa: PLC0415 - an extra that few users need
     except ImportError:
         raise PolicyError("ONNX export needs the package onnx: pip install 'eia-sec[export]'.") from None
     acting, constants = action_nodes(group)
-    nodes = [
-        helper.make_node("Gemm", ["observation", "w1", "b1"], ["z1"]),
-        helper.make_node("Relu", ["z1"], ["h1"]),
-        helper.make_node("Gemm", ["h1", "w2", "b2"], ["z2"]),
-        helper.make_node("Relu", ["z2"], ["h2"]),
-        helper.make_node("Gemm", ["h2", "w3", "b3"], [LAST]),
-        *(helper.make_node(node.operator, node.inputs, [node.output], **node.attributes) for node in acting),
-    ]
-    numbers = {layer: layers[layer] for layer in LAYERS} | constants
+    inputs, outputs = {"observation": group.observation_size}, {"action": group.environment_action_size}
+    if network.state:
+        inputs[STATE], outputs[NEXT_STATE] = network.state, network.state
     graph = helper.make_graph(
-        nodes,
+        [helper.make_node(n.operator, n.inputs, [n.output], **n.attributes) for n in (*network.nodes, *acting)],
         name,
-        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["batch", group.observation_size])],
-        [helper.make_tensor_value_info("action", TensorProto.FLOAT, ["batch", group.environment_action_size])],
-        [numpy_helper.from_array(array, name) for name, array in numbers.items()],
+        [helper.make_tensor_value_info(key, TensorProto.FLOAT, ["batch", size]) for key, size in inputs.items()],
+        [helper.make_tensor_value_info(key, TensorProto.FLOAT, ["batch", size]) for key, size in outputs.items()],
+        [numpy_helper.from_array(array, key) for key, array in (network.numbers | constants).items()],
     )
     model = helper.make_model(
         graph, producer_name="eia-sec", opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION

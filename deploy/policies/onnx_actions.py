@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from common.actions.adapters import (
     EDGE,
     GAIN,
-    NEAR,
     POSITION,
     SIGNS,
     ActionAdapter,
@@ -81,13 +80,20 @@ NINE_MOVES: Final[tuple[Node, ...]] = (
     Node("Concat", ["step x", "step y"], "steps", {"axis": 1}),
 )
 HEADINGS: Final[tuple[Node, ...]] = (
-    Node("Slice", ["observation", "begin", "end", "axis"], "position"),
-    Node("Mul", ["position", "position"], "squares"),
-    Node("ReduceSum", ["squares", "axis"], "square"),
-    Node("Sqrt", ["square"], "apart"),
-    Node("Max", ["apart", "near"], "divisor"),
-    Node("Mul", ["idle", "position"], "back"),
-    Node("Div", ["back", "divisor"], "drift"),
+    Node("Slice", ["observation", "begin", "end", "axis"], "x"),
+    Node("Div", ["x", "way"], "place"),
+    Node("Floor", ["place"], "cell"),
+    Node("Mul", ["half", "cell"], "pairs"),
+    Node("Floor", ["pairs"], "pair"),
+    Node("Mul", ["two", "pair"], "even"),
+    Node("Sub", ["cell", "even"], "rest"),
+    Node("Greater", ["rest", "half"], "odd"),
+    Node("Greater", ["x", "high"], "at the end"),
+    Node("Or", ["odd", "at the end"], "turns"),
+    Node("Less", ["x", "low"], "at the start"),
+    Node("Not", ["at the start"], "may turn"),
+    Node("And", ["turns", "may turn"], "back"),
+    Node("Where", ["back", "minus idle", "plus idle"], "drift"),
     Node("Sub", [ACTION, "one"], "after idle"),
     Node("Max", ["after idle", "zero"], "row"),
     Node("Cast", ["row"], "index", {"to": INT64}),
@@ -163,10 +169,13 @@ def _nine_moves(_: ActionAdapter) -> tuple[tuple[Node, ...], Numbers]:
 
 def _headings(adapter: ActionAdapter) -> tuple[tuple[Node, ...], Numbers]:
     assert isinstance(adapter, Headings)
-    scalars = {"one": 1.0, "zero": 0.0, "near": NEAR, "idle": -adapter.idle}
+    one, idle = np.float32(1), np.array([[adapter.idle, 0.0]], np.float32)
+    scalars = {"one": 1.0, "zero": 0.0, "half": 0.5, "two": 2.0}
+    scalars |= {"way": float(adapter.way), "high": float(one - adapter.way), "low": float(adapter.way - one)}
     return HEADINGS, {
         **{name: np.array(value, np.float32) for name, value in scalars.items()},
-        **_bounds(POSITION),
+        **{"minus idle": -idle, "plus idle": idle},
+        **_bounds(slice(0, 1)),
         "velocities": adapter.velocities(),
     }
 

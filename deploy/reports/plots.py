@@ -260,7 +260,8 @@ def _paths(axes: Axes, trajectory: Trajectory, fading: bool, size: float) -> Non
     ends = trajectory.position[-1]
     relays = trajectory.config.world.communication_uavs
     for served, relay in enumerate(trajectory.assignment):
-        axes.plot(*ends[[relay, relays + served]].T, color="0.15", linewidth=1.0, linestyle=":", zorder=4)
+        if relay >= 0:
+            axes.plot(*ends[[relay, relays + served]].T, color="0.15", linewidth=1.0, linestyle=":", zorder=4)
     for name, agents in zip(TYPES, farm_team(trajectory.config).agent_slices(), strict=True):
         for agent in range(agents.start, agents.stop):
             path, colour = trajectory.position[:, agent], COLOURS[name]

@@ -11,7 +11,7 @@ import matplotlib.image
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
+from common.config import FailureConfig, FarmConfig
 from common.config.presets import preset
 from common.farm import farm_team
 from docs.tools.blocks import Block
@@ -72,11 +72,13 @@ def added_table() -> str:
         fields=True,
         coarse=True,
         phases=True,
+        route=True,
         service=True,
     )
     plain, lines = observation_parts(farm), ["| agents | observation | numbers | from | to | meaning |"]
     lines.append("|---|---|---:|---:|---:|---|")
-    for name, parts in observation_parts(replace(farm, observation=seen)).items():
+    more = replace(farm, observation=seen, failures=FailureConfig(per_hour=1.0))
+    for name, parts in observation_parts(more).items():
         added = tuple(part for part in parts if part not in plain[name])
         label = f"`{name}`, {sum(part.size for part in added)} numbers"
         for times, part in _runs(added):

@@ -12,6 +12,7 @@ from docs.tools.readme_results import default_block, policies_table, results_blo
 TRAINING: Final = "docs/results/reproduce/training/results.json"
 PRESET: Final = "docs/results/reproduce/default/results.json"
 HEURISTICS: Final = "docs/results/heuristics/results.json"
+SEEDS: Final = "docs/results/default/seeds.json"
 NOT_MEASURED: Final = "Not measured yet.\n"
 """A block whose data is not there."""
 PAUSE_AIM: Final = 50.0
@@ -266,13 +267,13 @@ def checkpoint_block(data: dict[str, Any]) -> str:
 MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
     "capacity": (capacity.SOURCES, capacity.block),
     "checkpoint": (("docs/results/checkpoint.json",), checkpoint_block),
-    "default-run": (("docs/results/default/evaluation.json", TRAINING, HEURISTICS, PRESET), default_block),
+    "default-run": (("docs/results/default/evaluation.json", TRAINING, HEURISTICS, PRESET, SEEDS), default_block),
     "fly": (("docs/results/fly.json",), fly_block),
     "forms": (("docs/results/critic_forms/forms.json",), forms_block),
     "heuristics": ((HEURISTICS,), heuristics_block),
     "hosts": (("docs/results/hosts/results.json",), hosts_block),
     "paper-preset": (("docs/results/paper/evaluation.json",), paper_block),
-    "results": ((TRAINING, PRESET, HEURISTICS), results_block),
+    "results": ((TRAINING, PRESET, SEEDS), results_block),
     "second-worker": (("docs/results/second_worker.json",), second_worker_block),
     "tasks": (
         ("docs/results/tasks/simple_spread/results.json", "docs/results/tasks/half_cheetah/results.json"),

@@ -44,6 +44,7 @@ class ParameterPublisher:
             hidden=actors.hidden,
             head=actors.head,
             flat=actors.flat,
+            memory=None if actors.memory == "none" else actors.memory,
         )
         self._parameters.put(message.encode())
 

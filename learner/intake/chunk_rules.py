@@ -4,8 +4,8 @@ Every worker simulates the configured number of environments, `chunk_steps` step
 number determines a chunk's steps and the steps that its start has produced. The rows determine which episodes end and
 how long they were.
 
-Only the parameter version cannot be checked. `Receiver` clamps a future version to the newest published one and trusts
-an older one; docs/reference/security.md describes what a false one can do.
+Only the parameter version, and the values of actors' states, cannot be checked. `Receiver` clamps a future version to
+the newest published one and trusts an older one; docs/reference/security.md describes what a false one can do.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from common.config import RunConfig
 from common.environment import EnvironmentSpec
 from common.errors import SchemaError
-from common.protocol.messages import Envelope
+from common.protocol.chunk_messages import from_message
+from common.protocol.messages import ChunkMessage, Envelope
+from common.team import TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary
 
 MOST_TRACKED: Final = 4096
@@ -38,6 +40,7 @@ class ChunkRules:
         longest: most steps of an episode.
         episode_metrics: names of the environment's episode metrics.
         log_probabilities: whether rows hold log-probabilities, as algorithms that learn on policy need.
+        memory: numbers in an actor's state, which rows then hold; 0 for actors without memory.
     """
 
     environments: int
@@ -47,18 +50,31 @@ class ChunkRules:
     longest: int
     episode_metrics: tuple[str, ...] = ()
     log_probabilities: bool = False
+    memory: int = 0
 
     @classmethod
     def of(cls, config: RunConfig, environment: EnvironmentSpec) -> "ChunkRules":
         """Return the rules of a run."""
         rollout, steps = config.rollout, environment.episode_steps
         sizes = rollout.environments, rollout.chunk_steps, rollout.spool_chunks
-        return cls(*sizes, *steps, environment.metric_names, config.learns_on_policy)
+        return cls(*sizes, *steps, environment.metric_names, config.learns_on_policy, config.memory_size)
 
     @property
     def steps(self) -> int:
         """Environment steps of one chunk."""
         return self.environments * self.chunk_steps
+
+    def chunk_of(self, message: ChunkMessage, team: TeamSpec) -> Chunk:
+        """Return the chunk of a message, checked against the team.
+
+        Raises:
+            VersionError, SchemaError: see `common.protocol.chunk_messages.from_message`.
+        """
+        chunk = from_message(message, team, self.episode_metrics, on_policy=self.log_probabilities, memory=self.memory)
+        state = chunk.rows.state
+        if state is not None and len(state) != self.environments:
+            raise SchemaError(f"the states are those of {len(state)} environments, not of {self.environments}.")
+        return chunk
 
     def check_counts(self, sender: Envelope, steps: int, produced: int, flown: int) -> None:
         """Raise SchemaError unless a worker's counts follow from the sequence number of its chunk.

@@ -14,7 +14,7 @@ from common.history.history import Entry, History
 from common.incarnation import plausible
 from common.process import log
 from common.protocol import keys
-from common.protocol.chunk_messages import MOST_COUNT, from_message, from_request
+from common.protocol.chunk_messages import MOST_COUNT, from_request
 from common.protocol.codec import NO_LIMIT
 from common.protocol.frame import Data
 from common.protocol.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
@@ -248,9 +248,7 @@ class Receiver:
                 self._record("duplicate", sender, 1)
             return status, ""
         try:
-            chunk = from_message(
-                message, self._team, self._rules.episode_metrics, on_policy=self._rules.log_probabilities
-            )
+            chunk = self._rules.chunk_of(message, self._team)
             self._rules.check_counts(sender, chunk.rows.steps, message.produced, delivery.flown)
             since = self._episodes.check(sender, chunk)
         except ProtocolError as error:

@@ -1,4 +1,4 @@
-"""The rows of one iteration, and what its updates learn from."""
+"""The rows of one iteration, and how they are split by type of agent."""
 
 from typing import Any, Final
 
@@ -6,11 +6,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from common.config import OnPolicyConfig
 from common.errors import CheckpointError, SchemaError
 from common.team import TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
 
 FIELDS: Final = ("observation", "action", "reward", "flag", "log_probability")
+STATE: Final = "state"
+"""A further field of rows, where actors have memory."""
 
 
 class Experience:
@@ -38,7 +41,8 @@ class Experience:
     def rows(self) -> Rows:
         """Return all rows in one piece, in memory of its own; there must be some, with log-probabilities."""
         if len(self._chunks) > 1 or not self._chunks[0].observation.flags.writeable:
-            parts = {name: np.concatenate([getattr(rows, name) for rows in self._chunks]) for name in FIELDS}
+            names = fields_of(self._chunks[0])
+            parts = {name: np.concatenate([getattr(rows, name) for rows in self._chunks]) for name in names}
             self._chunks = [Rows(**parts)]
         return self._chunks[0]
 
@@ -48,11 +52,21 @@ class Experience:
             return {}
         rows = self.rows()
         # Rows are never written again, so a checkpoint may share their memory.
-        return {f"{prefix}.{name}": torch.from_numpy(np.asarray(getattr(rows, name))) for name in FIELDS}
+        return {f"{prefix}.{name}": torch.from_numpy(np.asarray(getattr(rows, name))) for name in fields_of(rows)}
 
     @classmethod
-    def restored(cls, team: TeamSpec, tensors: dict[str, Tensor], prefix: str, steps: int, lag: int) -> "Experience":
+    def restored(
+        cls, team: TeamSpec, config: OnPolicyConfig, tensors: dict[str, Tensor], prefix: str, steps: int, lag: int
+    ) -> "Experience":
         """Return the experience in a checkpoint.
+
+        Args:
+            team: the layout of the team.
+            config: the algorithm's configuration.
+            tensors: the checkpoint's tensors.
+            prefix: with which the names of the experience's tensors begin.
+            steps: the environment steps that it has.
+            lag: as in `Experience`.
 
         Raises:
             CheckpointError: when it does not fit the team or its count of steps.
@@ -60,9 +74,12 @@ class Experience:
         found = cls(team)
         if steps == 0:
             return found
-        rows = Rows(**{name: _array(tensors, f"{prefix}.{name}") for name in FIELDS})
+        names = FIELDS if config.memory == "none" else (*FIELDS, STATE)
+        rows = Rows(**{name: _array(tensors, f"{prefix}.{name}") for name in names})
         try:
-            rows.check(team)
+            rows.check(team, config.memory_size)
+            if rows.state is not None and len(rows.steps_by_environment()) % config.sequence_steps:
+                raise SchemaError("an environment's steps are not whole sequences.")
         except SchemaError as error:
             raise CheckpointError(f"the checkpoint's {prefix} cannot be used: {error}") from error
         if rows.steps != steps:
@@ -79,6 +96,25 @@ def _array(tensors: dict[str, Tensor], name: str) -> Any:
     return tensor.numpy()
 
 
+def fields_of(rows: Rows) -> tuple[str, ...]:
+    """Return the names of the arrays that rows have."""
+    return FIELDS if rows.state is None else (*FIELDS, STATE)
+
+
 def step_rows(rows: Rows) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     """Return the indices of the rows from which a step follows."""
     return np.flatnonzero(rows.flag & TRANSITION)
+
+
+def split(team: TeamSpec, rows: Tensor) -> list[Tensor]:
+    """Split rows [B, O] of observations into [B, n_v, o_v] for each type."""
+    sizes = [group.count * group.observation_size for group in team.groups]
+    parts = torch.split(rows, sizes, dim=1)
+    return [part.reshape(-1, g.count, g.observation_size) for g, part in zip(team.groups, parts, strict=True)]
+
+
+def split_actions(team: TeamSpec, rows: Tensor) -> list[Tensor]:
+    """Split rows [B, A] of actions into [B, n_v, a_v] for each type."""
+    sizes = [group.count * group.action_size for group in team.groups]
+    parts = torch.split(rows, sizes, dim=1)
+    return [part.reshape(-1, g.count, g.action_size) for g, part in zip(team.groups, parts, strict=True)]

@@ -6,14 +6,17 @@ are six tensors with a leading axis S, in the order of `common.actors`: W1, b1, 
 
 import math
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from common.actors import layer_shapes, parameter_views
+from common.gru import Memory
 from common.seeds import stream
 from common.team import Float32
+from learner.on_policy.sequences import Sequences, Unroll
 
 
 class Stack(nn.Module):
@@ -30,25 +33,37 @@ class Stack(nn.Module):
         names: parts of the name of the random stream of each network's initialisation, one entry for each.
     """
 
+    memory: ClassVar[Memory] = "none"
+
     def __init__(
         self, count: int, inputs: int, hidden: int, outputs: int, gain: float, names: Sequence[tuple[int | str, ...]]
     ) -> None:
         super().__init__()
         self.count, self._sizes = count, (inputs, hidden, outputs)
-        shapes = layer_shapes(inputs, hidden, outputs)
+        shapes = layer_shapes(inputs, hidden, outputs, self.memory)
         self.layers = nn.ParameterList([nn.Parameter(torch.zeros(count, *shape)) for shape in shapes])
         with torch.no_grad():
             for row, name in enumerate(names):
-                generator = stream(*name)
-                for index, layer_gain in ((0, math.sqrt(2.0)), (2, math.sqrt(2.0)), (4, gain)):
-                    weights = orthogonal(shapes[index], layer_gain, generator)
-                    self.layers[index][row] = torch.from_numpy(weights)
+                self.initialise(row, stream(*name), gain)
 
-    def forward(self, x: Tensor) -> Tensor:
+    def initialise(self, row: int, generator: np.random.Generator, gain: float) -> None:
+        """Draw the weights of one network.
+
+        Args:
+            row: number of the network.
+            generator: where they are drawn.
+            gain: gain of the last layer.
+        """
+        for index, layer_gain in ((0, math.sqrt(2.0)), (2, math.sqrt(2.0)), (4, gain)):
+            layer = self.layers[index]
+            layer[row] = torch.from_numpy(orthogonal(tuple(layer.shape[1:]), layer_gain, generator))
+
+    def forward(self, x: Tensor, sequences: Sequences | None = None) -> Tensor:
         """Return the outputs of each agent's network.
 
         Args:
             x: [B, n, inputs] where S is 1 or n.
+            sequences: how the rows follow one another, for networks with memory.
 
         Returns:
             [B, n, outputs].
@@ -69,6 +84,10 @@ class Stack(nn.Module):
         h = torch.relu(torch.addmm(b2, h, w2))
         return torch.addmm(b3, h.float(), w3)
 
+    def unroll(self, x: Tensor, sequences: Sequences) -> Unroll:
+        """Return outputs and states, which only networks with memory have (`learner.on_policy.recurrent`)."""
+        raise NotImplementedError("networks without memory have no states.")
+
     def export(self) -> Float32:
         """Return the parameters as [S, P] float32, in the order of `common.actors`."""
         flat = torch.cat([layer.detach().reshape(self.count, -1) for layer in self.layers], dim=1)
@@ -77,7 +96,7 @@ class Stack(nn.Module):
     @torch.no_grad()
     def load(self, flat: Float32) -> None:
         """Replace the parameters by [S, P] float32."""
-        for layer, view in zip(self.layers, parameter_views(flat, *self._sizes), strict=True):
+        for layer, view in zip(self.layers, parameter_views(flat, *self._sizes, self.memory), strict=True):
             layer.copy_(torch.from_numpy(np.ascontiguousarray(view)))
 
 

@@ -12,14 +12,19 @@ from torch import Tensor, nn
 
 from common.actors import Head, TeamActors, actor_outputs
 from common.config import OnPolicyConfig
+from common.errors import ConfigError
 from common.team import Float32, GroupSpec, TeamSpec
 from learner.on_policy.distributions import evaluate
 from learner.on_policy.networks import Stack
+from learner.on_policy.recurrent import make_stack
+from learner.on_policy.sequences import Sequences
 
 HEAD: Head = "gaussian"
 """Head of types with continuous actions."""
 FAVOUR = 2.5
 """Logit of a resting option in a fresh policy; all others have about 0."""
+FOLLOW = 4.0
+"""Logit of a suggested option in a fresh policy, which then follows the suggestion seven times in eight (of nine)."""
 LAST_GAIN = 0.01
 """Gain of the actors' last layer, so that a fresh policy is nearly uniform."""
 
@@ -62,11 +67,13 @@ class Policies(nn.Module):
         config = self._config
         count = 1 if config.parameters == "shared" else group.count
         names = initialisation_names("actor", group, count, seed, per_type=config.initialisation == "type")
-        stack = Stack(count, group.observation_size, config.hidden, actor_outputs(group, HEAD), LAST_GAIN, names)
+        stack = make_stack(config, count, group.observation_size, actor_outputs(group, HEAD), LAST_GAIN, names)
         for adapter in group.adapters[:1]:
             if (option := getattr(adapter, "resting", None)) is not None:
                 with torch.no_grad():
                     stack.layers[-1][:, option] = FAVOUR
+            if config.memory == "none" and (first := getattr(adapter, "suggestion", -1)) >= 0:
+                favour_suggestion(stack, first, group.choices[0])
         return stack
 
     def loss(
@@ -77,6 +84,7 @@ class Policies(nn.Module):
         log_probability: Tensor,
         advantage: Tensor,
         entropy_weight: float,
+        sequences: Sequences | None = None,
     ) -> ActorLoss:
         """Return the loss of a type on a minibatch.
 
@@ -87,9 +95,10 @@ class Policies(nn.Module):
             log_probability: [B, n] under the policy that the ratio is taken against.
             advantage: [B, n], normalised.
             entropy_weight: w_H.
+            sequences: how the rows follow one another, for actors with memory.
         """
         group = self._team.groups[kind]
-        policy = evaluate(group, observation, self.stacks[kind](observation), action)
+        policy = evaluate(group, observation, self.stacks[kind](observation, sequences), action)
         log_ratio = policy.log_probability - log_probability
         ratio, clip = log_ratio.exp(), self._config.clip
         surrogate = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
@@ -100,18 +109,47 @@ class Policies(nn.Module):
             clipped = ((ratio - 1.0).abs() > clip).float().mean()
         return ActorLoss(loss, entropy.detach(), kl, clipped)
 
-    def log_probability(self, kind: int, observation: Tensor, action: Tensor) -> Tensor:
-        """Return log pi(a | o) [B, n] of a type's actions [B, n, a] at observations [B, n, o]."""
-        return evaluate(self._team.groups[kind], observation, self.stacks[kind](observation), action).log_probability
+    def log_probability(
+        self, kind: int, observation: Tensor, action: Tensor, sequences: Sequences | None = None
+    ) -> Tensor:
+        """Return log pi(a | o) [B, n] of a type's actions; arguments as for `loss`."""
+        outputs = self.stacks[kind](observation, sequences)
+        return evaluate(self._team.groups[kind], observation, outputs, action).log_probability
 
     def actors(self) -> TeamActors:
         """Return a copy of all actors."""
-        return TeamActors(self._team, self._config.hidden, tuple(stack.export() for stack in self.stacks), HEAD)
+        flat = tuple(stack.export() for stack in self.stacks)
+        return TeamActors(self._team, self._config.hidden, flat, HEAD, self._config.memory)
 
     def load(self, flat: Sequence[Float32]) -> None:
         """Replace the actors' parameters, [n_v or 1, P_v] for each type."""
         for stack, parameters in zip(self.stacks, flat, strict=True):
             stack.load(parameters)
+
+
+@torch.no_grad()
+def favour_suggestion(stack: Stack, first: int, options: int) -> None:
+    """Let fresh networks without memory favour the option that their input marks with 1.
+
+    A unit of each hidden layer for each option hands the mark on, and gives the option a logit of about FOLLOW.
+
+    Args:
+        stack: the networks.
+        first: index of the first of the marks in an input.
+        options: number of marks, and of outputs.
+
+    Raises:
+        ConfigError: the hidden layers are too narrow.
+    """
+    w1, b1, w2, b2, w3, _ = stack.layers
+    if w1.shape[2] < options:
+        raise ConfigError(f"algorithm.hidden must be at least {options} where the environment suggests a move.")
+    eye = torch.eye(options)
+    w1[:, :, :options], w2[:, :, :options], w3[:, :options] = 0.0, 0.0, 0.0
+    b1[:, :options], b2[:, :options] = 0.0, 0.0
+    w1[:, first : first + options, :options] = eye
+    w2[:, :options, :options] = eye
+    w3[:, :options, :options] = FOLLOW * eye
 
 
 def initialisation_names(

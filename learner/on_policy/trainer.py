@@ -21,7 +21,7 @@ from common.team import Float32, TeamSpec
 from common.transitions import Chunk
 from learner.checkpoint.trainer_state import checked_tensors, counter, finite, random_state, restored_random
 from learner.data.tensor_snapshot import Frozen
-from learner.on_policy.experience import Experience, step_rows
+from learner.on_policy.experience import Experience
 from learner.on_policy.updates import Updates
 from learner.trainer import Trainer, flushed_denormals
 
@@ -121,7 +121,7 @@ class OnPolicyTrainer(Trainer):
             self._end_iteration()
 
     def _shuffle(self) -> None:
-        self._pending = self._updates.minibatches(step_rows(self.experience.rows()), self.random)[::-1]
+        self._pending = self._updates.minibatches(self.experience.rows(), self.random)[::-1]
 
     def _end_iteration(self) -> None:
         self._lag = self.experience.lag / self.experience.steps
@@ -170,7 +170,9 @@ class OnPolicyTrainer(Trainer):
         counts = {name: counter(state, name) for name in COUNTS}
         random, lag = restored_random(state.get("random")), finite(state, "sample_age")
         experience, following = (
-            Experience.restored(self.team, tensors, prefix, counts[f"{prefix}_steps"], counts[f"{prefix}_lag"])
+            Experience.restored(
+                *(self.team, self._algorithm, tensors, prefix), counts[f"{prefix}_steps"], counts[f"{prefix}_lag"]
+            )
             for prefix in (ITERATION, FOLLOWING)
         )
         running = self._running(tensors, state, experience, counts["epochs_left"])
@@ -192,29 +194,36 @@ class OnPolicyTrainer(Trainer):
             return None
         if epochs > self._algorithm.epochs or not experience.steps:
             raise CheckpointError("the checkpoint's iteration has impossible epochs.")
-        like = torch.zeros(len(experience.rows().flag), self.team.agents)
-        computed = checked_tensors({f"{STATE}{name}": like for name in self._updates.computed}, tensors)
+        shapes = self._updates.iteration_shapes(experience.rows())
+        computed = checked_tensors({f"{STATE}{name}": torch.zeros(shape) for name, shape in shapes.items()}, tensors)
         sizes, stopped = state.get("pending"), state.get("stopped")
         places = tensors.get(f"{STATE}pending")
         if not isinstance(sizes, list) or not sizes or not isinstance(stopped, list):
             raise CheckpointError("the checkpoint's minibatches are not readable.")
         if places is None or places.dtype != torch.int64 or places.ndim != 1 or len(stopped) != len(self.team.groups):
             raise CheckpointError("the checkpoint's minibatches are not readable.")
-        used = np.isin(places.numpy(), step_rows(experience.rows()))
+        used = np.isin(places.numpy(), self._updates.samples(experience.rows()))
         if not all(type(size) is int and size > 0 for size in sizes) or sum(sizes) != len(places) or not used.all():
             raise CheckpointError("the checkpoint's minibatches do not fit its iteration.")
         pending = np.split(places.numpy().copy(), np.cumsum(sizes)[:-1])
         return pending, {name.removeprefix(STATE): t for name, t in computed.items()}, [bool(s) for s in stopped]
 
     def largest_checkpoint(self) -> int:
-        """Return an upper bound of the bytes of the networks and of two iterations' rows."""
+        """Return an upper bound of the bytes of the networks, of two iterations' rows, and of networks' states."""
         networks = sum(tensor.nbytes for _, tensor in self._updates.network_tensors())
         team, rollout = self.team, self.config.rollout
         chunk = rollout.chunk_rows(rollout.chunk_steps)
         whole = self._algorithm.iteration_steps // (rollout.environments * rollout.chunk_steps) + 2
         rows = (2 * whole + DRAINED_CHUNKS) * chunk
         row = 4 * (team.observation_size + team.action_size + 4 * team.agents) + ROW_BYTES
-        return int(networks + rows * row)
+        return int(networks + rows * row + self._largest_states(2 * whole + DRAINED_CHUNKS, whole))
+
+    def _largest_states(self, chunks: int, whole: int) -> int:
+        """Return the bytes of the states in these chunks and at the sequences of an iteration's `whole` chunks."""
+        algorithm, rollout = self._algorithm, self.config.rollout
+        sequences = whole * rollout.chunk_steps // algorithm.sequence_steps
+        states = chunks * self.team.agents + sequences * (self.team.agents + self._updates.value_states)
+        return 4 * rollout.environments * states * algorithm.memory_size
 
     def statistics(self) -> dict[str, float]:
         """Return the diagnostics of the newest whole iteration, and statistics of its steps."""

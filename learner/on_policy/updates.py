@@ -1,7 +1,7 @@
 """The updates of one iteration: advantages once, then epochs of minibatches.
 
     values, advantages, returns of all rows           at the iteration's start
-    for each epoch: shuffle the steps
+    for each epoch: shuffle the steps, or with memory the sequences of steps
         for each minibatch: one Adam step of L_actor and of L_value of every type
         a type whose KL divergence exceeds `target_kl` keeps its actors for the rest of the iteration
 
@@ -28,8 +28,10 @@ from common.transitions import Rows
 from learner.networks.device import has_bfloat16
 from learner.on_policy.advantages import advantages
 from learner.on_policy.diagnostics import IterationDiagnostics
-from learner.on_policy.experience import step_rows
+from learner.on_policy.experience import split, split_actions, step_rows
+from learner.on_policy.iteration_states import IterationStates
 from learner.on_policy.policies import ActorLoss, Policies
+from learner.on_policy.sequences import Sequences
 from learner.on_policy.values import make_values
 
 VALUE_BATCH = 4096
@@ -37,6 +39,8 @@ VALUE_BATCH = 4096
 EPSILON = 1e-8
 MOST_WEIGHT = 2.0
 """Largest weight of a step in the decoupled objective; rare actions of an older policy would else drown the others."""
+COMPUTED = ("returns", "advantage")
+"""Tensors of an iteration's rows, [R, agents], that are computed at its start."""
 
 
 class Updates:
@@ -80,7 +84,7 @@ class Updates:
             [np.full(group.count, gamma.get(group.name, config.discount), np.float32) for group in team.groups]
         )
         self._rows: dict[str, Tensor] = {}
-        self._order: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._states: IterationStates | None = None
         self.stopped = [False] * len(team.groups)
 
     def begin(self, rows: Rows) -> None:
@@ -88,7 +92,8 @@ class Updates:
         config, device = self._config, self._device
         self.stopped = [False] * len(self._team.groups)
         self._load(rows)
-        value = self._all_values()
+        observation = self._rows["observation"]
+        value = self._all_values() if self._states is None else self._states.begin(self.policies, observation)
         reward = credited(self._team, rows.reward, config.credit) * np.float32(config.reward_scale)
         ends = config.time_limit == "terminal"
         gain = advantages(reward, value, rows.flag, self._discount, config.gae_lambda, time_limit_ends=ends)
@@ -96,29 +101,37 @@ class Updates:
         self._rows["returns"] = torch.from_numpy(gain + value).to(device)
         self._rows["advantage"] = torch.from_numpy(self._normalised(gain, used)).to(device)
         if config.objective == "decoupled":
-            self._decouple()
+            self._decouple(rows)
         self.diagnostics.begin(value[used], (gain + value)[used])
 
     @torch.no_grad()
-    def _decouple(self) -> None:
+    def _decouple(self, rows: Rows) -> None:
         """Replace the behaviour policy by the present actors, and weight the advantages."""
-        given = self._rows["observation"], self._rows["action"]
-        pieces = zip(*(torch.split(part, VALUE_BATCH) for part in given), strict=True)
-        newest = torch.cat([self._log_probability(*piece) for piece in pieces])
+        newest = self._rows["log_probability"].clone()
+        samples = self.samples(rows)
+        for part in np.array_split(samples, -(-rows.steps // VALUE_BATCH)):
+            here, sequences = self._gathered(part)
+            own = split(self._team, self._rows["observation"][here])
+            actions = split_actions(self._team, self._rows["action"][here])
+            for kind, (_, agents) in enumerate(self._groups):
+                acting = None if sequences is None else sequences[kind][0]
+                newest[here, agents] = self.policies.log_probability(kind, own[kind], actions[kind], acting)
         weight = (newest - self._rows["log_probability"]).exp().clamp(max=MOST_WEIGHT)
         self._rows["log_probability"] = newest
         self._rows["advantage"] = self._rows["advantage"] * weight
 
-    def _log_probability(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Return log pi(a | o) [B, agents] of rows under the present actors."""
-        own = zip(split(self._team, observation), split_actions(self._team, action), strict=True)
-        return torch.cat([self.policies.log_probability(kind, *pair) for kind, pair in enumerate(own)], dim=1)
+    def _gathered(self, samples: NDArray[np.int64]) -> tuple[Tensor, list[tuple[Sequences, Sequences]] | None]:
+        """Return the rows of some samples, and for networks with memory how they follow one another."""
+        places, sequences = (samples, None) if self._states is None else self._states.minibatch(samples)
+        return torch.from_numpy(places).to(self._device), sequences
 
     def _load(self, rows: Rows) -> None:
         assert rows.log_probability is not None
         arrays = {"observation": rows.observation, "action": rows.action, "log_probability": rows.log_probability}
         self._rows = {name: torch.from_numpy(array).to(self._device) for name, array in arrays.items()}
         self._rows["observation"] = self._rows["observation"].to(self._dtype)
+        if self._config.memory != "none":
+            self._states = IterationStates(self._config, self._team, rows, self.values, self._device)
 
     def _normalised(self, gain: Float32, used: NDArray[np.int64]) -> Float32:
         """Return advantages with mean 0 and deviation 1 over the steps and agents of each type."""
@@ -138,19 +151,24 @@ class Updates:
         found: Float32 = torch.cat(parts).float().cpu().numpy()
         return found
 
-    def minibatches(self, used: NDArray[np.int64], random: np.random.Generator) -> list[NDArray[np.int64]]:
-        """Shuffle the steps and cut them into minibatches of equal size, but for one step."""
-        count = max(1, round(len(used) / self._config.minibatch_steps))
-        return np.array_split(random.permutation(used), count)
+    def samples(self, rows: Rows) -> NDArray[np.int64]:
+        """Return what minibatches are made of: the rows from which steps follow, or with memory sequences' numbers."""
+        used = step_rows(rows)
+        return used if self._config.memory == "none" else np.arange(len(used) // self._config.sequence_steps)
 
-    def update(self, places: NDArray[np.int64], progress: float) -> None:
-        """Do one update from the rows at `places`; `progress` is the finished share of the run, 0 to 1."""
+    def minibatches(self, rows: Rows, random: np.random.Generator) -> list[NDArray[np.int64]]:
+        """Shuffle the samples and cut them into minibatches of equal size, but for one sample."""
+        count = max(1, round(rows.steps / self._config.minibatch_steps))
+        return np.array_split(random.permutation(self.samples(rows)), count)
+
+    def update(self, samples: NDArray[np.int64], progress: float) -> None:
+        """Do one update from a minibatch; `progress` is the finished share of the run, 0 to 1."""
         config = self._config
         self._set_rates(1.0 + (config.rate_end - 1.0) * progress)
         weight = config.entropy_start + (config.entropy_end - config.entropy_start) * progress
-        here = torch.from_numpy(places).to(self._device)
+        here, sequences = self._gathered(samples)
         batch = {name: tensor.index_select(0, here) for name, tensor in self._rows.items()}
-        actor_losses, value_losses = self._losses(batch, weight)
+        actor_losses, value_losses = self._losses(batch, sequences, weight)
         self.optimiser.zero_grad(set_to_none=True)
         live = [part.loss for part in actor_losses if part is not None]
         torch.autograd.backward(torch.stack([*live, *value_losses]).sum())
@@ -158,20 +176,24 @@ class Updates:
         self.optimiser.step()
         self.diagnostics.add(actor_losses, value_losses, norms)
 
-    def _losses(self, batch: dict[str, Tensor], weight: float) -> tuple[list[ActorLoss | None], list[Tensor]]:
+    def _losses(
+        self, batch: dict[str, Tensor], sequences: list[tuple[Sequences, Sequences]] | None, weight: float
+    ) -> tuple[list[ActorLoss | None], list[Tensor]]:
         """Return the losses of each type's actors, None for those that have stopped, and of its value functions."""
         own, actions = split(self._team, batch["observation"]), split_actions(self._team, batch["action"])
         actor_losses: list[ActorLoss | None] = []
         value_losses: list[Tensor] = []
         for kind, (_, agents) in enumerate(self._groups):
             sampled = batch["log_probability"][:, agents], batch["advantage"][:, agents]
-            stopped = self.stopped[kind]
+            acting, valuing = (None, None) if sequences is None else sequences[kind]
+            entropy_weight = weight * self._entropy_scales[kind]
             actor_losses.append(
                 None
-                if stopped
-                else self.policies.loss(kind, own[kind], actions[kind], *sampled, weight * self._entropy_scales[kind])
+                if self.stopped[kind]
+                else self.policies.loss(kind, own[kind], actions[kind], *sampled, entropy_weight, acting)
             )
-            value_losses.append(self.values[kind].loss(batch["observation"], own[kind], batch["returns"][:, agents]))
+            returns = batch["returns"][:, agents]
+            value_losses.append(self.values[kind].loss(batch["observation"], own[kind], returns, valuing))
         return actor_losses, value_losses
 
     def end_epoch(self) -> None:
@@ -210,24 +232,39 @@ class Updates:
             state["exp_avg_sq"] = torch.zeros_like(parameter)
         return {name: state[name] for name in ("step", "exp_avg", "exp_avg_sq")}
 
+    @property
+    def value_states(self) -> int:
+        """How many states of value functions with memory belong to one row."""
+        return sum(value.states for value in self.values)
+
     def iteration_tensors(self) -> dict[str, Tensor]:
         """Return what a running iteration has computed from its rows, by name."""
-        return {name: self._rows[name] for name in self.computed if "returns" in self._rows}
+        states = {} if self._states is None else self._states.tensors()
+        return {name: self._rows[name] for name in self._computed if "returns" in self._rows} | states
+
+    def iteration_shapes(self, rows: Rows) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of `iteration_tensors` for an iteration with these rows."""
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(self._computed, (len(rows.flag), self._team.agents))
+        if self._config.memory != "none":
+            shapes |= IterationStates(self._config, self._team, rows, self.values, self._device).shapes()
+        return shapes
 
     @property
-    def computed(self) -> tuple[str, ...]:
-        """Names of what an iteration computes from its rows, [R, agents] each."""
-        return ("returns", "advantage", *(("log_probability",) if self._config.objective == "decoupled" else ()))
+    def _computed(self) -> tuple[str, ...]:
+        """Names of the tensors [R, agents] that an iteration's updates learn from and that its rows do not hold."""
+        return (*COMPUTED, "log_probability") if self._config.objective == "decoupled" else COMPUTED
 
     def resume(self, rows: Rows, tensors: dict[str, Tensor], stopped: list[bool]) -> None:
         """Continue an iteration with what it had computed from its rows."""
         self._load(rows)
-        self._rows |= {name: tensor.to(self._device) for name, tensor in tensors.items()}
+        self._rows |= {name: tensors[name].to(self._device) for name in self._computed}
+        if self._states is not None:
+            self._states.restore(tensors)
         self.stopped = list(stopped)
 
     def end(self) -> None:
         """Forget the iteration's rows, and which actors have stopped in it."""
-        self._rows = {}
+        self._rows, self._states = {}, None
         self.stopped = [False] * len(self._team.groups)
 
 
@@ -242,17 +279,3 @@ def credited(team: TeamSpec, reward: Float32, credit: str) -> Float32:
     for agents in team.agent_slices():
         found[:, agents] = reward[:, agents].mean(axis=1, keepdims=True)
     return found
-
-
-def split(team: TeamSpec, rows: Tensor) -> list[Tensor]:
-    """Split rows [B, O] of observations into [B, n_v, o_v] for each type."""
-    sizes = [group.count * group.observation_size for group in team.groups]
-    parts = torch.split(rows, sizes, dim=1)
-    return [part.reshape(-1, g.count, g.observation_size) for g, part in zip(team.groups, parts, strict=True)]
-
-
-def split_actions(team: TeamSpec, rows: Tensor) -> list[Tensor]:
-    """Split rows [B, A] of actions into [B, n_v, a_v] for each type."""
-    sizes = [group.count * group.action_size for group in team.groups]
-    parts = torch.split(rows, sizes, dim=1)
-    return [part.reshape(-1, g.count, g.action_size) for g, part in zip(team.groups, parts, strict=True)]

@@ -10,6 +10,7 @@ Every network regresses to the return by itself (A7): L = sum over networks of m
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -18,23 +19,36 @@ from common.config import OnPolicyConfig
 from common.team import GroupSpec, TeamSpec
 from learner.on_policy.networks import Stack
 from learner.on_policy.policies import initialisation_names
+from learner.on_policy.recurrent import make_stack
+from learner.on_policy.sequences import Sequences, Unroll
 
 
 class GroupValue(nn.Module, ABC):
-    """The value functions of one type's agents."""
+    """The value functions of one type's agents.
+
+    Attributes:
+        states: K, how many states of networks with memory belong to one row.
+    """
+
+    states: int
 
     @abstractmethod
-    def value(self, team: Tensor, own: Tensor) -> Tensor:
+    def value(self, team: Tensor, own: Tensor, sequences: Sequences | None = None) -> Tensor:
         """Return V [B, n].
 
         Args:
             team: rows [B, O] of all agents' observations.
             own: [B, n, o] the type's observations.
+            sequences: how the rows follow one another, with K states, for networks with memory.
         """
 
-    def loss(self, team: Tensor, own: Tensor, returns: Tensor) -> Tensor:
+    @abstractmethod
+    def unroll(self, team: Tensor, own: Tensor, sequences: Sequences) -> Unroll:
+        """Return V [L B, n] and the states [L B, K, h] after each row, of networks with memory."""
+
+    def loss(self, team: Tensor, own: Tensor, returns: Tensor, sequences: Sequences | None = None) -> Tensor:
         """Return mean((V - R)^2) against the returns [B, n]."""
-        return (self.value(team, own) - returns).square().mean()
+        return (self.value(team, own, sequences) - returns).square().mean()
 
 
 class OwnValue(GroupValue):
@@ -44,12 +58,18 @@ class OwnValue(GroupValue):
         super().__init__()
         count = 1 if config.parameters == "shared" else group.count
         names = initialisation_names("value", group, count, seed, per_type=config.initialisation == "type")
-        self.network = Stack(count, group.observation_size, config.hidden, 1, 1.0, names)
+        self.network = make_stack(config, count, group.observation_size, 1, 1.0, names)
+        self.states = group.count
 
-    def value(self, team: Tensor, own: Tensor) -> Tensor:
+    def value(self, team: Tensor, own: Tensor, sequences: Sequences | None = None) -> Tensor:
         """Return V [B, n]."""
-        found: Tensor = self.network(own).squeeze(-1)
+        found: Tensor = self.network(own, sequences).squeeze(-1)
         return found
+
+    def unroll(self, team: Tensor, own: Tensor, sequences: Sequences) -> Unroll:
+        """Return V and the states after each row."""
+        found = self.network.unroll(own, sequences)
+        return Unroll(found.outputs.squeeze(-1), found.state)
 
 
 class TeamValue(GroupValue):
@@ -58,12 +78,18 @@ class TeamValue(GroupValue):
     def __init__(self, config: OnPolicyConfig, team: TeamSpec, group: GroupSpec, seed: int) -> None:
         super().__init__()
         names = [(seed, "team value", group.name, 0)]
-        self.network = Stack(1, team.observation_size, config.hidden, group.count, 1.0, names)
+        self.network = make_stack(config, 1, team.observation_size, group.count, 1.0, names)
+        self.states = 1
 
-    def value(self, team: Tensor, own: Tensor) -> Tensor:
+    def value(self, team: Tensor, own: Tensor, sequences: Sequences | None = None) -> Tensor:
         """Return V [B, n]."""
-        found: Tensor = self.network(team[:, None]).squeeze(1)
+        found: Tensor = self.network(team[:, None], sequences).squeeze(1)
         return found
+
+    def unroll(self, team: Tensor, own: Tensor, sequences: Sequences) -> Unroll:
+        """Return V and the states after each row."""
+        found = self.network.unroll(team[:, None], sequences)
+        return Unroll(found.outputs.squeeze(1), found.state)
 
 
 class MixedValue(GroupValue):
@@ -71,23 +97,48 @@ class MixedValue(GroupValue):
 
     def __init__(self, config: OnPolicyConfig, group: GroupSpec, seed: int) -> None:
         super().__init__()
-        self._weight = config.local_weight
+        self._weight, self._agents = config.local_weight, group.count
         self.local = OwnValue(config, group, seed)
         self.members = nn.ModuleList(
-            Stack(1, group.observation_size, config.hidden, 1, 1.0, [(seed, "member", group.name, index)])
+            make_stack(config, 1, group.observation_size, 1, 1.0, [(seed, "member", group.name, index)])
             for index in range(config.ensemble_size)
         )
+        self.states = group.count * (1 + config.ensemble_size)
 
-    def value(self, team: Tensor, own: Tensor) -> Tensor:
+    def _parts(self, sequences: Sequences | None) -> list[Sequences | None]:
+        """Return the sequences with the states of the local networks, and with those of each member."""
+        starts = range(0, self.states, self._agents)
+        return [None if sequences is None else sequences.of(slice(s, s + self._agents)) for s in starts]
+
+    def _mixed(self, local: Tensor, members: Sequence[Tensor]) -> Tensor:
+        return self._weight * local + (1.0 - self._weight) * torch.stack([*members]).mean(dim=0)
+
+    def value(self, team: Tensor, own: Tensor, sequences: Sequences | None = None) -> Tensor:
         """Return V_P [B, n]."""
-        local = self.local.value(team, own)
-        shared = torch.stack([member(own).squeeze(-1) for member in self.members]).mean(dim=0)
-        return self._weight * local + (1.0 - self._weight) * shared
+        first, *rest = self._parts(sequences)
+        local = self.local.value(team, own, first)
+        members = [member(own, part).squeeze(-1) for member, part in zip(self.members, rest, strict=True)]
+        return self._mixed(local, members)
 
-    def loss(self, team: Tensor, own: Tensor, returns: Tensor) -> Tensor:
+    def unroll(self, team: Tensor, own: Tensor, sequences: Sequences) -> Unroll:
+        """Return V_P and the states after each row."""
+        first, *rest = (part for part in self._parts(sequences) if part is not None)
+        local = self.local.unroll(team, own, first)
+        members = [_stack(member).unroll(own, part) for member, part in zip(self.members, rest, strict=True)]
+        mixed = self._mixed(local.outputs, [found.outputs.squeeze(-1) for found in members])
+        return Unroll(mixed, torch.cat([local.state, *(found.state for found in members)], dim=1))
+
+    def loss(self, team: Tensor, own: Tensor, returns: Tensor, sequences: Sequences | None = None) -> Tensor:
         """Return the sum of all networks' losses."""
-        losses = [(member(own).squeeze(-1) - returns).square().mean() for member in self.members]
-        return torch.stack([self.local.loss(team, own, returns), *losses]).sum()
+        first, *rest = self._parts(sequences)
+        both = zip(self.members, rest, strict=True)
+        losses = [(member(own, part).squeeze(-1) - returns).square().mean() for member, part in both]
+        return torch.stack([self.local.loss(team, own, returns, first), *losses]).sum()
+
+
+def _stack(module: nn.Module) -> Stack:
+    assert isinstance(module, Stack)
+    return module
 
 
 def make_values(config: OnPolicyConfig, team: TeamSpec, seed: int) -> list[GroupValue]:

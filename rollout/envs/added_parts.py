@@ -4,9 +4,10 @@ import math
 from typing import Final, NamedTuple
 
 from common.config import FarmConfig
-from common.farm import COLLECTION, COMMUNICATION, MONITORING
+from common.farm import COLLECTION, COMMUNICATION, MONITORING, ROUTE_PLOTS
 from rollout.sim.kernel.views.fields import SCALE
 from rollout.sim.kernel.views.maps import BLOCK, BLOCKS, CELLS
+from rollout.sim.kernel.views.routes import MOST_OFFSET
 from rollout.sim.kernel.views.units import MOST
 
 ROUNDING: Final = 1.0 + 1e-9
@@ -52,8 +53,14 @@ def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...
         parts += _tasks(config, name)
     if seen.phases:
         parts += _phases(config, name)
+    if seen.route and name == MONITORING:
+        parts.append(Part("route", 9, 0.0, 1.0, "1 for the one of nine moves that follows the own sweep route"))
+        plots = "offset to the next, second next .. plot on the route over 20 m, clipped"
+        parts += (Part("plot ahead", 2, -MOST_OFFSET, MOST_OFFSET, plots),) * ROUTE_PLOTS
     if seen.service and not task:
         parts += _service(config, served)
+    if config.failures.some:
+        parts.append(Part("alive", 1, 0.0, 1.0, "share of the own type's UAVs that have not failed"))
     return tuple(parts)
 
 

@@ -261,16 +261,18 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
         }
 
     def _links(self) -> list[tuple[Any, Any]]:
-        """Return each agent's link partner and link quality, dB; lists for relays."""
+        """Return each agent's link partner, None without a relay, and link quality, dB; lists for relays."""
         batch, names = self.batch, self.possible_agents
         relays = batch.team.groups[0].count
         assignment = batch.assignment[0].tolist()
         quality = batch.link_quality[0].tolist()
         served: list[tuple[list[str], list[float]]] = [([], []) for _ in range(relays)]
         for index, (relay, decibels) in enumerate(zip(assignment, quality, strict=True)):
-            served[relay][0].append(names[relays + index])
-            served[relay][1].append(decibels)
-        return [*served, *((names[relay], decibels) for relay, decibels in zip(assignment, quality, strict=True))]
+            if relay >= 0:
+                served[relay][0].append(names[relays + index])
+                served[relay][1].append(decibels)
+        partners = [names[relay] if relay >= 0 else None for relay in assignment]
+        return [*served, *zip(partners, quality, strict=True)]
 
     def _drawn(self) -> Renderer:
         if self._renderer is None:

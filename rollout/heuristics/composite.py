@@ -2,33 +2,40 @@
 
 A group policy sets goals for its UAVs. `steering` flies every UAV to its goal and keeps the UAVs apart. Each
 environment has its own group policies, so an episode does not depend on the rest of the batch.
+
+When UAVs fail (`farm.failures`), the others begin anew: they get new group policies for a farm that has only them. So
+routes are divided among the living, and nobody reckons with a UAV that is gone.
 """
 
+import functools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
+from common.config import FailureConfig, FarmConfig
 from common.team import Float32
-from rollout.heuristics.steering import Array, keep_apart, loiter, loiter_speed, towards
+from rollout.heuristics.steering import keep_apart, loiter, loiter_speed, towards
 from rollout.sim.batch import FarmBatch
+from rollout.sim.boxes import Array
 from rollout.sim.layout import Layout
 
 RELAYS: Final = 0
 MONITORS: Final = 1
 COLLECTORS: Final = 2
 """The three types, as indices of `FarmState.agents`."""
+AWAY: Final = 1e9
+"""Where steering finds UAVs that are gone, m; far enough to be in nobody's way."""
 
 
 @dataclass(frozen=True)
 class FarmState:
-    """One environment as a heuristic sees it.
+    """One environment as a heuristic sees it; UAVs that are gone are no part of it.
 
     Attributes:
-        config: the farm.
+        config: the farm, with the numbers of UAVs that are left (1 of a type of which none is).
         layout: its sensors.
         seeds: farm seed and episode seed.
         agents: row slices of the relays, the monitors and the collectors.
@@ -36,7 +43,7 @@ class FarmState:
         position: [n, 2] m.
         aoi: [S] AoI.
         vdf: [n_px n_py] VDF, plots in row-major order.
-        assignment: [n_m + n_d] relay of each served UAV.
+        assignment: [n_m + n_d] relay of each served UAV; -1 without relays.
     """
 
     config: FarmConfig
@@ -62,7 +69,34 @@ class GroupPolicy(Protocol):
 
 
 GroupPolicyFactory = Callable[[FarmState], GroupPolicy]
-"""Makes a group policy for the episode that begins in the given state."""
+"""Makes a group policy for the episode, or the rest of one, that begins in the given state."""
+
+
+class Waiting:
+    """UAVs that stay, because they have nothing to do.
+
+    Args:
+        kind: the UAVs' type.
+    """
+
+    def __init__(self, kind: int) -> None:
+        self._kind = kind
+
+    def goals(self, state: FarmState) -> Array:
+        """Return where the UAVs are, [n_v, 2] m."""
+        return state.of(self._kind).copy()
+
+
+@functools.lru_cache(maxsize=64)
+def left_over(config: FarmConfig, living: tuple[int, int, int]) -> FarmConfig:
+    """Return the farm of the UAVs that are left, given their numbers by type; its relays serve as many as they do."""
+    if living == config.world.counts:
+        return config
+    relays, monitors, collectors = (max(1, count) for count in living)
+    capacity = max(config.relay.capacity_for(config.world), -(-(monitors + collectors) // relays))
+    world = replace(config.world, communication_uavs=relays, monitoring_uavs=monitors, collection_uavs=collectors)
+    relay = replace(config.relay, capacity=capacity)
+    return replace(config, world=world, relay=relay, failures=FailureConfig())
 
 
 class CompositePolicy:
@@ -88,38 +122,57 @@ class CompositePolicy:
         self._layouts: dict[int, Layout] = {}
         self._seeds: dict[int, tuple[int, int]] = {}
         self._groups: dict[int, list[GroupPolicy]] = {}
+        self._gone: dict[int, NDArray[np.bool_]] = {}
 
     def reset(self, farms: FarmBatch, index: int) -> None:
         """Make new group policies for one environment."""
         episode = farms.summary(index)
         self._layouts[index] = farms.layout(index)
         self._seeds[index] = episode.farm, episode.episode
-        state = self._farm_state(farms, index)
-        self._groups[index] = [make(state) for make in self._make]
+        self._begin(farms, index)
 
     def act(self, farms: FarmBatch) -> Float32:
         """Return the actions [E, A] of this step."""
         world, count = self._config.world, len(farms.position)
         goals = np.stack([self._goals(farms, index) for index in range(count)])
-        waiting = loiter(farms.position, goals, farms.time, self._loiter)
-        action = towards(farms.position, waiting, world)
-        parts = [keep_apart(farms.position[:, rows], action[:, rows], world) for rows in farms.team.agent_slices()]
+        position = np.where(farms.gone[..., None], AWAY, farms.position)
+        waiting = loiter(position, goals, farms.time, self._loiter)
+        action = towards(position, waiting, world)
+        parts = [keep_apart(position[:, rows], action[:, rows], world) for rows in farms.team.agent_slices()]
         return np.concatenate(parts, axis=1).reshape(count, -1).astype(np.float32)
 
     def _goals(self, farms: FarmBatch, index: int) -> Array:
+        if (farms.gone[index] != self._gone[index]).any():
+            self._begin(farms, index)
         state = self._farm_state(farms, index)
-        return np.concatenate([group.goals(state) for group in self._groups[index]])
+        goals: Array = np.full(farms.position[index].shape, AWAY)
+        goals[~farms.gone[index]] = np.concatenate([group.goals(state) for group in self._groups[index]])
+        return goals
+
+    def _begin(self, farms: FarmBatch, index: int) -> None:
+        """Make new group policies for the UAVs of one environment that are left."""
+        self._gone[index] = farms.gone[index].copy()
+        state = self._farm_state(farms, index)
+        idle = [len(state.of(kind)) == 0 or (kind == RELAYS and len(state.assignment) == 0) for kind in range(3)]
+        self._groups[index] = [Waiting(kind) if idle[kind] else make(state) for kind, make in enumerate(self._make)]
 
     def _farm_state(self, farms: FarmBatch, index: int) -> FarmState:
-        relays, monitors, collectors = farms.team.agent_slices()
+        left = ~farms.gone[index]
+        relays, monitors, collectors = (int(left[rows].sum()) for rows in farms.team.agent_slices())
+        served = farms.assignment[index][left[-farms.assignment.shape[1] :]]
+        number = np.cumsum(left) - 1  # of each relay among those that are left
         return FarmState(
-            config=self._config,
+            config=left_over(self._config, (relays, monitors, collectors)),
             layout=self._layouts[index],
             seeds=self._seeds[index],
-            agents=(relays, monitors, collectors),
+            agents=(
+                slice(0, relays),
+                slice(relays, relays + monitors),
+                slice(relays + monitors, relays + monitors + collectors),
+            ),
             time=int(farms.time[index]),
-            position=farms.position[index],
+            position=farms.position[index][left],
             aoi=farms.aoi[index],
             vdf=farms.vdf[index].reshape(-1),
-            assignment=farms.assignment[index],
+            assignment=np.where(served >= 0, number[served], -1),
         )

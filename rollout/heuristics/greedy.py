@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.steering import Array, aim, steps_to
 from rollout.heuristics.targets import Targets
+from rollout.sim.boxes import Array, aim, steps_to
 
 OFFSET: Final = 1.0
 """c, steps."""

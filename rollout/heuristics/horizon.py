@@ -15,11 +15,12 @@ from common.config import FarmConfig
 from rollout.heuristics import lawnmower
 from rollout.heuristics.beam import Array, Indices, SearchGrid, StepReward, best_path
 from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.sites import images_succeed, packet_chances, pairs_within, plot_centres, radio_range
-from rollout.heuristics.steering import reach
+from rollout.heuristics.sites import images_succeed, packet_chances, pairs_within, radio_range
+from rollout.sim.boxes import reach
 from rollout.sim.kernel.constants import constants
 from rollout.sim.kernel.motion import flight_power
 from rollout.sim.layout import cell_counts
+from rollout.sim.sweep_routes import plot_centres
 
 LAST: Final = 60
 """Number of last steps in which plans look further ahead, because whatever is unserved at the end is lost."""

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from common.config import WorldConfig
-from rollout.heuristics.composite import FarmState
-from rollout.heuristics.steering import Array
+from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState
+from rollout.sim.boxes import Array
 from rollout.sim.kernel.constants import LEAST_LINK, RelayConstants, constants
 from rollout.sim.layout import cell_counts
 
@@ -49,6 +49,7 @@ class SearchRelays:
 
     def __init__(self, state: FarmState) -> None:
         self._relay = constants(state.config, cell_counts(state.config.world)).relay
+        self._heights = served_heights(state)
         self._places: Array | None = None
 
     def goals(self, state: FarmState) -> Array:
@@ -71,7 +72,9 @@ class SearchRelays:
         for relay in range(len(places)):
             tried = np.repeat(places[None], 1 + len(MOVES), axis=0)
             tried[1:, relay] = np.clip(places[relay] + stride * MOVES, 0.0, size)
-            places = tried[np.argmin([total_service(world, self._relay, candidate, served) for candidate in tried])]
+            places = tried[
+                np.argmin([total_service(world, self._relay, candidate, served, self._heights) for candidate in tried])
+            ]
         return places
 
 
@@ -83,13 +86,19 @@ def served_centres(own: Array, served: Array, assignment: NDArray[np.int64]) -> 
     return centres
 
 
-def total_service(world: WorldConfig, relay: RelayConstants, places: Array, served: Array) -> float:
+def served_heights(state: FarmState) -> Array:
+    """Return the flight heights of the monitors and the collectors, [n_m + n_d] m."""
+    world, numbers = state.config.world, [len(state.of(kind)) for kind in (MONITORS, COLLECTORS)]
+    return np.repeat([world.height_monitoring, world.height_collection], numbers)
+
+
+def total_service(world: WorldConfig, relay: RelayConstants, places: Array, served: Array, heights: Array) -> float:
     """Return the sum of D_c for relays at `places` [n_c, 2], under the assignment that results there.
+
+    `served` [n_m + n_d, 2] m are the UAVs to serve, and `heights` [n_m + n_d] m their heights.
 
     Relays closer to each other than d_safety could not get there without risk, so the missing distance is added.
     """
-    numbers = world.monitoring_uavs, world.collection_uavs
-    heights = np.repeat([world.height_monitoring, world.height_collection], numbers)
     across = np.linalg.norm(served[:, None] - places[None], axis=2)
     apart = np.hypot(across, (heights - world.height_communication)[:, None])
     loss = 20.0 * np.log10(np.maximum(apart, LEAST_LINK)) + relay.loss_offset

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from common.config import FarmConfig, WorldConfig
-from rollout.heuristics.steering import Array, reach
+from rollout.sim.boxes import Array, reach
 from rollout.sim.kernel.camera import plot_quality
 from rollout.sim.kernel.constants import constants
 from rollout.sim.kernel.radio import delivery, received_power
@@ -17,50 +17,12 @@ from rollout.sim.layout import cell_counts
 
 Indices = NDArray[np.int64]
 
-SHARES: Final = np.linspace(0.0, 0.98, 50)
-"""Sizes of an imaging box to try, as fractions of half a plot."""
 STOP_CHANCE: Final = 0.95
 """A stop covers the sensors whose packets arrive there with at least this probability."""
 STOP_MARGIN: Final = 4.0
 """A UAV has reached a stop if it is within this distance along each axis, m."""
 CHANCE_STEP: Final = 0.25
 """Spacing of the distances at which the radio link is tabulated, m."""
-
-
-def plot_boxes(config: FarmConfig) -> Array:
-    """Return a box for each plot, in row-major order, that images it from every point: [2, n_px * n_py, 2] m.
-
-    The box is the largest one around the plot's centre with the plot's own shape. If no place images the plot, it is a
-    point.
-    """
-    centre, half = plot_centres(config.world), plot_half(config.world) * imaging_share(config)
-    return np.stack([centre - half, centre + half])
-
-
-def plot_centres(world: WorldConfig) -> Array:
-    """Return the centres of all plots in row-major order, [n_px * n_py, 2] m."""
-    x, y = ((np.arange(count) + 0.5) for count in (world.plots_x, world.plots_y))
-    grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    centres: Array = grid * 2.0 * plot_half(world)
-    return centres
-
-
-def plot_half(world: WorldConfig) -> Array:
-    """Return half the size of a plot, [2] m."""
-    return np.array([world.field_x / world.plots_x, world.field_y / world.plots_y]) / 2.0
-
-
-def imaging_share(config: FarmConfig) -> float:
-    """Return how far from a plot's centre every image still succeeds, as a fraction of half the plot."""
-    camera, half = constants(config, cell_counts(config.world)).camera, plot_half(config.world)
-    far = 0.0
-    for share in SHARES:
-        corner, edges = half * (1.0 + share), ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
-        places = [half + (corner - half) * np.array(edge) for edge in edges]
-        if min(plot_quality(camera, float(x), float(y), 0, 0) for x, y in places) < camera.threshold:
-            break
-        far = float(share)
-    return far
 
 
 def images_succeed(config: FarmConfig, places: Array, plots: Indices) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig, WorldConfig
+from rollout.sim.boxes import reach
 from rollout.sim.kernel.constants import constants
 from rollout.sim.kernel.motion import flight_power
 from rollout.sim.layout import cell_counts
@@ -20,15 +21,8 @@ STANDOFF: Final = 1e-9
 """Least divisor when a direction is normalised, m."""
 EDGE: Final = 1e-3
 """Least distance from the field's edge, m. It keeps rounding from putting a UAV outside."""
-ROUNDING: Final = 1e-2
-"""A UAV has reached a box if it is this close, m, because actions are rounded to float32."""
 LOITER_MAX: Final = 1.0
 """Top speed of a waiting UAV, m/s."""
-
-
-def reach(world: WorldConfig) -> Array:
-    """Return how far a UAV gets in one step along x and y, [2] m."""
-    return np.array([world.speed_x_max, world.speed_y_max]) * world.step_seconds
 
 
 def towards(position: Array, target: Array, world: WorldConfig) -> Array:
@@ -76,39 +70,6 @@ def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
     inside = np.clip(side, EDGE, np.array([world.field_x, world.field_y]) - EDGE)
     apart: Array = np.clip((inside - position) / reach(world), -1.0, 1.0)
     return apart
-
-
-def aim(position: Array, box: Array, onward: Array, world: WorldConfig) -> Array:
-    """Return the place in a box that is reached in the fewest steps. Ties go to the place nearest to the next box.
-
-    Each axis has its own speed limit, so the axes are independent.
-
-    Args:
-        position: [..., 2] m.
-        box: lowest and highest corner, [2, ..., 2] m.
-        onward: the corners of the next box, [2, ..., 2] m.
-        world: geometry and speeds.
-
-    Returns:
-        [..., 2] m.
-    """
-    way = steps_to(position, box, world)[..., None] * reach(world)
-    then = np.clip(position, onward[0], onward[1])
-    place: Array = np.clip(then, np.maximum(box[0], position - way), np.minimum(box[1], position + way))
-    return place
-
-
-def steps_to(position: Array, box: Array, world: WorldConfig) -> Array:
-    """Return the fewest steps in which a UAV can reach a box, at least 1: [...]."""
-    gap = (np.maximum(box[0] - position, position - box[1]) - ROUNDING) / reach(world)
-    steps: Array = np.maximum(1.0, np.ceil(gap.max(axis=-1)))
-    return steps
-
-
-def inside(position: Array, box: Array) -> NDArray[np.bool_]:
-    """Return whether places [..., 2] lie in boxes [2, ..., 2]."""
-    within: NDArray[np.bool_] = ((position >= box[0] - ROUNDING) & (position <= box[1] + ROUNDING)).all(axis=-1)
-    return within
 
 
 def loiter_speed(config: FarmConfig) -> float:

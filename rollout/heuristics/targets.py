@@ -5,8 +5,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rollout.heuristics.composite import MONITORS, FarmState
-from rollout.heuristics.sites import plot_boxes, sensor_stops
-from rollout.heuristics.steering import Array
+from rollout.heuristics.sites import sensor_stops
+from rollout.sim.boxes import Array
+from rollout.sim.sweep_routes import plot_boxes
 
 
 class Targets:

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from rollout.heuristics.composite import FarmState
-from rollout.heuristics.steering import Array, aim, inside, steps_to
+from rollout.sim.boxes import Array, aim, inside, steps_to
+from rollout.sim.sweep_routes import assigned_routes
 
 PATIENCE: Final = 3
 """If another UAV blocks the way for this many steps, the UAV skips the box until the next lap."""
@@ -25,10 +24,9 @@ class TourFollower:
 
     def __init__(self, routes: Sequence[Array], kind: int, state: FarmState) -> None:
         self._kind = kind
-        way = [steps_to(state.of(kind)[:, None], route[:, None], state.config.world) for route in routes]
-        _, chosen = linear_sum_assignment(np.stack([steps.min(axis=1) for steps in way], axis=1))
-        self._routes = [routes[index] for index in chosen]
-        self._next: NDArray[np.int64] = np.array([way[route][uav].argmin() for uav, route in enumerate(chosen)])
+        chosen = assigned_routes(routes, state.of(kind), state.config.world)
+        self._routes = [routes[index] for index in chosen[:, 0]]
+        self._next = chosen[:, 1].copy()
         self._nearest = np.full(len(routes), np.inf)
         self._waited = np.zeros(len(routes), np.int64)
 

@@ -80,7 +80,9 @@ class FarmMap:
         for circle, name in zip(self._circles, (MONITORING, COLLECTION), strict=True):
             circle.set_offsets(scene.position[slices[name]])
         relays = slices[COMMUNICATION].stop
-        self._links.set_segments([*np.stack([scene.position[scene.assignment], scene.position[relays:]], axis=1)])
+        linked = scene.assignment >= 0
+        ends = [scene.position[scene.assignment[linked]], scene.position[relays:][linked]]
+        self._links.set_segments([*np.stack(ends, axis=1)])
         segments, colours = _trails(scene, slices)
         self._trails.set_segments(segments)
         self._trails.set_color(colours)

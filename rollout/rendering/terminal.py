@@ -75,6 +75,8 @@ def _pixels(scene: Scene, width: int) -> Pixels:
     canvas = shade(SOIL_STOPS, scene.vdf[np.ix_(column, row)] / world.vdf_max)
     relays = world.communication_uavs
     for served, relay in enumerate(scene.assignment):
+        if relay < 0:
+            continue
         ends = _places(world, scene.position[[relay, relays + served]], size)
         points = np.linspace(ends[0], ends[1], int(np.abs(ends[1] - ends[0]).max()) + 1)[::2]
         canvas[tuple(np.rint(points).astype(np.int64).T)] = LINK

@@ -17,18 +17,17 @@ from common.farm import farm_environment
 from common.seeds import derive, stream
 from common.team import Float32, TeamSpec
 from common.transitions import EpisodeSummary
+from rollout.sim.failures import NEVER, failure_steps
 from rollout.sim.kernel.arrays import REWARD_PARTS, make_scratch
 from rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_workspace
 from rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
 from rollout.sim.layout import Layout, make_layout
+from rollout.sim.sweep_routes import assigned_routes, sweep_routes
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
 
 TRIES: Final = 200
 """Random positions to try for a UAV before the least distance shrinks by a tenth."""
-
-NEVER: Final = 2**30
-"""A step that no episode reaches and that fits into 32 bits."""
 
 
 class FarmBatch:
@@ -51,10 +50,12 @@ class FarmBatch:
         parts: [E, n, K] weighted parts of the last step's reward, named by REWARD_PARTS; they sum to the reward.
         time: [E] steps done in this episode; -1 before the first reset.
         terminated: [E] always False (A5).
-        position: [E, n, 2] m.
+        position: [E, n, 2] m; a UAV that is gone stays where it failed.
+        gone: [E, n] whether a UAV has failed (`farm.failures`).
         aoi: [E, S] age of information.
         vdf: [E, n_px, n_py] visual data freshness counters.
-        assignment: [E, n_m + n_d] relay (0 .. n_c - 1) of each monitoring, then of each data collection UAV.
+        assignment: [E, n_m + n_d] relay (0 .. n_c - 1) of each monitoring, then of each data collection UAV; -1 if
+            the UAV or all relays are gone.
         service: [E, n_c] D_c, m.
         direction: [E, n, 2] current D_VDF or D_AoI; (0, 0) if there is none, and for relays.
         energy: [E, n] energy used in the last step, J.
@@ -62,7 +63,8 @@ class FarmBatch:
         served_sensors: [E, n_d] number of sensors with AoI above 0 that each UAV served in the last step. With expected
             delivery it is the sum of the shares delivered.
         link_quality: [E, n_m + n_d] signal-to-noise ratio of the link between each served UAV and its relay, dB:
-            P_ut minus the free-space loss (km and MHz, as in the assignment's cost) minus the noise k_B T B in dBm.
+            P_ut minus the free-space loss (km and MHz, as in the assignment's cost) minus the noise k_B T B in dBm;
+            NO_LINK without a relay.
         hindsight: [E, T, n] float32 what to add to the reward of each of the episode's T steps so that a visit is paid
             what it was worth to the team as far as known, see `rollout.sim.kernel.hindsight`; None unless tracked.
 
@@ -84,6 +86,7 @@ class FarmBatch:
         self._arguments = [PackedArguments(shared._replace(scratch=scratch)) for scratch in scratches]
         borders = [environments * k // len(self._arguments) for k in range(len(self._arguments) + 1)]
         self._shares = list(itertools.pairwise(borders))
+        self._routes = sweep_routes(config) if config.observation.route else []
         self._pool = ThreadPoolExecutor(len(self._arguments) - 1, "farms") if len(self._arguments) > 1 else None
         self._constants, self._state, self._action = shared.constants, shared.state, shared.action
         self._seeds: list[tuple[int, int]] = [(-1, -1)] * environments
@@ -92,7 +95,8 @@ class FarmBatch:
         self.parts: NDArray[np.float64] = self._state.parts
         self.time: NDArray[np.int64] = self._state.time
         self.terminated: NDArray[np.bool_] = np.zeros(environments, np.bool_)
-        self.position: NDArray[np.float64] = self._state.position
+        self.position: NDArray[np.float64] = self._state.shown if config.failures.some else self._state.position
+        self.gone: NDArray[np.bool_] = self._state.gone
         self.aoi: NDArray[np.float64] = self._state.age
         self.vdf: NDArray[np.float64] = self._state.level
         self.assignment: NDArray[np.int64] = self._state.assignment
@@ -140,7 +144,7 @@ class FarmBatch:
         Args:
             index: the environment.
             farm_seed: determines the farm.
-            episode_seed: determines where the UAVs start and which packets arrive.
+            episode_seed: determines where the UAVs start, which packets arrive and when UAVs fail.
 
         Raises:
             ConfigError: the sensors do not fit at their spacing.
@@ -160,6 +164,11 @@ class FarmBatch:
         level_due = np.where(layout.plot_phase > 0, layout.plot_phase, self._constants.camera.cycle)
         state.level_due[e] = np.minimum(level_due, NEVER)
         state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
+        state.failure[e] = failure_steps(self.config, farm_seed, episode_seed)
+        state.gone[e], state.living[e] = False, world.counts
+        if self._routes:
+            monitors = self.team.agent_slices()[1]
+            state.sweep[e] = assigned_routes(self._routes, state.position[e, monitors], world)
         for array in (state.reward, state.parts, state.energy, state.utility, state.served, state.returns, state.sums):
             array[e] = 0.0
         for visits in (state.plot_visit, state.sensor_visit, state.hindsight):
@@ -205,7 +214,8 @@ class FarmBatch:
         farm, episode = self._seeds[index]
         steps = int(self.time[index])
         aoi, vdf, *rest = self._state.sums[index].tolist()
-        metrics = (aoi / max(steps, 1), vdf / max(steps, 1), *rest)
+        failed = [float(self.gone[index].sum())] if self.config.failures.some else []
+        metrics = (aoi / max(steps, 1), vdf / max(steps, 1), *rest, *failed)
         return EpisodeSummary(
             farm=farm,
             episode=episode,

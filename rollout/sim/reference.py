@@ -14,7 +14,10 @@ from scipy.special import erfc
 from common.config import EnergyConfig, FarmConfig, RadioConfig, RewardConfig
 from common.team import Float32
 from rollout.sim.batch import packet_key, start_levels, start_positions
+from rollout.sim.failures import failure_steps
+from rollout.sim.kernel.relays import NO_LINK
 from rollout.sim.layout import Layout
+from rollout.sim.reference_routes import first_sweep
 from rollout.sim.reference_views import observe
 
 Array = NDArray[np.float64]
@@ -122,18 +125,20 @@ class ReferenceFarm:
     Args:
         config: the farm.
         layout: the farm's sensors.
-        episode_seed: determines where the UAVs start and which packets arrive.
+        episode_seed: determines where the UAVs start, which packets arrive and when UAVs fail.
 
     Attributes:
         position: [n, 2] m; before: [n, 2] the same one step ago.
         aoi: [S]; vdf: [n_px, n_py].
-        assignment: [n_m + n_d] relays; assignment_cost: the sum of its costs.
+        gone: [n] whether a UAV has failed.
+        assignment: [n_m + n_d] relays, -1 for none; assignment_cost: the sum of its costs.
         service: [n_c] D_c, m.
         link_quality: [n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
         direction: [n, 2] D_VDF, D_AoI.
         chance: [S] 1 - PLR of each sensor's packet in the last step.
         energy: [n] J; utility: [n]; parts: [n, K]; reward: [n]; all of the last step.
         observation: [O] float32.
+        sweep: [n_m, 2] sweep route of each monitoring UAV and the box on it that comes next, if seen.
         time: steps done.
     """
 
@@ -146,6 +151,8 @@ class ReferenceFarm:
         self.key = packet_key(layout.seed, episode_seed)
         self.position = start_positions(world, layout.seed, episode_seed)
         self.before = self.position
+        self.failure = failure_steps(config, layout.seed, episode_seed)
+        self.gone = np.zeros(world.uavs, bool)
         self.aoi, self.vdf = start_levels(world, layout.seed, episode_seed)
         x = (np.arange(world.plots_x) + 0.5) * world.field_x / world.plots_x
         y = (np.arange(world.plots_y) + 0.5) * world.field_y / world.plots_y
@@ -153,6 +160,7 @@ class ReferenceFarm:
         self.chance = np.zeros(world.sensors)
         self.energy, self.utility, self.reward = np.zeros(world.uavs), np.zeros(world.uavs), np.zeros(world.uavs)
         self.parts = np.zeros((world.uavs, 7))
+        self.sweep = first_sweep(self)
         self.crowded, self.outside = np.zeros(world.uavs, bool), np.zeros(world.uavs, bool)
         self._assign()
         self._look()
@@ -167,7 +175,9 @@ class ReferenceFarm:
         """
         world = self.config.world
         self.time += 1
+        self.gone = self.failure <= self.time
         velocity = np.clip(action.reshape(-1, 2).astype(np.float64), -1.0, 1.0) * (world.speed_x_max, world.speed_y_max)
+        velocity[self.gone] = 0.0
         motivated = (velocity * self.direction).sum(axis=1) > 0
         self.before, service_before = self.position, self.service
         wanted = self.position + velocity * world.step_seconds
@@ -178,7 +188,7 @@ class ReferenceFarm:
             flight_power(self.config.energy, v) + other_power(self.config.energy, k)
             for v, k in zip(speed, self.kind, strict=True)
         ]
-        self.energy = np.array(power) * world.step_seconds
+        self.energy = np.where(self.gone, 0.0, np.array(power) * world.step_seconds)
         self._assign(assignment)
         self.utility = np.zeros(world.uavs)
         self._photograph()
@@ -190,10 +200,14 @@ class ReferenceFarm:
         """Return the 3-D distance of two UAVs, m."""
         return math.sqrt(((position[a] - position[b]) ** 2).sum() + (self.height[a] - self.height[b]) ** 2)
 
+    def living(self, kind: int) -> NDArray[np.int64]:
+        """Return the UAVs of a type that have not failed."""
+        return np.flatnonzero((self.kind == kind) & ~self.gone)
+
     def nearest_uav(self, u: int) -> int:
         """Return the closest UAV of the same plane, or of all (W10); -1 if there is none."""
-        same = self.config.reward.nearest == "plane"
-        others = [o for o in range(len(self.kind)) if o != u and (not same or self.kind[o] == self.kind[u])]
+        kinds = (self.kind[u],) if self.config.reward.nearest == "plane" else (0, 1, 2)
+        others = [int(o) for kind in kinds for o in self.living(kind) if o != u]
         return min(others, key=lambda o: self.distance(u, o, self.position), default=-1)
 
     def served(self, relay: int) -> list[int]:
@@ -214,35 +228,43 @@ class ReferenceFarm:
     def _assign(self, chosen: NDArray[np.int64] | None = None) -> None:
         """Protocol 1, step 4: minimum-cost assignment with capacities, and D_c from it (W2)."""
         relay, world = self.config.relay, self.config.world
-        capacity = relay.capacity_for(world)
-        costs = self.assignment_costs()
-        rows, columns = linear_sum_assignment(np.repeat(costs, capacity, axis=1))
-        self.assignment = columns // capacity
-        self.assignment_cost = float(costs[rows, self.assignment].sum())
+        first, costs, relays = world.communication_uavs, self.assignment_costs(), self.living(0)
+        served = np.flatnonzero(~self.gone[first:])
+        self.assignment, self.assignment_cost = np.full(len(costs), -1), 0.0
+        if len(relays) and len(served):
+            capacity = max(relay.capacity_for(world), math.ceil(len(served) / len(relays)))
+            _, columns = linear_sum_assignment(np.repeat(costs[np.ix_(served, relays)], capacity, axis=1))
+            self.assignment[served] = relays[columns // capacity]
+            self.assignment_cost = float(costs[served, self.assignment[served]].sum())
         if chosen is not None:
             self.assignment = chosen.copy()
-        first = world.communication_uavs
-        distances = [self.distance(first + k, int(r), self.position) for k, r in enumerate(self.assignment)]
-        self.linked = np.array(distances) <= (relay.link_range if relay.require_link else math.inf)
+        distances = np.array(
+            [self.distance(first + k, r, self.position) if r >= 0 else math.inf for k, r in enumerate(self.assignment)]
+        )
+        in_range = distances <= (relay.link_range if relay.require_link else math.inf)
+        self.linked = in_range & ~self.gone[first:]
         loss = free_space_loss(self.config.radio, np.maximum(distances, 1.0))
-        self.link_quality = self.config.energy.transmit_dbm - loss - 10.0 * math.log10(noise_mw(self.config.radio))
+        quality = self.config.energy.transmit_dbm - loss - 10.0 * math.log10(noise_mw(self.config.radio))
+        self.link_quality = np.where(self.assignment >= 0, quality, NO_LINK)
         self.service = np.array([self.relay_service(r) for r in range(first)])
 
     def relay_service(self, relay: int) -> float:
         """Return D_c = epsilon_1 D_cg + epsilon_2 D_cf + epsilon_3 D_cc at the current positions, m."""
         weights, place = self.config.relay, np.column_stack([self.position, self.height])
+        if self.gone[relay]:
+            return 0.0
         served = self.served(relay)
         centroid = farthest = 0.0
         if served:
             centroid = float(np.linalg.norm(place[relay] - place[served].mean(axis=0)))
             farthest = float(np.linalg.norm(place[relay] - place[served], axis=1).max())
-        relays = float(np.linalg.norm(place[relay] - place[self.kind == 0].mean(axis=0)))
+        relays = float(np.linalg.norm(place[relay] - place[self.living(0)].mean(axis=0)))
         return weights.weight_centroid * centroid + weights.weight_farthest * farthest + weights.weight_relays * relays
 
     def _photograph(self) -> None:
         """VMUF and eq. VDF: the UAV closest to a plot's centre takes its image (W18 to W23)."""
         world, camera = self.config.world, self.config.camera
-        monitors = np.flatnonzero(self.kind == 1)
+        monitors = self.living(1)
         cycle = round(world.vdf_cycle / world.step_seconds)
         width, depth = world.field_x / world.plots_x, world.field_y / world.plots_y
         grid_x = (np.arange(camera.grid_x) + 0.5) / camera.grid_x * width
@@ -250,17 +272,22 @@ class ReferenceFarm:
         for x in range(world.plots_x):
             for y in range(world.plots_y):
                 centre = self.plot_xy[x * world.plots_y + y]
+                due = (self.time - self.layout.plot_phase[x, y]) % cycle == 0
+                if len(monitors) == 0:
+                    self._serve(self.vdf, (x, y), 0, 0.0, bool(due), world.vdf_max)
+                    continue
                 u = monitors[np.argmin(((centre - self.position[monitors]) ** 2).sum(axis=1))]
                 dx, dy = x * width + grid_x - self.position[u, 0], y * depth + grid_y - self.position[u, 1]
                 distance = np.sqrt(dx[:, None] ** 2 + dy[None] ** 2 + world.height_monitoring**2)
                 quality = (distance < camera.image_distance).sum() / (camera.grid_x * camera.grid_y)
                 good = quality >= camera.plot_threshold and self.linked[u - world.communication_uavs]
-                due = (self.time - self.layout.plot_phase[x, y]) % cycle == 0
                 self._serve(self.vdf, (x, y), int(u), float(good), bool(due), world.vdf_max)
 
     def sensor_chances(self) -> tuple[NDArray[np.intp], Array]:
         """Return each sensor's nearest data collection UAV and 1 - PLR there (W13, W14, W17)."""
-        radio, collectors = self.config.radio, np.flatnonzero(self.kind == 2)
+        radio, collectors = self.config.radio, self.living(2)
+        if len(collectors) == 0:
+            return np.zeros(self.config.world.sensors, np.intp), np.zeros(self.config.world.sensors)
         offset = self.layout.sensor_xy[:, None] - self.position[collectors]
         flat = (offset**2).sum(axis=2)
         owner = np.argmin(flat, axis=1)
@@ -284,7 +311,7 @@ class ReferenceFarm:
             share = self.chance[j]
             if self.config.radio.delivery == "bernoulli":
                 share = float(packet_draw(self.key, self.time, j) < share)
-            if not self.linked[u - world.communication_uavs]:
+            if share > 0.0 and not self.linked[u - world.communication_uavs]:
                 share = 0.0
             due = (self.time - self.layout.sensor_phase[j]) % self.layout.sensor_cycle_steps[j] == 0
             self._serve(self.aoi, (j,), int(u), share, bool(due), world.aoi_max)
@@ -301,6 +328,8 @@ class ReferenceFarm:
         sign = 1.0 if weight.positioning_sign == "printed" else -1.0
         self.parts = np.zeros((world.uavs, 7))
         for u, kind in enumerate(self.kind):
+            if self.gone[u]:
+                continue
             other, risk = self.nearest_uav(u), 0.0
             if other >= 0:
                 now, then = self.distance(u, other, self.position), self.distance(u, other, self.before)
@@ -326,11 +355,12 @@ class ReferenceFarm:
     def _look(self) -> None:
         """Find D_VDF and D_AoI, the UAVs that are too close, and all observations."""
         self.direction = np.zeros((len(self.kind), 2))
-        for u in np.flatnonzero(self.kind == 1):
+        for u in self.living(1):
             self.direction[u] = densest_direction(self.position[u], self.plot_xy, self.vdf.reshape(-1))
-        for u in np.flatnonzero(self.kind == 2):
+        for u in self.living(2):
             self.direction[u] = densest_direction(self.position[u], self.layout.sensor_xy, self.aoi)
         apart = np.linalg.norm(self.position[:, None] - self.position, axis=2)
         apart[(self.kind[:, None] != self.kind) | np.eye(len(self.kind), dtype=bool)] = math.inf
+        apart[self.gone], apart[:, self.gone] = math.inf, math.inf
         self.crowded = (apart < self.config.world.collision_distance).any(axis=1)
         self.observation = observe(self)

@@ -19,6 +19,7 @@ from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, fiel
 from rollout.sim.kernel.views.fields import FLOOR, SCALE
 from rollout.sim.kernel.views.units import MOST
 from rollout.sim.reference_axes import place_of, signs_of
+from rollout.sim.reference_routes import route_view
 
 if TYPE_CHECKING:
     from rollout.sim.reference import ReferenceFarm
@@ -39,7 +40,10 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
         parts += [_fields(farm, u)] if seen.fields else []
         parts += [_maps(farm, u, signs)] if seen.coarse else []
     parts += [_phases(farm, u)] if seen.phases else []
+    parts += [route_view(farm, u, signs, places(farm, u))] if seen.route and kind == 1 else []
     parts += [_service(farm, u, signs)] if seen.service and kind == 0 else []
+    share = len(farm.living(kind)) / (farm.kind == kind).sum()
+    parts += [np.array([share])] if farm.config.failures.some else []
     return np.concatenate(parts)
 
 
@@ -57,7 +61,7 @@ def velocity(farm: ReferenceFarm, u: int) -> Array:
 
 def nearest_of_type(farm: ReferenceFarm, u: int) -> list[int]:
     """Return the other UAVs of a UAV's type, nearest first."""
-    mates = [int(o) for o in np.flatnonzero(farm.kind == farm.kind[u]) if o != u]
+    mates = [int(o) for o in farm.living(farm.kind[u]) if o != u]
     return sorted(mates, key=lambda o: float(((farm.position[o] - farm.position[u]) ** 2).sum()))
 
 
@@ -130,7 +134,7 @@ def _own_points(farm: ReferenceFarm, u: int, where: Array, points: Array) -> tup
     """Return squares of distances from places [K, 2] to points [I, 2], and whether u would be nearest there, [K, I]."""
     square = ((where[:, None] - points) ** 2).sum(axis=2)
     own = np.ones(square.shape, bool)
-    for other in np.flatnonzero(farm.kind == farm.kind[u]):
+    for other in farm.living(farm.kind[u]):
         if other != u:
             rival = ((points - farm.position[other]) ** 2).sum(axis=1)
             own &= (square < rival) | ((square == rival) & (u < other))
@@ -189,8 +193,9 @@ def _fields(farm: ReferenceFarm, u: int) -> Array:
     """Return for both ranges how the field grows with each move, and its size here."""
     points, level = _field_points(farm, u)
     step, goals = _world(farm)[1].sum(), np.concatenate([places(farm, u), farm.position[u][None]])
-    square = ((farm.position[farm.kind == farm.kind[u]][:, None] - points) ** 2).sum(axis=2)
-    rank = np.flatnonzero(np.flatnonzero(farm.kind == farm.kind[u]) == u)[0]
+    mates = farm.living(farm.kind[u])
+    square = ((farm.position[mates][:, None] - points) ** 2).sum(axis=2)
+    rank = np.flatnonzero(mates == u)[0]
     own, others = square[rank] + 1e-9, np.delete(square, rank, axis=0)
     rival = others.min(axis=0) + 1e-9 if len(others) else np.full(len(points), math.inf)
     share = np.where(np.isinf(rival), 1.0, rival / (own + np.where(np.isinf(rival), 0.0, rival)))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from common.farm import farm_team
 from common.team import Float32
 from rollout.sim.reference_added import added_view
 from rollout.sim.reference_axes import place_of, plot_of, signs_of
@@ -21,8 +22,11 @@ Array = NDArray[np.float64]
 def observe(farm: ReferenceFarm) -> Float32:
     """Return the row [O]: all relays, then all monitoring, then all data collection UAVs."""
     views = (_relay_view, _monitoring_view, _collection_view)
+    groups = farm_team(farm.config).groups
     rows = [
-        np.concatenate([views[kind](farm, u), added_view(farm, u, signs_of(farm, u)), _self(farm, u)])
+        np.zeros(groups[kind].observation_size)
+        if farm.gone[u]
+        else np.concatenate([views[kind](farm, u), added_view(farm, u, signs_of(farm, u)), _self(farm, u)])
         for u, kind in enumerate(farm.kind)
     ]
     return np.concatenate(rows).astype(np.float32)
@@ -58,7 +62,7 @@ def _uav(farm: ReferenceFarm, u: int, other: int) -> list[float]:
 
 def _relay_view(farm: ReferenceFarm, u: int) -> Array:
     """Return U_c, then UAV_C-c, GC_c, GC_u, UAV_f-s and UAV_N with their distances."""
-    relays = [r for r in np.flatnonzero(farm.kind == 0) if r != u]
+    relays = [r for r in farm.living(0) if r != u]
     nearest = min(relays, key=lambda r: farm.distance(u, int(r), farm.position), default=-1)
     place = np.column_stack([farm.position, farm.height])
     served = farm.served(u)
@@ -66,7 +70,7 @@ def _relay_view(farm: ReferenceFarm, u: int) -> Array:
     if served:
         centroid = _towards(farm, u, place[served].mean(axis=0))
         farthest = _uav(farm, u, max(served, key=lambda s: farm.distance(u, s, farm.position)))
-    everybody = _towards(farm, u, place[farm.kind == 0].mean(axis=0))
+    everybody = _towards(farm, u, place[farm.living(0)].mean(axis=0))
     parts = (
         _own(farm, u),
         _uav(farm, u, int(nearest)),

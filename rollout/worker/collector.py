@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -63,6 +64,9 @@ class Collector:
         self._episode: NDArray[np.int64] = np.full(count, -1, np.int64)
         self._noise = RandomRows((*self._identity, "noise"), count, self.team.action_size)
         self._uniform = RandomRows((*self._identity, "uniform"), count, self.team.action_size)
+        self._state: Float32 | None = None
+        if config.memory_size:
+            self._state = np.zeros((count, self.team.agents, config.memory_size), np.float32)
         for index in range(count):
             self._begin(index)
 
@@ -82,6 +86,7 @@ class Collector:
         environments, steps = self.environments, self._config.rollout.chunk_steps
         on_policy = self._config.learns_on_policy
         rows = _ChunkRows(len(environments.time), steps, self.team, log_probabilities=on_policy)
+        state = None if self._state is None else self._state.copy()
         episodes: list[EpisodeSummary] = []
         for step in range(steps):
             rows.observation[:, step] = environments.observation
@@ -104,14 +109,14 @@ class Collector:
         for running in range(len(environments.time)):
             self._credit(rows, running, steps)
         self.environment_steps += len(environments.time) * steps
-        return Chunk(rows.rows(), tuple(episodes))
+        return Chunk(replace(rows.rows(), state=state), tuple(episodes))
 
     def _sample(self, actors: TeamActors) -> tuple[Float32, Float32]:
         """Return actions sampled from the actors' distributions, and their log-probabilities."""
         environments = self.environments
         normal = self._noise.at(self._episode, environments.time, normal=True)
         uniform = self._uniform.at(self._episode, environments.time, normal=False)
-        return actors.sample(environments.observation, normal, uniform)
+        return actors.sample(environments.observation, normal, uniform, self._state)
 
     def _explore(self, actors: TeamActors, noise_std: float, uniform: bool) -> Float32:
         environments = self.environments
@@ -129,6 +134,8 @@ class Collector:
 
     def _begin(self, index: int) -> None:
         self._episode[index] += 1
+        if self._state is not None:
+            self._state[index] = 0.0
         parts = (*self._identity, index, int(self._episode[index]))
         farm = int(stream(*parts, "farm").integers(self._config.rollout.train_farms))
         self.environments.reset(index, farm, derive(*parts, "episode"))
@@ -193,7 +200,8 @@ def run_noise_free_episodes(
         for index, (farm, episode) in enumerate(zip(farms, episodes, strict=True)):
             batch.reset(index, farm, episode)
         rewards: list[Float32] = []
+        state = actors.initial_state(len(farms))
         while not batch.ended.all():
-            batch.step(actors.environment_actions(batch.observation))
+            batch.step(actors.environment_actions(batch.observation, state))
             rewards.append(batch.reward.copy())
         return np.stack(rewards, axis=1), batch.time.copy()

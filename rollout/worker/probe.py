@@ -113,7 +113,7 @@ class Probe:
             noise_std=noise_std,
             uniform=uniform,
             position=np.stack([frame.position for frame in frames]).astype(np.float32),
-            assignment=np.stack([frame.assignment for frame in frames]).astype(np.uint8),
+            assignment=np.stack([frame.assignment for frame in frames]).astype(np.uint8),  # -1 becomes NO_RELAY
             quality=np.stack([frame.quality for frame in frames]).astype(np.float32),
             aoi=np.rint(aoi * (255.0 / world.aoi_max)).astype(np.uint8),
             vdf=np.rint(vdf * (255.0 / world.vdf_max)).astype(np.uint8),

@@ -56,6 +56,35 @@ def test_choices_masks_and_shared_actors_come_back(tmp_path, head, shared):
     np.testing.assert_array_equal(loaded.environment_actions(rows), actors.environment_actions(rows))
 
 
+@pytest.mark.parametrize("shared", [False, True])
+def test_actors_with_memory_come_back(tmp_path, shared):
+    """Their file names the memory, and the actors remember as before."""
+    actors = TeamActors.initial(TEAM, 8, 1, head="gaussian", shared=shared, memory="gru")
+    save_policy(tmp_path / "policy", actors, PROVENANCE)
+    loaded, metadata = load_policy(tmp_path / "policy")
+    assert (loaded.memory, loaded.head, loaded.digest(), metadata) == ("gru", "gaussian", actors.digest(), PROVENANCE)
+    states = [each.initial_state(2) for each in (actors, loaded)]
+    for seed in range(3):
+        rows = np.random.default_rng(seed).uniform(-1, 1, (2, TEAM.observation_size)).astype(np.float32)
+        np.testing.assert_array_equal(loaded.act(rows, states[1]), actors.act(rows, states[0]))
+    np.testing.assert_array_equal(*states)
+
+
+def test_files_of_actors_without_memory_are_those_of_earlier_versions(path):
+    """They do not name a memory, which earlier versions would not know."""
+    names: list[str] = []
+    rewrite_header(path, lambda header: names.extend(header["__metadata__"]))
+    assert set(names) == {"format", "team", "hidden", "head", "digest", *PROVENANCE}
+
+
+@pytest.mark.parametrize("memory", ["gru", "lstm", ""])
+def test_a_memory_that_the_numbers_do_not_have_is_refused(path, memory):
+    """A file without the unit's numbers is none of actors with memory, and other names are none at all."""
+    rewrite_header(path, set_metadata("memory", memory))
+    with pytest.raises(PolicyError, match="not a valid policy file"):
+        load_policy(path)
+
+
 def test_half_storage_halves_the_file_and_keeps_sixteen_bits(tmp_path):
     """With `half` the parameters come back as float32 rounded to 11 significant bits, from half the bytes."""
     actors = TeamActors.initial(TEAM, hidden=64, seed=1)

@@ -35,6 +35,19 @@ def test_newer_parameters_are_taken_and_older_ones_counted() -> None:
     assert store.actors.digest() == TeamActors.initial(TEAM, 8, 0, per_type=False).digest()
 
 
+def test_actors_with_memory_are_taken_as_such() -> None:
+    """The message names their memory; one that does not, or names another, does not fit the numbers."""
+    actors = TeamActors.initial(TEAM, 8, 0, memory="gru")
+    message = dataclasses.replace(parameters(1), flat=actors.flat, memory="gru")
+    store = PolicyStore(TEAM)
+    assert store.offer_parameters(ParametersMessage.decode(message.encode()))
+    assert store.actors is not None
+    assert (store.actors.memory, store.actors.digest()) == ("gru", actors.digest())
+    for memory in (None, "lstm", ""):
+        with pytest.raises(SchemaError):
+            PolicyStore(TEAM).offer_parameters(dataclasses.replace(message, memory=memory))
+
+
 def test_a_lower_epoch_never_returns() -> None:
     """Parameters of a learner that has been replaced are not applied, however high their version."""
     store = PolicyStore(TEAM)

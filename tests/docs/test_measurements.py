@@ -73,6 +73,24 @@ def results() -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str,
     return run, study, flown, seeds
 
 
+def default_seeds() -> dict[str, Any]:
+    """Return two seeds of the default preset."""
+    runs = [
+        {"reward": {"mean": mean}, "seconds": seconds, "reached": {"0.5": 9.0, "0.75": 20.4, "0.9": 61.0, "1": full}}
+        for mean, seconds, full in ((1303.0, 300.0, 200.0), (1321.0, 420.0, None))
+    ]
+    size = {"first_farm": 1020, "farms": 80, "lawnmower": 1394.0, "command": "x", "commit": "abc", "runs": runs}
+    return {**size, "reward": [1312.0, 1303.0, 1320.0], "aoi": [0.4, 0.3, 0.5], "vdf": [1.7, 1.6, 1.8]}
+
+
+def test_seeds_of_the_default_preset_are_shown_with_their_slowest() -> None:
+    """A share that one seed never reaches is never reached."""
+    run, study, flown, seeds = results()
+    text = " ".join(default_block(run, study, flown, seeds, default_seeds()).split())
+    assert "2 seeds score 1312 (1303..1320) on farms 1020..1099 (each: 1303, 1321; the lawnmower 1394)" in text
+    assert "after 5 to 7 minutes each. The slowest needs 9, 20, 61, never seconds" in text
+
+
 def rows_of(text: str) -> list[list[str]]:
     """Return the cells of a text's tables, heads and rules left out."""
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in text.splitlines() if row.startswith("|")]
@@ -82,12 +100,10 @@ def rows_of(text: str) -> list[list[str]]:
 def test_the_readme_orders_policies_by_reward_and_names_those_ahead() -> None:
     """Learned methods and heuristics share one table, best first; those ahead of the default preset are named."""
     _, study, _, seeds = results()
-    metrics = {"aoi": [0.4, 0.3, 0.5], "vdf": [1.7, 1.6, 1.8], "reward": [1312.0, 1303.0, 1320.0]}
-    trained = {"policy": "trained", **metrics, "per_farm": [0.0] * 20 + [1312.0] * 80}
-    text = results_block(study, seeds, {"first_farm": 1000, "results": [trained]})
+    text = results_block(study, seeds, default_seeds())
     rows = rows_of(text)
     assert [row[0] for row in rows][:4] == ["high", "level", "**IPPO, default preset**", "EIA-SEC, preset `eia-sec`"]
-    assert rows[2][2] == "1312"
+    assert rows[2][2] == "1312 (1303..1320)"
     assert rows[3][2] == "1310 (1300..1320)"
     assert {row[0].partition(",")[0] for row in rows if row[1] == "learned"} >= set(study["methods"])
     rewards = [float(row[2].partition(" ")[0]) for row in rows]
@@ -99,7 +115,7 @@ def test_the_readme_orders_policies_by_reward_and_names_those_ahead() -> None:
 def test_methods_stand_in_the_order_of_their_rewards() -> None:
     """Every method of the study has a row, the best first, with the runs' commits; what it is compared with is bold."""
     run, study, flown, seeds = results()
-    _, _, part = default_block(run, study, flown, seeds).partition("The methods of the paper")
+    _, _, part = default_block(run, study, flown, seeds, default_seeds()).partition("The methods of the paper")
     rows = rows_of(part)
     wanted = sorted(study["methods"], key=lambda name: -study["methods"][name]["reward"][0])
     assert [row[0].strip("*") for row in rows] == wanted
@@ -121,7 +137,8 @@ def test_the_policy_that_ships_is_ranked() -> None:
         "low": (9, 8, 10),
     }
     found = [{"policy": name, "reward": reward} for name, reward in rewards.items()]
-    text = default_block(run, study, {"first_farm": 1, "last_farm": 2, "results": found}, seeds).replace("\n", " ")
+    flown = {"first_farm": 1, "last_farm": 2, "results": found}
+    text = default_block(run, study, flown, seeds, default_seeds()).replace("\n", " ")
     assert "The policy that ships scores 50 (45..55) on farms 1..2." in text
     assert "score higher: higher 80, high 70. Level with it: alike 56." in text
     assert "5 seeds of the preset `eia-sec` score 1310 (1300..1320) on farms 1020..1099" in text

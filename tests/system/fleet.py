@@ -76,10 +76,11 @@ CHOICES = 'farm.control]\ncommunication = "headings"\nmonitoring = "moves"\ncoll
 """The section of discrete actions."""
 
 
-def on_policy(name: str, lag: int = 1) -> str:
+def on_policy(name: str, lag: int = 1, memory: str = "none") -> str:
     """Return TINY with an algorithm that learns on policy: `eia-ppo` imitates, the others choose discrete actions."""
     sections = {section.partition("]")[0]: section for section in TINY.split("\n[")}
-    sections["algorithm"] = f'algorithm]\nname = "{name}"\nhidden = 16{PPO.format(lag=lag).rstrip()}'
+    remembers = f'\nmemory = "{memory}"\nsequence_steps = 5'
+    sections["algorithm"] = f'algorithm]\nname = "{name}"\nhidden = 16{PPO.format(lag=lag).rstrip()}{remembers}'
     without = {"replay"}
     if name != "eia-ppo":
         without |= {"elite"}

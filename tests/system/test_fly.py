@@ -14,6 +14,7 @@ from common.actions.adapters import SIGNS
 from common.actors import TeamActors
 from common.config.files import to_toml
 from common.farm import farm_team
+from common.gru import Memory
 from common.policy_file import save_policy
 from common.process import StopSignal
 from common.protocol import keys
@@ -38,9 +39,10 @@ SECONDS = 90.0
 class Node:
     """An `eia-sec fly` process and its policy."""
 
-    def __init__(self, folder: Path, toml: str = TINY, *, shared: bool = False) -> None:
+    def __init__(self, folder: Path, toml: str = TINY, *, shared: bool = False, memory: Memory = "none") -> None:
         self.farm = configured(toml).farm
-        self.actors = TeamActors.initial(farm_team(self.farm), 16, 5, per_type=False, shared=shared)
+        team = farm_team(self.farm)
+        self.actors = TeamActors.initial(team, 16, 5, per_type=False, shared=shared, memory=memory)
         for parameters in self.actors.flat:
             np.multiply(parameters, 8.0, out=parameters)  # fresh actors hardly move
         self.endpoint: Endpoint = free_endpoint()
@@ -80,7 +82,15 @@ def choosing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
     flying.close()
 
 
-@pytest.mark.parametrize("which", ["node", "choosing"])
+@pytest.fixture(scope="module")
+def remembering(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Node]:
+    """A flight node whose actors have memory."""
+    flying = Node(tmp_path_factory.mktemp("remember"), memory="gru")
+    yield flying
+    flying.close()
+
+
+@pytest.mark.parametrize("which", ["node", "choosing", "remembering"])
 def test_decisions_over_the_path_are_those_in_one_process_bit_for_bit(
     which: str, request: pytest.FixtureRequest
 ) -> None:
@@ -91,6 +101,7 @@ def test_decisions_over_the_path_are_those_in_one_process_bit_for_bit(
         flight = SimulatedFleet(node.farm, links, SECONDS).fly(1003, 0, StopSignal())
     alone, policy = FarmBatch(node.farm, 1), ActorPolicy(node.actors)
     alone.reset(0, 1003, episode_seed(1003, 0))
+    policy.reset(alone, 0)
     actions = []
     while not alone.ended.all():
         actions.append(policy.act(alone)[0])

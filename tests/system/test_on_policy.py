@@ -8,10 +8,13 @@ from deploy.local.in_process import train_in_process
 from tests.system.fleet import configured, on_policy
 
 
-@pytest.mark.parametrize(("name", "events"), [("ippo", 0), ("eia-ppo", 3)])
-def test_lockstep_is_bit_equal_to_one_process(processes, name, events):
+@pytest.mark.parametrize(
+    ("name", "events", "memory"),
+    [("ippo", 0, "none"), ("eia-ppo", 3, "none"), ("mappo", 0, "gru"), ("eia-ppo", 3, "gru")],
+)
+def test_lockstep_is_bit_equal_to_one_process(processes, name, events, memory):
     """After eight episodes, with three imitation events where elites are imitated, all actors are bit-equal."""
-    text = on_policy(name)
+    text = on_policy(name, memory=memory)
     processes.config.write_text(text, encoding="utf-8")
     if events:
         processes.coordinator()
@@ -23,7 +26,7 @@ def test_lockstep_is_bit_equal_to_one_process(processes, name, events):
     (end,) = processes.records("end")
     assert (end["state"], end["digest"]) == ("finished", alone.actors().digest())
     actors, _ = load_policy(processes.directory / "run" / "policy.safetensors")
-    assert actors.digest() == alone.actors().digest()
+    assert (actors.memory, actors.digest()) == (memory, alone.actors().digest())
     assert processes.wait("rollout-0") == 0
 
 

@@ -7,6 +7,9 @@ from common.config.algorithms.base import AlgorithmConfig
 from common.config.checks import not_negative, positive, within
 from common.errors import ConfigError
 
+Memory = Literal["none", "gru"]
+"""Kinds of memory; `common.gru` has the unit."""
+
 
 @dataclass(frozen=True)
 class OnPolicyConfig(AlgorithmConfig):
@@ -15,7 +18,7 @@ class OnPolicyConfig(AlgorithmConfig):
     discrete_actions: ClassVar[bool] = True
 
     hidden: int = 128
-    """Width of both hidden layers of every network (ours)."""
+    """Width of both hidden layers of every network, and of its state where it has memory (ours)."""
     discount: float = 0.99
     """Discount factor gamma of the return."""
     potential_discount: float = 1.0
@@ -52,6 +55,11 @@ class OnPolicyConfig(AlgorithmConfig):
     """Largest age of a chunk's policy when it is learned from, in parameter versions; 0 is strictly on policy."""
     parameters: Literal["shared", "separate"] = "shared"
     """Whether the agents of a type share one actor and one value function, or each has its own."""
+    memory: Memory = "none"
+    """Whether actors and value functions see the present observation alone, or remember earlier ones of the episode by
+    a gated recurrent unit (gru) in place of their second hidden layer."""
+    sequence_steps: int = 50
+    """Steps through which gradients flow back in networks with memory; `rollout.chunk_steps` is a multiple of it."""
     credit: Literal["own", "type", "team"] = "own"
     """Whether an agent learns from its own reward, the mean of its type's, or the mean of the team's."""
     hindsight: str = "monitoring=1.0, collection=0.8"
@@ -73,9 +81,19 @@ class OnPolicyConfig(AlgorithmConfig):
         positive(clip=self.clip)
         not_negative(target_kl=self.target_kl, entropy_start=self.entropy_start, entropy_end=self.entropy_end)
         within(0, 2**31, max_lag_versions=self.max_lag_versions)
+        within(1, 10_000, sequence_steps=self.sequence_steps)
+        if self.memory != "none" and self.minibatch_steps < self.sequence_steps:
+            raise ConfigError(
+                f"minibatch_steps {self.minibatch_steps} hold no sequence of sequence_steps {self.sequence_steps}."
+            )
         self.type_discounts()
         self.type_entropy_scales()
         self.hindsight_shares()
+
+    @property
+    def memory_size(self) -> int:
+        """Numbers h in the state of one network with memory; 0 without memory."""
+        return 0 if self.memory == "none" else self.hidden
 
     @property
     def sees_team(self) -> bool:

@@ -13,6 +13,7 @@ from rollout.sim.kernel.views.arrays import ViewScratch, make_view_scratch
 from rollout.sim.layout import cell_counts
 
 Float32 = NDArray[np.float32]
+Flags = NDArray[np.bool_]
 
 REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "idle", "motivation")
 """The weighted parts of a reward in storage order; the reward is their sum."""
@@ -37,6 +38,7 @@ class State(NamedTuple):
         age_due: [E, S] step at which AoI rises next.
         level: [E, n_px, n_py] VDF.
         level_due: [E, n_px, n_py] step at which VDF rises next.
+        sweep: [E, n_m, 2] sweep route of each monitoring UAV and the box on it that comes next, see `views.routes`.
         observation: [E, O] observations.
         reward: [E, n] reward of the last step.
         parts: [E, n, K] reward parts of the last step.
@@ -55,6 +57,10 @@ class State(NamedTuple):
         quality: [E, n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
         plot_visit: [E, P, 4] last visit of each plot, see `hindsight`; [E, 0, 4] unless visits are tracked.
         sensor_visit: [E, S, 4] the same of each sensor.
+        failure: [E, n] first step of which each UAV is no part.
+        gone: [E, n] whether each UAV has failed, see `failures`; the position of one that has is infinite.
+        living: [E, 3] UAVs of each type that have not failed.
+        shown: [E, n, 2] positions, of UAVs that have failed the last ones, m; [E, 0, 2] unless UAVs can fail.
         hindsight: [E, T, n] corrections of the episode's rewards; [E, 0, n] unless visits are tracked.
     """
 
@@ -73,6 +79,7 @@ class State(NamedTuple):
     age_due: Int32
     level: Array
     level_due: Int32
+    sweep: Int32
     observation: Float32
     reward: Float32
     parts: Array
@@ -91,6 +98,10 @@ class State(NamedTuple):
     quality: Array
     plot_visit: Int32
     sensor_visit: Int32
+    failure: Int32
+    gone: Flags
+    living: Indices
+    shown: Array
     hindsight: Float32
 
 
@@ -112,6 +123,7 @@ class Farm(NamedTuple):
     age_due: Int32
     level: Array
     level_due: Int32
+    sweep: Int32
     observation: Float32
     reward: Float32
     parts: Array
@@ -130,6 +142,10 @@ class Farm(NamedTuple):
     quality: Array
     plot_visit: Int32
     sensor_visit: Int32
+    failure: Int32
+    gone: Flags
+    living: Indices
+    shown: Array
     hindsight: Float32
 
 
@@ -139,9 +155,9 @@ class AssignmentScratch(NamedTuple):
     Attributes:
         pair: [n_m + n_d, n_c] cost of each pair.
         exchanges: working memory of the exchanges between relays.
-        cost: [n_m + n_d, n_c capacity] cost of each UAV in each slot of a relay.
-        numbers: [3, n_c capacity] scratch.
-        indices: [4, n_c capacity] scratch.
+        cost: [n_m + n_d, L] cost of each UAV in each slot of a relay; L is the largest number of slots.
+        numbers: [3, L] scratch.
+        indices: [4, L] scratch.
     """
 
     pair: Array
@@ -231,6 +247,7 @@ def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
         age_due=np.zeros((count, sensors), np.int32),
         level=np.zeros((count, *plots)),
         level_due=np.zeros((count, *plots), np.int32),
+        sweep=np.zeros((count, world.monitoring_uavs, 2), np.int32),
         observation=np.zeros((count, team.observation_size), np.float32),
         reward=np.zeros((count, uavs), np.float32),
         parts=np.zeros((count, uavs, len(REWARD_PARTS))),
@@ -249,6 +266,10 @@ def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
         quality=np.zeros((count, served)),
         plot_visit=np.zeros((count, hindsight * world.plots_x * world.plots_y, 4), np.int32),
         sensor_visit=np.zeros((count, hindsight * sensors, 4), np.int32),
+        failure=np.zeros((count, uavs), np.int32),
+        gone=np.zeros((count, uavs), np.bool_),
+        living=np.zeros((count, 3), np.int64),
+        shown=np.zeros((count, config.failures.some * uavs, 2)),
         hindsight=np.zeros((count, hindsight * world.steps, uavs), np.float32),
     )
 
@@ -258,8 +279,10 @@ def make_scratch(config: FarmConfig) -> Scratch:
     world = config.world
     uavs, sensors, collectors = world.uavs, world.sensors, world.collection_uavs
     served = world.monitoring_uavs + collectors
-    places = world.communication_uavs * config.relay.capacity_for(world)
     relays = world.communication_uavs
+    places = relays * config.relay.capacity_for(world)
+    if config.failures.some:
+        places = max(places, served + relays - 1)  # a living relay may serve more, see `capacity_left`
     return Scratch(
         previous=np.zeros((uavs, 2)),
         outside=np.zeros(uavs),

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.errors import ConfigError
+from common.farm import farm_team
 from rollout.sim.kernel.link import RadioConstants, loss_at_one_metre, noise, radio_constants
 from rollout.sim.kernel.views.constants import ViewConstants, view_constants
 
@@ -174,6 +175,18 @@ class RewardConstants(NamedTuple):
     closing: bool
 
 
+class FailureConstants(NamedTuple):
+    """UAVs that fail.
+
+    Attributes:
+        some: whether any UAV can fail.
+        sizes: numbers that a UAV of each type observes.
+    """
+
+    some: bool
+    sizes: tuple[int, int, int]
+
+
 class ObservationConstants(NamedTuple):
     """What the UAVs see.
 
@@ -217,6 +230,7 @@ class Constants(NamedTuple):
     reward: RewardConstants
     observation: ObservationConstants
     added: ViewConstants
+    failures: FailureConstants
 
 
 def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
@@ -254,6 +268,7 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         _reward(config),
         seen,
         view_constants(config, radio, cells),
+        _failures(config),
     )
     return Constants(*(_cast(part) for part in parts))
 
@@ -296,6 +311,11 @@ def _fleet(config: FarmConfig) -> FleetConstants:
         collision=world.collision_distance,
         any_plane=config.reward.nearest == "any",
     )
+
+
+def _failures(config: FarmConfig) -> FailureConstants:
+    relays, monitors, collectors = (group.observation_size for group in farm_team(config).groups)
+    return FailureConstants(some=config.failures.some, sizes=(relays, monitors, collectors))
 
 
 def _flight(config: FarmConfig) -> FlightConstants:

@@ -31,7 +31,7 @@ def fly(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
 
     Reads the directions observed before the step. Updates `position`, clipped to the field (W11). Writes `energy` for
     the commanded velocity (W6, W7). Writes to the scratch `previous`, `outside` (ACT) and `motivated`, which is 1 where
-    v . D > 0 (W25).
+    v . D > 0 (W25). A UAV that is gone does not move, and uses no energy.
 
     Args:
         c: constants.
@@ -42,6 +42,9 @@ def fly(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
     fleet, flight, position, direction, energy = c.fleet, c.flight, farm.position, farm.direction, farm.energy
     previous, outside, motivated = s.previous, s.outside, s.motivated
     for u in range(len(position)):
+        if farm.gone[u]:
+            energy[u], motivated[u], outside[u] = 0.0, 0.0, 0.0
+            continue
         vx = min(1.0, max(-1.0, np.float64(action[2 * u]))) * fleet.speed_x
         vy = min(1.0, max(-1.0, np.float64(action[2 * u + 1]))) * fleet.speed_y
         speed = math.sqrt(vx * vx + vy * vy)

@@ -1,8 +1,9 @@
 """Observations of each type of UAV, scaled to about [-1, 1] (W24).
 
 A position is 2 x / X - 1 and an offset is dx / X, dy / Y. A distance is three-dimensional and divided by the field's
-diagonal. VDF and AoI are divided by their maxima. A UAV that does not exist is (0, 0, 1). The agent's index within its
-type and the elapsed fraction of the episode come last.
+diagonal. VDF and AoI are divided by their maxima. A UAV that does not exist is (0, 0, 1). One that is gone observes
+zeros and is no part of what others observe. The agent's index within its type and the elapsed fraction of the episode
+come last.
 
 A mirrored view flips the axes so that one position, measured from the middle, is never below 0. For a relay or a
 collector it is the position in the field; for a monitor it is the position in its plot. Everything along an axis is
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, FleetConstants, ObservationConstants
+from rollout.sim.kernel.failures import see_nothing
 from rollout.sim.kernel.planes import height_of
 from rollout.sim.kernel.spatial.neighbours import ALL, EMPTY, HOLDING, nearest_sensors
 from rollout.sim.kernel.views.added import add_collector, add_monitor, add_relay
@@ -111,6 +113,9 @@ def see_relays(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> in
     fleet, what, position, seen = c.fleet, c.observation, farm.position, farm.observation
     peer, neighbour, centroid, farthest = s.peer, s.neighbour, s.centroid, s.farthest
     for u in range(fleet.relays):
+        if farm.gone[u]:
+            at = see_nothing(c.failures.sizes[0], seen, at)
+            continue
         x, y = _share(fleet, position, u)
         sx, sy = _sign(what, x), _sign(what, y)
         at = _put_place(what, x, y, sx, sy, seen, at)
@@ -144,6 +149,9 @@ def see_plots(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> int
     columns, rows = level.shape
     reach, count = what.window // 2, fleet.collectors - fleet.relays
     for u in range(fleet.relays, fleet.collectors):
+        if farm.gone[u]:
+            at = see_nothing(c.failures.sizes[1], seen, at)
+            continue
         column = min(int(position[u, 0] / camera.plot_width), columns - 1)
         row = min(int(position[u, 1] / camera.plot_depth), rows - 1)
         across = 2.0 * (position[u, 0] / camera.plot_width - column) - 1.0
@@ -181,6 +189,9 @@ def see_sensors(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> N
     holding, wanted, per_level = waiting[0], what.sensors, 1.0 / c.radio.level_max
     count = fleet.uavs - fleet.collectors
     for u in range(fleet.collectors, fleet.uavs):
+        if farm.gone[u]:
+            at = see_nothing(c.failures.sizes[2], seen, at)
+            continue
         x, y, listed = position[u, 0], position[u, 1], nearest[u - fleet.collectors]
         across, along = _share(fleet, position, u)
         sx, sy = _sign(what, across), _sign(what, along)

@@ -1,42 +1,53 @@
 """Communication UAVs: which UAVs each one serves, and its quality of service D_c."""
 
 import math
+from typing import Final
 
-from rollout.sim.kernel.arrays import AssignmentScratch, Farm, Scratch
+from rollout.sim.kernel.arrays import AssignmentScratch, Farm, Flags, Scratch
 from rollout.sim.kernel.assignment.exchanges import settle
 from rollout.sim.kernel.assignment.hungarian import assign
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.compiler.logarithm import vectorisable_log
 from rollout.sim.kernel.constants import LEAST_LINK, Array, Constants, FleetConstants, Indices, RelayConstants
+from rollout.sim.kernel.failures import NOBODY, capacity_left
 from rollout.sim.kernel.motion import separation
 from rollout.sim.kernel.planes import height_of
 
+NO_LINK: Final = -1000.0
+"""Quality of the link of a UAV that has no relay, dB; finite, because views carry only finite numbers (ours)."""
+
 
 @inlined
-def assign_relays(c: Constants, farm: Farm, s: Scratch, fresh: bool) -> None:
-    """Assign every monitoring and data collection UAV to a relay (W2, W3).
+def assign_relays(c: Constants, farm: Farm, s: Scratch, anew: bool) -> None:
+    """Assign every living monitoring and data collection UAV to a living relay (W2, W3).
 
     The cost of a pair is cost_distance d / diagonal + cost_link FSPL(d) / FSPL(diagonal). Every relay has
     `capacity` columns. The previous assignment is repaired by a few exchanges if that proves a unique optimum.
 
     Updates `assignment` and writes `quality`, the signal-to-noise ratio of each link, and `linked`, 1 where the relay
-    is within link range (W4).
+    is within link range (W4). A UAV without a relay has the quality NO_LINK, and no range reaches it.
 
     Args:
         c: constants.
         farm: the environment.
         s: scratch.
-        fresh: whether the episode begins, so that there is no previous assignment.
+        anew: whether there is no previous assignment, or UAVs have failed since.
     """
     fleet, relay, position, work, assignment = c.fleet, c.relay, farm.position, s.assigning, farm.assignment
     linked, quality = s.linked, farm.quality
+    capacity, gone = relay.capacity, farm.gone
     _weigh_pairs(fleet, relay, s.x, s.y, work.pair)
-    if fresh or not settle(work.pair, assignment, relay.capacity, work.exchanges):
-        _assign_anew(fleet, relay, position, work, assignment)
+    if c.failures.some:
+        capacity = capacity_left(capacity, farm.living)
+        _leave_out(gone, work.pair)
+    if anew or not settle(work.pair, assignment, capacity, work.exchanges):
+        _assign_anew(fleet, relay, gone, capacity, position, work, assignment)
     for served in range(len(assignment)):
-        distance = separation(fleet, position, assignment[served], fleet.relays + served)
-        linked[served] = 1.0 if distance <= relay.link_range else 0.0
-        quality[served] = relay.budget - _loss(relay, distance)
+        u, distance, quality[served] = fleet.relays + served, math.inf, NO_LINK
+        if assignment[served] != NOBODY:
+            distance = separation(fleet, position, assignment[served], u)
+            quality[served] = relay.budget - _loss(relay, distance)
+        linked[served] = 1.0 if distance <= relay.link_range and not gone[u] else 0.0
 
 
 @allocation_free
@@ -59,19 +70,57 @@ def _weigh_pairs(fleet: FleetConstants, relay: RelayConstants, x: Array, y: Arra
 
 
 @allocation_free
+def _leave_out(gone: Flags, pair: Array) -> None:
+    """Make relays that are gone infinitely expensive."""
+    for i in range(pair.shape[1]):
+        if gone[i]:
+            pair[:, i] = math.inf
+
+
+@allocation_free
 def _assign_anew(
-    fleet: FleetConstants, relay: RelayConstants, position: Array, work: AssignmentScratch, assignment: Indices
+    fleet: FleetConstants,
+    relay: RelayConstants,
+    gone: Flags,
+    capacity: int,
+    position: Array,
+    work: AssignmentScratch,
+    assignment: Indices,
 ) -> None:
-    """Assign from scratch, breaking ties as the reference does."""
-    for served in range(len(assignment)):
+    """Assign the living from scratch, breaking ties as the reference does."""
+    rows, columns = 0, 0
+    for u in range(fleet.relays, fleet.uavs):
+        if gone[u]:
+            continue
+        columns = 0
         for i in range(fleet.relays):
-            distance = separation(fleet, position, i, fleet.relays + served)
+            if gone[i]:
+                continue
+            distance = separation(fleet, position, i, u)
             cost = relay.cost_distance * distance + relay.cost_link * _loss(relay, distance)
-            for place in range(relay.capacity):
-                work.cost[served, i * relay.capacity + place] = cost
-    assign(work.cost, work.numbers, work.indices, assignment)
-    for served in range(len(assignment)):
-        assignment[served] //= relay.capacity
+            for _ in range(capacity):
+                work.cost[rows, columns] = cost
+                columns += 1
+        rows += 1
+    if columns > 0:
+        assign(work.cost, rows, columns, work.numbers, work.indices, assignment)
+    # The first `rows` entries hold the columns of the living. From the last on, each moves to its UAV's own entry.
+    for served in range(len(assignment) - 1, -1, -1):
+        relay_of = NOBODY
+        if not gone[fleet.relays + served]:
+            rows -= 1
+            relay_of = _living_relay(gone, assignment[rows] // capacity) if columns > 0 else NOBODY
+        assignment[served] = relay_of
+
+
+@allocation_free
+def _living_relay(gone: Flags, number: int) -> int:
+    """Return the relay with a number among the living, from 0."""
+    i = 0
+    while gone[i] or number > 0:
+        number -= 0 if gone[i] else 1
+        i += 1
+    return i
 
 
 @inlined
@@ -80,8 +129,9 @@ def measure_service(c: Constants, farm: Farm, s: Scratch) -> None:
 
     Writes D_c to `service` after saving D_c(k-1) in `earlier`. A relay that serves no UAV has D_cg = D_cf = 0. Writes
     to the scratch `centroid`, whose last row is the centroid of all relays, and `farthest`, -1 for a relay that serves
-    none.
+    none. UAVs that are gone do not count; D_c of a relay that is gone is 0.
     """
+    gone, living = farm.gone, farm.living[0]
     fleet, relay, position, assignment, service = c.fleet, c.relay, farm.position, farm.assignment, farm.service
     centroid, farthest, number, far = s.centroid, s.farthest, s.number, s.far
     for i in range(fleet.relays):
@@ -92,6 +142,8 @@ def measure_service(c: Constants, farm: Farm, s: Scratch) -> None:
         farthest[i], number[i], far[i] = -1, 0.0, -1.0
     for served in range(len(assignment)):
         i, u = assignment[served], count + served
+        if i == NOBODY:
+            continue
         centroid[i, 0], centroid[i, 1] = centroid[i, 0] + position[u, 0], centroid[i, 1] + position[u, 1]
         centroid[i, 2], number[i] = centroid[i, 2] + height_of(fleet, u), number[i] + 1.0
         distance = separation(fleet, position, i, u)
@@ -104,10 +156,14 @@ def measure_service(c: Constants, farm: Farm, s: Scratch) -> None:
             centroid[i, 1] * share,
             centroid[i, 2] * share,
         )
-        centroid[count, 0] += position[i, 0] / count
-        centroid[count, 1] += position[i, 1] / count
-        centroid[count, 2] += height_of(fleet, i) / count
+        if not gone[i]:
+            centroid[count, 0] += position[i, 0] / living
+            centroid[count, 1] += position[i, 1] / living
+            centroid[count, 2] += height_of(fleet, i) / living
     for i in range(count):
+        if gone[i]:
+            service[i] = 0.0
+            continue
         service[i] = relay.weight_farthest * max(far[i], 0.0)
         if farthest[i] >= 0:
             service[i] += relay.weight_centroid * _to_point(fleet, position, i, centroid[i])

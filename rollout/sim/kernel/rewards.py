@@ -37,11 +37,15 @@ def reward_step(c: Constants, farm: Farm, s: Scratch) -> None:
     """Write the weighted parts of every UAV's reward into `parts` [n, K], and their sums into `reward` [n].
 
     A utility below NEGLIGIBLE counts as none. That matters only in expected delivery, where shares never quite reach 0.
+    A UAV that is gone earns 0.
     """
     fleet, weight, parts, seconds = c.fleet, c.reward, farm.parts, c.fleet.seconds
     for u in range(fleet.uavs):
         for part in range(parts.shape[1]):
             parts[u, part] = 0.0
+        if farm.gone[u]:
+            farm.reward[u] = 0.0
+            continue
         risk = safety_risk(fleet, weight.closing, s.previous, s.neighbour, s.distance, u)
         parts[u, ENERGY] = weight.energy * farm.energy[u]
         parts[u, RISK] = weight.risk * risk * seconds

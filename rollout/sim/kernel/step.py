@@ -2,7 +2,7 @@
 
 Inside step k, at t = k t_step, the order is:
 1. Motivation compares the commanded velocity with the direction observed before the step.
-2. The UAVs move.
+2. UAVs fail, if any does in this step, and the others move.
 3. Relays are assigned, and D_c(k) is computed at the new positions.
 4. Sensors send and plots are photographed, for credit of AoI(t - t_step) and VDF(t - t_step).
 5. Counters rise or fall.
@@ -23,6 +23,7 @@ from rollout.sim.kernel.compiler.argument_pack import unpack
 from rollout.sim.kernel.compiler.decorators import allocation_free, allocation_free_entry, inlined
 from rollout.sim.kernel.compiler.prefetch import prefetch
 from rollout.sim.kernel.constants import Constants
+from rollout.sim.kernel.failures import lose_uavs, show_places
 from rollout.sim.kernel.motion import find_nearest, fly
 from rollout.sim.kernel.observation import see_plots, see_relays, see_sensors
 from rollout.sim.kernel.radio import interfere, send, update_age
@@ -62,6 +63,7 @@ def _farm(state: State, e: int) -> Farm:
         age_due=state.age_due[e],
         level=state.level[e],
         level_due=state.level_due[e],
+        sweep=state.sweep[e],
         observation=state.observation[e],
         reward=state.reward[e],
         parts=state.parts[e],
@@ -80,15 +82,19 @@ def _farm(state: State, e: int) -> Farm:
         quality=state.quality[e],
         plot_visit=state.plot_visit[e],
         sensor_visit=state.sensor_visit[e],
+        failure=state.failure[e],
+        gone=state.gone[e],
+        living=state.living[e],
+        shown=state.shown[e],
         hindsight=state.hindsight[e],
     )
 
 
 @inlined
-def _update_geometry(c: Constants, farm: Farm, s: Scratch, fresh: bool) -> None:
+def _update_geometry(c: Constants, farm: Farm, s: Scratch, anew: bool) -> None:
     """Find nearest UAVs, relays and D_c at the current positions."""
     find_nearest(c, farm, s)
-    assign_relays(c, farm, s, fresh)
+    assign_relays(c, farm, s, anew)
     measure_service(c, farm, s)
 
 
@@ -145,11 +151,16 @@ def _step(c: Constants, farm: Farm, s: Scratch, action: Float32, fresh: bool) ->
 
     Both are one function, so that the compiler meets what they share once.
     """
+    lost = False
+    if c.failures.some and not fresh:
+        lost = lose_uavs(c, farm)
     if not fresh:
         fly(c, farm, s, action)
     else:
         _start(c, farm, s)
-    _update_geometry(c, farm, s, fresh)
+    if c.failures.some:
+        show_places(farm)
+    _update_geometry(c, farm, s, fresh or lost)
     if not fresh:
         _serve_tasks(c, farm, s)
     if not fresh:

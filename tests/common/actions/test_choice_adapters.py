@@ -8,15 +8,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.actions.adapters import Headings, MirroredAxes, NineMoves
+from common.actions.adapters import Headings, MirroredAxes, NineMoves, adapter_from_dict, adapter_to_dict
 from common.actors import TeamActors
-from common.config import ControlConfig, FarmConfig, ObservationConfig
+from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
 from common.errors import ConfigError, SchemaError
 from common.farm import HEADING_SPEEDS, farm_team
 from common.team import GroupSpec, TeamSpec
 from rollout.sim.batch import FarmBatch
+from rollout.sim.layout import make_layout
+from tests.rollout.sim.properties.strategies import placed
 
-HEADINGS = Headings(*HEADING_SPEEDS)
+HEADINGS = Headings(*HEADING_SPEEDS, 0.025)
 PLACES = st.floats(-1.0, 1.0, width=32)
 
 
@@ -26,16 +28,43 @@ def test_nine_moves_are_all_pairs_of_steps():
     assert steps.tolist() == [list(pair) for pair in itertools.product((-1.0, 0.0, 1.0), repeat=2)]
 
 
+def test_nine_moves_of_older_files_suggest_none():
+    """Files that were written before moves could be suggested still load; a suggestion must lie in the observation."""
+    assert adapter_from_dict({"kind": "nine moves"}) == NineMoves()
+    assert adapter_from_dict(adapter_to_dict(NineMoves(7))) == NineMoves(7)
+    GroupSpec("a", 1, 16, 1, (NineMoves(7),), (9,))
+    with pytest.raises(ConfigError, match="too short for the suggested move"):
+        GroupSpec("a", 1, 15, 1, (NineMoves(7),), (9,))
+
+
 @given(x=PLACES, y=PLACES)
-def test_headings_are_eight_ways_at_three_speeds_and_a_drift(x, y):
-    """A plain loop in double precision gives the same velocities; idle agents drift towards the middle."""
+def test_headings_are_eight_ways_at_three_speeds(x, y):
+    """A plain loop in double precision gives the same velocities; idle agents fly along x at the idle speed."""
     place = np.tile(np.array([x, y], np.float32), (25, 1))
     found = HEADINGS.adapt(place, np.arange(25, dtype=np.float32)[:, None])
-    apart = max(math.hypot(x, y), 1e-6)
-    np.testing.assert_allclose(found[0], [-HEADINGS.idle * x / apart, -HEADINGS.idle * y / apart], atol=1e-6)
+    assert abs(found[0, 0]) == np.float32(HEADINGS.idle)
+    assert found[0, 1] == 0.0
     speeds = (HEADINGS.slow, HEADINGS.medium, HEADINGS.fast)
     wanted = [(v * math.cos(j * math.pi / 4), v * math.sin(j * math.pi / 4)) for v in speeds for j in range(8)]
     np.testing.assert_allclose(found[1:], wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_idle_agents_stay_where_they_are(mirrored):
+    """A thousand steps of idling lead nowhere, at the edges of the field too, and never beyond them."""
+    control = ControlConfig(communication="headings")
+    world = WorldConfig(communication_uavs=64, steps=1000)
+    farms = FarmBatch(FarmConfig(world=world, control=control, observation=ObservationConfig(mirrored=mirrored)), 1)
+    start = np.random.default_rng(3).uniform(0.0, 400.0, (world.uavs, 2))
+    start[:4, 0] = 0.0, 400.0, 0.2, 399.8
+    with placed(make_layout(farms.config, 0), start):
+        farms.reset(0, 0, 0)
+    first, adapted = farms.position.copy(), np.zeros(farms.team.action_size, np.float32)
+    for _ in range(1000):
+        farms.step(farms.team.adapt(farms.observation, adapted[None]))
+        moved = np.abs(farms.position - first)[0, :64]
+        assert moved.max() < 2.5 * HEADINGS.idle * world.speed_x_max
+    assert farms.summary(0).metrics["boundary"] == 0
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -83,7 +112,7 @@ def test_impossible_adapters_are_refused():
     with pytest.raises(ConfigError, match="headings need x and y"):
         GroupSpec("a", 1, 1, 1, (HEADINGS,), (25,))
     with pytest.raises(ConfigError, match="fast"):
-        Headings(0.1, 0.2, 0.3, 1.5)
+        Headings(0.1, 0.2, 0.3, 1.5, 0.025)
     described = TeamSpec((GroupSpec("a", 2, 5, 1, (HEADINGS,), (25,)),)).to_dict()
     described["groups"][0]["adapters"][0]["idle"] = "slow"
     with pytest.raises(SchemaError):

@@ -1,16 +1,19 @@
 """One configuration class for each algorithm; an option without effect is refused where it is given."""
 
 import dataclasses
+import hashlib
 
 import pytest
 
 from common.config import ALGORITHM_CONFIGS, EliteConfig, MaddpgConfig, MasacConfig, Matd3Config, RunConfig
 from common.config.ablations import ABLATIONS
 from common.config.algorithms import OPTIONAL_SECTIONS, switched
-from common.config.files import differences, flatten, from_toml, to_toml, with_setting, with_values
+from common.config.files import differences, digest, flatten, from_toml, to_toml, with_setting, with_values
 from common.config.presets import PRESETS, preset
 from common.errors import ConfigError
+from deploy.cli import dispatch
 from deploy.commands.training.train import TrainArguments
+from deploy.exit_codes import run_command
 from deploy.options import base_configuration, parse
 
 
@@ -101,6 +104,14 @@ LINES = [
         [*EIA_SEC, "--algorithm.no-ensemble", "--algorithm.ensemble-members", "3"],
         "algorithm.ensemble_members has no effect while algorithm.ensemble is false.",
     ),
+    (
+        ["--algorithm.sequence-steps", "20"],
+        "algorithm.sequence_steps has no effect while algorithm.memory is none.",
+    ),
+    (
+        [*EIA_SEC, "--algorithm.memory", "gru"],
+        "algorithm.memory has no effect with eia-sec; it is an option of ippo, mappo, eia-ppo.",
+    ),
     ([*EIA_SEC, "--elite.no-enabled", "--elite.cycle", "4"], "elite.cycle has no effect while elite.enabled is false."),
     (
         ["--algorithm", "sec"],
@@ -120,6 +131,55 @@ def test_a_command_line_with_an_option_without_effect_is_refused(words, sentence
     with pytest.raises(ConfigError) as caught:
         parse(TrainArguments, words, "train", TrainArguments(settings=base_configuration(words)))
     assert str(caught.value) == sentence
+
+
+IMPOSSIBLE = {
+    "rollout.chunk_steps 64 must be a multiple of algorithm.sequence_steps 50": "[rollout]\nchunk_steps = 64",
+    "minibatch_steps 40 hold no sequence of sequence_steps 50": "minibatch_steps = 40",
+    "sequence_steps must be between 1 and 10000": "sequence_steps = 0",
+    "algorithm.memory must be one of": 'memory = "lstm"',
+}
+
+
+@pytest.mark.parametrize("sentence", IMPOSSIBLE)
+def test_a_memory_that_cannot_learn_is_refused(sentence, tmp_path, capsys):
+    """Sequences have steps, and fit into chunks and minibatches: one sentence and exit code 2 where they do not."""
+    text = IMPOSSIBLE[sentence]
+    head = "" if text.startswith("memory") else 'memory = "gru"\n'
+    toml = f"[algorithm]\n{head}{text}"
+    with pytest.raises(ConfigError, match=sentence):
+        from_toml(toml, preset("default"))
+    (tmp_path / "run.toml").write_text(toml)
+    arguments = ["train", "--config", str(tmp_path / "run.toml"), "--run-dir", str(tmp_path / "run")]
+    assert run_command(lambda: dispatch(arguments)) == 2
+    assert sentence in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_may_have_memory():
+    """Algorithms on policy take it over from each other, and it survives being written and read."""
+    config = from_toml('[algorithm]\nmemory = "gru"\nsequence_steps = 100', preset("default"))
+    assert (config.memory, config.memory_size) == ("gru", config.algorithm.hidden)
+    assert from_toml(to_toml(config), preset("study")) == config
+    other = with_values(config, {"algorithm.name": "eia-ppo"})
+    assert (other.memory, other.on_policy.sequence_steps) == ("gru", 100)
+    assert (preset("eia-sec").memory, preset("eia-sec").memory_size) == ("none", 0)
+    assert preset("default").memory_size == 0
+
+
+@pytest.mark.parametrize("name", ["default", "eia-sec"])
+def test_digests_of_earlier_versions_count(name):
+    """A run without the options of later versions has the digest that it had; one with them has another."""
+    config = with_values(preset(name), {"farm.observation.route": False})
+    lines = to_toml(config).replace('[farm.failures]\nper_hour = 0.0\nat = ""\n\n', "").splitlines()
+    later = "memory = ", "sequence_steps = ", "route = "
+    kept = [line for line in lines if not line.startswith(later)]
+    assert digest(config) == hashlib.sha256("\n".join([*kept, ""]).encode()).hexdigest()[:16]
+    assert digest(with_values(config, {"farm.observation.route": True})) != digest(config)
+    assert digest(with_values(config, {"farm.failures.per_hour": 1.0})) != digest(config)
+    if name == "default":
+        assert digest(with_values(config, {"algorithm.memory": "gru"})) != digest(config)
+        assert digest(with_values(config, {"algorithm.sequence_steps": 25})) != digest(config)
 
 
 @pytest.mark.parametrize(

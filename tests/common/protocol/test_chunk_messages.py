@@ -7,6 +7,7 @@ import pytest
 
 from common.errors import SchemaError
 from common.protocol.chunk_messages import from_message, to_message
+from common.protocol.messages import ChunkMessage
 from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from tests.faults.tools.channel import TEAM
 
@@ -47,6 +48,47 @@ def test_numbers_that_would_spoil_the_training_are_refused(part, value):
     getattr(rows, part)[0, 0] = value
     with pytest.raises(SchemaError, match=f"{part} holds a number"):
         from_message(to_message(Chunk(rows), TEAM, 1, 2), TEAM, ())
+
+
+def remembering(state) -> Chunk:
+    """Return a chunk of two environments with two steps each, and this state."""
+    rows = of_short_episodes(4, 0).rows
+    flag = np.array([TRANSITION, TRANSITION, 0] * 2, np.uint8)
+    parts = (np.zeros((6, part.shape[1]), np.float32) for part in (rows.observation, rows.action, rows.reward))
+    return Chunk(Rows(*parts, flag, np.zeros((6, TEAM.agents), np.float32), state))
+
+
+def test_states_come_over_the_wire():
+    """A chunk of actors with memory brings a state for each environment and agent."""
+    state = np.random.default_rng(0).uniform(-1, 1, (2, TEAM.agents, 5)).astype(np.float32)
+    message = ChunkMessage.decode(to_message(remembering(state), TEAM, 1, 4).encode())
+    found = from_message(message, TEAM, (), on_policy=True, memory=5)
+    np.testing.assert_array_equal(found.rows.state, state)
+    assert found.rows.steps_by_environment().tolist() == [[0, 3], [1, 4]]
+
+
+@pytest.mark.parametrize(
+    ("shape", "value", "memory"),
+    [
+        (None, 0.0, 5),
+        ((2, 2, 5), 0.0, 0),
+        ((2, 2, 5), 0.0, 6),
+        ((2, 3, 5), 0.0, 5),
+        ((2, 10), 0.0, 5),
+        ((0, 2, 5), 0.0, 5),
+        ((3, 2, 5), 0.0, 5),
+        ((4, 2, 5), 0.0, 5),
+        ((2, 2, 5), 1.01, 5),
+        ((2, 2, 5), np.nan, 5),
+        ((2, 2, 5), -np.inf, 5),
+    ],
+)
+def test_states_that_do_not_fit_are_refused(shape, value, memory):
+    """States are those of the run's memory, of environments with equally many steps, and bounded."""
+    state = None if shape is None else np.full(shape, value, np.float32)
+    message = to_message(remembering(state), TEAM, 1, 4)
+    with pytest.raises(SchemaError, match=r"state|environment"):
+        from_message(message, TEAM, (), on_policy=True, memory=memory)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from common.actors import TeamActors
-from common.config import EiaSecConfig, EliteConfig, ReplayConfig, RolloutConfig
+from common.config import EiaSecConfig, EliteConfig, IppoConfig, ReplayConfig, RolloutConfig
 from common.config.presets import preset
 from common.environment import EnvironmentSpec
 from common.errors import ConfigError
@@ -51,6 +51,18 @@ def test_the_largest_chunk_has_the_computed_size(known, environments, steps, len
     size = chunk_size(config, math.ceil(steps / length) if known else steps)
     assert 0.8 * size < chunk_bytes(config, environment) + 1000
     assert size <= chunk_bytes(config, environment) + 1000 <= 1.3 * size
+
+
+@pytest.mark.parametrize("environments", [3, 64])
+def test_chunks_with_states_have_the_computed_size(environments):
+    """The state of each agent in each environment adds its bytes, and the unit's parameters add theirs."""
+    rollout, algorithm = RolloutConfig(environments=environments, chunk_steps=10), IppoConfig(hidden=32)
+    plain = replace(BASE, algorithm=algorithm, rollout=rollout)
+    config = replace(plain, algorithm=replace(algorithm, memory="gru", sequence_steps=10))
+    more = chunk_bytes(config, FARM) - chunk_bytes(plain, FARM)
+    assert more == np.zeros((environments, TEAM.agents, 32), np.float32).nbytes
+    actors = TeamActors.initial(TEAM, 32, 0, head="gaussian", memory="gru")
+    assert actor_bytes(config, TEAM) == sum(flat.nbytes for flat in actors.flat)
 
 
 @pytest.mark.parametrize("hidden", [16, 64])

@@ -10,6 +10,7 @@ from common.protocol import frame, messages
 from common.protocol.codec import Message
 from common.protocol.messages import (
     ChunkAck,
+    ChunkMessage,
     DeliveryMessage,
     EvaluationOrder,
     EvaluationResult,
@@ -39,6 +40,18 @@ EXAMPLES = [
     MetricMessage(1, "host", 2, 3.0, {"a": {"b": 1.5}, "c": "text"}),
     ParametersMessage(
         1, 2, 0, 4, 0.5, "ab", 8, "gaussian", (np.ones((2, 3), np.float32), np.zeros((1, 7), np.float32))
+    ),
+    ParametersMessage(1, 2, 0, 4, 0.5, "ab", 8, "gaussian", (np.ones((2, 3), np.float32),), "gru"),
+    ChunkMessage(
+        *("ab", 1, 2),
+        *(np.ones((3, size), np.float32) for size in (4, 2, 1)),
+        flag=np.ones(3, np.uint8),
+        log_probability=np.ones((3, 1), np.float32),
+        **dict.fromkeys(("farm", "episode", "steps"), np.zeros(0, np.int64)),
+        episode_reward=np.zeros((0, 1), np.float32),
+        episode_metrics=np.zeros((0, 0), np.float64),
+        metric_names=(),
+        state=np.full((1, 2, 8), 0.5, np.float32),
     ),
     ProgressMessage(1, 2, 3, 4, 5, 6, "training"),
     ObservationMessage("monitoring_1", 1_700_000_000_000_000, np.linspace(-1, 1, 16, dtype=np.float32)),
@@ -72,11 +85,35 @@ def test_round_trip(message: Message) -> None:
         sent, got = getattr(message, field.name), getattr(again, field.name)
         if isinstance(sent, np.ndarray):
             np.testing.assert_array_equal(got, sent)
-        elif isinstance(sent, tuple) and isinstance(sent[0], np.ndarray):
+        elif isinstance(sent, tuple) and sent and isinstance(sent[0], np.ndarray):
             for a, b in zip(sent, got, strict=True):
                 np.testing.assert_array_equal(a, b)
         else:
             assert got == sent
+
+
+def test_a_field_that_is_none_is_left_out():
+    """Frames of actors without memory are byte for byte those of earlier versions, which did not know these fields."""
+    with_memory = next(m for m in EXAMPLES if isinstance(m, ChunkMessage))
+    without = dataclasses.replace(with_memory, state=None)
+    values = {f.name: getattr(without, f.name) for f in dataclasses.fields(without) if f.name != "state"}
+    arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    scalars = {name: value for name, value in values.items() if name not in arrays}
+    assert without.encode() == frame.encode(ChunkMessage.KIND, scalars, arrays)
+    assert ChunkMessage.decode(without.encode()).state is None
+    assert len(with_memory.encode()) > len(without.encode()) + 64
+    plain = next(m for m in EXAMPLES if isinstance(m, ParametersMessage))
+    assert plain.memory is None
+    assert b"memory" not in plain.encode()
+
+
+@pytest.mark.parametrize("memory", [None, 7, ["gru"]])
+def test_an_optional_field_has_its_type_where_it_is(memory):
+    """Nothing but a text is a memory, an explicit null included."""
+    plain = next(m for m in EXAMPLES if isinstance(m, ParametersMessage))
+    scalars, arrays = frame.decode(plain.encode(), ParametersMessage.KIND)
+    with pytest.raises(SchemaError, match="field memory is"):
+        ParametersMessage.decode(frame.encode(ParametersMessage.KIND, scalars | {"memory": memory}, arrays))
 
 
 @pytest.mark.parametrize(

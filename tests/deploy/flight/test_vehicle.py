@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from common.protocol import keys
-from common.protocol.messages import Envelope, SetpointMessage
+from common.protocol.messages import Envelope, ObservationMessage, SetpointMessage
 from common.transport.bus import Bus
 from common.transport.endpoint import free_endpoint
 from deploy.flight import vehicle
@@ -54,3 +54,28 @@ def test_a_node_whose_clock_was_ahead_gives_way_when_it_is_silent(both, monkeypa
     assert not both(5, 1)
     monkeypatch.setattr(vehicle, "RELEASE_SECONDS", 0.0)
     assert both(5, 2)
+
+
+def test_a_repeated_observation_keeps_its_number():
+    """It is published again as it was, with a newer time stamp; the next observation has the next number."""
+    sent, times = [], iter([1.0, 2.5, 4.0])
+
+    class Silent:
+        def publish(self, key):
+            return self
+
+        def subscribe(self, key, waiting):
+            return self
+
+        def put(self, payload, attachment):
+            sent.append((ObservationMessage.decode(payload), Envelope.decode(attachment)))
+
+    link = VehicleLink(Silent(), "run", "uav", "monitoring_0", (10.0, 10.0), lambda: next(times))
+    values = np.ones(3, np.float32)
+    first = link.observe(values)
+    values[:] = 7.0
+    link.repeat()
+    assert link.observe(values) == first + 1
+    assert [envelope.sequence for _, envelope in sent] == [first, first, first + 1]
+    assert [message.stamp for message, _ in sent] == [1_000_000, 2_500_000, 4_000_000]
+    assert [message.values.tolist() for message, _ in sent] == [[1.0] * 3, [1.0] * 3, [7.0] * 3]

@@ -16,7 +16,7 @@ from common.team import GroupSpec, TeamSpec
 from deploy.policies.export import IR_VERSION, OPSET, export_onnx
 from deploy.policies.onnx_actions import LAST, action_nodes
 
-HEADINGS = Headings(0.041, 0.12, 0.35, 0.9)
+HEADINGS = Headings(0.041, 0.12, 0.35, 0.9, 0.025)
 LATTICE = Lattice(40, 37, 0.025, 0.0271)
 GROUPS = {
     "moves": GroupSpec("a", 1, 6, 1, (NineMoves(), LATTICE), (9,)),

@@ -4,6 +4,7 @@ import functools
 import random
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -22,6 +23,8 @@ KINDS: Final = tuple(
     kind for kind in vars(messages).values() if isinstance(kind, type) and issubclass(kind, codec.Message) and kind.KIND
 )
 _PREFIX: Final = struct.Struct("<4sBBHIQI")
+MEMORY: Final = 4
+"""Numbers in a state."""
 
 
 def samples() -> dict[str, bytes]:
@@ -49,8 +52,20 @@ def samples() -> dict[str, bytes]:
     ]
     several = to_request([to_message(a_chunk(number), TEAM, 1, number).encode() for number in (1, 2)], 1, 2)
     on_policy = to_message(with_log_probabilities(a_chunk(1)), TEAM, 1, 1).encode()
+    states = np.full((1, TEAM.agents, MEMORY), 0.5, np.float32)
+    remembered = with_log_probabilities(a_chunk(1))
+    remembered = replace(remembered, rows=replace(remembered.rows, state=states))
+    actors = TeamActors.initial(TEAM, MEMORY, 0, memory="gru")
+    recurrent = messages.ParametersMessage(
+        1, 1, 0, 10, 0.5, TEAM.digest, MEMORY, actors.head, actors.flat, actors.memory
+    )
     whole = {type(message).__name__: message.encode() for message in found}
-    return whole | {"request": several, "on-policy chunk": on_policy}
+    return whole | {
+        "request": several,
+        "on-policy chunk": on_policy,
+        "chunk with states": to_message(remembered, TEAM, 1, 1).encode(),
+        "actors with memory": recurrent.encode(),
+    }
 
 
 def _read(kind: type[codec.Message], data: frame.Data) -> None:
@@ -72,6 +87,11 @@ def _read_request(data: bytes) -> None:
         _read(messages.ChunkMessage, part)
 
 
+def _read_states(data: bytes) -> None:
+    """Read a chunk as a learner whose actors have memory does."""
+    from_message(messages.ChunkMessage.decode(data), TEAM, METRIC_NAMES, on_policy=True, memory=MEMORY)
+
+
 def _read_on_policy(data: bytes) -> None:
     """Read a chunk as a learner that learns on policy does."""
     from_message(messages.ChunkMessage.decode(data), TEAM, METRIC_NAMES, on_policy=True)
@@ -81,6 +101,8 @@ READERS: Final[dict[str, Callable[[bytes], None]]] = {
     **{kind.__name__: functools.partial(_read, kind) for kind in KINDS},
     "request": _read_request,
     "on-policy chunk": _read_on_policy,
+    "chunk with states": _read_states,
+    "actors with memory": functools.partial(_read, messages.ParametersMessage),
 }
 
 

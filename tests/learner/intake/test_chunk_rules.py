@@ -78,6 +78,19 @@ def test_one_chunk_of_one_step_episodes_does_not_end_a_farm_run():
     shut(receiver, door)
 
 
+@pytest.mark.parametrize("count", [0, 1, 2, 4])
+def test_states_are_those_of_the_runs_environments(count):
+    """A chunk of actors with memory is taken with a state for each environment, and refused with another number."""
+    receiver, door = front_door(replace(FARM, log_probabilities=True, memory=4))
+    rows = a_chunk({}).rows
+    state = np.zeros((count, TEAM.agents, 4), np.float32)
+    chunk = Chunk(replace(rows, log_probability=np.zeros_like(rows.reward), state=state))
+    answer = door.pass_on(parcel(chunk)).answer
+    assert answer.verdicts == ("accepted" if count == 2 else "refused",)
+    assert "environment" in answer.reasons[0] or count == 2
+    shut(receiver, door)
+
+
 def test_episodes_that_were_not_flown_do_not_count():
     """Without delivered steps behind them whole episodes end the run of nobody, over however many starts."""
     receiver, door = front_door()

@@ -4,6 +4,7 @@ Nothing is shared with the trainer except the names of its tensors in a checkpoi
 the random order of the steps.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,9 +47,9 @@ class Agent:
     """Its index in the team."""
     index: int
     """Its index in its type."""
-    actor: nn.Sequential
-    local: nn.Sequential
-    members: list[nn.Sequential]
+    actor: nn.Module
+    local: nn.Module
+    members: list[nn.Module]
     gamma: float
     data: dict[str, Tensor] = field(default_factory=dict)
     weight: Tensor = field(default_factory=lambda: torch.ones(()))
@@ -63,6 +64,8 @@ class Oracle:
         stopped: types whose actors have stopped in the iteration.
         clipped: how many gradients were shortened.
     """
+
+    network: Callable[[dict[str, Tensor], str, int], nn.Module] = staticmethod(network)
 
     def __init__(self, config: OnPolicyConfig, team: TeamSpec, seed: int, tensors: dict[str, Tensor]) -> None:
         self.config, self.team = config, team
@@ -83,19 +86,19 @@ class Oracle:
     def _add(self, kind: int, group: GroupSpec, tensors: dict[str, Tensor]) -> None:
         config = self.config
         copies = 1 if config.parameters == "shared" else group.count
-        actors = [network(tensors, f"actors.types.{kind}", index) for index in range(copies)]
+        actors = [self.network(tensors, f"actors.types.{kind}", index) for index in range(copies)]
         part = {"ippo": ".network", "mappo": ".network", "eia-ppo": ".local.network"}[config.name]
         part = part if config.name != "eia-ppo" or config.ensemble_size else ".network"
         locals_ = [
-            network(tensors, f"values.{kind}{part}", index) for index in range(1 if config.sees_team else copies)
+            self.network(tensors, f"values.{kind}{part}", index) for index in range(1 if config.sees_team else copies)
         ]
-        members = [network(tensors, f"values.{kind}.members.{k}", 0) for k in range(config.ensemble_size)]
+        members = [self.network(tensors, f"values.{kind}.members.{k}", 0) for k in range(config.ensemble_size)]
         gamma = {"b": 0.5}.get(group.name, config.discount)
         for index in range(group.count):
             actor, local = actors[index % copies], locals_[index % len(locals_)]
             self.agents.append(Agent(group, len(self.agents), index, actor, local, members, gamma))
 
-    def value(self, agent: Agent, module: nn.Sequential, own: Tensor, team: Tensor) -> Tensor:
+    def value(self, agent: Agent, module: nn.Module, own: Tensor, team: Tensor) -> Tensor:
         if self.config.sees_team:
             return module(team)[:, agent.index]
         return module(own)[:, 0]
@@ -193,9 +196,8 @@ class Oracle:
         return advantage
 
     def _epoch(self, team: Tensor, used: Any, weight: float) -> None:
-        order = self.random.permutation(used)
         kl: dict[str, list[float]] = {group.name: [] for group in self.team.groups}
-        for places in np.array_split(order, round(len(used) / self.config.minibatch_steps)):
+        for places in self._minibatches(used):
             here = torch.from_numpy(places)
             loss = torch.zeros(())
             for agent in self.agents:
@@ -207,6 +209,10 @@ class Oracle:
         for name, found in kl.items():
             if self.config.target_kl and found and np.mean(found) > self.config.target_kl:
                 self.stopped.add(name)
+
+    def _minibatches(self, used: Any) -> Any:
+        """Return the rows of each minibatch of an epoch."""
+        return np.array_split(self.random.permutation(used), round(len(used) / self.config.minibatch_steps))
 
     def _loss(self, agent: Agent, here: Tensor, team: Tensor, weight: float, kl: dict[str, list[float]]) -> Tensor:
         own, action, sent, advantage, returns = (part[here] for part in agent.data.values())
@@ -235,6 +241,6 @@ class Oracle:
                 self.clipped += bool(norm > self.config.gradient_clip)
 
 
-def unique(modules: list[nn.Sequential]) -> list[nn.Sequential]:
+def unique(modules: list[nn.Module]) -> list[nn.Module]:
     """Return each module once, in the order of their first places."""
     return list(dict.fromkeys(modules))

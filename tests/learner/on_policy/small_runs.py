@@ -1,5 +1,6 @@
 """A small team with discrete and continuous actions, its experience, and runs that learn from it."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,7 +48,7 @@ def observations(team: TeamSpec, count: int, draw: np.random.Generator) -> Float
 def moved(actors: TeamActors, scale: float, draw: np.random.Generator) -> TeamActors:
     """Return other actors near these."""
     flat = tuple(own + np.float32(scale) * draw.standard_normal(own.shape, np.float32) for own in actors.flat)
-    return TeamActors(actors.team, actors.hidden, flat, actors.head)
+    return replace(actors, flat=flat)
 
 
 def sampled(actors: TeamActors, rows: Float32, draw: np.random.Generator) -> tuple[Float32, Float32]:

@@ -11,7 +11,7 @@ from common.actions.sampling import ILLEGAL
 from common.actors import TeamActors
 from common.team import GroupSpec, TeamSpec
 from learner.on_policy.distributions import evaluate
-from learner.on_policy.updates import split, split_actions
+from learner.on_policy.experience import split, split_actions
 from tests.learner.on_policy.small_runs import observations, sampled
 
 FREE = GroupSpec("free", 3, 4, 2, choices=(3, 4))

@@ -9,20 +9,19 @@ from rollout.heuristics import greedy, hungarian
 from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
 from rollout.heuristics.greedy import best_targets
 from rollout.heuristics.hungarian import HungarianGroupPolicy, chain_value
-from rollout.heuristics.lawnmower import INSET, collection_routes, monitoring_routes, round_steps
+from rollout.heuristics.lawnmower import INSET, collection_routes
 from rollout.heuristics.registry import HEURISTICS, TASKS
-from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centres, total_service
-from rollout.heuristics.sites import (
-    plot_centres,
-    steps_between,
-)
+from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centres, served_heights, total_service
+from rollout.heuristics.sites import steps_between
 from rollout.heuristics.static import StaticPolicy
-from rollout.heuristics.steering import aim, inside, keep_apart, loiter_speed, reach, steps_to, towards
+from rollout.heuristics.steering import keep_apart, loiter_speed, towards
 from rollout.heuristics.tour import grouped_tours, plot_tours, short_tour, tries
 from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
+from rollout.sim.boxes import aim, inside, reach, steps_to
 from rollout.sim.kernel.constants import constants
 from rollout.sim.layout import cell_counts
+from rollout.sim.sweep_routes import plot_centres, round_steps, sweep_routes
 from tests.rollout.heuristics.small_farm import SMALL
 
 WORLD = SMALL.world
@@ -187,7 +186,7 @@ def test_who_waits_flies_at_the_cheapest_speed():
 def test_lawnmower_sweeps_every_plot_once(uavs):
     """All monitors together pass every plot once in a lap, one per step inside a lane of two."""
     config = FarmConfig(world=WorldConfig(monitoring_uavs=uavs))
-    routes = monitoring_routes(config)
+    routes = sweep_routes(config)
     assert len(routes) == uavs
     visited = np.concatenate([(route.mean(axis=0) // 20.0) @ (20, 1) for route in routes])
     np.testing.assert_array_equal(np.sort(visited), np.arange(400))
@@ -325,8 +324,9 @@ def test_total_service_is_the_simulators():
     config = FarmConfig(world=WorldConfig(communication_uavs=3, monitoring_uavs=4, collection_uavs=3))
     relay = constants(config, cell_counts(config.world)).relay
     farms = begin(config, StaticPolicy(), [(farm, 1) for farm in range(8)])
+    heights = served_heights(state(config))
     for index in range(8):
-        total = total_service(config.world, relay, farms.position[index, :3], farms.position[index, 3:])
+        total = total_service(config.world, relay, farms.position[index, :3], farms.position[index, 3:], heights)
         assert total == pytest.approx(farms.service[index].sum())
 
 
@@ -350,5 +350,6 @@ def test_search_relays_wait_for_the_last_steps():
         relays.goals(replace(late, time=time))
     own, served = late.position[:4], late.position[4:]
     relay = constants(config, cell_counts(config.world)).relay
-    found = total_service(config.world, relay, relays._places, served)
-    assert found < total_service(config.world, relay, served_centres(own, served, late.assignment), served)
+    heights, centres = served_heights(late), served_centres(own, served, late.assignment)
+    found = total_service(config.world, relay, relays._places, served, heights)
+    assert found < total_service(config.world, relay, centres, served, heights)

@@ -11,13 +11,12 @@ from rollout.heuristics.sites import (
     images_succeed,
     packet_chances,
     pairs_within,
-    plot_boxes,
-    plot_centres,
     radio_range,
     radio_reach,
     sensor_stops,
 )
 from rollout.sim.layout import make_layout
+from rollout.sim.sweep_routes import plot_boxes, plot_centres
 from tests.rollout.heuristics.small_farm import SMALL
 
 WORLD = SMALL.world

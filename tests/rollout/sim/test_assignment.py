@@ -20,7 +20,7 @@ from rollout.sim.reference import ReferenceFarm
 def solve(cost: np.ndarray) -> np.ndarray:
     rows, columns = cost.shape
     chosen = np.zeros(rows, np.int64)
-    assign(cost, np.zeros((3, columns)), np.zeros((4, columns), np.int64), chosen)
+    assign(cost, rows, columns, np.zeros((3, columns)), np.zeros((4, columns), np.int64), chosen)
     return chosen
 
 

@@ -234,6 +234,7 @@ export class Field {
     pen.lineWidth = 1.4;
     pen.setLineDash([2, 3]);
     Past.row(frame, "assignment").forEach((relay, served) => {
+      if (relay >= relays) return; // 255: no relay
       pen.beginPath();
       for (const [x, y] of [this.places[relay], this.places[relays + served]]) pen.lineTo(this.x(x), this.y(y));
       pen.stroke();
@@ -286,7 +287,8 @@ export class Field {
     const served = u - this.scene.types[0].count;
     if (served >= 0) {
       const quality = Past.row(frame, "quality")[served];
-      lines.push(`relay ${Past.row(frame, "assignment")[served]}, link ${quality.toFixed(1)} dB over noise`);
+      const relay = Past.row(frame, "assignment")[served];
+      lines.push(relay < this.scene.types[0].count ? `relay ${relay}, link ${quality.toFixed(1)} dB over noise` : "no relay");
     } else lines.push(`serves ${Past.row(frame, "assignment").filter((relay) => relay === n).length} UAVs`);
     return lines.join("\n");
   }

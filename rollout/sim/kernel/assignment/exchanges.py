@@ -72,13 +72,13 @@ def settle(pair: Array, chosen: Indices, capacity: int, work: Exchanges) -> bool
 
     Args:
         pair: [R, C] cost of each row in each column.
-        chosen: [R] column of each row, within capacity; updated in place.
+        chosen: [R] column of each row, within capacity, or -1 for a row that stays out; updated in place.
         capacity: capacity of each column.
         work: scratch.
     """
     columns = len(work.load)
-    nodes = columns + (1 if columns * capacity > len(chosen) else 0)
-    _list_rows(chosen, work)
+    held = _list_rows(chosen, work)
+    nodes = columns + (1 if columns * capacity > held else 0)
     for column in range(columns):
         _find_exchanges(pair, capacity, work, column, nodes)
     for node in range(nodes):
@@ -92,14 +92,18 @@ def settle(pair: Array, chosen: Indices, capacity: int, work: Exchanges) -> bool
 
 
 @allocation_free
-def _list_rows(chosen: Indices, work: Exchanges) -> None:
-    """List each column's rows."""
+def _list_rows(chosen: Indices, work: Exchanges) -> int:
+    """List each column's rows; return their number."""
+    held = 0
     for column in range(len(work.load)):
         work.load[column], work.head[column] = 0, -1
     for row in range(len(chosen)):
         column = chosen[row]
-        work.next[row], work.head[column] = work.head[column], row
-        work.load[column] += 1
+        if column >= 0:
+            work.next[row], work.head[column] = work.head[column], row
+            work.load[column] += 1
+            held += 1
+    return held
 
 
 @allocation_free

@@ -11,10 +11,9 @@ from rollout.sim.kernel.constants import Array, Indices
 
 @allocation_free
 def _augment(
-    cost: Array, numbers: Array, owner: Indices, path: Indices, reached: Indices, todo: Indices, row: int
+    cost: Array, columns: int, numbers: Array, owner: Indices, path: Indices, reached: Indices, todo: Indices, row: int
 ) -> tuple[int, float]:
     """Grow the shortest path tree from a free row to a free column; return that column and the path's length."""
-    columns = cost.shape[1]
     u, v, shortest = numbers[0], numbers[1], numbers[2]
     length, left, sink = 0.0, columns, -1
     for column in range(columns):
@@ -42,22 +41,23 @@ def _augment(
 
 
 @allocation_free
-def assign(cost: Array, numbers: Array, indices: Indices, chosen: Indices) -> None:
+def assign(cost: Array, rows: int, columns: int, numbers: Array, indices: Indices, chosen: Indices) -> None:
     """Assign each row its own column with the least total cost.
 
     Args:
-        cost: [R, C] finite, R <= C.
-        numbers: [3, C] scratch.
-        indices: [4, C] scratch.
-        chosen: [R] out: the column of each row.
+        cost: [R, C] or larger, finite.
+        rows: R, at most C.
+        columns: C.
+        numbers: [3, C] or larger, scratch.
+        indices: [4, C] or larger, scratch.
+        chosen: [R] or larger; out: the column of each row.
     """
-    rows, columns = cost.shape
     u, v, shortest = numbers[0], numbers[1], numbers[2]
     owner, path, reached, todo = indices[0], indices[1], indices[2], indices[3]
     for column in range(columns):
         u[column], v[column], owner[column] = 0.0, 0.0, -1
     for start in range(rows):
-        sink, length = _augment(cost, numbers, owner, path, reached, todo, start)
+        sink, length = _augment(cost, columns, numbers, owner, path, reached, todo, start)
         u[start] += length
         for column in range(columns):
             if reached[column] == 1:

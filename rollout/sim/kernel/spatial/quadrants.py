@@ -49,6 +49,8 @@ def point_to_age(c: Constants, farm: Farm) -> None:
     )
     below, above, direction = farm.age_below, farm.age_above, farm.direction
     for u in range(fleet.collectors, fleet.uavs):
+        if farm.gone[u]:
+            continue
         x, y = position[u, 0], position[u, 1]
         i, k = cell_of(x / fleet.width, seen.cells_x), cell_of(y / fleet.depth, seen.cells_y)
         northeast, northwest, southwest, southeast = 0.0, 0.0, 0.0, 0.0
@@ -131,6 +133,8 @@ def point_to_level(c: Constants, farm: Farm) -> None:
     fleet, camera, position, direction = c.fleet, c.camera, farm.position, farm.direction
     below, above = farm.level_below, farm.level_above
     for u in range(fleet.relays, fleet.collectors):
+        if farm.gone[u]:
+            continue
         i = _first_centre(position[u, 0], camera.plot_width, camera.plots_x)
         j = _first_centre(position[u, 1], camera.plot_depth, camera.plots_y)
         northeast, northwest, southwest, southeast = 0.0, 0.0, 0.0, 0.0

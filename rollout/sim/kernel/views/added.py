@@ -7,11 +7,13 @@ from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Constants
 from rollout.sim.kernel.spatial.neighbours import cell_of
+from rollout.sim.kernel.spatial.tallies import total
 from rollout.sim.kernel.views.constants import ViewConstants
 from rollout.sim.kernel.views.fields import put_field, share_points, weigh_points
 from rollout.sim.kernel.views.maps import put_cells, put_plots
 from rollout.sim.kernel.views.peers import find_near, put_peers, put_risk
 from rollout.sim.kernel.views.places import find_places
+from rollout.sim.kernel.views.routes import put_route
 from rollout.sim.kernel.views.service import put_service
 from rollout.sim.kernel.views.units import plan_images, plan_packets, put_units
 
@@ -76,6 +78,13 @@ def _put_left(left: int, seen: Float32, at: int) -> int:
     return at + 2
 
 
+@allocation_free
+def _put_alive(living: int, count: int, seen: Float32, at: int) -> int:
+    """Write the share of a type's UAVs that have not failed; return where it ends."""
+    seen[at] = living / count
+    return at + 1
+
+
 @inlined
 def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     """Write the added observations of a relay; return where they end."""
@@ -92,6 +101,7 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
             view.per_step,
             farm.position,
             farm.assignment,
+            farm.living[0],
             s.centroid,
             farm.service[u],
             u,
@@ -100,6 +110,8 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
             seen,
             at,
         )
+    if view.alive:
+        at = _put_alive(farm.living[0], fleet.relays, seen, at)
     return at
 
 
@@ -134,6 +146,25 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
     if view.phases:
         seen[at] = farm.step % camera.cycle / camera.cycle
         at = _put_left(fleet.steps - farm.step, seen, at + 1)
+    if view.route:
+        at = put_route(
+            farm.sweep[u - fleet.relays],
+            view.route_box,
+            view.route_plot,
+            view.route_start,
+            farm.level,
+            total(farm.level_above) > 0.0,
+            position[u, 0],
+            position[u, 1],
+            sx,
+            sy,
+            v.go_x[u],
+            v.go_y[u],
+            seen,
+            at,
+        )
+    if view.alive:
+        at = _put_alive(farm.living[1], fleet.collectors - fleet.relays, seen, at)
     return at
 
 
@@ -177,4 +208,6 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.phases:
         at = _put_phases(view, farm.step, seen, at)
         at = _put_left(fleet.steps - farm.step, seen, at)
+    if view.alive:
+        at = _put_alive(farm.living[2], fleet.uavs - fleet.collectors, seen, at)
     return at

@@ -11,8 +11,10 @@ from common.actions.adapters import Lattice
 from common.config import FarmConfig, WorldConfig
 from rollout.sim.kernel.link import RadioConstants, chance_at, reach_of
 from rollout.sim.kernel.views.arrays import TWO_MOVES
+from rollout.sim.sweep_routes import sweep_routes
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 SLIGHT: Final = 1e-2
 """Probability of arrival below which a sensor counts as out of reach in `units` (ours)."""
@@ -42,7 +44,9 @@ class ViewConstants(NamedTuple):
         fields: whether they see value fields.
         coarse: whether they see coarse maps.
         phases: whether they see the phase of the counters and the steps left.
+        route: whether monitoring UAVs see their sweep routes.
         service: whether relays see what each move does to D_c.
+        alive: whether they see how many of their type have not failed.
         columns: lattice points along x.
         rows: lattice points along y.
         reach_x: distance at full speed along x in a step, as a share of the field's width.
@@ -64,6 +68,9 @@ class ViewConstants(NamedTuple):
         cells_x: [2, cells_x] the same of the sensor cells.
         cells_y: [2, cells_y] the same along y.
         age_cycles: [I_type] T_UA of each sensor type, steps.
+        route_box: [T, 4] the boxes of all sweep routes: least and largest x, least and largest y, m; none if not seen.
+        route_plot: [T] their plots, row-major.
+        route_start: [n_m + 1] where each route begins.
     """
 
     some: bool
@@ -74,7 +81,9 @@ class ViewConstants(NamedTuple):
     fields: bool
     coarse: bool
     phases: bool
+    route: bool
     service: bool
+    alive: bool
     columns: int
     rows: int
     reach_x: float
@@ -96,6 +105,9 @@ class ViewConstants(NamedTuple):
     cells_x: Array
     cells_y: Array
     age_cycles: Array
+    route_box: Array
+    route_plot: Indices
+    route_start: Indices
 
 
 def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, int]) -> ViewConstants:
@@ -106,8 +118,9 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
     step_x, step_y = world.speed_x_max * world.step_seconds, world.speed_y_max * world.step_seconds
     width = field_range(world)
     sure, most = image_bounds(config)
+    boxes, plots, starts = flat_routes(config)
     return ViewConstants(
-        some=seen.added,
+        some=seen.added or config.failures.some,
         peers=seen.peers,
         last_move=seen.last_move,
         closing=seen.closing,
@@ -115,7 +128,9 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         fields=seen.fields,
         coarse=seen.coarse,
         phases=seen.phases,
+        route=seen.route,
         service=seen.service,
+        alive=config.failures.some,
         columns=lattice.columns,
         rows=lattice.rows,
         reach_x=lattice.reach_x,
@@ -137,7 +152,22 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         cells_x=_exponentials(world.field_x, cells[0], width),
         cells_y=_exponentials(world.field_y, cells[1], width),
         age_cycles=np.rint(np.array(world.sensor_cycles, np.float64) / world.step_seconds),
+        route_box=boxes,
+        route_plot=plots,
+        route_start=starts,
     )
+
+
+def flat_routes(config: FarmConfig) -> tuple[Array, Indices, Indices]:
+    """Return the boxes [T, 4], the plots [T] and the starts [n_m + 1] of all sweep routes; no boxes if none is seen."""
+    world = config.world
+    routes = sweep_routes(config) if config.observation.route else [np.zeros((2, 0, 2))] * world.monitoring_uavs
+    corners = np.concatenate(routes, axis=1)
+    size = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
+    column, row = (corners.mean(axis=0) // size).astype(np.int64).T
+    boxes = np.ascontiguousarray(corners.transpose(1, 2, 0).reshape(-1, 4))
+    starts = np.cumsum([0, *(route.shape[1] for route in routes)], dtype=np.int64)
+    return boxes, column * world.plots_y + row, starts
 
 
 def field_range(world: WorldConfig) -> float:

@@ -40,6 +40,8 @@ def find_near(x: Array, y: Array, u: int, first: int, last: int, wanted: int, ne
             square[place], near[place] = square[place - 1], near[place - 1]
             place -= 1
         square[place], near[place] = apart, other
+    while held > 0 and square[held - 1] == math.inf:  # those that are gone
+        held -= 1
     return held
 
 

@@ -60,6 +60,8 @@ def find_places(c: Constants, farm: Farm, s: Scratch) -> None:
     fleet, camera, view, what, position = c.fleet, c.camera, c.added, c.observation, farm.position
     previous, velocity, sign, go_x, go_y = s.previous, s.added.velocity, s.added.sign, s.added.go_x, s.added.go_y
     for u in range(fleet.uavs):
+        if farm.gone[u]:
+            continue
         x, y = position[u, 0], position[u, 1]
         velocity[u, 0], velocity[u, 1] = (x - previous[u, 0]) / view.step_x, (y - previous[u, 1]) / view.step_y
         across, along = 2.0 * x * fleet.per_width - 1.0, 2.0 * y * fleet.per_depth - 1.0

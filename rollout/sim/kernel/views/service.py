@@ -20,6 +20,7 @@ def put_service(
     per_step: float,
     position: Array,
     assignment: Indices,
+    relays: int,
     centroid: Array,
     service: float,
     u: int,
@@ -38,7 +39,7 @@ def put_service(
         x = min(fleet.width, max(0.0, position[u, 0] + sx * move_x * step_x))
         for move_y in range(-1, 2):
             y = min(fleet.depth, max(0.0, position[u, 1] + sy * move_y * step_y))
-            then = _service(fleet, relay, position, assignment, centroid, u, x, y)
+            then = _service(fleet, relay, position, assignment, relays, centroid, u, x, y)
             seen[at] = (then - service) * per_step
             at += 1
     return at
@@ -50,6 +51,7 @@ def _service(
     relay: RelayConstants,
     position: Array,
     assignment: Indices,
+    relays: int,
     centroid: Array,
     u: int,
     x: float,
@@ -63,7 +65,7 @@ def _service(
             dx, dy = position[other, 0] - x, position[other, 1] - y
             dz = fleet.height[other] - height
             far = max(far, dx * dx + dy * dy + dz * dz)
-    moved_x, moved_y = (x - position[u, 0]) / fleet.relays, (y - position[u, 1]) / fleet.relays
+    moved_x, moved_y = (x - position[u, 0]) / relays, (y - position[u, 1]) / relays
     dx, dy = centroid[fleet.relays, 0] + moved_x - x, centroid[fleet.relays, 1] + moved_y - y
     amount = relay.weight_relays * math.sqrt(dx * dx + dy * dy)
     if far >= 0.0:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[4]
 PAGE = ROOT / "docs" / "reference" / "simulator_properties.md"
-NAMES = ("flight", "counters", "symmetry", "batch", "added", "reference", "hindsight")
+NAMES = ("flight", "counters", "symmetry", "batch", "added", "reference", "hindsight", "failures")
 PROPERTIES = [f"test_properties_{name}.py" for name in NAMES]
 """The reference, which notices almost everything, comes after all that need none; hindsight needs it, too."""
 
@@ -113,8 +113,8 @@ MUTATIONS = (
     one(
         "images and packets count without a relay in range",
         "sim/kernel/relays.py",
-        "1.0 if distance <= relay.link_range else 0.0",
-        "1.0",
+        "1.0 if distance <= relay.link_range and not gone[u] else 0.0",
+        "0.0 if gone[u] else 1.0",
     ),
     one(
         "the relays' centroid keeps what the last environment left",

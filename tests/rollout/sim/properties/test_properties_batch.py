@@ -104,7 +104,7 @@ def test_every_value_of_every_switch_is_drawn():
     """At least one farm in twenty holds it, so a switch that is added tomorrow is tested tomorrow."""
     drawn = []
 
-    @dose(200)
+    @dose(400)
     @given(farm_configs())
     def collect(config):
         drawn.append(config)
@@ -120,7 +120,7 @@ def test_the_drawn_flights_exercise_what_they_test():
     """Among the default dose are packets, images, caps, borders, risk, motivation, full relays and large fleets."""
     seen: dict[str, list[bool]] = {}
 
-    @dose(60)
+    @dose(120)
     @given(flights())
     def collect(flight):
         course, world = fly(flight), flight.config.world

@@ -63,7 +63,7 @@ def agree_on_directions(batch: FarmBatch, reference: ReferenceFarm) -> None:
     """Let the reference see our D_AoI where rounding decides: shares of expected delivery sum up to one's last bit."""
     if reference.config.radio.delivery == "bernoulli":
         return
-    for u in np.flatnonzero(reference.kind == 2):
+    for u in reference.living(2):
         ours, (right, upper) = batch.direction[0, u], (reference.layout.sensor_xy >= reference.position[u]).T
         quadrants = (right & upper, ~right & upper, ~right & ~upper, right & ~upper)
         sums = np.array([reference.aoi[quadrant].sum() for quadrant in quadrants])

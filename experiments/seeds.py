@@ -1,0 +1,98 @@
+"""Evaluate the policies of several finished runs of one preset, which differ in their seeds.
+
+    python -m experiments.seeds RUN_DIR RUN_DIR ... --commit abc1234 --write docs/results/default/seeds.json
+
+Every policy flies without noise on the farms on which studies are reported. `reached` holds, for each share of the
+lawnmower's reward, the seconds of training until the mean reward of the newest 64 episodes, noise included, got there.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import tyro
+
+from deploy.local.run_directory import METRICS, POLICY, RunDirectory
+from deploy.reports.run_report import read_metrics
+from experiments.studies.analysis.statistics import interval, mean
+from experiments.studies.scales import FIRST_REPORTED
+from rollout.evaluation import Evaluation, evaluate
+from rollout.policies import policy_of
+
+FARMS: Final = 80
+"""Farms on which studies are reported."""
+SHARES: Final = (0.5, 0.75, 0.9, 1.0)
+"""Shares of the lawnmower's reward."""
+WINDOW: Final = 64
+"""Episodes whose mean counts."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Evaluate the policies of several finished runs of one preset."""
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Their run directories."""
+    commit: str
+    """Commit that made them."""
+    write: Path = Path("docs/results/default/seeds.json")
+    """Where the results go."""
+
+
+def reached(records: list[dict[str, Any]], goal: float) -> float | None:
+    """Return the seconds until the mean reward of the newest WINDOW episodes reached a goal; None if it never did."""
+    episodes = [record for record in records if record["kind"] == "episodes"]
+    for at in range(len(episodes)):
+        start = episodes[at]["episodes"] - WINDOW
+        newest = [record["reward"]["mean"] for record in episodes[: at + 1] if record["episodes"] > start]
+        if start >= 0 and float(np.mean(newest)) >= goal:
+            return float(episodes[at]["time"])
+    return None
+
+
+def summary(path: Path, goal: float) -> tuple[dict[str, Any], Evaluation]:
+    """Return what a run came to, and its policy's evaluation."""
+    directory = RunDirectory(path)
+    config, records = directory.configuration(), read_metrics(path / METRICS)
+    outcome = json.loads((path / "evaluation.json").read_text(encoding="utf-8"))
+    policy = policy_of(str(path / POLICY), config.farm)
+    found = evaluate(config.farm, policy, range(FIRST_REPORTED, FIRST_REPORTED + FARMS), 1, name=f"seed {config.seed}")
+    last = [record for record in records if record["kind"] == "status"][-1]
+    plain = found.to_dict()
+    return {
+        "seed": config.seed,
+        "reward": plain["reward"],
+        "aoi": plain["aoi"],
+        "vdf": plain["vdf"],
+        "seconds": outcome["seconds"],
+        "environment_steps": last["environment_steps"],
+        "reached": {f"{share:g}": reached(records, share * goal) for share in SHARES},
+    }, found
+
+
+def main() -> None:
+    """Evaluate all runs and write the results."""
+    arguments = tyro.cli(Arguments, prog="python -m experiments.seeds")
+    farm = RunDirectory(arguments.runs[0]).configuration().farm
+    farms = range(FIRST_REPORTED, FIRST_REPORTED + FARMS)
+    lawnmower = evaluate(farm, policy_of("lawnmower", farm), farms, 1, name="lawnmower")
+    found = [summary(path, lawnmower.total.reward) for path in arguments.runs]
+    names = found[0][1].total.metrics
+    scores = {"reward": np.array([[score.reward for score in one.per_farm] for _, one in found])}
+    scores |= {name: np.array([[s.metrics[name] for s in one.per_farm] for _, one in found]) for name in names}
+    data = {
+        "command": "eia-sec train --seed SEED",
+        "commit": arguments.commit,
+        "first_farm": FIRST_REPORTED,
+        "farms": FARMS,
+        "lawnmower": lawnmower.total.reward,
+        "runs": [run for run, _ in found],
+        **{name: list(interval(numbers, mean)) for name, numbers in scores.items() if name in ("reward", "aoi", "vdf")},
+    }
+    arguments.write.write_text(json.dumps(data) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

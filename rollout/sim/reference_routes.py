@@ -1,0 +1,63 @@
+"""The sweep route of a monitoring UAV as the reference farm observes it, written from what it means."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.farm import ROUTE_PLOTS
+from rollout.sim.boxes import ROUNDING, inside
+from rollout.sim.kernel.views.routes import MOST_OFFSET, PER_OFFSET
+from rollout.sim.sweep_routes import assigned_routes, sweep_routes
+
+if TYPE_CHECKING:
+    from rollout.sim.reference import ReferenceFarm
+
+Array = NDArray[np.float64]
+
+
+def first_sweep(farm: ReferenceFarm) -> NDArray[np.int64]:
+    """Return each monitoring UAV's route and its first box, [n_m, 2]; zeros unless routes are seen."""
+    monitors = farm.position[farm.kind == 1]
+    if not farm.config.observation.route:
+        return np.zeros((len(monitors), 2), np.int64)
+    return assigned_routes(sweep_routes(farm.config), monitors, farm.config.world)
+
+
+def route_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
+    """Return which move follows the route, and the offsets to the next plots on it; go on along the route.
+
+    Args:
+        farm: the farm.
+        u: the UAV.
+        signs: [2] of its axes.
+        goals: [9, 2] where its moves lead, m.
+    """
+    monitor = u - farm.config.world.communication_uavs
+    chosen, at = farm.sweep[monitor]
+    route = sweep_routes(farm.config)[chosen]
+    at = farm.sweep[monitor, 1] = _next_box(farm, route, int(at), farm.position[u])
+    box, onward = route[:, at], route[:, (at + 1) % route.shape[1]]
+    gap, then = _gaps(box, goals), _gaps(onward, goals)
+    cost = np.where(gap <= ROUNDING, 1e3 * then, 1e6 * gap) + ((goals - farm.position[u]) ** 2).sum(axis=1)
+    ahead = route[:, (at + np.arange(ROUTE_PLOTS)) % route.shape[1]].mean(axis=0)
+    offset = np.clip((ahead - farm.position[u]) * PER_OFFSET, -MOST_OFFSET, MOST_OFFSET) * signs
+    return np.concatenate([np.arange(9) == cost.argmin(), offset.reshape(-1)])
+
+
+def _next_box(farm: ReferenceFarm, route: Array, at: int, position: Array) -> int:
+    """Return the first box from `at` on that the UAV is not in and whose plot is not fresh while others are not."""
+    size, count = np.array([farm.config.world.field_x, farm.config.world.field_y]) / farm.vdf.shape, route.shape[1]
+    column, row = (route.mean(axis=0) // size).astype(np.int64).T
+    fresh = (farm.vdf[column, row] == 0.0) & bool(farm.vdf.any())
+    done = fresh.copy()
+    done[at] |= bool(inside(position, route[:, at]))
+    ahead = (at + np.arange(count)) % count
+    return int(ahead[int(done[ahead].argmin())])
+
+
+def _gaps(box: Array, places: Array) -> Array:
+    """Return how far places [K, 2] are from a box along the worse axis, [K] m."""
+    return np.asarray(np.maximum(0.0, np.maximum(box[0] - places, places - box[1])).max(axis=1))
