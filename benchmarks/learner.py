@@ -7,7 +7,8 @@ An update includes drawing its batch from a full replay buffer. Updates are time
 other projects are in `benchmarks.peers`, and an algorithm whose updates differ in whole cycles of them. The limit
 divides the multiplications and additions of the matrix products of an update by the speed of a large matrix product on
 as many threads, or on the same device, measured in the same run. A decision takes all UAVs of one time step from
-observations to actions, on one thread of the processor. Every time is the least of many.
+observations to actions, on one thread of the processor. Updates on policy are those of `benchmarks.on_policy`, of the
+default preset on one thread: microseconds for each environment step. Every time is the least of many.
 
 `--growth` measures how an update grows with agents, width and batch, and writes growth.json, growth.md and growth.png;
 with `--redraw` it makes the latter two anew from growth.json.
@@ -30,6 +31,7 @@ import numpy as np  # noqa: E402  (the variables above count only before numpy i
 import torch  # noqa: E402  (as above)
 from matplotlib.figure import Figure  # noqa: E402  (as above)
 
+from benchmarks import on_policy  # noqa: E402  (as above)
 from benchmarks.peers.clock import BURST  # noqa: E402  (as above)
 from common.actors import TeamActors  # noqa: E402  (as above)
 from common.config import (  # noqa: E402  (as above)
@@ -294,6 +296,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--widths", type=int, nargs="+", default=[64, 128, 256])
     parser.add_argument("--threads", type=int, nargs="+", default=[1])
     parser.add_argument("--updates", type=int, default=300)
+    parser.add_argument("--repeats", type=int, default=5, help="iterations on policy")
     parser.add_argument("--device", choices=list(DEVICES), default="cpu", help="where updates are computed")
     parser.add_argument("--growth", type=Path, metavar="FOLDER", help="measure growth instead and write it there")
     parser.add_argument("--redraw", action="store_true", help="with --growth: only table and picture, from growth.json")
@@ -311,6 +314,18 @@ def measure_updates(asked: argparse.Namespace) -> list[Line]:
             for name in asked.algorithms
         ]
     return lines
+
+
+def learned_on_policy(repeats: int) -> dict[str, Any]:
+    """Return the microseconds of an iteration's updates for each environment step, at the default preset's sizes.
+
+    To be called last: it sets torch's precision of float32 products for the process.
+    """
+    config = preset("default")
+    found = on_policy.measure_updates(config, repeats)
+    sizes = {"algorithm": config.algorithm.name, "width": config.on_policy.hidden, "threads": torch.get_num_threads()}
+    times = {"updates_us": round(found["updates"], 2), "limit_us": round(found["limit"], 2)}
+    return {"preset": "default", **sizes, **times, "gflops": round(found["gflops"], 1)}
 
 
 def keep_growth(asked: argparse.Namespace) -> None:
@@ -343,10 +358,14 @@ def main() -> int:
     lines = measure_updates(asked)
     torch.set_num_threads(1)
     decide = decisions(UAVS, 2000)
+    iteration = learned_on_policy(asked.repeats)
     if asked.json:
-        sys.stdout.write(json.dumps({"updates": lines, "decide_us": decide}) + "\n")
+        sys.stdout.write(json.dumps({"updates": lines, "decide_us": decide, "on_policy": iteration}) + "\n")
         return 0
     sys.stdout.write(table(lines) + "\n")
+    sys.stdout.write(
+        "on policy: {updates_us} us for each environment step, limit {limit_us} us\n\n".format(**iteration)
+    )
     sys.stdout.write("".join(f"{count:>3} UAVs decide in {us:.1f} us\n" for count, us in decide.items()))
     return 0
 

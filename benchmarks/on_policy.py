@@ -1,6 +1,6 @@
 """Where the time of an environment step goes when learning on policy: microseconds of one core, and the updates' limit.
 
-    python -m benchmarks.on_policy [--json] [--preset default] [--repeats 5]
+    python -m benchmarks.on_policy [--json] [--preset default] [--repeats 5] [--write docs/results/on_policy.json]
 
 flying      the simulator's step, observations included
 deciding    the actors' forward passes and the sampled actions
@@ -9,6 +9,7 @@ wire        encoding a chunk, and decoding and checking it
 updates     all updates of an iteration, per environment step
 limit       the updates' multiplications and additions at the speed of a large matrix product of the same precision,
             measured in the same run on one thread
+step_bytes  bytes of a step's rows in a chunk
 
 Every time is the least of the repeats. A pass forward costs two operations for each weight and sample, the gradient by
 the weights as much again, and the gradient through all layers but the first as much as those.
@@ -20,25 +21,29 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ.setdefault(_variable, "1")
+if __name__ == "__main__":  # who imports this chooses threads himself
+    for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(_variable, "1")
 
-import numpy as np  # noqa: E402  (the variables above count only before numpy is loaded)
-import torch  # noqa: E402  (as above)
+import numpy as np
+import torch
 
-from common.actors import actor_outputs  # noqa: E402  (as above)
-from common.config import OnPolicyConfig, RunConfig  # noqa: E402  (as above)
-from common.config.presets import preset  # noqa: E402  (as above)
-from common.protocol.chunk_messages import from_message, to_message  # noqa: E402  (as above)
-from common.protocol.messages import ChunkMessage  # noqa: E402  (as above)
-from common.team import TeamSpec  # noqa: E402  (as above)
-from common.transitions import Chunk  # noqa: E402  (as above)
-from deploy.exit_codes import run_command  # noqa: E402  (as above)
-from learner.on_policy.policies import HEAD  # noqa: E402  (as above)
-from learner.on_policy.trainer import OnPolicyTrainer  # noqa: E402  (as above)
-from rollout.worker.collector import Collector  # noqa: E402  (as above)
+from common.actors import actor_outputs
+from common.config import OnPolicyConfig, RunConfig
+from common.config.presets import preset
+from common.farm import farm_team
+from common.protocol.chunk_messages import from_message, to_message
+from common.protocol.messages import ChunkMessage
+from common.team import TeamSpec
+from common.transitions import Chunk
+from deploy.exit_codes import run_command
+from deploy.reports.provenance import provenance
+from learner.on_policy.policies import HEAD
+from learner.on_policy.trainer import OnPolicyTrainer
+from rollout.worker.collector import Collector
 
 SQUARE = 1024
 """Rows of the matrices whose product gives the speed of arithmetic."""
@@ -81,7 +86,28 @@ def measure(config: RunConfig, repeats: int) -> dict[str, Any]:
     chunks: list[Chunk] = []
     collecting = least(lambda: chunks.append(collector.collect(actors, 0.0, uniform=False)), repeats)
     steps, count = chunks[0].rows.steps, len(environments.time)
-    version = iter(range(1, 10**6))
+    flying, deciding = _parts(collector, actors, repeats)
+    return {
+        "flying": 1e6 * flying / count,
+        "deciding": 1e6 * deciding / count,
+        "collecting": 1e6 * collecting / steps,
+        "wire": 1e6 * least(lambda: _through_the_wire(chunks[0], collector), repeats) / steps,
+        **_learning(trainer, collector, chunks, repeats),
+        "step_bytes": len(_encoded(chunks[0], collector.team)) / steps,
+    }
+
+
+def measure_updates(config: RunConfig, repeats: int) -> dict[str, float]:
+    """Return the microseconds of an iteration's updates, and their limit, for one environment step."""
+    collector = Collector(config, "0", 0)
+    return _learning(OnPolicyTrainer(config, collector.team), collector, [], repeats)
+
+
+def _learning(trainer: OnPolicyTrainer, collector: Collector, chunks: list[Chunk], repeats: int) -> dict[str, float]:
+    """Return the updates' time and their limit; collect more chunks until an iteration is full."""
+    config, version = trainer.config.on_policy, iter(range(1, 10**6))
+    while sum(chunk.rows.steps for chunk in chunks) < config.iteration_steps:
+        chunks.append(collector.collect(trainer.actors(), 0.0, uniform=False))
 
     def updates() -> None:
         for chunk in chunks:
@@ -90,19 +116,12 @@ def measure(config: RunConfig, repeats: int) -> dict[str, Any]:
                 break
         trainer.train(trainer.updates_due())
 
-    trained = -(-config.on_policy.iteration_steps // steps) * steps
-    while len(chunks) * steps < trained:
-        chunks.append(collector.collect(actors, 0.0, uniform=False))
-    learning = least(updates, repeats)
-    speed = matrix_speed(repeats)
-    flying, deciding = _parts(collector, actors, repeats)
+    steps = chunks[0].rows.steps
+    trained = -(-config.iteration_steps // steps) * steps
+    learning, speed = least(updates, repeats), matrix_speed(repeats)
     return {
-        "flying": 1e6 * flying / count,
-        "deciding": 1e6 * deciding / count,
-        "collecting": 1e6 * collecting / steps,
-        "wire": 1e6 * least(lambda: _through_the_wire(chunks[0], collector), repeats) / steps,
         "updates": 1e6 * learning / trained,
-        "limit": 1e6 * operations(config.on_policy, collector.team) / speed,
+        "limit": 1e6 * operations(config, collector.team) / speed,
         "gflops": speed / 1e9,
     }
 
@@ -120,10 +139,13 @@ def _parts(collector: Collector, actors: Any, repeats: int) -> tuple[float, floa
     return least(lambda: environments.step(action), 20 * repeats), deciding
 
 
+def _encoded(chunk: Chunk, team: TeamSpec) -> bytes:
+    return to_message(chunk, team, 1, chunk.rows.steps).encode()
+
+
 def _through_the_wire(chunk: Chunk, collector: Collector) -> None:
-    data = to_message(chunk, collector.team, 1, chunk.rows.steps).encode()
     names = collector.environments.spec.metric_names
-    from_message(ChunkMessage.decode(data), collector.team, names, on_policy=True)
+    from_message(ChunkMessage.decode(_encoded(chunk, collector.team)), collector.team, names, on_policy=True)
 
 
 def main() -> int:
@@ -132,9 +154,20 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--preset", default="default")
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--write", type=Path, metavar="FILE", help="where the result and its origin go as JSON")
     asked = parser.parse_args()
     torch.set_num_threads(1)
-    found = measure(preset(asked.preset), asked.repeats)
+    config = preset(asked.preset)
+    found = measure(config, asked.repeats)
+    if asked.write:
+        team = farm_team(config.farm).digest
+        record = {
+            **provenance("benchmarks.on_policy"),
+            "preset": asked.preset,
+            "team": team,
+            "load": os.getloadavg()[0],
+        }
+        asked.write.write_text(json.dumps({**record, **found}, indent=1) + "\n", encoding="utf-8")
     if asked.json:
         sys.stdout.write(json.dumps(found) + "\n")
     else:

@@ -1,8 +1,8 @@
-"""Where a larger run saturates: measured rates of single parts in a small model.
+"""Where a larger run saturates: measured rates of single parts in a small model of learning on policy.
 
-    python -m docs.tools.capacity [--workers 50] [--update-ms 1.2] [--link-gbit 10] ...
+    python -m docs.tools.capacity [--workers 50] [--step-ms 20] [--update-us 60] [--link-gbit 10] ...
 
-prints the table for a plan; `python -m docs.tools.pages` writes the one for the defaults into
+prints the table for a plan; `python -m docs.tools.pages` writes the one for the default preset into
 docs/explanation/capacity.md. The model has no queues and no contention: each part has a rate at which it is busy all
 the time, and the run goes at the lowest.
 """
@@ -15,31 +15,32 @@ from pathlib import Path
 from typing import Any, Final
 
 from common.actors import TeamActors
-from common.config import RunConfig
-from common.config.checks import positive, within
-from common.config.presets import PRESETS, preset
+from common.config import OnPolicyConfig, RunConfig
+from common.config.checks import not_negative, positive, within
+from common.config.presets import preset
 from common.errors import ConfigError
 from common.farm import farm_team
-from common.protocol.chunk_messages import fitting
 from common.protocol.messages import ParametersMessage
 from common.team import TeamSpec
 from deploy.exit_codes import DONE, run_command
 from deploy.options import parse
 
-PRESET: Final = "eia-sec"
-"""The preset whose run the model describes: workers send to a replay buffer, and updates go on meanwhile."""
+PRESET: Final = "default"
+"""The preset whose run the model describes."""
 SOURCES: Final = (
+    "docs/results/on_policy.json",
     "docs/results/intake/intake.json",
-    "docs/results/learner/growth.json",
-    "docs/results/second_worker.json",
+    "docs/results/distribution/results.json",
 )
-"""Results that the model stands on, see `Measured.of`."""
+"""Results that the model stands on, see `Measured.of`, and the runs that it is held against."""
 DIRECT: Final = {"TCP": "EIA-SEC, TCP", "shared memory": "EIA-SEC, shared memory"}
 ROUTED: Final = "EIA-SEC, TCP through a router"
 SIZES: Final = ("131072", "1048576")
-"""Chunk sizes between and beyond which the time of a chunk is taken for a straight line."""
+"""Chunk sizes through which, and beyond which, the time of a chunk is taken for a straight line."""
 ROUND_TRIPS: Final = (1.0, 20.0, 40.0, 100.0, 200.0)
 """Milliseconds that the page shows."""
+STEP_TIMES: Final = (0.0, 1.0, 5.0, 20.0, 100.0)
+"""Milliseconds of an environment's step that the page shows."""
 
 
 @dataclass(frozen=True)
@@ -48,20 +49,18 @@ class Plan:
 
     workers: int = 1
     """Rollout workers."""
-    worker_rate: float | None = None
-    """Environment steps a second that one worker flies. Default: as measured."""
-    update_ms: float | None = None
-    """Milliseconds of one update of all agents. Default: as measured on one core."""
-    updates_per_step: float = PRESETS[PRESET].replay.updates_per_step
-    """Updates per environment step, `replay.updates_per_step`."""
-    environments: int = PRESETS[PRESET].rollout.environments
-    """Environments of a worker, `rollout.environments`."""
-    chunk_steps: int = PRESETS[PRESET].rollout.chunk_steps
+    step_ms: float = 0.0
+    """Milliseconds that a step takes besides the worker's own computations, as with vehicles or slow simulators."""
+    collect_us: float | None = None
+    """Microseconds of a worker's core for an environment step. Default: as measured."""
+    update_us: float | None = None
+    """Microseconds of the learner's core for an environment step, all updates together. Default: as measured."""
+    environments: int = RunConfig().rollout.environments
+    """Environments of a worker, `rollout.environments`, which step one after another."""
+    chunk_steps: int = RunConfig().rollout.chunk_steps
     """Steps of each in one chunk, `rollout.chunk_steps`."""
-    spool_chunks: int = PRESETS[PRESET].rollout.spool_chunks
-    """Chunks that a worker holds, `rollout.spool_chunks`."""
-    publish_seconds: float = PRESETS[PRESET].learner.publish_seconds
-    """Pause between two publications of parameters, `learner.publish_seconds`."""
+    iteration_steps: int = RunConfig().on_policy.iteration_steps
+    """Environment steps of an iteration, `algorithm.iteration_steps`; parameters are published after each."""
     link_gbit: float = 1.0
     """Link of the learner's host, Gbit/s each way."""
     round_trip_ms: float = 1.0
@@ -75,17 +74,13 @@ class Plan:
     def check(self) -> None:
         """Raise ConfigError when a value is impossible."""
         within(1, 100_000, workers=self.workers)
-        within(1, 4096, environments=self.environments, spool_chunks=self.spool_chunks)
+        within(1, 4096, environments=self.environments)
         within(1, 10_000, chunk_steps=self.chunk_steps)
-        numbers = {
-            "worker_rate": self.worker_rate,
-            "update_ms": self.update_ms,
-            "updates_per_step": self.updates_per_step,
-            "publish_seconds": self.publish_seconds,
-            "link_gbit": self.link_gbit,
-            "round_trip_ms": self.round_trip_ms,
-        }
-        positive(**{name: value for name, value in numbers.items() if value is not None})
+        within(1, 100_000_000, iteration_steps=self.iteration_steps)
+        not_negative(step_ms=self.step_ms)
+        positive(link_gbit=self.link_gbit, round_trip_ms=self.round_trip_ms)
+        given = {"collect_us": self.collect_us, "update_us": self.update_us}
+        positive(**{name: value for name, value in given.items() if value is not None})
 
 
 @dataclass(frozen=True)
@@ -93,37 +88,32 @@ class Measured:
     """What single parts were measured to do.
 
     Attributes:
-        worker_rate: environment steps a second of one worker, the learner beside it on the same two cores.
-        update_ms: one update of twelve agents on one core, ms.
+        collect_us: microseconds of one core in which a worker collects an environment step.
+        update_us: microseconds of one core in which the learner learns from one.
+        step_bytes: bytes of its rows.
         intake: for each transport, environment steps and bytes a second at each chunk size.
         origins: command and commit of each source.
     """
 
-    worker_rate: float
-    update_ms: float
+    collect_us: float
+    update_us: float
+    step_bytes: float
     intake: Mapping[str, Mapping[str, Mapping[str, float]]]
     origins: tuple[tuple[str, str], ...]
 
     @classmethod
-    def of(cls, intake: dict[str, Any], growth: dict[str, Any], workers: dict[str, Any]) -> "Measured":
-        """Read the results in SOURCES; raise ConfigError when they were measured with another team."""
-        present = farm_team(preset("study").farm).digest
-        for source in (intake, growth, workers):
-            if source.get("team") != present:
+    def of(cls, on_policy: dict[str, Any], intake: dict[str, Any], *others: dict[str, Any]) -> "Measured":
+        """Read results; raise ConfigError when the parts were measured with another team."""
+        for source, name in ((on_policy, PRESET), (intake, "study")):
+            if source.get("team") != farm_team(preset(name).farm).digest:
                 raise ConfigError(f"`{source['command']}` was measured with another team; run it again.")
-        wanted = {"algorithm": "eia-sec", "width": PRESETS[PRESET].algorithm.hidden, "agents": 12, "threads": 1}
-        updates = [line["ms"] for line in growth["agents"] if wanted.items() <= line.items()]
         return cls(
-            worker_rate=workers["environment_steps_per_second"]["one_worker"],
-            update_ms=updates[0],
+            collect_us=on_policy["collecting"],
+            update_us=on_policy["updates"],
+            step_bytes=on_policy["step_bytes"],
             intake=intake["transports"],
-            origins=tuple((source["command"], source["commit"]) for source in (intake, growth, workers)),
+            origins=tuple((source["command"], source["commit"]) for source in (on_policy, intake, *others)),
         )
-
-    def step_bytes(self) -> float:
-        """Return the bytes of one environment step's rows."""
-        found = self.intake[ROUTED][SIZES[0]]
-        return found["mb_per_second"] * 1e6 / found["env_steps_per_second"]
 
     def intake_rate(self, transport: str, size: float) -> float:
         """Return environment steps a second that come in as chunks of some bytes.
@@ -134,81 +124,105 @@ class Measured:
             (int(name), int(name) / (self.intake[transport][name]["mb_per_second"] * 1e6)) for name in SIZES
         )
         seconds = max(0.0, slow + (long - slow) * (size - small) / (large - small))
-        return size / self.step_bytes() / max(seconds, 1e-9)
+        return size / self.step_bytes / max(seconds, 1e-9)
 
 
-def parameter_bytes(config: RunConfig, team: TeamSpec) -> int:
+def parameter_bytes(algorithm: OnPolicyConfig, team: TeamSpec) -> int:
     """Return the bytes of one publication of all actors."""
-    actors = TeamActors.initial(team, config.algorithm.hidden, 0)
+    shared = algorithm.parameters == "shared"
+    actors = TeamActors.initial(team, algorithm.hidden, 0, head="gaussian", shared=shared, memory=algorithm.memory)
     message = ParametersMessage(1, 1, 0, 0, 0.0, team.digest, actors.hidden, actors.head, actors.flat)
     return len(message.encode())
 
 
 def saturation(plan: Plan, measured: Measured) -> dict[str, float]:
     """Return, for each part, the environment steps a second of the whole run at which it is busy all the time."""
-    config = PRESETS[PRESET]
-    size = measured.step_bytes() * plan.steps
-    update_ms = plan.update_ms or measured.update_ms
-    published = parameter_bytes(config, farm_team(config.farm)) / plan.publish_seconds
+    config = preset(PRESET)
+    size = measured.step_bytes * plan.steps
+    published = parameter_bytes(config.on_policy, farm_team(config.farm))
     link = plan.link_gbit * 1e9 / 8.0
-    rates = {"training": 1000.0 / update_ms / plan.updates_per_step}
+    rates = {"learner's updates": 1e6 / (plan.update_us or measured.update_us)}
     rates |= {f"intake, {name}": measured.intake_rate(transport, size) for name, transport in DIRECT.items()}
     rates["intake through a router"] = measured.intake_rate(ROUTED, size)
-    rates["link, transitions in"] = link / measured.step_bytes()
-    # Each worker gets its own copy: this bounds how many there are, whatever they fly.
-    rates["link, parameters out"] = link / published * (plan.worker_rate or measured.worker_rate)
+    rates["link, transitions in"] = link / measured.step_bytes
+    rates["link, parameters out"] = link / (published * plan.workers) * plan.iteration_steps
     rates["workers"] = plan.workers * worker_rate(plan, measured)
     return rates
 
 
 def worker_rate(plan: Plan, measured: Measured) -> float:
-    """Return the environment steps a second of one worker, which has one request under way at a time."""
-    size = round(measured.step_bytes() * plan.steps)
-    under_way = fitting([size] * plan.spool_chunks)
-    delivered = under_way * plan.steps / (plan.round_trip_ms / 1000.0)
-    return min(plan.worker_rate or measured.worker_rate, delivered)
+    """Return the environment steps a second of one worker that waits for an answer before each chunk.
+
+    With room in the iteration it does not wait, so distance costs less than this.
+    """
+    computing = (plan.collect_us or measured.collect_us) * 1e-6
+    chunk = plan.steps * computing + plan.chunk_steps * plan.step_ms / 1000.0
+    return plan.steps / (chunk + plan.round_trip_ms / 1000.0)
 
 
 def table(plan: Plan, measured: Measured) -> list[str]:
     """Return the model's answer for a plan as Markdown: each part, the least first."""
-    flown = plan.worker_rate or measured.worker_rate
+    alone = worker_rate(plan, measured)
     rows = ["| part | saturates at | as workers |", "|---|---:|---:|"]
     for name, rate in sorted(saturation(plan, measured).items(), key=lambda item: item[1]):
         label = f"workers ({plan.workers})" if name == "workers" else name
-        rows.append(f"| {label} | {rate:,.0f} | {rate / flown:,.2f} |")
+        rows.append(f"| {label} | {rate:,.0f} | {rate / alone:,.2f} |")
     return rows
 
 
-def _wider() -> float:
-    """Return by which share the whole team's observation is wider in the preset than where it was measured."""
-    flown, measured = (farm_team(PRESETS[name].farm).observation_size for name in (PRESET, "study"))
-    return flown / measured - 1.0
+def _slow_rows(measured: Measured) -> list[str]:
+    """Return how many workers keep the learner busy, by the time of a step."""
+    plans = [Plan(step_ms=ms, environments=1, chunk_steps=100) for ms in STEP_TIMES]
+    rates = [worker_rate(plan, measured) for plan in plans]
+    busy = [1e6 / measured.update_us / rate for rate in rates]
+    return [
+        "| a step takes, ms, besides the worker's computations | " + " | ".join(f"{ms:g}" for ms in STEP_TIMES) + " |",
+        "|---|" + "---:|" * len(STEP_TIMES),
+        "| environment steps a second of one worker | " + " | ".join(f"{rate:,.0f}" for rate in rates) + " |",
+        "| workers that keep the learner busy | " + " | ".join(f"{number:,.1f}" for number in busy) + " |",
+    ]
 
 
-def block(*data: dict[str, Any]) -> str:
+def _held_against(measured: Measured, distribution: dict[str, Any]) -> list[str]:
+    """Return what whole runs on one machine did."""
+    runs = [f"{line['workers']} with {line['steps_per_second']:,.0f}" for line in distribution["farm"]]
+    ideal = 1e6 / (measured.update_us + measured.collect_us) * distribution["cores"]
+    return [
+        f"Whole runs of the default preset learned from this many steps a second on {distribution['cores']} cores, by",
+        f"workers: {', '.join(runs)} ([measurement](../results/distribution/README.md)). The model's",
+        f"computations alone would fill these cores at {ideal:,.0f}.",
+    ]
+
+
+def block(on_policy: dict[str, Any], intake: dict[str, Any], distribution: dict[str, Any]) -> str:
     """Return the generated part of docs/explanation/capacity.md."""
-    measured, plan = Measured.of(*data), Plan()
-    size = measured.step_bytes() * plan.steps
-    config = PRESETS[PRESET]
-    sent = parameter_bytes(config, farm_team(config.farm))
+    measured, plan = Measured.of(on_policy, intake, distribution), Plan()
+    config = preset(PRESET)
+    sent = parameter_bytes(config.on_policy, farm_team(config.farm))
     far = [f"{worker_rate(Plan(round_trip_ms=ms), measured):,.0f}" for ms in ROUND_TRIPS]
     return "\n".join(
         [
-            f"For the preset `{PRESET}`, which learns from a replay buffer, with one worker and a link of 1 Gbit/s, in",
-            "environment steps a second and as a number of workers:",
+            "For the default preset with one worker on a core of its own and a link of 1 Gbit/s, in environment steps a",
+            "second and as a number of workers:",
             "",
             *table(plan, measured),
             "",
-            "Rates of workers, updates and intake were measured with the preset `study`. Observations of",
-            f"`{PRESET}` have {_wider():.0%} more numbers, so its rates are slightly lower.",
+            f"On one core a step takes {measured.collect_us:.0f} us to collect and {measured.update_us:.0f} us to learn",
+            f"from. Its rows are {measured.step_bytes:,.0f} bytes, a chunk of {plan.steps:,} steps",
+            f"{measured.step_bytes * plan.steps / 1e6:.1f} MB. One publication of all actors is {sent / 1000:,.0f} KB,",
+            f"sent to each worker after every iteration of {plan.iteration_steps:,} steps.",
             "",
-            f"There, a step is {measured.step_bytes():,.0f} bytes and a chunk of {plan.steps} steps",
-            f"{size / 1000:,.0f} KB. One publication of all actors is {sent / 1000:,.0f} KB, sent to each",
-            f"worker at most every {plan.publish_seconds} s.",
+            *_held_against(measured, distribution),
+            "",
+            "With environments that take time, one in each worker and chunks of 100 steps:",
+            "",
+            *_slow_rows(measured),
+            "",
+            "A worker that waits for the answer to each chunk:",
             "",
             "| round trip, ms | " + " | ".join(f"{ms:,.0f}" for ms in ROUND_TRIPS) + " |",
             "|---|" + "---:|" * len(ROUND_TRIPS),
-            "| limit of one worker, environment steps a second | " + " | ".join(far) + " |",
+            "| environment steps a second of one worker | " + " | ".join(far) + " |",
             "",
             "Made from:",
             "",
@@ -222,7 +236,7 @@ def main() -> int:
     """Print the table for a plan; return 0."""
     plan = parse(Plan, sys.argv[1:], "capacity")
     plan.check()
-    measured = Measured.of(*(json.loads(Path(source).read_text(encoding="utf-8")) for source in SOURCES))
+    measured = Measured.of(*(json.loads(Path(source).read_text(encoding="utf-8")) for source in SOURCES[:2]))
     sys.stdout.write("\n".join(table(plan, measured)) + "\n")
     return DONE
 

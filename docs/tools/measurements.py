@@ -4,15 +4,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+from benchmarks.distribution.report import farm as distribution_farm
+from benchmarks.distribution.report import times as distribution_times
+from benchmarks.distribution.summary import summary
 from deploy.reports.intervals import interval_table
 from docs.tools import capacity
-from docs.tools.blocks import read_json
+from docs.tools.blocks import read_json, wrapped
 from docs.tools.readme_results import default_block, policies_table, results_block
 
 TRAINING: Final = "docs/results/reproduce/training/results.json"
 PRESET: Final = "docs/results/reproduce/default/results.json"
 HEURISTICS: Final = "docs/results/heuristics/results.json"
 SEEDS: Final = "docs/results/default/seeds.json"
+DISTRIBUTION: Final = "docs/results/distribution/results.json"
+USED_WELL: Final = 0.8
+"""Least efficiency of the number of workers that the README names."""
 NOT_MEASURED: Final = "Not measured yet.\n"
 """A block whose data is not there."""
 PAUSE_AIM: Final = 50.0
@@ -35,43 +41,36 @@ def paper_block(run: dict[str, Any]) -> str:
     )
 
 
-def second_worker_block(data: dict[str, Any]) -> str:
-    """Return the block on what a second worker adds."""
-    steps, ledger = data["environment_steps_per_second"], data["ledger"]
-    # Results made before the number was written down are of a machine with two.
-    cores = data.get("cores", 2)
-    one, two, after = (f"{steps[name]:,.0f}" for name in ("one_worker", "two_workers", "after_kill"))
-    names = ("produced", "accepted", "lost", "in_flight", "unexplained")
-    produced, accepted, lost, in_flight, unexplained = (f"{ledger[name]:,}" for name in names)
-    return "\n".join(
-        [
-            f"`{data['command']}` (commit {data['commit']}), where the learner stores",
-            f"transitions and does not train. One worker delivers {one} environment steps a second into replay, two",
-            f"deliver {two} ({data['gain']:.2f} times as many, on {cores} cores shared with the learner).",
-            f"After kill -9 of the second, the first continues with {after}. Of {produced} steps",
-            f"{accepted} were accepted, {lost} lost, {in_flight} in flight at the end, {unexplained} unexplained.",
-            "",
-            *_sweep_rows(data.get("sweep", [])),
-        ]
+def _fastest(lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the line with the most workers that are still used well; the first where none is."""
+    well = [line for line in lines if line["efficiency"] is not None and line["efficiency"] >= USED_WELL]
+    return max(well, key=lambda line: line["workers"], default=lines[0])
+
+
+def distribution_block(data: dict[str, Any]) -> str:
+    """Return the block of README.md on what more workers bring where a step takes time."""
+    best = _fastest(summary(data["runs"]))
+    return wrapped(
+        f"""With steps of {1000 * data["task"]["period"]:.0f} ms, {best["workers"]} workers reach a fixed reward
+        [{best["speedup"] or 1.0:.0f} times as fast](docs/results/distribution/README.md) as one."""
     )
 
 
-def _sweep_rows(sweep: list[dict[str, Any]]) -> list[str]:
-    """Return the table by number of workers; nothing for results that were made before there was one."""
-    if not sweep:
-        return []
-    rows = [
-        "| workers | environment steps a second | updates a second | learner, MiB | all workers, MiB |",
-        "|---:|---:|---:|---:|---:|",
-    ]
-    for line in sweep:
-        used = [
-            f"{line[who]['pss_mib']:,.0f} ({line[who]['rss_mib']:,.0f})" if line[who] else "-"
-            for who in ("learner", "all_workers")
+def workers_block(data: dict[str, Any]) -> str:
+    """Return the block on whole runs with more and more workers."""
+    return "\n".join(
+        [
+            f"`{data['command']}`, commit {data['commit']}, everything on {data['cores']} cores. Where a step takes",
+            f"{1000 * data['task']['period']:.0f} ms (medians over the seeds, [details](../results/distribution/README.md)):",
+            "",
+            *distribution_times(summary(data["runs"])),
+            "",
+            "On the farm, where it takes microseconds:",
+            "",
+            *distribution_farm(data["farm"]),
+            "",
         ]
-        pace = (f"{line['environment_steps_per_second']:,.0f}", f"{line['updates_per_second']:,.0f}")
-        rows.append("| " + " | ".join((f"{line['workers']}", *pace, *used)) + " |")
-    return [*rows, "", "Memory is PSS (shared pages divided among the processes), with RSS in brackets.", ""]
+    )
 
 
 def forms_block(data: dict[str, Any]) -> str:
@@ -268,18 +267,19 @@ MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
     "capacity": (capacity.SOURCES, capacity.block),
     "checkpoint": (("docs/results/checkpoint.json",), checkpoint_block),
     "default-run": (("docs/results/default/evaluation.json", TRAINING, HEURISTICS, PRESET, SEEDS), default_block),
+    "distribution": ((DISTRIBUTION,), distribution_block),
     "fly": (("docs/results/fly.json",), fly_block),
     "forms": (("docs/results/critic_forms/forms.json",), forms_block),
     "heuristics": ((HEURISTICS,), heuristics_block),
     "hosts": (("docs/results/hosts/results.json",), hosts_block),
     "paper-preset": (("docs/results/paper/evaluation.json",), paper_block),
     "results": ((TRAINING, PRESET, SEEDS), results_block),
-    "second-worker": (("docs/results/second_worker.json",), second_worker_block),
     "tasks": (
         ("docs/results/tasks/simple_spread/results.json", "docs/results/tasks/half_cheetah/results.json"),
         tasks_block,
     ),
     "watch": (("docs/results/watch.json",), watch_block),
+    "workers": ((DISTRIBUTION,), workers_block),
 }
 """For each block: the data that it shows, and the function that writes it."""
 

@@ -76,8 +76,8 @@ def run(*arguments, **environment):
 
 
 def test_json_is_as_promised():
-    """`updates` and `decide_us` have the keys that others read, for each case that was asked for."""
-    done = run("--updates", "2", "--widths", "16", "--algorithms", "eia-sec", "matd3", "--json")
+    """`updates`, `decide_us` and `on_policy` have the keys that others read, for each case that was asked for."""
+    done = run("--updates", "2", "--repeats", "1", "--widths", "16", "--algorithms", "eia-sec", "matd3", "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert [(line["algorithm"], line["width"], line["agents"], line["threads"]) for line in found["updates"]] == [
@@ -87,6 +87,14 @@ def test_json_is_as_promised():
     assert all(line["ms"] > 0 and line["limit_ms"] > 0 for line in found["updates"])
     assert set(found["decide_us"]) == {"6", "12", "16", "20", "24", "96"}
     assert all(microseconds > 0 for microseconds in found["decide_us"].values())
+    learned = found["on_policy"]
+    assert (learned["preset"], learned["algorithm"], learned["width"], learned["threads"]) == (
+        "default",
+        "ippo",
+        128,
+        1,
+    )
+    assert 0.0 < learned["limit_us"] < learned["updates_us"]
 
 
 def test_threads_that_are_not_there_are_refused():
