@@ -202,13 +202,13 @@ def block(on_policy: dict[str, Any], intake: dict[str, Any], distribution: dict[
     far = [f"{worker_rate(Plan(round_trip_ms=ms), measured):,.0f}" for ms in ROUND_TRIPS]
     return "\n".join(
         [
-            "For the default preset with one worker on a core of its own and a link of 1 Gbit/s, in environment steps a",
-            "second and as a number of workers:",
+            "For the default preset with one worker on a core of its own and a link of 1 Gbit/s, in environment steps",
+            "a second and as a number of workers:",
             "",
             *table(plan, measured),
             "",
-            f"On one core a step takes {measured.collect_us:.0f} us to collect and {measured.update_us:.0f} us to learn",
-            f"from. Its rows are {measured.step_bytes:,.0f} bytes, a chunk of {plan.steps:,} steps",
+            f"On one core, {measured.collect_us:.0f} us go into collecting a step and {measured.update_us:.0f} us into",
+            f"learning from it. Its rows are {measured.step_bytes:,.0f} bytes, a chunk of {plan.steps:,} steps",
             f"{measured.step_bytes * plan.steps / 1e6:.1f} MB. One publication of all actors is {sent / 1000:,.0f} KB,",
             f"sent to each worker after every iteration of {plan.iteration_steps:,} steps.",
             "",

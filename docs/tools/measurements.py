@@ -61,7 +61,7 @@ def workers_block(data: dict[str, Any]) -> str:
     return "\n".join(
         [
             f"`{data['command']}`, commit {data['commit']}, everything on {data['cores']} cores. Where a step takes",
-            f"{1000 * data['task']['period']:.0f} ms (medians over the seeds, [details](../results/distribution/README.md)):",
+            f"{1000 * data['task']['period']:.0f} ms ([details](../results/distribution/README.md)):",
             "",
             *distribution_times(summary(data["runs"])),
             "",

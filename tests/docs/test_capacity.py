@@ -8,16 +8,18 @@ from pathlib import Path
 
 import pytest
 
+from common.config.presets import preset
 from common.errors import ConfigError
+from common.farm import farm_team
 from docs.tools import capacity
-from docs.tools.capacity import DIRECT, ROUND_TRIPS, ROUTED, Measured, Plan
+from docs.tools.capacity import DIRECT, ROUND_TRIPS, ROUTED, STEP_TIMES, Measured, Plan
 
 ROOT = Path(__file__).resolve().parents[2]
-# A chunk takes 1 ms and 1 us for each KB; a step is 1,000 bytes.
+# A chunk takes 1 ms and 1 us for each KB; a step is 1,000 bytes, 100 us of a worker's core and 50 us of the learner's.
 KB, MB = 131_072, 1_048_576
 RATE = {size: size / (1e-3 + size / 1e9) / 1e6 for size in (KB, MB)}
 CASE = {str(size): {"env_steps_per_second": rate * 1e3, "mb_per_second": rate} for size, rate in RATE.items()}
-MEASURED = Measured(10_000.0, 5.0, dict.fromkeys((*DIRECT.values(), ROUTED), CASE), ())
+MEASURED = Measured(100.0, 50.0, 1000.0, dict.fromkeys((*DIRECT.values(), ROUTED), CASE), ())
 
 
 def test_the_time_of_a_chunk_is_a_line_through_two_sizes():
@@ -28,26 +30,27 @@ def test_the_time_of_a_chunk_is_a_line_through_two_sizes():
 
 
 def test_each_part_saturates_where_its_arithmetic_says():
-    """Training at updates a second over updates a step, links at bytes, workers at their number."""
-    plan = Plan(workers=3, updates_per_step=0.1, link_gbit=0.8)
+    """The learner at its microseconds a step, links at bytes, workers at their number, parameters once an iteration."""
+    plan = Plan(workers=3, environments=16, chunk_steps=10, iteration_steps=16_000, link_gbit=0.8, round_trip_ms=1e-6)
     found = capacity.saturation(plan, MEASURED)
-    assert found["training"] == pytest.approx(2_000.0)
+    assert found["learner's updates"] == pytest.approx(20_000.0)
     assert found["link, transitions in"] == pytest.approx(1e8 / 1000.0)
     assert found["workers"] == pytest.approx(30_000.0)
     assert found["intake, TCP"] == pytest.approx(160 / 1.16e-3)
-    assert capacity.saturation(Plan(update_ms=2.5, updates_per_step=0.1), MEASURED)["training"] == pytest.approx(
-        4_000.0
-    )
-    slow = capacity.saturation(Plan(publish_seconds=1.0), MEASURED)["link, parameters out"]
-    fast = capacity.saturation(Plan(publish_seconds=0.5), MEASURED)["link, parameters out"]
-    assert slow == pytest.approx(2 * fast)
+    published = capacity.parameter_bytes(preset("default").on_policy, farm_team(preset("default").farm))
+    assert found["link, parameters out"] == pytest.approx(1e8 / (3 * published) * 16_000)
+    faster = capacity.saturation(Plan(update_us=20.0, collect_us=50.0, round_trip_ms=1e-6), MEASURED)
+    assert faster["learner's updates"] == pytest.approx(50_000.0)
+    assert faster["workers"] == pytest.approx(20_000.0)
 
 
-def test_distance_bounds_one_worker():
-    """One request of a whole spool each round trip, however fast the worker flies; near by its own rate counts."""
-    assert capacity.worker_rate(Plan(round_trip_ms=1.0), MEASURED) == 10_000.0
-    assert capacity.worker_rate(Plan(round_trip_ms=200.0), MEASURED) == pytest.approx(8 * 160 / 0.2)
-    assert capacity.worker_rate(Plan(round_trip_ms=200.0, spool_chunks=1), MEASURED) == pytest.approx(160 / 0.2)
+def test_steps_and_distance_bound_one_worker():
+    """Its environments step one after another in what they compute, and together in the time that their step takes."""
+    near = {"environments": 2, "chunk_steps": 10, "round_trip_ms": 1e-6}
+    assert capacity.worker_rate(Plan(**near), MEASURED) == pytest.approx(10_000.0)
+    assert capacity.worker_rate(Plan(**near, step_ms=20.0), MEASURED) == pytest.approx(20 / (2e-3 + 0.2))
+    far = Plan(environments=2, chunk_steps=10, round_trip_ms=18.0)
+    assert capacity.worker_rate(far, MEASURED) == pytest.approx(1_000.0)
 
 
 def test_the_least_part_stands_first():
@@ -55,7 +58,7 @@ def test_the_least_part_stands_first():
     rows = capacity.table(Plan(workers=7), MEASURED)[2:]
     rates = [float(row.split("|")[2].replace(",", "")) for row in rows]
     assert rates == sorted(rates)
-    assert "| workers (7) | 70,000 | 7.00 |" in rows
+    assert "| workers (7) | 69,913 | 7.00 |" in rows
 
 
 def command(*arguments: str) -> "subprocess.CompletedProcess[str]":
@@ -65,28 +68,31 @@ def command(*arguments: str) -> "subprocess.CompletedProcess[str]":
 
 def test_the_command_prints_a_plan_of_the_committed_results():
     """Options change the table; the numbers are those of the results."""
-    printed = command("--workers", "50", "--updates-per-step", "0.01")
-    measured = Measured.of(*(json.loads(Path(source).read_text()) for source in capacity.SOURCES))
-    assert printed.stdout.splitlines() == capacity.table(Plan(workers=50, updates_per_step=0.01), measured)
+    printed = command("--workers", "50", "--step-ms", "20")
+    measured = Measured.of(*(json.loads(Path(source).read_text()) for source in capacity.SOURCES[:2]))
+    assert printed.stdout.splitlines() == capacity.table(Plan(workers=50, step_ms=20.0), measured)
 
 
-@pytest.mark.parametrize(("option", "value"), [("--workers", "0"), ("--link-gbit", "-1"), ("--update-ms", "nan")])
+@pytest.mark.parametrize(("option", "value"), [("--workers", "0"), ("--link-gbit", "-1"), ("--update-us", "nan")])
 def test_an_impossible_plan_is_one_sentence(option, value):
     """A value that cannot be ends with exit code 2."""
     done = command(option, value)
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
 
 
-def test_the_page_shows_every_distance():
-    """The block of docs/explanation/capacity.md has a column for each round trip."""
+def test_the_page_shows_every_distance_and_whole_runs():
+    """The block of docs/explanation/capacity.md has a column for each round trip and step, and what runs did."""
     text = capacity.block(*(json.loads(Path(source).read_text()) for source in capacity.SOURCES))
     assert all(f" {ms:,.0f} |" in text for ms in ROUND_TRIPS)
+    assert all(f" {ms:g} |" in text for ms in STEP_TIMES)
+    distribution = json.loads(Path(capacity.SOURCES[2]).read_text())
+    assert all(f"{line['workers']} with {line['steps_per_second']:,.0f}" in text for line in distribution["farm"])
 
 
 def test_measurements_of_another_team_are_refused():
     """Bytes of a step and times of an update follow from the team; a result that is older than it is named."""
-    sources = [json.loads((ROOT / source).read_text()) for source in capacity.SOURCES]
-    assert Measured.of(*sources).step_bytes() > 0
+    sources = [json.loads((ROOT / source).read_text()) for source in capacity.SOURCES[:2]]
+    assert Measured.of(*sources).step_bytes > 0
     for number, source in enumerate(sources):
         for of_another in ({**source, "team": "0" * 16}, {name: source[name] for name in source if name != "team"}):
             others = [of_another if n == number else s for n, s in enumerate(sources)]
