@@ -77,8 +77,12 @@ def picture(data: Line) -> Figure:
     for axes in (left, right):
         axes.grid(True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, fontsize=9)
+        axes.legend(frameon=False, fontsize=9, loc="upper left")
     return figure
+
+
+def _named(workers: int) -> str:
+    return f"{workers} worker{'s' if workers > 1 else ''}"
 
 
 def _speedup(axes: Axes, lines: list[Line]) -> None:
@@ -101,6 +105,6 @@ def _curves(axes: Axes, data: Line) -> None:
     for place, workers in enumerate(numbers):
         run = next(run for run in data["runs"] if run["workers"] == workers)
         seconds, _, reward = zip(*run["curve"], strict=True)
-        axes.plot(seconds, reward, color=OTHER_COLOURS[place % len(OTHER_COLOURS)], label=f"{workers} workers")
+        axes.plot(seconds, reward, color=OTHER_COLOURS[place % len(OTHER_COLOURS)], label=_named(workers))
     axes.axhline(data["task"]["reward"], color="0.4", linestyle=":", label="the fixed reward")
     axes.set(xscale="log", xlabel="seconds since the first transition", ylabel="reward of an episode, per agent")

@@ -24,6 +24,7 @@ from common.protocol.messages import ParametersMessage
 from common.team import TeamSpec
 from deploy.exit_codes import DONE, run_command
 from deploy.options import parse
+from docs.tools.blocks import wrapped
 
 PRESET: Final = "default"
 """The preset whose run the model describes."""
@@ -183,36 +184,44 @@ def _slow_rows(measured: Measured) -> list[str]:
     ]
 
 
-def _held_against(measured: Measured, distribution: dict[str, Any]) -> list[str]:
+def _conditions(plan: Plan, measured: Measured) -> str:
+    """Return what a step takes and weighs."""
+    config = preset(PRESET)
+    sent = parameter_bytes(config.on_policy, farm_team(config.farm))
+    return wrapped(
+        f"""On one core, {measured.collect_us:.0f} us go into collecting a step and {measured.update_us:.0f} us into
+        learning from it. Its rows are {measured.step_bytes:,.0f} bytes, a chunk of {plan.steps:,} steps
+        {measured.step_bytes * plan.steps / 1e6:.1f} MB. One publication of all actors is {sent / 1000:,.0f} KB, sent to
+        each worker after every iteration of {plan.iteration_steps:,} steps."""
+    )
+
+
+def _held_against(measured: Measured, distribution: dict[str, Any]) -> str:
     """Return what whole runs on one machine did."""
-    runs = [f"{line['workers']} with {line['steps_per_second']:,.0f}" for line in distribution["farm"]]
-    ideal = 1e6 / (measured.update_us + measured.collect_us) * distribution["cores"]
-    return [
-        f"Whole runs of the default preset learned from this many steps a second on {distribution['cores']} cores, by",
-        f"workers: {', '.join(runs)} ([measurement](../results/distribution/README.md)). The model's",
-        f"computations alone would fill these cores at {ideal:,.0f}.",
-    ]
+    cores = distribution["cores"]
+    runs = [f"{line['steps_per_second']:,.0f} with {line['workers']}" for line in distribution["farm"]]
+    limit = cores * 1e6 / (measured.update_us + measured.collect_us)
+    return wrapped(
+        f"""Whole runs on {cores} cores learned from this many steps a second, by number of workers: {", ".join(runs)}
+        ([measurement](../results/distribution/README.md)). If collecting and learning took as long as each alone, and
+        shared the cores without loss, it would be {limit:,.0f}."""
+    )
 
 
 def block(on_policy: dict[str, Any], intake: dict[str, Any], distribution: dict[str, Any]) -> str:
     """Return the generated part of docs/explanation/capacity.md."""
     measured, plan = Measured.of(on_policy, intake, distribution), Plan()
-    config = preset(PRESET)
-    sent = parameter_bytes(config.on_policy, farm_team(config.farm))
     far = [f"{worker_rate(Plan(round_trip_ms=ms), measured):,.0f}" for ms in ROUND_TRIPS]
     return "\n".join(
         [
-            "For the default preset with one worker on a core of its own and a link of 1 Gbit/s, in environment steps",
-            "a second and as a number of workers:",
+            "The default preset with one worker on a core of its own and a link of 1 Gbit/s, in environment steps a",
+            "second and as a number of workers:",
             "",
             *table(plan, measured),
             "",
-            f"On one core, {measured.collect_us:.0f} us go into collecting a step and {measured.update_us:.0f} us into",
-            f"learning from it. Its rows are {measured.step_bytes:,.0f} bytes, a chunk of {plan.steps:,} steps",
-            f"{measured.step_bytes * plan.steps / 1e6:.1f} MB. One publication of all actors is {sent / 1000:,.0f} KB,",
-            f"sent to each worker after every iteration of {plan.iteration_steps:,} steps.",
+            _conditions(plan, measured),
             "",
-            *_held_against(measured, distribution),
+            _held_against(measured, distribution),
             "",
             "With environments that take time, one in each worker and chunks of 100 steps:",
             "",

@@ -17,8 +17,8 @@ PRESET: Final = "docs/results/reproduce/default/results.json"
 HEURISTICS: Final = "docs/results/heuristics/results.json"
 SEEDS: Final = "docs/results/default/seeds.json"
 DISTRIBUTION: Final = "docs/results/distribution/results.json"
-USED_WELL: Final = 0.8
-"""Least efficiency of the number of workers that the README names."""
+SHOWN_WORKERS: Final = 16
+"""Number of workers that the README names."""
 NOT_MEASURED: Final = "Not measured yet.\n"
 """A block whose data is not there."""
 PAUSE_AIM: Final = 50.0
@@ -41,18 +41,12 @@ def paper_block(run: dict[str, Any]) -> str:
     )
 
 
-def _fastest(lines: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return the line with the most workers that are still used well; the first where none is."""
-    well = [line for line in lines if line["efficiency"] is not None and line["efficiency"] >= USED_WELL]
-    return max(well, key=lambda line: line["workers"], default=lines[0])
-
-
 def distribution_block(data: dict[str, Any]) -> str:
     """Return the block of README.md on what more workers bring where a step takes time."""
-    best = _fastest(summary(data["runs"]))
+    line = next(line for line in summary(data["runs"]) if line["workers"] == SHOWN_WORKERS)
     return wrapped(
-        f"""With steps of {1000 * data["task"]["period"]:.0f} ms, {best["workers"]} workers reach a fixed reward
-        [{best["speedup"] or 1.0:.0f} times as fast](docs/results/distribution/README.md) as one."""
+        f"""With steps of {1000 * data["task"]["period"]:.0f} ms, {SHOWN_WORKERS} workers reach a fixed reward
+        [{line["speedup"]:.0f} times as fast](docs/results/distribution/README.md) as one."""
     )
 
 
@@ -60,8 +54,10 @@ def workers_block(data: dict[str, Any]) -> str:
     """Return the block on whole runs with more and more workers."""
     return "\n".join(
         [
-            f"`{data['command']}`, commit {data['commit']}, everything on {data['cores']} cores. Where a step takes",
-            f"{1000 * data['task']['period']:.0f} ms ([details](../results/distribution/README.md)):",
+            wrapped(
+                f"""`{data["command"]}`, commit {data["commit"]}, everything on {data["cores"]} cores. With steps of
+                {1000 * data["task"]["period"]:.0f} ms ([details](../results/distribution/README.md)):"""
+            ),
             "",
             *distribution_times(summary(data["runs"])),
             "",

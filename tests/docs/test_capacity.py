@@ -86,7 +86,7 @@ def test_the_page_shows_every_distance_and_whole_runs():
     assert all(f" {ms:,.0f} |" in text for ms in ROUND_TRIPS)
     assert all(f" {ms:g} |" in text for ms in STEP_TIMES)
     distribution = json.loads(Path(capacity.SOURCES[2]).read_text())
-    assert all(f"{line['workers']} with {line['steps_per_second']:,.0f}" in text for line in distribution["farm"])
+    assert all(f"{line['steps_per_second']:,.0f} with {line['workers']}" in text for line in distribution["farm"])
 
 
 def test_measurements_of_another_team_are_refused():
