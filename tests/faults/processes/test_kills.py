@@ -82,6 +82,8 @@ def kill_learner(directory: Path, kills: int, inside: int, interrupt: float = 20
         fleet.worker()
         fleet.coordinator()
         until(fleet.taken, "chunks", 120.0)
+        # A coordinator that has not joined yet would find nobody and give up.
+        fleet.until_led("")
         recovery, hit = [], 0
         for index in range(kills):
             until(lambda: list((directory / "run" / "checkpoints").glob("checkpoint-*")), "a checkpoint")
