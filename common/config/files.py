@@ -33,6 +33,7 @@ _WORD: Final = re.compile(r"[A-Za-z][A-Za-z0-9_.:/+-]*")
 
 LATER: Final[Mapping[str, Value]] = {
     "algorithm.memory": "none",
+    "algorithm.objective": "ppo",
     "algorithm.sequence_steps": 50,
     "farm.failures.at": "",
     "farm.failures.per_hour": 0.0,
