@@ -85,6 +85,18 @@ class Bench:
             for seed in range(seeds)
         ]
 
+    def on_policy_runs(self, method: Method, seeds: int) -> list[Job]:
+        """Return runs of a method on policy, whose settings nothing has tuned, for so many seeds from 0 on."""
+        base = self.scale.quick()
+        return [
+            self._train(
+                f"{method.name}, seed {seed}",
+                configuration(base, method, PRESET_CANDIDATE, seed, base.episodes),
+                (FIRST_FARM, self.scale.farms),
+            )
+            for seed in range(seeds)
+        ]
+
     def reference(self, policy: str, uavs: int = TWELVE) -> Job:
         """Return the flight of a policy that learns nothing over the reported farms."""
         size = "" if uavs == TWELVE else f", {uavs} UAVs"

@@ -14,7 +14,15 @@ from experiments.studies.analysis.summary import (
 from experiments.studies.bench import TWELVE, Bench
 from experiments.studies.flights import flight_summary
 from experiments.studies.jobs import Job
-from experiments.studies.methods import ABLATIONS, EIA_SEC, PEERS, TUNED_PRESET, Method
+from experiments.studies.methods import (
+    ABLATIONS,
+    EIA_SEC,
+    OBSERVATIONS,
+    ON_POLICY,
+    PEERS,
+    TUNED_PRESET,
+    Method,
+)
 
 Stages = list[list[Job]]
 """Jobs in the order in which they can be done: which runs a later stage consists of follows from the earlier ones."""
@@ -142,6 +150,16 @@ def _default(bench: Bench) -> dict[str, Any]:
     return _compared_runs(bench, (EIA_SEC,), runs)
 
 
+def _on_policy_stages(bench: Bench, methods: tuple[Method, ...], seeds: int) -> Stages:
+    by_seed = zip(*(bench.on_policy_runs(method, seeds) for method in methods), strict=True)
+    return [[*bench.references(), *(run for runs in by_seed for run in runs)]]
+
+
+def _on_policy(bench: Bench, methods: tuple[Method, ...], seeds: int) -> dict[str, Any]:
+    runs = {method.name: bench.on_policy_runs(method, seeds) for method in methods}
+    return {key: value for key, value in _compared_runs(bench, (), runs).items() if key != "choice"}
+
+
 STUDIES: Final[Mapping[str, Study]] = {
     "training": Study(
         "M1, M2, M3: EIA-SEC beside MADDPG, MATD3 and MASAC",
@@ -157,6 +175,16 @@ STUDIES: Final[Mapping[str, Study]] = {
     "scalability": Study("M4: smaller and larger teams", _scalability_stages, _scalability),
     "inference": Study("M5: time of a decision", _inference_stages, _inference),
     "default": Study("The preset eia-sec beside EIA-SEC as the studies train it", _default_stages, _default),
+    "on_policy": Study(
+        "PPO: shared and separate networks, elite imitation and the shared ensemble",
+        lambda bench: _on_policy_stages(bench, ON_POLICY, bench.scale.seeds),
+        lambda bench: _on_policy(bench, ON_POLICY, bench.scale.seeds),
+    ),
+    "observations": Study(
+        "PPO: one observation less",
+        lambda bench: _on_policy_stages(bench, OBSERVATIONS, bench.scale.view_seeds),
+        lambda bench: _on_policy(bench, OBSERVATIONS, bench.scale.view_seeds),
+    ),
     "trajectories": Study("Where the UAVs fly, and what they collect", _trajectory_stages, flight_summary, True),
 }
 """Every study by the word that names it."""

@@ -37,7 +37,8 @@ class ReproduceArguments:
     """
 
     study: tyro.conf.Positional[str] = ""
-    """training, ablation, ensemble, scalability, inference, trajectories, default (the preset), or all."""
+    """training, ablation, ensemble, scalability, inference, trajectories, default (the preset eia-sec), on_policy,
+    observations, or all."""
     scale: Literal["smoke", "full"] = "full"
     """full: the study; smoke: a few minutes that show that everything works, and nothing else."""
     jobs: int = 1
@@ -64,7 +65,9 @@ class ReproduceArguments:
         within(0, 1000, seeds=self.seeds)
         scale = SCALES[self.scale]
         if self.seeds:
-            scale = replace(scale, seeds=self.seeds, side_seeds=self.seeds, team_seeds=self.seeds)
+            scale = replace(
+                scale, seeds=self.seeds, side_seeds=self.seeds, team_seeds=self.seeds, view_seeds=self.seeds
+            )
         if self.uavs:
             if self.study != SCALABILITY:
                 raise UsageError(f"--uavs is for {SCALABILITY} alone.")

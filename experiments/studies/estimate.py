@@ -1,16 +1,21 @@
 """How long jobs will take, reported before any of them begins.
 
 A kind of run of which a record is there takes as long again for each episode. Of any other a first piece is done here:
-two chunks are flown, some update updates trained and an evaluation begun; the rest is arithmetic.
+two chunks are flown, some updates trained (on policy: an iteration flown and trained) and an evaluation begun; the rest
+is arithmetic.
 """
 
+import math
 import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
+from common.actors import TeamActors
 from common.config import RunConfig
+from common.config.algorithms import OnPolicyConfig
+from deploy.local.in_process import train_in_process
 from experiments.studies.jobs import Job, Records
 from experiments.studies.perform import farms_of
 from learner.off_policy_trainer import OffPolicyTrainer
@@ -73,13 +78,33 @@ def _amount(job: Job) -> float:
 
 
 def _measure_training(job: Job) -> float:
-    config = job.config
+    config, steps = job.config, job.config.episodes * job.config.farm.world.steps
+    on_policy = isinstance(config.algorithm, OnPolicyConfig)
+    learning, actors = _learning_on_policy(config, steps) if on_policy else _learning_off_policy(config, steps)
+    evaluating = _flown(config, ActorPolicy(actors.noise_free()))
+    checks = int(job.options["evaluations"]) * len(farms_of(job.options["choice_farms"]))
+    flown = checks + len(farms_of(job.options["farms"]))
+    return learning + flown * config.farm.world.steps * evaluating
+
+
+def _learning_on_policy(config: RunConfig, steps: int) -> tuple[float, TeamActors]:
+    """Return the seconds of so many steps of training, from those of two iterations, and the actors."""
+    piece = math.ceil(2 * config.on_policy.iteration_steps / config.farm.world.steps)
+    begun: list[float] = []
+    trainer = train_in_process(replace(config, episodes=piece), lambda *_: begun.append(time.perf_counter()))
+    # The first chunk waits for the compiler.
+    share = (len(begun) - 1) / len(begun) if len(begun) > 1 else 1.0
+    return (time.perf_counter() - begun[0]) / share * steps / trainer.environment_steps, trainer.actors()
+
+
+def _learning_off_policy(config: RunConfig, steps: int) -> tuple[float, TeamActors]:
+    """Return the seconds of so many steps of training, from those of single updates, and the actors."""
     rows = config.rollout.chunk_rows(config.rollout.chunk_steps)
     room = min(config.replay.capacity, max(4096, 2 * config.algorithm.batch, rows))
     short = replace(config, replay=replace(config.replay, warmup_steps=0, capacity=room))
     collector = Collector(short, "0", 0)
     trainer = OffPolicyTrainer(short, collector.team)
-    actors, world = trainer.actors(), config.farm.world
+    actors = trainer.actors()
     trainer.absorb(collector.collect(actors, 0.1, False))
     while trainer.replay.transitions < config.algorithm.batch:
         trainer.absorb(collector.collect(actors, 0.1, False))
@@ -87,12 +112,8 @@ def _measure_training(job: Job) -> float:
     flying = _seconds(lambda: trainer.absorb(collector.collect(actors, 0.1, False)))
     flying /= short.rollout.environments * short.rollout.chunk_steps
     training = _seconds(lambda: trainer.train(PIECE_UPDATES)) / PIECE_UPDATES
-    evaluating = _flown(config, ActorPolicy(actors.noise_free()))
-    steps = config.episodes * world.steps
     updates = config.replay.updates_per_step * max(0, steps - config.replay.warmup_steps)
-    checks = int(job.options["evaluations"]) * len(farms_of(job.options["choice_farms"]))
-    flown = checks + len(farms_of(job.options["farms"]))
-    return steps * flying + updates * training + flown * world.steps * evaluating
+    return steps * flying + updates * training, actors
 
 
 def _measure_flight(job: Job) -> float:

@@ -51,6 +51,34 @@ ABLATIONS: Final = (
     Method("EIA-SEC, printed target", PRINTED_TARGET),
 )
 
+ON_POLICY: Final = (
+    Method("IPPO, shared parameters"),
+    Method("MAPPO, shared parameters", {"algorithm.name": "mappo"}),
+    Method("neither", {"algorithm.parameters": "separate"}),
+    Method("EIA only", {"algorithm.name": "eia-ppo", "algorithm.ensemble": False}),
+    Method("SEC only", {"algorithm.name": "eia-ppo", "elite.enabled": False}),
+    Method("EIA-SEC", {"algorithm.name": "eia-ppo"}),
+)
+"""Forms of PPO over the preset `quick`, with its settings. From `neither` on, each agent has its own networks."""
+OBSERVATIONS: Final = (
+    ON_POLICY[0],
+    *(
+        Method(f"without {name}", {f"farm.observation.{name}": off})
+        for name, off in {
+            "peers": 0,
+            "last_move": False,
+            "closing": False,
+            "units": 0,
+            "fields": False,
+            "coarse": False,
+            "phases": False,
+            "route": False,
+            "service": False,
+        }.items()
+    ),
+)
+"""IPPO with every observation that the paper does not have, and with one less."""
+
 TUNED_PRESET: Final = "preset eia-sec"
 """What `eia-sec train --preset eia-sec` does; it is tuned further than any method is here."""
 MIXTURE: Final = "mixture"

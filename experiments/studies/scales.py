@@ -27,10 +27,12 @@ class Scale:
     Attributes:
         name: smoke or full.
         settings: TOML over the study preset, the same for every method, and over the preset `eia-sec`.
+        on_policy: TOML over the preset `quick`, from which the studies on policy begin.
         episodes: budget of a run, episodes, those of elite imitation included.
-        seeds: seeds of `training` and `default`.
+        seeds: seeds of `training`, `default` and `on_policy`.
         side_seeds: seeds of `ablation` and `ensemble`.
         team_seeds: seeds of `scalability`.
+        view_seeds: seeds of `observations`.
         trial_episodes: budget of a tuning trial.
         long_trial_episodes: the same of a method that converges later, see `Method.late`.
         candidates: settings that are tried for each method, the first of CANDIDATES.
@@ -50,10 +52,12 @@ class Scale:
 
     name: str
     settings: str
+    on_policy: str
     episodes: int
     seeds: int
     side_seeds: int
     team_seeds: int
+    view_seeds: int
     trial_episodes: int
     long_trial_episodes: int
     candidates: int
@@ -72,15 +76,19 @@ class Scale:
 
     def base(self) -> RunConfig:
         """Return the configuration that every method begins from; one thread for each run."""
-        return self._settled(PRESETS["study"])
+        return self._settled(PRESETS["study"], self.settings)
 
     def preset(self) -> RunConfig:
         """Return the preset `eia-sec`, with the episodes that it says, or the budget where that is smaller."""
-        config = self._settled(PRESETS["eia-sec"])
+        config = self._settled(PRESETS["eia-sec"], self.settings)
         return replace(config, episodes=min(config.episodes, self.episodes))
 
-    def _settled(self, config: RunConfig) -> RunConfig:
-        config = from_toml(self.settings, config)
+    def quick(self) -> RunConfig:
+        """Return the configuration from which the studies on policy begin: the default preset's, in a short run."""
+        return self._settled(PRESETS["quick"], self.on_policy)
+
+    def _settled(self, config: RunConfig, settings: str) -> RunConfig:
+        config = from_toml(settings, config)
         return replace(config, learner=replace(config.learner, threads=1), rollout=replace(config.rollout, threads=1))
 
     @property
@@ -97,10 +105,12 @@ class Scale:
 FULL: Final = Scale(
     name="full",
     settings="",
+    on_policy="",
     episodes=800,
     seeds=5,
     side_seeds=5,
     team_seeds=3,
+    view_seeds=2,
     trial_episodes=200,
     long_trial_episodes=400,
     candidates=5,
@@ -130,10 +140,21 @@ SMOKE: Final = Scale(
     capacity = 4096
     warmup_steps = 800
     """,
+    on_policy="""
+    episodes = 32
+    [farm.world]
+    steps = 100
+    [algorithm]
+    iteration_steps = 800
+    [rollout]
+    environments = 8
+    chunk_steps = 100
+    """,
     episodes=40,
     seeds=2,
     side_seeds=2,
     team_seeds=2,
+    view_seeds=2,
     trial_episodes=24,
     long_trial_episodes=32,
     candidates=2,

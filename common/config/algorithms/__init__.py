@@ -63,7 +63,8 @@ def algorithm_class(name: str) -> type[AlgorithmConfig]:
 def switched(current: AlgorithmConfig, name: str) -> AlgorithmConfig:
     """Return the configuration of another algorithm with the values of the options that both inherit from one family.
 
-    All other options take the other algorithm's defaults. Families learn at different rates, so nothing carries over
+    All other options take the other algorithm's defaults, and so do those whose default differs between the two: its own
+    says what the algorithm is (networks for each agent, in `eia-ppo`). Families learn at different rates, so nothing carries over
     from one that learns off policy to one that learns on policy, or back.
 
     Raises:
@@ -75,5 +76,8 @@ def switched(current: AlgorithmConfig, name: str) -> AlgorithmConfig:
     shared = next(base for base in type(current).__mro__ if issubclass(wanted, base))
     if shared is AlgorithmConfig:
         return wanted(name=name)
-    kept = {field.name: getattr(current, field.name) for field in fields(shared)}
+    own, others = ({field.name: field.default for field in fields(kind)} for kind in (type(current), wanted))
+    kept = {
+        field.name: getattr(current, field.name) for field in fields(shared) if own[field.name] == others[field.name]
+    }
     return wanted(**kept | {"name": name})

@@ -62,7 +62,7 @@ def save_pictures(data: Results, folder: Path) -> list[str]:
         OSError: a picture cannot be written.
     """
     match data["study"]:
-        case "training" | "ablation" | "default":
+        case "training" | "ablation" | "default" | "on_policy" | "observations":
             return save_comparison(data, folder)
         case "ensemble":
             return save_ensemble(data, folder)

@@ -56,6 +56,11 @@ def beyond(data: Results) -> str:
     return headline(data) + "\n" + note("unequal")
 
 
+def on_policy(data: Results) -> str:
+    """Return methods on policy, which nothing has tuned."""
+    return headline(data) + "\n" + note("on_policy")
+
+
 def members(data: Results) -> str:
     """Return the reward by k_s beside the paper's."""
     rows = []
@@ -126,6 +131,8 @@ SECTIONS: Final[Mapping[str, Callable[[Results], str]]] = {
     "scalability": teams,
     "inference": inference,
     "default": beyond,
+    "on_policy": on_policy,
+    "observations": on_policy,
     "trajectories": flights,
 }
 """The table of each study."""

@@ -330,5 +330,6 @@ def test_seeds_and_teams_can_be_asked_for():
     assert ReproduceArguments("scalability").sizes() == FULL
     asked = ReproduceArguments("scalability", uavs=(24, 6), seeds=1).sizes()
     assert (asked.uavs, asked.seeds, asked.side_seeds, asked.team_seeds) == ((6, 12, 24), 1, 1, 1)
-    own = {name: getattr(FULL, name) for name in ("uavs", "seeds", "side_seeds", "team_seeds")}
+    assert asked.view_seeds == 1
+    own = {name: getattr(FULL, name) for name in ("uavs", "seeds", "side_seeds", "team_seeds", "view_seeds")}
     assert replace(asked, **own) == FULL

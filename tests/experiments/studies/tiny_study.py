@@ -11,7 +11,7 @@ from experiments.studies.record_checks import COUNTERS
 from experiments.studies.runner import Runner
 from experiments.studies.scales import Scale
 
-SETTINGS = """
+FARM = """
 [farm.world]
 field_x = 120.0
 field_y = 120.0
@@ -22,6 +22,8 @@ plots_y = 6
 steps = 40
 [farm.observation]
 sensors = 4
+"""
+SETTINGS = f"""{FARM}
 [algorithm]
 hidden = 16
 batch = 32
@@ -37,13 +39,27 @@ environments = 2
 chunk_steps = 10
 """
 
+ON_POLICY = f"""
+episodes = 12
+{FARM}
+[algorithm]
+hidden = 16
+iteration_steps = 80
+minibatch_steps = 20
+[rollout]
+environments = 2
+chunk_steps = 40
+"""
+
 TINY = Scale(
     name="smoke",
     settings=SETTINGS,
+    on_policy=ON_POLICY,
     episodes=12,
     seeds=2,
     side_seeds=1,
     team_seeds=1,
+    view_seeds=1,
     trial_episodes=8,
     long_trial_episodes=10,
     candidates=2,
