@@ -22,6 +22,7 @@ of each branch. Its noise-free action is the legal option with the largest logit
 import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final, Literal, get_args
 
 import numpy as np
@@ -274,12 +275,10 @@ class TeamActors:
             SchemaError: the state does not fit the actors.
         """
         self._check_state(state, len(observations))
-        own = zip(self.flat, self.team.agent_slices(), self.team.split_observations(observations), strict=True)
-        for group, (flat, agents, rows) in zip(self.team.groups, own, strict=True):
-            outputs = actor_outputs(group, self.head)
-            views = parameter_views(flat, group.observation_size, self.hidden, outputs, self.memory)
-            w1, b1, *middle, w3, b3 = views
-            shared = len(flat) == 1
+        own = zip(self._layers, self.team.agent_slices(), self.team.split_observations(observations), strict=True)
+        for group, (layers, agents, rows) in zip(self.team.groups, own, strict=True):
+            w1, b1, *middle, w3, b3 = layers
+            shared, outputs = len(w1) == 1, w3.shape[-1]
             x = rows.reshape(1, -1, rows.shape[-1]) if shared else np.ascontiguousarray(rows.transpose(1, 0, 2))
             h = np.maximum(np.matmul(x, w1) + b1[:, None], np.float32(0))
             if state is None:
@@ -289,6 +288,14 @@ class TeamActors:
                 h = _remembered(h, state[:, agents], middle, shared=shared)
             found = np.matmul(h, w3) + b3[:, None]
             yield group, rows, found.reshape(*rows.shape[:2], outputs) if shared else found.transpose(1, 0, 2)
+
+    @cached_property
+    def _layers(self) -> list[list[Float32]]:
+        """Views of each type's layers, which follow every change of `flat` in place."""
+        return [
+            parameter_views(flat, group.observation_size, self.hidden, actor_outputs(group, self.head), self.memory)
+            for group, flat in zip(self.team.groups, self.flat, strict=True)
+        ]
 
     def _check_state(self, state: Float32 | None, count: int) -> None:
         wanted = None if self.memory == "none" else (count, self.team.agents, self.hidden)

@@ -7,7 +7,7 @@ agents. Types may differ in observation and action size, so a row is ragged acro
 import hashlib
 import itertools
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -199,15 +199,15 @@ class TeamSpec:
 
     def agent_slices(self) -> tuple[slice, ...]:
         """Return each type's slice of all agents."""
-        return slices([group.count for group in self.groups])
+        return slices(tuple(group.count for group in self.groups))
 
     def observation_slices(self) -> tuple[slice, ...]:
         """Return each type's slice of a row of observations."""
-        return slices([group.count * group.observation_size for group in self.groups])
+        return slices(tuple(group.count * group.observation_size for group in self.groups))
 
     def action_slices(self) -> tuple[slice, ...]:
         """Return each type's slice of a row of actions."""
-        return slices([group.count * group.action_size for group in self.groups])
+        return slices(tuple(group.count * group.action_size for group in self.groups))
 
     def split_observations(self, rows: Float32) -> list[Float32]:
         """Split rows [..., O] into one view [..., n_v, o_v] for each type."""
@@ -226,7 +226,7 @@ class TeamSpec:
     def split_environment_actions(self, rows: Float32) -> list[Float32]:
         """Split the environment's rows, after the adapters, into one view [..., n_v, numbers] for each type."""
         sizes = [group.environment_action_size for group in self.groups]
-        parts = slices([group.count * size for group, size in zip(self.groups, sizes, strict=True)])
+        parts = slices(tuple(group.count * size for group, size in zip(self.groups, sizes, strict=True)))
         return [
             rows[..., part].reshape(*rows.shape[:-1], group.count, size)
             for group, part, size in zip(self.groups, parts, sizes, strict=True)
@@ -267,7 +267,8 @@ class TeamSpec:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def slices(sizes: list[int]) -> tuple[slice, ...]:
-    """Return the slices of parts of these sizes, one after another."""
-    ends = np.cumsum([0, *sizes]).tolist()
+@lru_cache(maxsize=256)
+def slices(sizes: tuple[int, ...]) -> tuple[slice, ...]:
+    """Return the slices of parts of these sizes, one after another; every step of every batch asks for them."""
+    ends = itertools.accumulate(sizes, initial=0)
     return tuple(slice(a, b) for a, b in itertools.pairwise(ends))

@@ -44,7 +44,7 @@ class IterationStates:
     ) -> None:
         assert rows.state is not None
         self._team, self._device, self._networks = team, device, list(values)
-        self._by_type = list(zip(team.agent_slices(), slices([value.states for value in values]), strict=True))
+        self._by_type = list(zip(team.agent_slices(), slices(tuple(value.states for value in values)), strict=True))
         self._first = torch.from_numpy(np.ascontiguousarray(rows.state)).to(device)
         self._is_last = (rows.flag & TRANSITION) == 0
         self.layout = SequenceLayout(rows, config.sequence_steps)

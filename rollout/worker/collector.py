@@ -100,7 +100,8 @@ class Collector:
                 self.probe.record()
             rows.action[:, step], rows.reward[:, step] = action, self._shaping.shaped_reward()
             over = np.flatnonzero(environments.ended)
-            rows.observation[:, step + 1] = environments.observation
+            if len(over) or step + 1 == steps:  # else the next step writes them
+                rows.observation[:, step + 1] = environments.observation
             for index in over:
                 self._credit(rows, int(index), step + 1)
                 rows.end(int(index), step, bool(environments.terminated[index]))
