@@ -63,9 +63,9 @@ def algorithm_class(name: str) -> type[AlgorithmConfig]:
 def switched(current: AlgorithmConfig, name: str) -> AlgorithmConfig:
     """Return the configuration of another algorithm with the values of the options that both inherit from one family.
 
-    All other options take the other algorithm's defaults, and so do those whose default differs between the two: its own
-    says what the algorithm is (networks for each agent, in `eia-ppo`). Families learn at different rates, so nothing carries over
-    from one that learns off policy to one that learns on policy, or back.
+    All other options take the other algorithm's defaults. So do options whose defaults differ between the two, because
+    they say what an algorithm is (`eia-ppo` has networks for each agent). Families learn at different rates, so nothing
+    carries over from one that learns off policy to one that learns on policy, or back.
 
     Raises:
         ConfigError: there is no such algorithm.

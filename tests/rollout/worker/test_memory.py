@@ -109,7 +109,8 @@ def test_flights_for_the_elite_remember():
         def environment_actions(self, observations, state=None):
             return super().environment_actions(observations, self.initial_state(len(observations)))
 
-    other, _ = run_noise_free_episodes(config, Forgetful(actors.team, actors.hidden, actors.flat, actors.head, actors.memory), (3, 4), (5, 6))
+    forgetful = Forgetful(actors.team, actors.hidden, actors.flat, actors.head, actors.memory)
+    other, _ = run_noise_free_episodes(config, forgetful, (3, 4), (5, 6))
     assert not np.allclose(other, reward, rtol=1e-3)
 
 
