@@ -20,6 +20,7 @@ from experiments.studies.methods import (
     OBSERVATIONS,
     ON_POLICY,
     PEERS,
+    TRAINED,
     TUNED_PRESET,
     Method,
 )
@@ -162,9 +163,9 @@ def _on_policy(bench: Bench, methods: tuple[Method, ...], seeds: int) -> dict[st
 
 STUDIES: Final[Mapping[str, Study]] = {
     "training": Study(
-        "M1, M2, M3: EIA-SEC beside MADDPG, MATD3 and MASAC",
-        lambda bench: _compared(bench, (EIA_SEC, *PEERS), bench.scale.seeds),
-        lambda bench: _comparison(bench, (EIA_SEC, *PEERS), bench.scale.seeds),
+        "M1, M2, M3: EIA-SEC beside MADDPG, MATD3 and MASAC; and beside MAPPO and IPPO",
+        lambda bench: _compared(bench, TRAINED, bench.scale.seeds),
+        lambda bench: _comparison(bench, TRAINED, bench.scale.seeds),
     ),
     "ablation": Study(
         "Both parts, each alone, neither; and the printed target",

@@ -43,6 +43,24 @@ PEERS: Final = (
     Method("MATD3", {"algorithm.name": "matd3"}, late=True),
     Method("MASAC", {"algorithm.name": "masac"}, late=True),
 )
+_PLAIN_PPO: Final[Mapping[str, Value]] = {
+    "algorithm.hindsight": "",
+    "algorithm.discounts": "",
+    "algorithm.entropy_scales": "",
+    "algorithm.potential_discount": 0.0,
+    "algorithm.iteration_steps": 8000,
+    "rollout.environments": 16,
+    "rollout.chunk_steps": 500,
+    "rollout.spool_chunks": 2,
+}
+"""PPO as published, without what the default preset adds, and with as many updates as the budget allows for."""
+ON_POLICY_PEERS: Final = (
+    Method("MAPPO", {"algorithm.name": "mappo", **_PLAIN_PPO}, late=True),
+    Method("IPPO", {"algorithm.name": "ippo", **_PLAIN_PPO}, late=True),
+)
+"""They are beside the paper's methods, and no claim of the paper is about them."""
+TRAINED: Final = (EIA_SEC, *PEERS, *ON_POLICY_PEERS)
+"""The methods of the study `training`."""
 ABLATIONS: Final = (
     EIA_SEC,
     Method("EIA only", ablations.ABLATIONS["eia"], late=True),

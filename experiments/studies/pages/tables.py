@@ -9,7 +9,7 @@ from common.farm import COLLECTION, COMMUNICATION, MONITORING
 from experiments.studies.analysis.evidence import early_farms, mean_unrest
 from experiments.studies.analysis.paper import INFERENCE_BY_METHOD, INFERENCE_BY_UAVS, REWARD_BY_MEMBERS, REWARD_BY_UAVS
 from experiments.studies.analysis.statistics import BAND, LEVEL, TAIL
-from experiments.studies.methods import ABLATIONS, PEERS
+from experiments.studies.methods import ABLATIONS, TRAINED
 from experiments.studies.pages.notes import filled, note
 from experiments.studies.pages.plots import caption
 from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
@@ -162,7 +162,7 @@ def _lengths(data: Results) -> str:
     """Return the episodes of a tuning trial, which are more of methods that learn for longer."""
     usual = data["sizes"]["trial_episodes"]
     more = data["sizes"].get("long_trial_episodes", usual)
-    long = [method.name for method in (*PEERS, *ABLATIONS) if method.late and method.name in data["choice"]]
+    long = [method.name for method in (*TRAINED, *ABLATIONS) if method.late and method.name in data["choice"]]
     apart = f", of {', '.join(long)} {more}" if long and more != usual else ""
     return f"{usual} episodes{apart}"
 

@@ -23,6 +23,7 @@ from experiments.studies.methods import (
     ABLATIONS,
     CANDIDATES,
     EIA_SEC,
+    ON_POLICY_PEERS,
     PEERS,
     configuration,
     training_episodes,
@@ -218,6 +219,19 @@ def test_every_method_is_tuned_and_trained_alike(scale, tmp_path):
             assert len({config.elite for config in configs if config.imitates}) <= 1
             spent = [budget(config) for config in configs]
             assert max(spent) - min(spent) <= configs[0].elite.farms + configs[0].rollout.environments
+
+
+@pytest.mark.parametrize("scale", [SMOKE, FULL], ids=lambda scale: scale.name)
+def test_methods_on_policy_have_the_farm_the_seeds_and_the_budget_of_the_others(scale, tmp_path):
+    """MAPPO and IPPO differ from the paper's methods in how they learn alone, and earn the farm's own reward."""
+    bench = Bench(scale, Records(tmp_path))
+    peers, ours = bench.runs(PEERS[0], 2), [bench.runs(method, 2) for method in ON_POLICY_PEERS]
+    for own in ours:
+        for peer, job in zip(peers, own, strict=True):
+            assert (job.config.seed, job.config.farm, job.options) == (peer.config.seed, peer.config.farm, peer.options)
+            assert 0 <= budget(peer.config) - budget(job.config) < job.config.rollout.environments
+            assert not job.config.on_policy.hindsight_shares()
+    assert [len(bench.trials(method)) for method in ON_POLICY_PEERS] == [scale.candidates] * 2
 
 
 def budget(config):
