@@ -3,21 +3,22 @@
 import argparse
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+from gymnasium.spaces import Discrete
 
 from common.config.presets import preset
-from common.team import Float32
 from rollout.envs.parallel_env import FarmParallelEnv, Infos, Observations
 from rollout.evaluation import evaluate
 from rollout.policies import Policy
 
 Point = dict[str, float]
+FARM: Final = preset("default").farm
 
 
-class SteeredFarm(FarmParallelEnv):
-    """The PettingZoo farm with what ours does between actors and farm: steering by a lattice, and smaller rewards.
+class FarmOfChoices(FarmParallelEnv):
+    """The PettingZoo farm of the default preset, with the discrete actions of our actors, and smaller rewards.
 
     Infos are empty, because TorchRL's wrapper takes none that hold a dictionary.
 
@@ -26,15 +27,17 @@ class SteeredFarm(FarmParallelEnv):
     """
 
     def __init__(self, reward_scale: float) -> None:
-        super().__init__()
+        super().__init__(FARM)
         self._reward_scale = reward_scale
+        options = [group.options for group in self.batch.team.groups for _ in range(group.count)]
+        self.action_spaces = {name: Discrete(count) for name, count in zip(self.possible_agents, options, strict=True)}
 
     def step(
-        self, actions: Mapping[str, Float32]
+        self, actions: Mapping[str, Any]
     ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
-        """Let all UAVs act for one step."""
-        row = np.clip(np.concatenate([actions[name] for name in self.agents])[None], -1.0, 1.0)
-        (steered,) = self.batch.team.adapt(self.batch.observation, np.asarray(row, np.float32))
+        """Let all UAVs act for one step; an action is the index of an option."""
+        row = np.array([[np.float32(actions[name]) for name in self.agents]], np.float32)
+        (steered,) = self.batch.team.adapt(self.batch.observation, row)
         given = {name: steered[2 * k : 2 * k + 2] for k, name in enumerate(self.agents)}
         seen, rewards, terminated, truncated, infos = super().step(given)
         scaled = {name: self._reward_scale * reward for name, reward in rewards.items()}
@@ -49,6 +52,7 @@ class SteeredFarm(FarmParallelEnv):
 def farm_options(software: str) -> argparse.ArgumentParser:
     """Return the command line that all scripts understand."""
     parser = argparse.ArgumentParser(description=f"When {software} flies the farm well enough.")
+    parser.add_argument("--algorithm", required=True)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--began", type=float, required=True, help="when the clock started, seconds since 1970")
     parser.add_argument("--limit", type=float, required=True, help="seconds of training at most")
@@ -57,23 +61,23 @@ def farm_options(software: str) -> argparse.ArgumentParser:
     parser.add_argument("--farms", type=int, nargs="+", required=True, help="seeds of the farms that are looked at")
     parser.add_argument("--threads", type=int, required=True)
     parser.add_argument("--environments", type=int, required=True)
-    parser.add_argument("--warmup", type=int, required=True, help="environment steps of random actions at first")
-    parser.add_argument("--updates-per-step", type=float, required=True)
+    parser.add_argument("--iteration", type=int, required=True, help="environment steps of an iteration")
+    parser.add_argument("--epochs", type=int, required=True)
+    parser.add_argument("--minibatch", type=int, required=True, help="environment steps in a minibatch")
     parser.add_argument("--width", type=int, required=True)
-    parser.add_argument("--batch", type=int, required=True)
-    parser.add_argument("--capacity", type=int, required=True)
-    parser.add_argument("--actor-rate", type=float, required=True)
-    parser.add_argument("--critic-rate", type=float, required=True)
+    parser.add_argument("--rate", type=float, required=True)
     parser.add_argument("--discount", type=float, required=True)
-    parser.add_argument("--target-rate", type=float, required=True)
+    parser.add_argument("--gae-lambda", type=float, required=True)
+    parser.add_argument("--clip", type=float, required=True)
+    parser.add_argument("--entropy", type=float, required=True)
+    parser.add_argument("--gradient-clip", type=float, required=True)
     parser.add_argument("--reward-scale", type=float, required=True)
-    parser.add_argument("--noise", type=float, required=True, help="deviation of the exploration, actions in -1..1")
     return parser
 
 
 def reward_of(policy: Policy, farms: Sequence[int]) -> float:
     """Return a policy's reward per agent without noise: the mean over one episode of each of some farms."""
-    return evaluate(preset("study").farm, policy, farms, 1, name="policy", batch=len(farms)).total.reward
+    return evaluate(FARM, policy, farms, 1, name="policy", batch=len(farms)).total.reward
 
 
 class Course:

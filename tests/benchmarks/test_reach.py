@@ -7,24 +7,23 @@ import numpy as np
 import pytest
 
 from benchmarks.peers import flights, reach
-from benchmarks.peers.flights import Course, SteeredFarm
+from benchmarks.peers.flights import Course, FarmOfChoices
 from common.config.presets import PRESETS
 from common.errors import EiaSecError
 from rollout.sim.batch import FarmBatch
 
 
 def test_peers_fly_what_our_actors_fly():
-    """The same actions lead to the same course, steered and with smaller rewards, as in one of our workers."""
-    assert not PRESETS[reach.PRESET].farm.observation.mirrored
-    assert PRESETS[reach.PRESET].algorithm.potential_discount == 0.0
-    farm, ours = SteeredFarm(0.1), FarmBatch(PRESETS[reach.PRESET].farm, 1)
+    """The same options lead to the same course, with smaller rewards, as in one of our workers."""
+    farm, ours = FarmOfChoices(0.1), FarmBatch(PRESETS[reach.PRESET].farm, 1)
+    assert [farm.action_space(name).n for name in farm.possible_agents] == [25] * 4 + [9] * 8
     seen, _ = farm.reset(options={"farm": 3, "episode": 5})
     ours.reset(0, 3, 5)
     draw = np.random.default_rng(0)
     for _ in range(5):
-        row = draw.uniform(-1.2, 1.2, (1, ours.team.action_size)).astype(np.float32)
-        given = dict(zip(farm.possible_agents, row.reshape(-1, 2), strict=True))
-        ours.step(ours.team.adapt(ours.observation, np.clip(row, -1.0, 1.0)))
+        given = {name: draw.integers(farm.action_space(name).n) for name in farm.possible_agents}
+        row = np.array([list(given.values())], np.float32)
+        ours.step(ours.team.adapt(ours.observation, row))
         seen, rewards, *_ = farm.step(given)
         np.testing.assert_array_equal(np.concatenate(list(seen.values())), ours.observation[0])
         np.testing.assert_allclose(list(rewards.values()), 0.1 * ours.reward[0], rtol=1e-6)
@@ -106,6 +105,9 @@ def test_who_never_got_there_took_longer_than_it_was_given():
     assert "| 50% (500) | AgileRL | 1 of 2 | > 305 (250 to 360) | > 12.2 |" in text
     assert "| 75% (750) | EIA-SEC | 1 of 2 | > 65 (60 to 70) | - |" in text
     assert "EIA-SEC 800, AgileRL 510, BenchMARL -5." in text
+    assert reach.steps_per_second(a_result()) == pytest.approx(
+        {"EIA-SEC": 0.0155, "AgileRL": 0.0034, "BenchMARL": 0.0028}, rel=0.02
+    )
     assert len(reach.picture(a_result()).axes[0].lines) == 6
 
 
@@ -115,7 +117,7 @@ def test_a_seed_that_fails_leaves_those_before_it(monkeypatch, tmp_path):
 
     def train(software, seed):
         flown.append((software, seed))
-        if flown[-1] == ("AgileRL", 1):
+        if flown[-1] == ("AgileRL IPPO", 1):
             raise EiaSecError("no more memory.")
         return {"points": [{"seconds": 1.0, "steps": 1, "reward": 2.0}]}
 
@@ -126,8 +128,8 @@ def test_a_seed_that_fails_leaves_those_before_it(monkeypatch, tmp_path):
     monkeypatch.setattr("sys.argv", ["reach", "--seeds", "3", "--write", str(tmp_path)])
     with pytest.raises(EiaSecError, match="no more memory"):
         reach.measure()
-    first = [(reach.OURS, 0), ("AgileRL", 0), ("BenchMARL", 0)]
-    assert flown == [*first, (reach.OURS, 1), ("AgileRL", 1)]
+    first = [(reach.OURS, 0), ("AgileRL IPPO", 0), ("BenchMARL IPPO", 0), ("BenchMARL MAPPO", 0)]
+    assert flown == [*first, (reach.OURS, 1), ("AgileRL IPPO", 1)]
     kept = json.loads((tmp_path / "results.json").read_text())["runs"]
     assert [(run["software"], run["seed"]) for run in kept] == first
     assert "1 of 1" in (tmp_path / "README.md").read_text()
@@ -137,7 +139,19 @@ def test_peers_use_our_settings():
     """What a peer trains with is our preset's, under the names that the scripts understand."""
     passed = reach.settings(PRESETS[reach.PRESET])
     words = [text for name, value in passed.items() for text in (f"--{name.replace('_', '-')}", str(value))]
-    asked = {"seed": 0, "began": 0, "limit": 1, "every": 1, "reward": 1, "farms": 1000, "threads": 2}
+    asked = {
+        "algorithm": "ippo",
+        "seed": 0,
+        "began": 0,
+        "limit": 1,
+        "every": 1,
+        "reward": 1,
+        "farms": 1000,
+        "threads": 2,
+    }
     others = [text for name, value in asked.items() for text in (f"--{name}", str(value))]
     parsed = flights.farm_options("a peer").parse_args([*others, *words])
-    assert (parsed.environments, parsed.updates_per_step, parsed.reward_scale) == (8, 0.125, 0.1)
+    assert (parsed.width, parsed.rate, parsed.discount, parsed.reward_scale) == (128, 1e-3, 0.99, 0.1)
+    assert parsed.iteration == reach.PEER_SETTINGS["iteration"]
+    algorithms = {program.name.split()[1] for program in reach.PEERS}
+    assert algorithms == {"IPPO", "MAPPO"}

@@ -1,111 +1,109 @@
-"""AgileRL: when its MADDPG flies the farm well enough. Runs in the environment of requirements/agilerl.txt.
+"""AgileRL: when its IPPO flies the farm well enough. Runs in the environment of requirements/agilerl.txt.
 
 Several farms step side by side in this process and its actors decide for all of them at once, which is quicker for
-AgileRL than its own vector of processes on two cores. Agents are renamed, because AgileRL treats those whose names
-differ in a number after "_" only as one group.
+AgileRL than its own vector of processes on two cores. AgileRL groups agents whose names differ in a number after "_"
+only, so the UAVs of a type share an actor and a critic.
 """
 
 import argparse
 import random
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
 import torch
-from agilerl.algorithms import MADDPG
-from agilerl.components.data import MultiAgentTransition
-from agilerl.components.replay_buffer import ReplayBuffer
-from tensordict import TensorDict
+from agilerl.algorithms import IPPO
 
 from benchmarks.peers.clock import hand_over
-from benchmarks.peers.flights import Course, SteeredFarm, farm_options
+from benchmarks.peers.flights import Course, FarmOfChoices, farm_options
 from common.team import Float32
 from rollout.sim.batch import FarmBatch
 
 Values = dict[str, np.ndarray]
+FIELDS = ("states", "actions", "log_probs", "rewards", "dones", "values")
 
 
-def make(options: argparse.Namespace, env: SteeredFarm) -> Any:
-    """Return the algorithm; everything that is not named here are AgileRL's defaults."""
+def make(options: argparse.Namespace, env: FarmOfChoices) -> Any:
+    """Return the algorithm; everything that is not named here are AgileRL's defaults.
+
+    Its minibatches count the samples of all agents of a group.
+    """
     layer = {"hidden_size": [options.width], "layer_norm": False}
-    return MADDPG(
+    agents = len(env.possible_agents) // len(env.batch.team.groups)
+    return IPPO(
         [env.observation_space(name) for name in env.possible_agents],
         [env.action_space(name) for name in env.possible_agents],
-        agent_ids=[inner(name) for name in env.possible_agents],
+        agent_ids=list(env.possible_agents),
         net_config={"encoder_config": layer, "head_config": dict(layer), "latent_dim": options.width},
-        batch_size=options.batch,
-        lr_actor=options.actor_rate,
-        lr_critic=options.critic_rate,
+        batch_size=options.minibatch * agents,
+        lr=options.rate,
+        learn_step=options.iteration,
         gamma=options.discount,
-        tau=options.target_rate,
-        O_U_noise=False,
-        expl_noise=options.noise,
-        vect_noise_dim=options.environments,
+        gae_lambda=options.gae_lambda,
+        clip_coef=options.clip,
+        ent_coef=options.entropy,
+        max_grad_norm=options.gradient_clip,
+        update_epochs=options.epochs,
     )
 
 
-def inner(name: str) -> str:
-    """Return a name without an underscore before the number."""
-    return name.replace("_", "")
-
-
 def stacked(each: list[dict[str, Any]]) -> Values:
-    """Return the values of all farms under AgileRL's names, [farms, ...] float32."""
-    return {inner(name): np.stack([np.asarray(values[name], np.float32) for values in each]) for name in each[0]}
+    """Return the values of all farms, [farms, ...] float32."""
+    return {name: np.stack([np.asarray(values[name], np.float32) for values in each]) for name in each[0]}
 
 
 class Learnt:
-    """AgileRL's actors without noise, as `rollout.evaluation` flies a policy."""
+    """AgileRL's actors, as `rollout.evaluation` flies a policy: each takes its likeliest option."""
 
-    def __init__(self, agent: Any, names: list[str]) -> None:
-        self._agent, self._names = agent, names
+    def __init__(self, agent: Any) -> None:
+        self._agent = agent
 
     def reset(self, world: FarmBatch, index: int) -> None:
         """Nothing to begin."""
 
+    @torch.no_grad()
     def act(self, world: FarmBatch) -> Float32:
         """Return everybody's actions [farms, A]."""
-        parts = [
-            agent for group in world.team.split_observations(world.observation) for agent in np.moveaxis(group, -2, 0)
-        ]
-        self._agent.set_training_mode(False)
-        actions, _ = self._agent.get_action(obs=dict(zip(self._names, map(np.ascontiguousarray, parts), strict=True)))
-        self._agent.set_training_mode(True)
-        row = np.concatenate([np.asarray(actions[name], np.float32) for name in self._names], axis=-1)
-        return world.team.adapt(world.observation, np.clip(row, -1.0, 1.0))
+        team = world.team
+        count, parts = len(world.observation), []
+        for group, own in zip(team.groups, team.split_observations(world.observation), strict=True):
+            actor = self._agent.actors[group.name]
+            actor(torch.from_numpy(np.ascontiguousarray(own.reshape(-1, group.observation_size))))
+            logits = actor.head_net.dist.logits
+            parts.append(logits.argmax(dim=-1).reshape(count, -1).numpy())
+        return team.adapt(world.observation, np.concatenate(parts, axis=1).astype(np.float32))
 
 
-def remember(memory: ReplayBuffer, seen: Values, actions: Values, rewards: Values, then: Values) -> None:
-    """Put one step of all farms into the replay; the farm's episodes are cut off and never end by themselves."""
-    row = MultiAgentTransition(
-        obs={name: torch.as_tensor(value) for name, value in seen.items()},
-        action={name: torch.as_tensor(value) for name, value in actions.items()},
-        reward={name: torch.as_tensor(value)[:, None] for name, value in rewards.items()},
-        next_obs={name: torch.as_tensor(value) for name, value in then.items()},
-        done={name: torch.zeros(len(value), 1) for name, value in rewards.items()},
-    )
-    count = len(next(iter(rewards.values())))
-    memory.add(TensorDict(row.to_dict(), batch_size=[count]))
-
-
-def train(options: argparse.Namespace, envs: list[SteeredFarm], agent: Any) -> Course:
-    """Train until what is wanted is reached or the time is up."""
+def collect(agent: Any, envs: list[FarmOfChoices], seen: Values, steps: int) -> tuple[tuple[Any, ...], Values]:
+    """Return the experience of so many steps of every farm, and what is observed after it."""
     names = envs[0].possible_agents
-    memory, course, learnt = ReplayBuffer(options.capacity), Course(options), Learnt(agent, [inner(n) for n in names])
+    kept: dict[str, dict[str, list[Any]]] = {field: defaultdict(list) for field in FIELDS}
+    done = {name: np.zeros(len(envs)) for name in names}
+    for _ in range(steps):
+        action, log_prob, _, value = agent.get_action(obs=seen)
+        after = [env.step({name: action[name][k] for name in names}) for k, env in enumerate(envs)]
+        rewards = stacked([step[1] for step in after])
+        for name in names:
+            row = seen[name], action[name], log_prob[name], rewards[name], done[name], value[name]
+            for field, number in zip(FIELDS, row, strict=True):
+                kept[field][name].append(number)
+        ended = np.array([float(not env.agents) for env in envs])
+        done = {name: ended for name in names}
+        seen = stacked([step[0] if env.agents else env.reset()[0] for env, step in zip(envs, after, strict=True)])
+    return (*(dict(kept[field]) for field in FIELDS), seen, done), seen
+
+
+def train(options: argparse.Namespace, envs: list[FarmOfChoices], agent: Any) -> Course:
+    """Train until what is wanted is reached or the time is up."""
+    course, learnt = Course(options), Learnt(agent)
     seen = stacked([env.reset(seed=options.seed * len(envs) + k)[0] for k, env in enumerate(envs)])
-    steps, updates = 0, 0
+    each = options.iteration // options.environments
+    steps = updates = 0
     while not course.over(learnt, steps, updates):
-        actions = {name: np.asarray(value, np.float32) for name, value in agent.get_action(obs=seen)[0].items()}
-        if steps < options.warmup:
-            actions = {n: np.random.uniform(-1.0, 1.0, v.shape).astype(np.float32) for n, v in actions.items()}
-        done = [env.step({n: actions[inner(n)][k] for n in names}) for k, env in enumerate(envs)]
-        then = stacked([step[0] for step in done])
-        remember(memory, seen, actions, stacked([step[1] for step in done]), then)
-        again = [env.reset()[0] if not env.agents else step[0] for env, step in zip(envs, done, strict=True)]
-        seen = stacked(again)
-        steps += len(envs)
-        while steps > options.warmup and updates < (steps - options.warmup) * options.updates_per_step:
-            agent.learn(memory.sample(options.batch))
-            updates += 1
+        experience, seen = collect(agent, envs, seen, each)
+        agent.learn(experience)
+        steps += options.iteration
+        updates += options.epochs * options.iteration // options.minibatch
     return course
 
 
@@ -116,7 +114,7 @@ def main() -> None:
     torch.manual_seed(options.seed)
     np.random.seed(options.seed)
     random.seed(options.seed)
-    envs = [SteeredFarm(options.reward_scale) for _ in range(options.environments)]
+    envs = [FarmOfChoices(options.reward_scale) for _ in range(options.environments)]
     agent = make(options, envs[0])
     agent.set_training_mode(True)
     hand_over([train(options, envs, agent).result()], "agilerl", "torch")

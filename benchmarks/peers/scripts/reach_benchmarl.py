@@ -1,8 +1,7 @@
-"""BenchMARL: when its MADDPG flies the farm well enough. Runs in the environment of requirements/benchmarl.txt.
+"""BenchMARL: when its IPPO or MAPPO flies the farm well enough. Runs in the environment of requirements/benchmarl.txt.
 
-BenchMARL's own experiment with TorchRL's wrapper around the PettingZoo farm: a group for each type of UAV, actors and
-critics of their own. Gradient clipping and everything that is not named here are its defaults. Its warm-up is of the
-collector alone: updates begin with the first steps.
+BenchMARL's own experiment with TorchRL's wrapper around the PettingZoo farm: a group for each type of UAV, whose agents
+share an actor and a critic. What is not named here are its defaults.
 """
 
 import argparse
@@ -12,7 +11,7 @@ from collections import Counter
 from typing import Any
 
 import torch
-from benchmarl.algorithms import MaddpgConfig
+from benchmarl.algorithms import IppoConfig, MappoConfig
 from benchmarl.experiment import Callback, Experiment, ExperimentConfig
 from benchmarl.models import MlpConfig
 from tensordict import TensorDict, TensorDictBase
@@ -20,14 +19,13 @@ from torchrl.envs import EnvBase, PettingZooWrapper
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from benchmarks.peers.clock import hand_over
-from benchmarks.peers.flights import Course, SteeredFarm, farm_options
+from benchmarks.peers.flights import Course, FarmOfChoices, farm_options
 from benchmarks.peers.scripts.wrapped_task import WrappedTask
 from common.config import FarmConfig
 from common.team import Float32
 from rollout.sim.batch import FarmBatch
 
-COLLECTED = 800
-"""Environment steps between two bursts of updates."""
+ALGORITHMS = {"ippo": IppoConfig, "mappo": MappoConfig}
 
 
 class Farms:
@@ -44,7 +42,7 @@ class Farms:
     def __call__(self, seed: int | None) -> EnvBase:
         """Return one more farm."""
         self._next += 1
-        return PettingZooWrapper(SteeredFarm(self._reward_scale), use_mask=False, seed=self._next - 1)
+        return PettingZooWrapper(FarmOfChoices(self._reward_scale), use_mask=False, seed=self._next - 1)
 
 
 class Learnt:
@@ -64,7 +62,7 @@ class Learnt:
         with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
             done = self._policy(TensorDict(seen, batch_size=[count]))
         row = torch.cat([done[group.name, "action"].reshape(count, -1) for group in team.groups], -1)
-        return team.adapt(world.observation, row.clamp(-1.0, 1.0).numpy())
+        return team.adapt(world.observation, row.float().numpy())
 
 
 class EnoughError(Exception):
@@ -94,16 +92,13 @@ class Looks(Callback):
 def configuration(options: argparse.Namespace, folder: str) -> ExperimentConfig:
     """Return BenchMARL's defaults with the settings of this comparison."""
     config = ExperimentConfig.get_from_yaml()
-    config.share_policy_params = False
-    config.gamma, config.lr, config.polyak_tau = options.discount, options.actor_rate, options.target_rate
-    config.exploration_eps_init = config.exploration_eps_end = options.noise
+    config.share_policy_params, config.prefer_continuous_actions = True, False
+    config.gamma, config.lr, config.clip_grad_val = options.discount, options.rate, options.gradient_clip
     config.max_n_iters, config.max_n_frames = None, 100_000_000
-    config.off_policy_collected_frames_per_batch = COLLECTED
-    config.off_policy_init_random_frames = options.warmup
-    config.off_policy_n_envs_per_worker = options.environments
-    config.off_policy_n_optimizer_steps = round(COLLECTED * options.updates_per_step)
-    config.off_policy_train_batch_size = options.batch
-    config.off_policy_memory_size = options.capacity
+    config.on_policy_collected_frames_per_batch = options.iteration
+    config.on_policy_n_envs_per_worker = options.environments
+    config.on_policy_n_minibatch_iters = options.epochs
+    config.on_policy_minibatch_size = options.minibatch
     config.evaluation, config.render, config.loggers, config.create_json = False, False, [], False
     config.save_folder = folder
     return config
@@ -113,16 +108,14 @@ def main() -> None:
     """Train and print."""
     options = farm_options("BenchMARL").parse_args()
     torch.set_num_threads(options.threads)
-    if options.actor_rate != options.critic_rate:
-        raise ValueError("BenchMARL has one learning rate for actors and critics.")
-    algorithm = MaddpgConfig.get_from_yaml()
-    algorithm.share_param_critic = False
+    algorithm = ALGORITHMS[options.algorithm].get_from_yaml()
+    algorithm.clip_epsilon, algorithm.entropy_coef, algorithm.lmbda = options.clip, options.entropy, options.gae_lambda
     cells = [options.width, options.width]
     model = MlpConfig(num_cells=cells, layer_class=torch.nn.Linear, activation_class=torch.nn.ReLU)
     course, farms = Course(options), Farms(options.reward_scale, options.seed * options.environments)
     with tempfile.TemporaryDirectory() as folder:
         experiment = Experiment(
-            task=WrappedTask("farm", farms, FarmConfig().world.steps),
+            task=WrappedTask("farm", farms, FarmConfig().world.steps, discrete=True),
             algorithm_config=algorithm,
             model_config=model,
             critic_model_config=MlpConfig(**vars(model)),

@@ -15,11 +15,20 @@ class WrappedTask(PlainTask):
         name: the task's name.
         make: returns the wrapped environment for a seed.
         steps: length of an episode.
+        discrete: whether its actions are discrete.
     """
 
-    def __init__(self, name: str, make: Callable[[int | None], EnvBase], steps: int) -> None:
+    def __init__(self, name: str, make: Callable[[int | None], EnvBase], steps: int, *, discrete: bool = False) -> None:
         super().__init__(name, {})
-        self._make, self._steps = make, steps
+        self._make, self._steps, self._discrete = make, steps, discrete
+
+    def supports_continuous_actions(self) -> bool:
+        """Return whether actions are continuous."""
+        return not self._discrete
+
+    def supports_discrete_actions(self) -> bool:
+        """Return whether actions are discrete."""
+        return self._discrete
 
     def get_env_fun(self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any) -> Callable[[], Any]:
         """Return a function that makes the environment."""

@@ -23,7 +23,7 @@ SHARE: Final = 0.75
 """Share of the supply bound that the learned policies should earn."""
 SOONER: Final = 10.0
 """Times sooner that a part of the lawnmower's reward should be reached."""
-PARTS: Final = (0.5, 0.75, 1.0)
+PARTS: Final = (0.5, 0.75, 0.9, 1.0)
 """Parts of the lawnmower's reward; the target is the last one."""
 OURS: Final = "EIA-SEC"
 SHIPPED: Final = "the policy that ships"
