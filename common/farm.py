@@ -162,7 +162,18 @@ def _added(farm: FarmConfig, name: str) -> list[str]:
         added += [*_nine(ROUTE), *(f"{ROUTE}_{plot + 1}_{end}" for plot in range(ROUTE_PLOTS) for end in ("dx", "dy"))]
     if seen.service and not task:
         added += ["service", *_nine("service")]
+    if seen.link:
+        added += _links(farm, task=task)
     return [*added, *(["alive"] if farm.failures.some else [])]
+
+
+def _links(farm: FarmConfig, *, task: bool) -> list[str]:
+    """Return the names of what a UAV with a task sees of its link, or a relay of the links to those that it serves."""
+    if task:
+        return ["relay_dx", "relay_dy", "relay_slack", "relay_up", *_nine("slack")]
+    places = range(farm.relay.capacity_for(farm.world))
+    served = [f"served_{place}_{end}" for place in places for end in ("dx", "dy", "slack", "present")]
+    return [*served, *_nine("links_up"), *_nine("least_slack")]
 
 
 def _maps(name: str) -> list[str]:

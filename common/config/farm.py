@@ -332,6 +332,8 @@ class RewardConfig:
     """alpha_9, penalty P_C of a step without collection utility."""
     collection_motivation: float = 0.2
     """alpha_10, weight of the AoI motivation M_D."""
+    relayed: float = 0.0
+    """Weight of what a relay's UAVs earn and would not without their links, where `relay.require_link` (ours)."""
     positioning_sign: Literal["corrected", "printed"] = "corrected"
     """corrected: -alpha_1 dD_c rewards a relay for closing in; printed: the sign that rewards flying away (W1)."""
     risk: Literal["closing", "printed"] = "closing"
@@ -352,6 +354,7 @@ class RewardConfig:
             collection=self.collection,
             collection_idle=self.collection_idle,
             collection_motivation=self.collection_motivation,
+            relayed=self.relayed,
         )
 
 

@@ -37,7 +37,9 @@ LATER: Final[Mapping[str, Value]] = {
     "algorithm.sequence_steps": 50,
     "farm.failures.at": "",
     "farm.failures.per_hour": 0.0,
+    "farm.observation.link": False,
     "farm.observation.route": False,
+    "farm.reward.relayed": 0.0,
 }
 """Options that earlier versions did not have, with the values under which a run is what it was before."""
 

@@ -46,11 +46,23 @@ class ObservationConfig:
     of its moves begin with following it (ours)."""
     service: bool = True
     """Whether a relay sees its D_c and what each of nine moves would do to it (ours)."""
+    link: bool = False
+    """Whether UAVs see their relay and the slack of the link to it, and relays that of the links to the UAVs that they
+    serve, now and after each of nine moves (ours)."""
 
     @property
     def added(self) -> bool:
         """Whether any observation is on that the paper does not have: those from `peers` on."""
-        switches = self.last_move, self.closing, self.fields, self.coarse, self.phases, self.route, self.service
+        switches = (
+            self.last_move,
+            self.closing,
+            self.fields,
+            self.coarse,
+            self.phases,
+            self.route,
+            self.service,
+            self.link,
+        )
         return self.peers > 0 or self.units > 0 or any(switches)
 
     def __post_init__(self) -> None:

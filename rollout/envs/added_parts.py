@@ -59,6 +59,8 @@ def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...
         parts += (Part("plot ahead", 2, -MOST_OFFSET, MOST_OFFSET, plots),) * ROUTE_PLOTS
     if seen.service and not task:
         parts += _service(config, served)
+    if seen.link:
+        parts += _link() if task else _links(config)
     if config.failures.some:
         parts.append(Part("alive", 1, 0.0, 1.0, "share of the own type's UAVs that have not failed"))
     return tuple(parts)
@@ -99,6 +101,29 @@ def _phases(config: FarmConfig, name: str) -> list[Part]:
     numbers = {MONITORING: 1, COLLECTION: len(config.world.sensor_cycles)}.get(name, 0)
     phase = [Part("phase", numbers, 0.0, 1.0, "elapsed share of the counters' cycle")] if numbers else []
     return [*phase, Part("left", 2, 0.0, 1.0, "steps left over 25 and over 100, at most 1")]
+
+
+def _link() -> list[Part]:
+    step = "its slack over a diagonal step after each of nine moves, clipped"
+    return [
+        Part("relay", 2, -1.0, 1.0, "offset (dx / X, dy / Y) to the own relay; 0 if none"),
+        Part("link", 1, -1.0, 1.0, "slack of the link, link range less distance, over the range, clipped"),
+        Part("link", 1, 0.0, 1.0, "1 if it is up"),
+        Part("link", 9, -1.0, 1.0, step),
+    ]
+
+
+def _links(config: FarmConfig) -> list[Part]:
+    served = (
+        Part("served", 2, -1.0, 1.0, "offset (dx / X, dy / Y) of the first, second .. UAV that it serves; 0 if none"),
+        Part("served", 1, -1.0, 1.0, "slack of its link, link range less distance, over the range, clipped"),
+        Part("served", 1, 0.0, 1.0, "1 if there is one"),
+    )
+    return [
+        *served * config.relay.capacity_for(config.world),
+        Part("links", 9, 0.0, 1.0, "share of its links that would be up after each of nine moves"),
+        Part("links", 9, -1.0, 1.0, "the least slack of them over a diagonal step, clipped"),
+    ]
 
 
 def _service(config: FarmConfig, served: float) -> list[Part]:

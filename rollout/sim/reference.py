@@ -159,7 +159,7 @@ class ReferenceFarm:
         self.plot_xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         self.chance = np.zeros(world.sensors)
         self.energy, self.utility, self.reward = np.zeros(world.uavs), np.zeros(world.uavs), np.zeros(world.uavs)
-        self.parts = np.zeros((world.uavs, 7))
+        self.parts = np.zeros((world.uavs, 8))
         self.sweep = first_sweep(self)
         self.crowded, self.outside = np.zeros(world.uavs, bool), np.zeros(world.uavs, bool)
         self._assign()
@@ -326,7 +326,7 @@ class ReferenceFarm:
         """r_c, r_m and r_d; every part except the energy is multiplied by t_step, as printed."""
         weight, world, seconds = self.config.reward, self.config.world, self.config.world.step_seconds
         sign = 1.0 if weight.positioning_sign == "printed" else -1.0
-        self.parts = np.zeros((world.uavs, 7))
+        self.parts = np.zeros((world.uavs, 8))
         for u, kind in enumerate(self.kind):
             if self.gone[u]:
                 continue
@@ -338,19 +338,30 @@ class ReferenceFarm:
             self.parts[u, 1:4] = energy, -weight.collision_risk * risk * seconds, boundary
             if kind == 0:
                 self.parts[u, 0] = sign * weight.positioning * (self.service[u] - service_before[u]) * seconds
+                self.parts[u, 7] = weight.relayed * self._relayed(u) * seconds
                 continue
             utility, idle, motivation = (
                 (weight.monitoring, weight.monitoring_idle, weight.monitoring_motivation)
                 if kind == 1
                 else (weight.collection, weight.collection_idle, weight.collection_motivation)
             )
-            self.parts[u, 4:] = (
+            self.parts[u, 4:7] = (
                 utility * self.utility[u],
                 -idle * (self.utility[u] < NEGLIGIBLE),
                 motivation * motivated[u],
             )
-            self.parts[u, 4:] *= seconds
+            self.parts[u, 4:7] *= seconds
         self.reward = self.parts.sum(axis=1)
+
+    def _relayed(self, relay: int) -> float:
+        """Return what a relay's UAVs earn per second and would not without their links, which make them idle."""
+        weight, amount = self.config.reward, 0.0
+        for u in self.served(relay) if self.config.relay.require_link else ():
+            if self.utility[u] >= NEGLIGIBLE:
+                monitor = self.kind[u] == 1
+                amount += (weight.monitoring if monitor else weight.collection) * self.utility[u]
+                amount += weight.monitoring_idle if monitor else weight.collection_idle
+        return float(amount)
 
     def _look(self) -> None:
         """Find D_VDF and D_AoI, the UAVs that are too close, and all observations."""

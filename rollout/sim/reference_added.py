@@ -19,6 +19,7 @@ from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, fiel
 from rollout.sim.kernel.views.fields import FLOOR, SCALE
 from rollout.sim.kernel.views.units import MOST
 from rollout.sim.reference_axes import place_of, signs_of
+from rollout.sim.reference_links import link_view, links_view
 from rollout.sim.reference_routes import route_view
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     parts += [_phases(farm, u)] if seen.phases else []
     parts += [route_view(farm, u, signs, places(farm, u))] if seen.route and kind == 1 else []
     parts += [_service(farm, u, signs)] if seen.service and kind == 0 else []
+    if seen.link:
+        parts += [link_view(farm, u, signs, places(farm, u)) if kind else links_view(farm, u, signs, MOVES)]
     share = len(farm.living(kind)) / (farm.kind == kind).sum()
     parts += [np.array([share])] if farm.config.failures.some else []
     return np.concatenate(parts)

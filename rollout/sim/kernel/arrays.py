@@ -15,7 +15,7 @@ from rollout.sim.layout import cell_counts
 Float32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
-REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "idle", "motivation")
+REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "idle", "motivation", "relayed")
 """The weighted parts of a reward in storage order; the reward is their sum."""
 
 

@@ -163,6 +163,7 @@ class RewardConstants(NamedTuple):
         idle: weight of P_M and P_C.
         motivation: weight of M_V and M_D.
         closing: whether SR counts only closing in (W8), not the printed difference.
+        relayed: weight of what relays' UAVs earn through their links; 0 unless that takes links.
     """
 
     positioning: float
@@ -173,6 +174,7 @@ class RewardConstants(NamedTuple):
     idle: tuple[float, float]
     motivation: tuple[float, float]
     closing: bool
+    relayed: float
 
 
 class FailureConstants(NamedTuple):
@@ -387,4 +389,5 @@ def _reward(config: FarmConfig) -> RewardConstants:
         idle=(-float(reward.monitoring_idle), -float(reward.collection_idle)),
         motivation=(float(reward.monitoring_motivation), float(reward.collection_motivation)),
         closing=reward.risk == "closing",
+        relayed=float(reward.relayed) if config.relay.require_link else 0.0,
     )

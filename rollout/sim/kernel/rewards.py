@@ -1,14 +1,18 @@
 """The rewards r_c, r_m and r_d of a step, part by part.
 
-    relays       r_c = - alpha_1 (D_c(k) - D_c(k-1)) t_step                          positioning
+    relays       r_c = - alpha_1 (D_c(k) - D_c(k-1)) t_step + w sum_u (r_u - r_u')   positioning, relayed
     monitors     r_m = + alpha_5 VMUF t_step - alpha_6 P_M t_step + alpha_7 M_V t_step      utility, idle, motivation
     collectors   r_d = + alpha_8 DCUF t_step - alpha_9 P_C t_step + alpha_10 M_D t_step     utility, idle, motivation
     everybody    ... - alpha_2 (E(k) - E(k-1)) - alpha_3 SR t_step - alpha_4 ACT t_step     energy, risk, boundary
 
 D_c is a relay's distance from where it serves well, and the relay earns the decrease of D_c in the step. `relays.py`
 computes it: `service` holds D_c(k), `earlier` holds D_c(k-1). P_M and P_C are 1 in a step that serves nothing. The
-energy is already an amount, so t_step does not multiply it (W7). The weights are the options `farm.reward`.
-`farm.reward.positioning_sign` sets the sign of alpha_1, and `RewardConstants` holds all weights with their signs.
+energy is already an amount, so t_step does not multiply it (W7).
+
+The sum of `relayed` (ours) is over the UAVs u that the relay serves: their utility and idle parts r_u in this step less
+r_u' without the link to this relay. It is a difference reward with the weight w, and 0 unless
+`farm.relay.require_link`. The weights are the options `farm.reward`. `farm.reward.positioning_sign` sets the sign of
+alpha_1, and `RewardConstants` holds all weights with their signs.
 
 If you change these equations, change the oracle `rollout/sim/reference.py` too. If you change the positioning part,
 change `FarmBatch.potential`, which `rollout/worker/reward_shaping.py` uses.
@@ -29,7 +33,23 @@ BOUNDARY: Final = 3
 UTILITY: Final = 4
 IDLE: Final = 5
 MOTIVATION: Final = 6
+RELAYED: Final = 7
 """Columns of `parts`, in the order of `REWARD_PARTS`."""
+
+
+@inlined
+def _relayed(c: Constants, farm: Farm, relay: int) -> float:
+    """Return what the UAVs of a relay earn in this step and would not without their links.
+
+    Without its link a UAV has no utility, so it loses its utility's part and is idle. One that has none loses nothing.
+    """
+    fleet, weight, amount = c.fleet, c.reward, 0.0
+    for served in range(len(farm.assignment)):
+        u = fleet.relays + served
+        if farm.assignment[served] == relay and farm.utility[u] >= NEGLIGIBLE:
+            task = 0 if u < fleet.collectors else 1
+            amount += (weight.utility[task] * farm.utility[u] - weight.idle[task]) * fleet.seconds
+    return amount
 
 
 @inlined
@@ -52,6 +72,8 @@ def reward_step(c: Constants, farm: Farm, s: Scratch) -> None:
         parts[u, BOUNDARY] = weight.boundary * s.outside[u] * seconds
         if u < fleet.relays:
             parts[u, POSITIONING] = weight.positioning * (farm.service[u] - s.earlier[u]) * seconds
+            if weight.relayed != 0.0:
+                parts[u, RELAYED] = weight.relayed * _relayed(c, farm, u)
         else:
             task = 0 if u < fleet.collectors else 1
             parts[u, UTILITY] = weight.utility[task] * farm.utility[u] * seconds

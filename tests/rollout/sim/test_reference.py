@@ -99,7 +99,7 @@ def test_the_episodes_exercise_what_they_compare():
     for action in actions(BASE, SMALL.steps, 5):
         batch.step(action[None])
         seen += np.abs(batch.parts[0]).sum(axis=0)
-    assert (seen > 0).all()
+    assert (seen[:-1] > 0).all()  # nothing is relayed where links are not required
     assert batch.summary(0).metrics["boundary"] > 0
 
 

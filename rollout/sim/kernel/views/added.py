@@ -10,6 +10,7 @@ from rollout.sim.kernel.spatial.neighbours import cell_of
 from rollout.sim.kernel.spatial.tallies import total
 from rollout.sim.kernel.views.constants import ViewConstants
 from rollout.sim.kernel.views.fields import put_field, share_points, weigh_points
+from rollout.sim.kernel.views.links import put_link, put_links
 from rollout.sim.kernel.views.maps import put_cells, put_plots
 from rollout.sim.kernel.views.peers import find_near, put_peers, put_risk
 from rollout.sim.kernel.views.places import find_places
@@ -110,6 +111,9 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
             seen,
             at,
         )
+    if view.link:
+        sx, sy = s.added.sign[u, 0], s.added.sign[u, 1]
+        at = put_links(fleet, view, farm.position, farm.assignment, u, sx, sy, seen, at)
     if view.alive:
         at = _put_alive(farm.living[0], fleet.relays, seen, at)
     return at
@@ -163,6 +167,9 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
             seen,
             at,
         )
+    if view.link:
+        relay = farm.assignment[u - fleet.relays]
+        at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[1], fleet.collectors - fleet.relays, seen, at)
     return at
@@ -208,6 +215,9 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.phases:
         at = _put_phases(view, farm.step, seen, at)
         at = _put_left(fleet.steps - farm.step, seen, at)
+    if view.link:
+        relay = farm.assignment[u - fleet.relays]
+        at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[2], fleet.uavs - fleet.collectors, seen, at)
     return at

@@ -47,6 +47,9 @@ class ViewConstants(NamedTuple):
         route: whether monitoring UAVs see their sweep routes.
         service: whether relays see what each move does to D_c.
         alive: whether they see how many of their type have not failed.
+        link: whether UAVs and relays see their links.
+        link_range: range of the UAV-UAV link, m.
+        served: UAVs that a relay sees of those that it serves.
         columns: lattice points along x.
         rows: lattice points along y.
         reach_x: distance at full speed along x in a step, as a share of the field's width.
@@ -84,6 +87,9 @@ class ViewConstants(NamedTuple):
     route: bool
     service: bool
     alive: bool
+    link: bool
+    link_range: float
+    served: int
     columns: int
     rows: int
     reach_x: float
@@ -131,6 +137,9 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         route=seen.route,
         service=seen.service,
         alive=config.failures.some,
+        link=seen.link,
+        link_range=float(config.relay.link_range),
+        served=config.relay.capacity_for(world),
         columns=lattice.columns,
         rows=lattice.rows,
         reach_x=lattice.reach_x,

@@ -35,6 +35,7 @@ ALL = {
     "phases": True,
     "route": True,
     "service": True,
+    "link": True,
 }
 """Every switch, on."""
 SMALL = worlds(st.one_of(st.integers(1, 4), st.integers(1, 10)), 90)
