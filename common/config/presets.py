@@ -23,6 +23,20 @@ farms = 4
 """
 """A short run that uses every process and ends within a minute or two on two cores."""
 
+CONNECTED: Final = """
+[farm.relay]
+require_link = true
+link_range = 100.0
+[farm.observation]
+link = true
+[farm.reward]
+relayed = 0.2
+[algorithm]
+discounts = ""
+entropy_scales = ""
+"""
+"""A farm on which images and data count only while the UAV's relay is near; see docs/how-to/farms.md."""
+
 EIA_SEC: Final = """
 episodes = 400
 [farm.observation]
@@ -126,6 +140,7 @@ _EIA_SEC: Final = from_toml(EIA_SEC, RunConfig())
 PRESETS: Final[dict[str, RunConfig]] = {
     "default": RunConfig(),
     "quick": from_toml(QUICK, RunConfig()),
+    "connected": from_toml(CONNECTED, RunConfig()),
     "eia-sec": _EIA_SEC,
     "study": from_toml(STUDY, _EIA_SEC),
     "paper": from_toml(PAPER, _EIA_SEC),

@@ -11,6 +11,7 @@ from typing import Any, Final
 from common.config import FarmConfig
 from rollout.heuristics import greedy, horizon, hungarian, lawnmower, tour
 from rollout.heuristics.composite import CompositePolicy, GroupPolicyFactory
+from rollout.heuristics.coverage import CoverageRelays
 from rollout.heuristics.random import RandomPolicy
 from rollout.heuristics.relays import CentroidRelays, SearchRelays
 from rollout.heuristics.static import StaticPolicy
@@ -33,18 +34,24 @@ TASKS: Final[dict[str, tuple[GroupPolicyFactory, GroupPolicyFactory]]] = {
 RELAYS: Final[dict[str, GroupPolicyFactory]] = {
     "search": SearchRelays,
     "centroid": CentroidRelays,
+    "coverage": CoverageRelays,
 }
-"""Heuristics for the relays; the first is the default."""
+"""Heuristics for the relays; see `default_relays`."""
 
 HEURISTICS: Final = (*WHOLE, *TASKS)
 """Names of all heuristics. TASK+RELAYS, as in greedy+centroid, names a combination."""
 
 
+def default_relays(config: FarmConfig) -> str:
+    """Return the name of the relays' heuristic beside a task's: links that count are kept up."""
+    return "coverage" if config.relay.require_link else "search"
+
+
 def heuristic(name: str, config: FarmConfig) -> Any:
-    """Return the heuristic named `name` or TASK+RELAYS, or None if there is none."""
+    """Return the heuristic named `name` or TASK+RELAYS, or None if there is none; see `default_relays`."""
     if name in WHOLE:
         return WHOLE[name]()
     task, plus, relays = name.partition("+")
     if task in TASKS and (relays in RELAYS or not plus):
-        return CompositePolicy(config, RELAYS[relays or next(iter(RELAYS))], *TASKS[task])
+        return CompositePolicy(config, RELAYS[relays or default_relays(config)], *TASKS[task])
     return None

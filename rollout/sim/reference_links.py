@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from common.team import Float32
+
 if TYPE_CHECKING:
     from rollout.sim.reference import ReferenceFarm
 
@@ -40,7 +42,7 @@ def link_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
     return np.array([*offset, max(-1.0, share), float(now >= 0.0), *np.clip(then, -1.0, 1.0)])
 
 
-def links_view(farm: ReferenceFarm, u: int, signs: Array, moves: Array) -> Array:
+def links_view(farm: ReferenceFarm, u: int, signs: Array, moves: Float32) -> Array:
     """Return a relay's view of the UAVs that it serves, and of all its links after each move.
 
     Args:

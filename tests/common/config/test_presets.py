@@ -156,6 +156,7 @@ def test_preset_is_found_by_name():
     assert preset("quick") is PRESETS["quick"]
     with pytest.raises(
         ConfigError,
-        match=r"^there is no preset 'fast'; the presets are default, quick, eia-sec, study, paper, eia, sec, base\.$",
+        match=r"^there is no preset 'fast'; "
+        r"the presets are default, quick, connected, eia-sec, study, paper, eia, sec, base\.$",
     ):
         preset("fast")

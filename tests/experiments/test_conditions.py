@@ -1,0 +1,69 @@
+"""Where learning pays."""
+
+import json
+import sys
+
+import pytest
+
+from common.config.presets import preset
+from experiments import conditions
+from experiments.conditions import CONDITIONS, compare, configuration, flown, kept, main, own_reward, page
+from rollout.policies import policy_of
+
+TINY = "[farm.world]\nsteps = 40\n[rollout]\nenvironments = 2\nchunk_steps = 40\n[algorithm]\niteration_steps = 80"
+
+
+def test_every_condition_is_a_run():
+    """Each can be configured, and the range of links is what its name says."""
+    for name in CONDITIONS:
+        config = configuration(name, 7, 3)
+        assert (config.episodes, config.seed) == (7, 3)
+        if name.startswith("links"):
+            assert config.farm.relay.require_link
+            assert f"links {config.farm.relay.link_range:.0f} m" in name
+
+
+def test_pay_for_links_does_not_count():
+    """The same flight earns more on the farm that pays relays for links."""
+    farm = preset("connected").farm
+    policy = policy_of("tour", farm)
+    assert own_reward(farm).reward.relayed == 0.0 < farm.reward.relayed
+    assert flown(farm, policy, "tour", range(1000, 1001)) == flown(own_reward(farm), policy, "tour", range(1000, 1001))
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    """Replace the conditions by one that takes a second, and the heuristics by one."""
+    monkeypatch.setattr(conditions, "CONDITIONS", {"tiny": ("connected", TINY), "other": ("default", TINY)})
+    monkeypatch.setattr(conditions, "TASKS", ("greedy",))
+
+
+def test_a_condition_is_trained_and_compared(tiny):
+    """Both sides have rewards, and the page says who won."""
+    found = compare("tiny", 4, 0, range(1000, 1002))
+    assert found["steps"] == 160
+    assert [scores["policy"] for scores in found["heuristics"]] == ["greedy"]
+    origin = {"command": "c", "commit": "d", "farms": [1000, 1001], "episodes": 4, "seed": 0}
+    text = page({**origin, "results": {"tiny": found}})
+    assert f"| {found['learned']['reward'][0] / found['heuristics'][0]['reward'][0]:.2f} |" in text
+
+
+def test_what_was_measured_is_kept(tiny, monkeypatch, tmp_path, capsys):
+    """A second call measures what is missing, and a named condition anew."""
+    measured = []
+
+    def once(name, episodes, seed, farms):
+        measured.append(name)
+        score = {"policy": "greedy", "reward": [1.0, 1.0, 1.0], "types": {"c": 1.0}, "aoi": 1.0, "vdf": 1.0}
+        return {"seconds": 1.0, "steps": 1, "learned": score, "heuristics": [score]}
+
+    monkeypatch.setattr(conditions, "compare", once)
+    for words in ([], [], ["tiny"]):
+        monkeypatch.setattr(sys, "argv", ["conditions", *words, "--write", str(tmp_path)])
+        main()
+    assert measured == ["tiny", "other", "tiny"]
+    assert list(kept(tmp_path)) == ["tiny", "other"]
+    assert json.loads((tmp_path / "results.json").read_text())["seed"] == 0
+    monkeypatch.setattr(sys, "argv", ["conditions", "nothing"])
+    with pytest.raises(SystemExit):
+        main()
