@@ -74,6 +74,7 @@ def added_table() -> str:
         phases=True,
         route=True,
         service=True,
+        link=True,
     )
     plain, lines = observation_parts(farm), ["| agents | observation | numbers | from | to | meaning |"]
     lines.append("|---|---|---:|---:|---:|---|")
