@@ -8,6 +8,7 @@ import pytest
 from common.errors import SchemaError
 from common.protocol.messages import ViewMessage
 from common.protocol.view_checks import FRAMES, check_view
+from rollout.sim.batch import REWARD_PARTS
 from tests.deploy.monitor.web.stage import CONFIG
 
 WORLD = CONFIG.farm.world
@@ -29,14 +30,14 @@ def a_view(frames=3):
         aoi=np.zeros((frames, WORLD.sensors), np.uint8),
         vdf=np.zeros((frames, WORLD.plots_x, WORLD.plots_y), np.uint8),
         level=np.zeros((frames, 2), np.float32),
-        parts=np.zeros((frames, 3, 7), np.float32),
+        parts=np.zeros((frames, 3, len(REWARD_PARTS)), np.float32),
     )
 
 
 def test_a_whole_view_passes():
     """A view that fits raises nothing, at the last step too."""
-    assert check_view(a_view(), CONFIG.farm, 7) is None
-    assert check_view(dataclasses.replace(a_view(), first=WORLD.steps - 2), CONFIG.farm, 7) is None
+    assert check_view(a_view(), CONFIG.farm, len(REWARD_PARTS)) is None
+    assert check_view(dataclasses.replace(a_view(), first=WORLD.steps - 2), CONFIG.farm, len(REWARD_PARTS)) is None
 
 
 def spoilt(name, value):
@@ -69,10 +70,10 @@ def spoilt(name, value):
 def test_what_does_not_fit_is_refused(change):
     """Other shapes, numbers out of range, and numbers that are not finite are SchemaErrors."""
     with pytest.raises(SchemaError):
-        check_view(dataclasses.replace(a_view(), **change), CONFIG.farm, 7)
+        check_view(dataclasses.replace(a_view(), **change), CONFIG.farm, len(REWARD_PARTS))
 
 
 def test_too_many_frames_are_refused():
     """A view has at most FRAMES frames."""
     with pytest.raises(SchemaError, match="frames"):
-        check_view(a_view(FRAMES + 1), CONFIG.farm, 7)
+        check_view(a_view(FRAMES + 1), CONFIG.farm, len(REWARD_PARTS))
