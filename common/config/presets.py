@@ -35,7 +35,7 @@ relayed = 0.2
 discounts = ""
 entropy_scales = ""
 """
-"""A farm on which images and data count only while the UAV's relay is near; see docs/how-to/farms.md."""
+"""A farm on which images and data count only while the UAV's relay is near; see docs/reference/environment.md."""
 
 EIA_SEC: Final = """
 episodes = 400

@@ -56,7 +56,7 @@ def spoilt(name, value):
         {"aoi": np.zeros((3, 31), np.uint8)},
         {"aoi": np.zeros((2, 30), np.uint8)},
         {"vdf": np.zeros((3, 4, 5), np.uint8)},
-        {"parts": np.zeros((3, 3, 8), np.float32)},
+        {"parts": np.zeros((3, 3, len(REWARD_PARTS) + 1), np.float32)},
         spoilt("position", np.nan),
         spoilt("position", WORLD.field_y + 1.0),
         spoilt("position", -1.0),
