@@ -128,6 +128,8 @@ def main() -> None:
     results = kept(arguments.write)
     wanted = arguments.name or [name for name in CONDITIONS if name not in results]
     data: dict[str, Any] = {**provenance("experiments.conditions"), "farms": list(arguments.farms)}
+    # The command for all farms, whichever were measured last.
+    data["command"] = f"python -m experiments.conditions --episodes {arguments.episodes} --seed {arguments.seed}"
     data |= {"episodes": arguments.episodes, "seed": arguments.seed, "results": results}
     for name in wanted:
         results[name] = compare(name, arguments.episodes, arguments.seed, arguments.farms)

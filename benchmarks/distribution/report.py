@@ -77,7 +77,7 @@ def picture(data: Line) -> Figure:
     for axes in (left, right):
         axes.grid(True, color="0.9")
         axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, fontsize=9, loc="upper left")
+        axes.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
