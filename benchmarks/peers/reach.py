@@ -121,7 +121,7 @@ def run_peer(program: Program, seed: int, bar: float, asked: argparse.Namespace)
     environment = os.environ | thread_environment(1) | {"PYTHONPATH": str(ROOT)}
     words = {
         "algorithm": program.name.split()[1].lower(),
-        **{"seed": seed, "limit": asked.limit, "every": asked.every, "reward": bar, "threads": os.cpu_count()},
+        **{"seed": seed, "limit": asked.limit, "every": asked.every, "reward": bar, "threads": allowed_cores()},
         **settings(config),
         "began": time.time(),
     }
@@ -136,6 +136,11 @@ def run_peer(program: Program, seed: int, bar: float, asked: argparse.Namespace)
         raise EiaSecError(f"{program.module} failed: {done.stderr.strip().rpartition(chr(10))[2]}")
     result = json.loads(done.stdout.strip().rpartition("\n")[2])
     return {**result["lines"][0], "versions": result["versions"]}
+
+
+def allowed_cores() -> int:
+    """Return on how many cores this process, and every one that it starts, may run."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def settings(config: RunConfig) -> dict[str, Any]:
@@ -275,7 +280,7 @@ def measure() -> int:
     runs: list[Line] = []
     data = {
         **provenance("benchmarks.peers.reach"),
-        **{"cores": os.cpu_count(), "bar": bar, "seconds": asked.seconds, "limit": asked.limit, "every": asked.every},
+        **{"cores": allowed_cores(), "bar": bar, "seconds": asked.seconds, "limit": asked.limit, "every": asked.every},
         "runs": runs,
     }
     for seed in range(asked.seeds):

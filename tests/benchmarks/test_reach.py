@@ -155,3 +155,12 @@ def test_peers_use_our_settings():
     assert parsed.iteration == reach.PEER_SETTINGS["iteration"]
     algorithms = {program.name.split()[1] for program in reach.PEERS}
     assert algorithms == {"IPPO", "MAPPO"}
+
+
+def test_only_cores_that_may_be_used_count(monkeypatch):
+    """A measurement that is held to one of two cores gives peers one thread, and says one core."""
+    monkeypatch.setattr(reach.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(reach.os, "sched_getaffinity", lambda _: {1}, raising=False)
+    assert reach.allowed_cores() == 1
+    monkeypatch.delattr(reach.os, "sched_getaffinity")
+    assert reach.allowed_cores() == 2
