@@ -11,9 +11,8 @@ from typing import Any, Final
 from common.config import FarmConfig
 from rollout.heuristics import greedy, horizon, hungarian, lawnmower, tour
 from rollout.heuristics.composite import CompositePolicy, GroupPolicyFactory
-from rollout.heuristics.coverage import CoverageRelays
 from rollout.heuristics.random import RandomPolicy
-from rollout.heuristics.relays import CentroidRelays, SearchRelays
+from rollout.heuristics.relays import CentroidRelays, CoverageRelays, SearchRelays
 from rollout.heuristics.static import StaticPolicy
 
 WHOLE: Final[dict[str, Callable[[], Any]]] = {

@@ -16,6 +16,7 @@ from common.policy_store import PolicyStore
 from common.protocol import codec, frame, messages
 from common.protocol.chunk_messages import from_message, from_request, to_message, to_request
 from common.protocol.view_checks import check_view
+from rollout.sim.batch import REWARD_PARTS
 from tests.common.protocol.test_view_checks import CONFIG, a_view
 from tests.faults.tools.channel import TEAM, a_chunk, with_log_probabilities
 
@@ -78,7 +79,7 @@ def _read(kind: type[codec.Message], data: frame.Data) -> None:
     elif isinstance(message, messages.ImitationMessage):
         message.to_event().check(TEAM)
     elif isinstance(message, messages.ViewMessage):
-        check_view(message, CONFIG.farm, 7)
+        check_view(message, CONFIG.farm, len(REWARD_PARTS))
 
 
 def _read_request(data: bytes) -> None:

@@ -47,6 +47,8 @@ def dose(examples: int) -> settings:
 
 SLOW = (HealthCheck.too_slow, HealthCheck.data_too_large)
 
+APART = ("link", "relayed")
+"""What is drawn by `test_properties_links` and is on in `test_properties_added`, and is off elsewhere."""
 GROUNDS = ("seeded", "borders", "heap")
 STARTS = ("seeded", "together", "corners", "plots")
 MANNERS = ("uniform", "lasting", "saturated", "hovering", "corners", "tiny")
@@ -58,7 +60,7 @@ def switches(section: type) -> dict[str, st.SearchStrategy[Any]]:
     for name, kind in typing.get_type_hints(section).items():
         if typing.get_origin(kind) is typing.Literal:
             drawn[name] = st.sampled_from(typing.get_args(kind))
-        elif kind is bool:
+        elif kind is bool and name not in APART:
             drawn[name] = st.booleans()
     return drawn
 
@@ -152,7 +154,7 @@ def numbers(world: WorldConfig) -> dict[str, dict[str, st.SearchStrategy[Any]]]:
             **{name: WEIGHTS for name in ("weight_centroid", "weight_farthest", "weight_relays", "cost_distance")},
             "cost_link": WEIGHTS,
         },
-        "reward": {name: SIGNED for name, kind in weights if kind is float},
+        "reward": {name: SIGNED for name, kind in weights if kind is float and name not in APART},
         "observation": {
             "sensors": st.one_of(st.integers(1, min(10, world.sensors)), st.just(world.sensors)),
             "window": st.sampled_from([1, 3, 3, 5, 9]),
