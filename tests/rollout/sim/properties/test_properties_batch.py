@@ -13,7 +13,7 @@ from common.transitions import EpisodeSummary
 from rollout.sim.batch import FarmBatch
 from rollout.sim.kernel.step import step_range
 from tests.rollout.sim.course import STARTING, STEPPING, begin, fly
-from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, switches, worlds
+from tests.rollout.sim.properties.strategies import APART, Flight, dose, farm_configs, flights, switches, worlds
 
 SHOWN = (*STARTING, *STEPPING, "time", "truncated")
 Moment = tuple[dict[str, np.ndarray], EpisodeSummary]
@@ -96,7 +96,7 @@ def literals_and_booleans() -> list[tuple[str, str, object]]:
         for section, kind in ((f.name, typing.get_type_hints(FarmConfig)[f.name]) for f in fields(FarmConfig))
         for name, hint in typing.get_type_hints(kind).items()
         for value in (typing.get_args(hint) if typing.get_origin(hint) is typing.Literal else (False, True))
-        if typing.get_origin(hint) is typing.Literal or hint is bool
+        if typing.get_origin(hint) is typing.Literal or (hint is bool and name not in APART)
     ]
 
 
