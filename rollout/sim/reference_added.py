@@ -44,7 +44,11 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     parts += [route_view(farm, u, signs, places(farm, u))] if seen.route and kind == 1 else []
     parts += [_service(farm, u, signs)] if seen.service and kind == 0 else []
     if seen.link:
-        parts += [link_view(farm, u, signs, places(farm, u)) if kind else links_view(farm, u, signs, MOVES)]
+        parts += [
+            link_view(farm, u, signs, places(farm, u))
+            if kind
+            else links_view(farm, u, signs, relay_places(farm, u, signs))
+        ]
     share = len(farm.living(kind)) / (farm.kind == kind).sum()
     parts += [np.array([share])] if farm.config.failures.some else []
     return np.concatenate(parts)
@@ -76,6 +80,12 @@ def places(farm: ReferenceFarm, u: int) -> Array:
     turned = MirroredAxes().adapt(np.tile(np.append(own, signs.astype(np.float32)), (9, 1)), action).astype(np.float64)
     moved = farm.position[u] + turned * (world.speed_x_max, world.speed_y_max) * world.step_seconds
     return np.asarray(np.clip(moved, 0.0, size))
+
+
+def relay_places(farm: ReferenceFarm, u: int, signs: Array) -> Array:
+    """Return where the nine moves of a relay lead, [9, 2] m: at full speed along each axis, up to the border."""
+    size, step = _world(farm)
+    return np.asarray(np.clip(farm.position[u] + MOVES * signs * step, 0.0, size))
 
 
 def _peers(farm: ReferenceFarm, u: int, signs: Array) -> Array:
@@ -249,8 +259,8 @@ def _service(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     """Return D_c over the diagonal and its change over a diagonal step for each move at full speed."""
     size, step = _world(farm)
     here, now, view = farm.position[u].copy(), float(farm.service[u]), []
-    for move in MOVES:
-        farm.position[u] = np.clip(here + move * signs * step, 0.0, size)
+    for place in relay_places(farm, u, signs):
+        farm.position[u] = place
         view.append(farm.relay_service(u) - now)
     farm.position[u] = here
     return np.concatenate([[now / math.hypot(*size)], np.array(view) / math.hypot(*step)])

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from common.team import Float32
-
 if TYPE_CHECKING:
     from rollout.sim.reference import ReferenceFarm
 
@@ -42,14 +40,14 @@ def link_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
     return np.array([*offset, max(-1.0, share), float(now >= 0.0), *np.clip(then, -1.0, 1.0)])
 
 
-def links_view(farm: ReferenceFarm, u: int, signs: Array, moves: Float32) -> Array:
+def links_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
     """Return a relay's view of the UAVs that it serves, and of all its links after each move.
 
     Args:
         farm: the farm.
         u: the relay.
         signs: of its axes.
-        moves: [9, 2] steps along these axes.
+        goals: [9, 2] where its moves lead, m.
     """
     world, served = farm.config.world, farm.served(u)
     size = np.array([world.field_x, world.field_y])
@@ -59,8 +57,6 @@ def links_view(farm: ReferenceFarm, u: int, signs: Array, moves: Float32) -> Arr
         (now,) = _slack(farm, u, other, farm.position[u][None])
         row[:2] = (farm.position[other] - farm.position[u]) / size * signs
         row[2:] = max(-1.0, now / farm.config.relay.link_range), 1.0
-    step = np.array([world.speed_x_max, world.speed_y_max]) * world.step_seconds
-    goals = np.clip(farm.position[u] + moves * signs * step, 0.0, size)
     if not served:
         return np.concatenate([view.reshape(-1), np.ones(18)])
     then = np.array([_slack(farm, u, other, goals) for other in served])

@@ -89,7 +89,7 @@ def _put_alive(living: int, count: int, seen: Float32, at: int) -> int:
 @inlined
 def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     """Write the added observations of a relay; return where they end."""
-    fleet, view, seen = c.fleet, c.added, farm.observation
+    fleet, view, v, seen = c.fleet, c.added, s.added, farm.observation
     at = _put_others(c, s, u, 0, fleet.relays, False, seen, at)
     if view.phases:
         at = _put_left(fleet.steps - farm.step, seen, at)
@@ -97,8 +97,6 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
         at = put_service(
             fleet,
             c.relay,
-            view.step_x,
-            view.step_y,
             view.per_step,
             farm.position,
             farm.assignment,
@@ -106,14 +104,14 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
             s.centroid,
             farm.service[u],
             u,
-            s.added.sign[u, 0],
-            s.added.sign[u, 1],
+            v.go_x[u],
+            v.go_y[u],
             seen,
             at,
         )
     if view.link:
-        sx, sy = s.added.sign[u, 0], s.added.sign[u, 1]
-        at = put_links(fleet, view, farm.position, farm.assignment, u, sx, sy, seen, at)
+        sx, sy = v.sign[u, 0], v.sign[u, 1]
+        at = put_links(fleet, view, farm.position, farm.assignment, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[0], fleet.relays, seen, at)
     return at

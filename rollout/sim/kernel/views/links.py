@@ -59,14 +59,12 @@ def put_link(
         seen[at + 2] = _clipped((view.link_range - distance) / view.link_range)
         seen[at + 3] = 1.0 if distance <= view.link_range else 0.0
     at += 4
-    for move_x in range(3):
-        for move_y in range(3):
-            seen[at] = -1.0
-            if relay != NOBODY:
-                distance = _distance(fleet, position, u, relay, go_x[move_x], go_y[move_y])
-                seen[at] = _clipped((view.link_range - distance) * view.per_step)
-            at += 1
-    return at
+    for move in range(9):
+        seen[at + move] = -1.0
+        if relay != NOBODY:
+            distance = _distance(fleet, position, u, relay, go_x[move // 3], go_y[move % 3])
+            seen[at + move] = _clipped((view.link_range - distance) * view.per_step)
+    return at + 9
 
 
 @allocation_free
@@ -78,13 +76,15 @@ def put_links(
     u: int,
     sx: float,
     sy: float,
+    go_x: Array,
+    go_y: Array,
     seen: Float32,
     at: int,
 ) -> int:
     """Write the links of a relay; return where they end.
 
-    First offset, slack and presence of the UAVs that it serves, zeros for places that are free; then for each move, as
-    in `views.service`, the share of the links that would be up, and the least slack. Without a UAV these are 1.
+    First offset, slack and presence of the UAVs that it serves, zeros for places that are free; then for each
+    move the share of the links that would be up, and the least slack. Without a UAV these are 1.
     """
     found, x, y = 0, position[u, 0], position[u, 1]
     for served in range(len(assignment)):
@@ -99,14 +99,10 @@ def put_links(
     for place in range(at, at + 4 * (view.served - found)):
         seen[place] = 0.0
     at += 4 * (view.served - found)
-    for move_x in range(-1, 2):
-        goal_x = min(fleet.width, max(0.0, x + sx * move_x * view.step_x))
-        for move_y in range(-1, 2):
-            goal_y = min(fleet.depth, max(0.0, y + sy * move_y * view.step_y))
-            up, least = _kept(fleet, view, position, assignment, u, goal_x, goal_y)
-            seen[at], seen[at + 9] = up, least
-            at += 1
-    return at + 9
+    for move in range(9):
+        up, least = _kept(fleet, view, position, assignment, u, go_x[move // 3], go_y[move % 3])
+        seen[at + move], seen[at + 9 + move] = up, least
+    return at + 18
 
 
 @allocation_free

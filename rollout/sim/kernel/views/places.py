@@ -1,7 +1,8 @@
 """Where the nine moves of a UAV lead, and the velocities and axes that the added observations need.
 
-A move leads to the middle of a neighbouring lattice point, as far as a step at full speed goes. This is `Lattice.adapt`
-and the flight after it, with the same float32 operations, so that the place is the very one.
+A relay's move is at full speed along each axis, and ends at the field's border. That of any other UAV leads to the
+middle of a neighbouring lattice point, as far as a step at full speed goes. This is `Lattice.adapt` and the flight
+after it, with the same float32 operations, so that the place is the very one.
 """
 
 import math
@@ -56,7 +57,7 @@ def _go(
 
 @inlined
 def find_places(c: Constants, farm: Farm, s: Scratch) -> None:
-    """Find the velocities and the axes of all UAVs, and where the moves of those with tasks lead."""
+    """Find the velocities and the axes of all UAVs, and where their moves lead."""
     fleet, camera, view, what, position = c.fleet, c.camera, c.added, c.observation, farm.position
     previous, velocity, sign, go_x, go_y = s.previous, s.added.velocity, s.added.sign, s.added.go_x, s.added.go_y
     for u in range(fleet.uavs):
@@ -73,7 +74,11 @@ def find_places(c: Constants, farm: Farm, s: Scratch) -> None:
         sx = -1.0 if what.mirrored and across < 0.0 else 1.0
         sy = -1.0 if what.mirrored and along < 0.0 else 1.0
         sign[u, 0], sign[u, 1] = sx, sy
-        if u >= fleet.relays:
+        if u < fleet.relays:
+            for move in range(3):
+                go_x[u, move] = min(fleet.width, max(0.0, x + sx * (move - 1) * view.step_x))
+                go_y[u, move] = min(fleet.depth, max(0.0, y + sy * (move - 1) * view.step_y))
+        else:
             _go(
                 x,
                 sx,

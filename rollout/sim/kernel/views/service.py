@@ -15,8 +15,6 @@ Float32 = NDArray[np.float32]
 def put_service(
     fleet: FleetConstants,
     relay: RelayConstants,
-    step_x: float,
-    step_y: float,
     per_step: float,
     position: Array,
     assignment: Indices,
@@ -24,25 +22,19 @@ def put_service(
     centroid: Array,
     service: float,
     u: int,
-    sx: float,
-    sy: float,
+    go_x: Array,
+    go_y: Array,
     seen: Float32,
     at: int,
 ) -> int:
-    """Write D_c over the field's diagonal and its change over a diagonal step for each move; return where they end.
-
-    A move flies at full speed along an axis, back or on, or stays; it ends at the field's border.
-    """
+    """Write D_c over the field's diagonal and its change over a diagonal step for each move; return where they end."""
     seen[at] = service * fleet.per_diagonal
     at += 1
-    for move_x in range(-1, 2):
-        x = min(fleet.width, max(0.0, position[u, 0] + sx * move_x * step_x))
-        for move_y in range(-1, 2):
-            y = min(fleet.depth, max(0.0, position[u, 1] + sy * move_y * step_y))
-            then = _service(fleet, relay, position, assignment, relays, centroid, u, x, y)
-            seen[at] = (then - service) * per_step
-            at += 1
-    return at
+    for move in range(9):
+        x, y = go_x[move // 3], go_y[move % 3]
+        then = _service(fleet, relay, position, assignment, relays, centroid, u, x, y)
+        seen[at + move] = (then - service) * per_step
+    return at + 9
 
 
 @allocation_free
