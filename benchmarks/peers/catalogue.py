@@ -21,6 +21,7 @@ class Program:
         environment: a file of requirements/, whose name is also that of the virtual environment; or OURS.
         threaded: whether it can use more than one thread.
         processes: whether it is also measured with one process for each thread.
+        algorithm: what it trains with, where its script has a choice.
     """
 
     subject: str
@@ -29,6 +30,7 @@ class Program:
     environment: str
     threaded: bool = True
     processes: bool = False
+    algorithm: str = ""
 
     @property
     def requirements(self) -> Path | None:

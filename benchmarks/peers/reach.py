@@ -52,13 +52,12 @@ FARMS: Final = tuple(range(1000, 1020))
 """Farms that no training sees."""
 OURS: Final = "EIA-SEC"
 PEERS: Final = (
-    Program("learner", "AgileRL IPPO", "benchmarks.peers.scripts.reach_agilerl", "agilerl"),
-    Program("learner", "BenchMARL IPPO", "benchmarks.peers.scripts.reach_benchmarl", "benchmarl"),
-    Program("learner", "BenchMARL MAPPO", "benchmarks.peers.scripts.reach_benchmarl", "benchmarl"),
+    Program("learner", "AgileRL IPPO", "benchmarks.peers.scripts.reach_agilerl", "agilerl", algorithm="ippo"),
+    Program("learner", "BenchMARL IPPO", "benchmarks.peers.scripts.reach_benchmarl", "benchmarl", algorithm="ippo"),
+    Program("learner", "BenchMARL MAPPO", "benchmarks.peers.scripts.reach_benchmarl", "benchmarl", algorithm="mappo"),
 )
-"""The second word of a name is the algorithm."""
 PEER_SETTINGS: Final = {"environments": 8, "iteration": 4000, "epochs": 10, "minibatch": 500}
-"""What peers have instead of the default preset's 16 environments, 16,000 steps, 3 epochs and minibatches of 1,000."""
+"""What peers have instead of the default preset's environments, iteration, epochs and minibatches."""
 LOOK_SECONDS: Final = 2.0
 """Time between two looks at ours; looking costs it nothing."""
 SHARES: Final = (0.5, 0.75, 0.9, 1.0)
@@ -120,7 +119,7 @@ def run_peer(program: Program, seed: int, bar: float, asked: argparse.Namespace)
     config = PRESETS[PRESET]
     environment = os.environ | thread_environment(1) | {"PYTHONPATH": str(ROOT)}
     words = {
-        "algorithm": program.name.split()[1].lower(),
+        "algorithm": program.algorithm,
         **{"seed": seed, "limit": asked.limit, "every": asked.every, "reward": bar, "threads": allowed_cores()},
         **settings(config),
         "began": time.time(),

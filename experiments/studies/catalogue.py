@@ -163,7 +163,7 @@ def _on_policy(bench: Bench, methods: tuple[Method, ...], seeds: int) -> dict[st
 
 STUDIES: Final[Mapping[str, Study]] = {
     "training": Study(
-        "M1, M2, M3: EIA-SEC beside MADDPG, MATD3 and MASAC; and beside MAPPO and IPPO",
+        "M1, M2, M3: EIA-SEC beside MADDPG, MATD3 and MASAC",
         lambda bench: _compared(bench, TRAINED, bench.scale.seeds),
         lambda bench: _comparison(bench, TRAINED, bench.scale.seeds),
     ),

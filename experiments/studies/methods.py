@@ -11,6 +11,7 @@ from typing import Final
 
 from common.config import RunConfig, ablations
 from common.config.files import Value, with_values
+from common.config.presets import preset
 from common.imitation import ImitationSchedule
 
 PRINTED_TARGET: Final[dict[str, Value]] = {
@@ -78,21 +79,13 @@ ON_POLICY: Final = (
     Method("EIA-SEC", {"algorithm.name": "eia-ppo"}),
 )
 """Forms of PPO over the preset `quick`, with its settings. From `neither` on, each agent has its own networks."""
+_ADDED: Final = ("peers", "last_move", "closing", "units", "fields", "coarse", "phases", "route", "service")
 OBSERVATIONS: Final = (
     ON_POLICY[0],
+    # The preset of the paper's method has none of them.
     *(
-        Method(f"without {name}", {f"farm.observation.{name}": off})
-        for name, off in {
-            "peers": 0,
-            "last_move": False,
-            "closing": False,
-            "units": 0,
-            "fields": False,
-            "coarse": False,
-            "phases": False,
-            "route": False,
-            "service": False,
-        }.items()
+        Method(f"without {name}", {f"farm.observation.{name}": getattr(preset("eia-sec").farm.observation, name)})
+        for name in _ADDED
     ),
 )
 """IPPO with every observation that the paper does not have, and with one less."""

@@ -153,8 +153,8 @@ def test_peers_use_our_settings():
     parsed = flights.farm_options("a peer").parse_args([*others, *words])
     assert (parsed.width, parsed.rate, parsed.discount, parsed.reward_scale) == (128, 1e-3, 0.99, 0.1)
     assert parsed.iteration == reach.PEER_SETTINGS["iteration"]
-    algorithms = {program.name.split()[1] for program in reach.PEERS}
-    assert algorithms == {"IPPO", "MAPPO"}
+    assert all(program.name.endswith(f" {program.algorithm.upper()}") for program in reach.PEERS)
+    assert {program.algorithm for program in reach.PEERS} == {"ippo", "mappo"}
 
 
 def test_only_cores_that_may_be_used_count(monkeypatch):
