@@ -123,7 +123,7 @@ def curves_figure(
         axes.set_xlabel("training episodes")
     figure.suptitle(note, x=0.01, ha="left", **TEXT)
     handles, labels = grid[0, 0].get_legend_handles_labels()
-    columns = 3 if max(map(len, labels)) > 24 else 6
+    columns = 3 if max(map(len, labels)) > 24 else 6 if len(labels) <= 6 else 4
     figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False, **TEXT)
     return figure
 
