@@ -30,7 +30,7 @@ from common.config import FarmConfig, WorldConfig
 from common.config.presets import preset
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import make_layout
-from rollout.sim.reference import ReferenceFarm
+from rollout.sim.reference.farm import ReferenceFarm
 
 FARM = preset("study").farm
 FARMS = 20

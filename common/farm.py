@@ -4,8 +4,8 @@ from typing import Final
 
 from common.actions.adapters import ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
 from common.config import FarmConfig, RunConfig
-from common.config.control import Control
 from common.config.environment import FARM
+from common.config.farm.control import Control
 from common.environment import EnvironmentSpec, EpisodeMetric, TensorNames
 from common.errors import ConfigError
 from common.team import GroupSpec, TeamSpec

@@ -14,10 +14,10 @@ from tyro.constructors import ConstructorRegistry, StructConstructorSpec, Struct
 from common.config import RunConfig
 from common.config.algorithms import switched
 from common.config.effect import switched_off, without_effect
+from common.config.farm.sites import Sites
 from common.config.files import from_toml
 from common.config.former import refuse_ablation
 from common.config.presets import preset
-from common.config.sites import Sites
 from common.errors import ConfigError, UsageError
 from common.farm import require_farm
 from deploy.local.run_directory import RunDirectory

@@ -29,7 +29,7 @@ from rollout.evaluation import episode_seed
 from rollout.sim.batch import FarmBatch
 from rollout.sim.kernel.camera import plot_quality
 from rollout.sim.kernel.constants import constants
-from rollout.sim.kernel.motion import flight_power
+from rollout.sim.kernel.flight.motion import flight_power
 from rollout.sim.layout import cell_counts, make_layout
 from rollout.sim.sweep_routes import plot_half
 

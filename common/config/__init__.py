@@ -14,9 +14,7 @@ from common.config.algorithms import (
     OffPolicyConfig,
     OnPolicyConfig,
 )
-from common.config.control import ControlConfig
 from common.config.environment import EnvConfig
-from common.config.failures import FailureConfig
 from common.config.farm import (
     CameraConfig,
     EnergyConfig,
@@ -26,7 +24,9 @@ from common.config.farm import (
     RewardConfig,
     WorldConfig,
 )
-from common.config.observation import ObservationConfig
+from common.config.farm.control import ControlConfig
+from common.config.farm.failures import FailureConfig
+from common.config.farm.observation import ObservationConfig
 from common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
 from common.config.run import EvaluationConfig, LearnerConfig, RolloutConfig, RunConfig
 

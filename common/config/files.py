@@ -17,9 +17,9 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from common.config.algorithms import ALGORITHM_CONFIGS, switched
 from common.config.effect import without_effect
+from common.config.farm.sites import MAX_SENSORS, Sites
 from common.config.former import refuse_ablation, upgraded
 from common.config.run import EvaluationConfig, LearnerConfig, RunConfig
-from common.config.sites import MAX_SENSORS, Sites
 from common.errors import ConfigError
 
 _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}

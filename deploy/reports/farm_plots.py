@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from common.config import FarmConfig, WorldConfig
-from common.config.farm import Density
+from common.config.farm.world import Density
 from common.errors import UsageError
 from deploy.reports.plots import DPI, TEXT
 from rollout.rendering.palette import SENSOR_MARKERS

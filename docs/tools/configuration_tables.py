@@ -10,9 +10,9 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 from common.config import ALGORITHM_CONFIGS, AlgorithmConfig, RunConfig
 from common.config.ablations import ABLATIONS
 from common.config.algorithms import OPTIONAL_SECTIONS
+from common.config.farm.sites import Sites
 from common.config.files import flatten, format_value
 from common.config.presets import PRESETS
-from common.config.sites import Sites
 
 _ALGORITHM = """`name` selects the algorithm, and with it the options of this section; an option of another algorithm is
 refused. The ablations of EIA-SEC are presets as well, `eia-sec` with one or two switches: `eia`

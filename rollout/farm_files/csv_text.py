@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from typing import Final
 
-from common.config.sites import MAX_SENSORS
+from common.config.farm.sites import MAX_SENSORS
 from common.errors import ConfigError
 from rollout.farm_files.survey import MARKS, Frame, Mark, Pair, Survey, quote
 

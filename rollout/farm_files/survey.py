@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
-from common.config.sites import MAX_SENSORS
+from common.config.farm.sites import MAX_SENSORS
 from common.errors import ConfigError
 from rollout.farm_files.projection import TangentPlane
 

@@ -18,7 +18,7 @@ from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupP
 from rollout.heuristics.sites import images_succeed, packet_chances, pairs_within, radio_range
 from rollout.sim.boxes import reach
 from rollout.sim.kernel.constants import constants
-from rollout.sim.kernel.motion import flight_power
+from rollout.sim.kernel.flight.motion import flight_power
 from rollout.sim.layout import cell_counts
 from rollout.sim.sweep_routes import plot_centres
 

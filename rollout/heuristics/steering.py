@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from common.config import FarmConfig, WorldConfig
 from rollout.sim.boxes import reach
 from rollout.sim.kernel.constants import constants
-from rollout.sim.kernel.motion import flight_power
+from rollout.sim.kernel.flight.motion import flight_power
 from rollout.sim.layout import cell_counts
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from common.config import FarmConfig
 from rollout.rendering.palette import TYPES
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import Layout
-from rollout.sim.reference import noise_mw, packet_loss, received_mw
+from rollout.sim.reference.farm import noise_mw, packet_loss, received_mw
 
 Numbers = NDArray[np.float64]
 

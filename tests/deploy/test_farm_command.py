@@ -22,7 +22,7 @@ from deploy.options import base_configuration, parse
 from rollout.farm_files import read_farm
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import make_layout
-from rollout.sim.reference import ReferenceFarm
+from rollout.sim.reference.farm import ReferenceFarm
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "how-to" / "farms.md").read_text()

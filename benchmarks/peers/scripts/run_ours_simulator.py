@@ -14,7 +14,7 @@ from common.config.presets import preset
 from common.team import Float32
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import make_layout
-from rollout.sim.reference import ReferenceFarm
+from rollout.sim.reference.farm import ReferenceFarm
 
 DRAWN = 16
 """Random actions that are drawn before the clock starts and then used in turn."""

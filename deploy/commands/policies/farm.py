@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from common.config import FarmConfig
 from common.config.checks import within
-from common.config.farm import Density
+from common.config.farm.world import Density
 from common.config.files import from_toml, with_setting
 from common.config.presets import PRESETS
 from deploy.exit_codes import DONE

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, FleetConstants, ObservationConstants
-from rollout.sim.kernel.failures import see_nothing
-from rollout.sim.kernel.planes import height_of
+from rollout.sim.kernel.flight.failures import see_nothing
+from rollout.sim.kernel.flight.planes import height_of
 from rollout.sim.kernel.spatial.neighbours import ALL, EMPTY, HOLDING, nearest_sensors
 from rollout.sim.kernel.views.added import add_collector, add_monitor, add_relay
 

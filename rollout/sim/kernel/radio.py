@@ -9,9 +9,9 @@ import numpy as np
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, FleetConstants, Indices
+from rollout.sim.kernel.flight.planes import height_of
 from rollout.sim.kernel.hindsight import note_packet
 from rollout.sim.kernel.link import CHANCES, NEGLIGIBLE, RadioConstants
-from rollout.sim.kernel.planes import height_of
 from rollout.sim.kernel.spatial.neighbours import block_around, gather, is_nearest
 from rollout.sim.kernel.spatial.tallies import add_sensor, tally_sensors
 

@@ -9,9 +9,9 @@ from rollout.sim.kernel.assignment.hungarian import assign
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.compiler.logarithm import vectorisable_log
 from rollout.sim.kernel.constants import LEAST_LINK, Array, Constants, FleetConstants, Indices, RelayConstants
-from rollout.sim.kernel.failures import NOBODY, capacity_left
-from rollout.sim.kernel.motion import separation
-from rollout.sim.kernel.planes import height_of
+from rollout.sim.kernel.flight.failures import NOBODY, capacity_left
+from rollout.sim.kernel.flight.motion import separation
+from rollout.sim.kernel.flight.planes import height_of
 
 NO_LINK: Final = -1000.0
 """Quality of the link of a UAV that has no relay, dB; finite, because views carry only finite numbers (ours)."""

@@ -14,8 +14,8 @@ r_u' without the link to this relay. It is a difference reward with the weight w
 `farm.relay.require_link`. The weights are the options `farm.reward`. `farm.reward.positioning_sign` sets the sign of
 alpha_1, and `RewardConstants` holds all weights with their signs.
 
-If you change these equations, change the oracle `rollout/sim/reference.py` too. If you change the positioning part,
-change `FarmBatch.potential`, which `rollout/worker/reward_shaping.py` uses.
+If you change these equations, change the oracle `rollout/sim/reference/farm.py` too. If you change the positioning
+part, change `FarmBatch.potential`, which `rollout/worker/reward_shaping.py` uses.
 """
 
 from typing import Final
@@ -23,8 +23,8 @@ from typing import Final
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import inlined
 from rollout.sim.kernel.constants import Constants
+from rollout.sim.kernel.flight.motion import safety_risk
 from rollout.sim.kernel.link import NEGLIGIBLE
-from rollout.sim.kernel.motion import safety_risk
 
 POSITIONING: Final = 0
 ENERGY: Final = 1

@@ -23,8 +23,8 @@ from rollout.sim.kernel.compiler.argument_pack import unpack
 from rollout.sim.kernel.compiler.decorators import allocation_free, allocation_free_entry, inlined
 from rollout.sim.kernel.compiler.prefetch import prefetch
 from rollout.sim.kernel.constants import Constants
-from rollout.sim.kernel.failures import lose_uavs, show_places
-from rollout.sim.kernel.motion import find_nearest, fly
+from rollout.sim.kernel.flight.failures import lose_uavs, show_places
+from rollout.sim.kernel.flight.motion import find_nearest, fly
 from rollout.sim.kernel.observation import see_plots, see_relays, see_sensors
 from rollout.sim.kernel.radio import interfere, send, update_age
 from rollout.sim.kernel.relays import assign_relays, measure_service

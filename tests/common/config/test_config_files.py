@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import EiaSecConfig, EnvConfig, FarmConfig, RewardConfig, RunConfig, WorldConfig
+from common.config.farm.sites import MAX_SENSORS
 from common.config.files import differences, digest, flatten, from_toml, to_toml, with_setting
 from common.config.presets import PRESETS
-from common.config.sites import MAX_SENSORS
 from common.errors import ConfigError
 from common.protocol.frame import MAX_HEADER
 from common.protocol.messages import ConfigurationMessage

@@ -14,7 +14,7 @@ from rollout.sim.kernel.assignment.hungarian import assign
 from rollout.sim.kernel.compiler.decorators import compiled
 from rollout.sim.kernel.compiler.logarithm import vectorisable_log
 from rollout.sim.layout import make_layout
-from rollout.sim.reference import ReferenceFarm
+from rollout.sim.reference.farm import ReferenceFarm
 
 
 def solve(cost: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from rollout.sim.batch import FarmBatch, start_positions
 from rollout.sim.kernel.compiler import decorators
 from rollout.sim.kernel.compiler.decorators import allocation_free, compiled_entry, sources_digest
 from rollout.sim.kernel.radio import draw
-from rollout.sim.reference import packet_draw
+from rollout.sim.reference.farm import packet_draw
 
 SHORT = replace(preset("eia-sec").farm, world=WorldConfig(steps=40, start_levels="random"))
 ARRAYS = (

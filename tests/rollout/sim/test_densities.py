@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from common.config import FarmConfig, ObservationConfig, WorldConfig
-from common.config.farm import Density
+from common.config.farm.world import Density
 from common.errors import ConfigError
 from rollout.sim.layout import GIVEN, make_layout
 

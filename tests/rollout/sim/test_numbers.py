@@ -5,10 +5,10 @@ import pytest
 
 from common.config import EnergyConfig, FarmConfig, RadioConfig, WorldConfig
 from rollout.sim.kernel.constants import constants
-from rollout.sim.kernel.motion import flight_power as compiled_flight_power
+from rollout.sim.kernel.flight.motion import flight_power as compiled_flight_power
 from rollout.sim.kernel.radio import delivery, received_power
 from rollout.sim.layout import cell_counts
-from rollout.sim.reference import (
+from rollout.sim.reference.farm import (
     flight_power,
     free_space_loss,
     noise_mw,

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from rollout.sim.kernel.compiler.decorators import allocation_free
 from rollout.sim.kernel.constants import Array, FleetConstants, Indices
-from rollout.sim.kernel.failures import NOBODY
-from rollout.sim.kernel.planes import height_of
+from rollout.sim.kernel.flight.failures import NOBODY
+from rollout.sim.kernel.flight.planes import height_of
 from rollout.sim.kernel.views.constants import ViewConstants
 
 Float32 = NDArray[np.float32]

@@ -131,13 +131,13 @@ MUTATIONS = (
     one("energy is paid for", "sim/kernel/constants.py", "energy=-reward.energy", "energy=reward.energy"),
     one(
         "the border along y is not flagged",
-        "sim/kernel/motion.py",
+        "sim/kernel/flight/motion.py",
         "if position[u, 0] != x or position[u, 1] != y else",
         "if position[u, 0] != x else",
     ),
     one(
         "y is clipped at the field's width",
-        "sim/kernel/motion.py",
+        "sim/kernel/flight/motion.py",
         "min(fleet.depth, max(0.0, y))",
         "min(fleet.width, max(0.0, y))",
     ),

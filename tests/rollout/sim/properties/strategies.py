@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
 import rollout.sim.batch
-import rollout.sim.reference
+import rollout.sim.reference.farm
 from common.config import FarmConfig, WorldConfig
 from common.team import Float32
 from rollout.sim.batch import start_positions
@@ -312,5 +312,5 @@ def placed(
         changes["start_levels"] = lambda *_: (levels[0].copy(), levels[1].copy())
     with patch.multiple(rollout.sim.batch, **changes):
         changes.pop("make_layout")
-        with patch.multiple(rollout.sim.reference, **changes):
+        with patch.multiple(rollout.sim.reference.farm, **changes):
             yield

@@ -16,7 +16,7 @@ from rollout.envs.spaces import row_box
 from rollout.sim.batch import FarmBatch
 from rollout.sim.kernel.views.constants import image_bounds
 from rollout.sim.layout import make_layout
-from rollout.sim.reference import ReferenceFarm
+from rollout.sim.reference.farm import ReferenceFarm
 from rollout.sim.sweep_routes import assigned_routes, sweep_routes
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds

@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import FailureConfig, FarmConfig, RelayConfig
-from common.config.failures import KINDS
+from common.config.farm.failures import KINDS
 from common.farm import farm_environment
 from rollout.envs.spaces import row_box
 from rollout.sim.batch import FarmBatch
-from rollout.sim.reference import ReferenceFarm
+from rollout.sim.reference.farm import ReferenceFarm
 from tests.rollout.sim.course import STARTING, STEPPING, begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.properties.test_properties_added import everything

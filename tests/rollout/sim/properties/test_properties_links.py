@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from common.config import FarmConfig
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
-from rollout.sim.reference import ReferenceFarm
+from rollout.sim.reference.farm import ReferenceFarm
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from common.config import FarmConfig, WorldConfig
 from rollout.sim.batch import FarmBatch
-from rollout.sim.reference import DIRECTIONS, ReferenceFarm
-from rollout.sim.reference_views import observe
+from rollout.sim.reference.farm import DIRECTIONS, ReferenceFarm
+from rollout.sim.reference.views import observe
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.tolerances import ROUGH, observation_tolerance

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from common.farm import farm_team
 from common.team import Float32
-from rollout.sim.reference_added import added_view
-from rollout.sim.reference_axes import place_of, plot_of, signs_of
+from rollout.sim.reference.added import added_view
+from rollout.sim.reference.axes import place_of, plot_of, signs_of
 
 if TYPE_CHECKING:
-    from rollout.sim.reference import ReferenceFarm
+    from rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from rollout.sim.kernel.views.routes import MOST_OFFSET, PER_OFFSET
 from rollout.sim.sweep_routes import assigned_routes, sweep_routes
 
 if TYPE_CHECKING:
-    from rollout.sim.reference import ReferenceFarm
+    from rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 

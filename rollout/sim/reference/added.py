@@ -18,12 +18,12 @@ from rollout.sim.kernel.link import radio_constants
 from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, field_range
 from rollout.sim.kernel.views.fields import FLOOR, SCALE
 from rollout.sim.kernel.views.units import MOST
-from rollout.sim.reference_axes import place_of, signs_of
-from rollout.sim.reference_links import link_view, links_view
-from rollout.sim.reference_routes import route_view
+from rollout.sim.reference.axes import place_of, signs_of
+from rollout.sim.reference.links import link_view, links_view
+from rollout.sim.reference.routes import route_view
 
 if TYPE_CHECKING:
-    from rollout.sim.reference import ReferenceFarm
+    from rollout.sim.reference.farm import ReferenceFarm
 
 Array = NDArray[np.float64]
 MOVES = NineMoves().adapt(np.zeros(0, np.float32), np.arange(9, dtype=np.float32)[:, None])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, FleetConstants, FlightConstants, Indices
-from rollout.sim.kernel.planes import height_of, kind_of
+from rollout.sim.kernel.flight.planes import height_of, kind_of
 
 Float32 = NDArray[np.float32]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rollout.sim.kernel.arrays import Farm
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Constants, Indices
-from rollout.sim.kernel.planes import kind_of
+from rollout.sim.kernel.flight.planes import kind_of
 
 Float32 = NDArray[np.float32]
 

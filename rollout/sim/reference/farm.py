@@ -17,8 +17,8 @@ from rollout.sim.batch import packet_key, start_levels, start_positions
 from rollout.sim.failures import failure_steps
 from rollout.sim.kernel.relays import NO_LINK
 from rollout.sim.layout import Layout
-from rollout.sim.reference_routes import first_sweep
-from rollout.sim.reference_views import observe
+from rollout.sim.reference.routes import first_sweep
+from rollout.sim.reference.views import observe
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,49 @@
+"""The farm: every constant of the paper's system model, with its symbol and unit; one module a section."""
+
+from dataclasses import dataclass, field
+
+from common.config.farm.control import ControlConfig
+from common.config.farm.equipment import CameraConfig, EnergyConfig, RadioConfig
+from common.config.farm.failures import FailureConfig
+from common.config.farm.observation import ObservationConfig
+from common.config.farm.relay import RelayConfig
+from common.config.farm.reward import RewardConfig
+from common.config.farm.world import WorldConfig
+from common.errors import ConfigError
+
+__all__ = [
+    "CameraConfig",
+    "ControlConfig",
+    "EnergyConfig",
+    "FailureConfig",
+    "FarmConfig",
+    "ObservationConfig",
+    "RadioConfig",
+    "RelayConfig",
+    "RewardConfig",
+    "WorldConfig",
+]
+
+
+@dataclass(frozen=True)
+class FarmConfig:
+    """The whole simulated farm."""
+
+    world: WorldConfig = field(default_factory=WorldConfig)
+    radio: RadioConfig = field(default_factory=RadioConfig)
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    energy: EnergyConfig = field(default_factory=EnergyConfig)
+    relay: RelayConfig = field(default_factory=RelayConfig)
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    observation: ObservationConfig = field(default_factory=ObservationConfig)
+    control: ControlConfig = field(default_factory=ControlConfig)
+    failures: FailureConfig = field(default_factory=FailureConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse sections that contradict each other."""
+        self.relay.capacity_for(self.world)
+        self.failures.check(self.world.counts, self.world.steps)
+        if self.observation.sensors > self.world.sensors:
+            raise ConfigError(
+                f"observation.sensors {self.observation.sensors} exceeds the {self.world.sensors} sensors there are."
+            )

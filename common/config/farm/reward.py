@@ -1,0 +1,59 @@
+"""The weights of the reward.
+
+A docstring that ends in "(ours)" marks a constant that the paper does not give; all others are from its Tables 1 and 2.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from common.config.checks import finite
+
+
+@dataclass(frozen=True)
+class RewardConfig:
+    """Weights alpha_1 to alpha_10 of the reward, and how we read its printed terms."""
+
+    positioning: float = 1.0
+    """alpha_1, weight of the relay's change in D_c, 1/m."""
+    energy: float = 0.005
+    """alpha_2, weight of the energy of the step, 1/J."""
+    collision_risk: float = 5.0
+    """alpha_3, weight of the safety risk SR, 1/m."""
+    boundary: float = 10.0
+    """alpha_4, weight of the boundary violation ACT."""
+    monitoring: float = 2.0
+    """alpha_5, weight of the visual monitoring utility VMUF."""
+    monitoring_idle: float = 0.5
+    """alpha_6, penalty P_M of a step without imaging utility."""
+    monitoring_motivation: float = 0.2
+    """alpha_7, weight of the VDF motivation M_V."""
+    collection: float = 2.0
+    """alpha_8, weight of the data collection utility DCUF."""
+    collection_idle: float = 0.5
+    """alpha_9, penalty P_C of a step without collection utility."""
+    collection_motivation: float = 0.2
+    """alpha_10, weight of the AoI motivation M_D."""
+    relayed: float = 0.0
+    """Weight of what a relay's UAVs earn and would not without their links, where `relay.require_link` (ours)."""
+    positioning_sign: Literal["corrected", "printed"] = "corrected"
+    """corrected: -alpha_1 dD_c rewards a relay for closing in; printed: the sign that rewards flying away (W1)."""
+    risk: Literal["closing", "printed"] = "closing"
+    """closing: SR = max(0, d(t-1) - d(t)) below d_safety; printed: d(t) - d(t-1) (W8)."""
+    nearest: Literal["plane", "any"] = "plane"
+    """Whether the nearest UAV is one at the same height, or at any height (W10)."""
+
+    def __post_init__(self) -> None:
+        """Refuse weights that are not numbers."""
+        finite(
+            positioning=self.positioning,
+            energy=self.energy,
+            collision_risk=self.collision_risk,
+            boundary=self.boundary,
+            monitoring=self.monitoring,
+            monitoring_idle=self.monitoring_idle,
+            monitoring_motivation=self.monitoring_motivation,
+            collection=self.collection,
+            collection_idle=self.collection_idle,
+            collection_motivation=self.collection_motivation,
+            relayed=self.relayed,
+        )

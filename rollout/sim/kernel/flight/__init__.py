@@ -1,0 +1,1 @@
+"""Flight: motion, energy, the border, the nearest UAVs, and UAVs that fail."""
