@@ -21,7 +21,8 @@ from rollout.rendering.render import Renderer
 from rollout.sim.batch import FarmBatch
 
 TIMINGS: Final = Path("docs/results/environment.json")
-POLICY: Final = "trained:eia-sec"
+POLICY: Final = "tour"
+"""A heuristic: matrix products of actors round differently on other processors, and a flight shows it after a while."""
 FARM: Final = 1000
 EPISODE: Final = 0
 STEP: Final = 205
