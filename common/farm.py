@@ -1,5 +1,6 @@
 """The farm as an environment: its team, the sizes of its observations, and its episode metrics."""
 
+from collections.abc import Sequence
 from typing import Final
 
 from common.actions.adapters import ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
@@ -25,6 +26,7 @@ HEADING_SPEEDS: Final = (0.041, 0.12, 0.35, 0.9)
 """Speeds of the control "headings" as shares of full speed: idle, slow, medium and fast (ours). The printed model needs
 least power at the idle speed, 0.41 m/s at a full speed of 10 m/s."""
 
+ADVICE: Final = "advice"
 ROUTE: Final = "route"
 ROUTE_PLOTS: Final = 4
 """Plots on its sweep route that a monitoring UAV sees (ours)."""
@@ -101,18 +103,21 @@ def _group(farm: FarmConfig, name: str, count: int, observation_size: int, contr
     if control in ("lattice", "moves"):
         adapters = (Lattice.spanning(*farm.world.reach), *adapters)
     if control == "moves":
-        moves = NineMoves(_suggestion(farm, name, count, observation_size))
+        marks = (_nine(ADVICE), _nine(ROUTE))
+        moves = NineMoves(_suggestion(farm, name, count, observation_size, marks))
         return GroupSpec(name, count, observation_size, 1, (moves, *adapters), (NineMoves.options,))
     if control == "headings":
-        headings = Headings(*HEADING_SPEEDS, farm.world.reach[0])
+        suggestion = _suggestion(farm, name, count, observation_size, (_advice(farm, name),))
+        headings = Headings(*HEADING_SPEEDS, farm.world.reach[0], suggestion)
         return GroupSpec(name, count, observation_size, 1, (headings, *adapters), (Headings.options,))
     return GroupSpec(name, count, observation_size, 2, adapters)
 
 
-def _suggestion(farm: FarmConfig, name: str, count: int, observation_size: int) -> int:
-    """Return where a type's observation says which of nine moves follows its route; -1 if it does not."""
-    added, first = _added(farm, name), _nine(ROUTE)[0]
-    return observation_size - _self(farm, count) - len(added) + added.index(first) if first in added else -1
+def _suggestion(farm: FarmConfig, name: str, count: int, observation_size: int, marks: Sequence[Sequence[str]]) -> int:
+    """Return where a type's observation marks an option, by the first of `marks` that it has; -1 if it has none."""
+    added = _added(farm, name)
+    starts = [added.index(names[0]) for names in marks if names and names[0] in added]
+    return observation_size - _self(farm, count) - len(added) + starts[0] if starts else -1
 
 
 def _self(farm: FarmConfig, count: int) -> int:
@@ -164,7 +169,28 @@ def _added(farm: FarmConfig, name: str) -> list[str]:
         added += ["service", *_nine("service")]
     if seen.link:
         added += _links(farm, task=task)
-    return [*added, *(["alive"] if farm.failures.some else [])]
+    return [*added, *(["alive"] if farm.failures.some else []), *_advice(farm, name)]
+
+
+def _advice(farm: FarmConfig, name: str) -> list[str]:
+    """Return the names of what the advised heuristic would do: a mark for each option, or a velocity."""
+    if not farm.observation.advice:
+        return []
+    options = {"moves": _nine(ADVICE), "headings": [f"{ADVICE}_option_{k}" for k in range(Headings.options)]}
+    control: Control = getattr(farm.control, name)
+    return options.get(control, [f"{ADVICE}_velocity_x", f"{ADVICE}_velocity_y"])
+
+
+def advice_sizes(farm: FarmConfig) -> tuple[int, ...]:
+    """Return how many numbers of each type's observation say what the advised heuristic would do; see `_added`."""
+    return tuple(len(_advice(farm, name)) for name in (COMMUNICATION, MONITORING, COLLECTION))
+
+
+def advice_columns(farm: FarmConfig) -> tuple[slice, ...]:
+    """Return where in each type's observation these numbers are: before the agent's identity and the clock."""
+    groups = farm_team(farm).groups
+    ends = [group.observation_size - _self(farm, group.count) for group in groups]
+    return tuple(slice(end - size, end) for end, size in zip(ends, advice_sizes(farm), strict=True))
 
 
 def _links(farm: FarmConfig, *, task: bool) -> list[str]:

@@ -16,6 +16,7 @@ from common.team import TeamSpec
 from common.transitions import EpisodeSummary
 from rollout.envs.base import Environments
 from rollout.envs.registry import make_environments
+from rollout.heuristics.advised import make_farms
 from rollout.policies import BatchPolicy, Policy
 from rollout.sim.batch import FarmBatch
 
@@ -161,7 +162,7 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate a policy on farms of a configuration; see `evaluate_environments`."""
     return evaluate_environments(
-        lambda count: FarmBatch(config, count), policy, farms, episodes, name=name, batch=batch
+        lambda count: make_farms(config, count), policy, farms, episodes, name=name, batch=batch
     )
 
 
@@ -178,7 +179,7 @@ def record(config: FarmConfig, policy: Policy, farm: int, episode: int) -> Traje
     Raises:
         PolicyError: the policy does not fit the farm.
     """
-    flown = _begin(FarmBatch(config, 1), policy, [(farm, episode)])
+    flown = _begin(make_farms(config, 1), policy, [(farm, episode)])
     layout = flown.layout(0)
     course = [_snapshot(flown)]
     for _ in range(config.world.steps):

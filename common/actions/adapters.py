@@ -12,7 +12,7 @@ allowed actions.
 import math
 import sys
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
@@ -31,6 +31,8 @@ GAIN: Final = 1.5
 """An output of magnitude above 1 / (2 GAIN), a third, selects the neighbouring lattice point."""
 EDGE: Final = 1e-4
 """Rounding tolerance, as a share of a cell: an agent this close below the next cell counts as inside it."""
+LATER: Final = "later"
+"""Marks fields that earlier versions did not have."""
 NEAR: Final = 1e-6
 """Least way of an idle agent in a step, for the division by it; the field spans -1 to 1."""
 
@@ -238,6 +240,7 @@ class Headings:
         medium: the next speed.
         fast: the highest speed.
         reach: distance that full speed along x covers in a step, as a share of the field's width.
+        suggestion: index of the first of 25 numbers of the observation that mark the suggested option; see `NineMoves`.
     """
 
     kind: ClassVar[str] = "headings"
@@ -255,6 +258,7 @@ class Headings:
     medium: float
     fast: float
     reach: float
+    suggestion: int = field(default=-1, metadata={LATER: True})
 
     def __post_init__(self) -> None:
         """Refuse speeds outside 0..1, and agents that cannot move."""
@@ -263,9 +267,11 @@ class Headings:
             raise ConfigError(f"the reach of headings must be positive and finite, not {self.reach}.")
 
     def require(self, observation_size: int, action_size: int) -> None:
-        """Raise ConfigError unless the action is one index and observations hold a position."""
+        """Raise ConfigError unless the action is one index and observations hold a position and the suggestion."""
         if action_size != 1 or observation_size < POSITION.stop:
             raise ConfigError("headings need x and y in the observation, and are chosen by one index.")
+        if self.suggestion != -1 and not 0 <= self.suggestion <= observation_size - self.options:
+            raise ConfigError("the observation is too short for the suggested heading.")
 
     def output_size(self, action_size: int) -> int:
         """Return 2."""
@@ -313,8 +319,13 @@ ADAPTERS: Final[dict[str, type[Lattice] | type[MirroredAxes] | type[NineMoves] |
 
 
 def adapter_to_dict(adapter: ActionAdapter) -> dict[str, Any]:
-    """Return a plain description for the wire and for files."""
-    return {"kind": adapter.kind, **asdict(adapter)}  # type: ignore[call-overload]  # every adapter is a dataclass
+    """Return a plain description for the wire and for files.
+
+    Fields marked LATER are left out at their defaults, so that teams of earlier versions keep their digests.
+    """
+    values: dict[str, Any] = asdict(adapter)  # type: ignore[call-overload]  # every adapter is a dataclass
+    later = {each.name: each.default for each in fields(ADAPTERS[adapter.kind]) if LATER in each.metadata}
+    return {"kind": adapter.kind, **{name: value for name, value in values.items() if value != later.get(name)}}
 
 
 def adapter_from_dict(data: Any) -> ActionAdapter:
@@ -325,8 +336,8 @@ def adapter_from_dict(data: Any) -> ActionAdapter:
     """
     if not isinstance(data, Mapping) or (kind := ADAPTERS.get(str(data.get("kind")))) is None:
         raise ConfigError("the description of an action adapter names an unknown kind.")
-    wanted = {field.name: int if field.type is int else float for field in fields(kind)}
-    needed = {field.name for field in fields(kind) if field.default is MISSING}
+    wanted = {each.name: int if each.type is int else float for each in fields(kind)}
+    needed = {each.name for each in fields(kind) if each.default is MISSING}
     values = {name: value for name, value in data.items() if name != "kind"}
     if not needed <= values.keys() <= wanted.keys():
         raise ConfigError(f"a {kind.kind} takes {', '.join(wanted) or 'no values'}.")

@@ -37,6 +37,7 @@ LATER: Final[Mapping[str, Value]] = {
     "algorithm.sequence_steps": 50,
     "farm.failures.at": "",
     "farm.failures.per_hour": 0.0,
+    "farm.observation.advice": "",
     "farm.observation.link": False,
     "farm.observation.route": False,
     "farm.reward.relayed": 0.0,

@@ -16,7 +16,7 @@ from common.team import Float32, TeamSpec
 from common.transitions import EpisodeSummary
 from deploy.flight.vehicle import VehicleLink
 from rollout.evaluation import episode_seed
-from rollout.sim.batch import FarmBatch
+from rollout.heuristics.advised import make_farms
 
 RESEND_SECONDS: Final = 0.5
 """Time without an answer after which a vehicle publishes its observation again: messages may be lost."""
@@ -56,7 +56,7 @@ class SimulatedFleet:
     """
 
     def __init__(self, config: FarmConfig, links: Mapping[str, VehicleLink], patience: float = 30.0) -> None:
-        self._farms = FarmBatch(config, 1)
+        self._farms = make_farms(config, 1)
         self._links, self._patience = links, patience
         self._speed = np.array([config.world.speed_x_max, config.world.speed_y_max])
 

@@ -10,10 +10,10 @@ from common.errors import UsageError
 from deploy.reports.film import Film
 from deploy.reports.plots import save_comparison
 from rollout.evaluation import episode_seed, record
+from rollout.heuristics.advised import make_farms
 from rollout.policies import policy_of
 from rollout.rendering.scene import Observer, Scene
 from rollout.rendering.side_by_side import SideBySidePicture
-from rollout.sim.batch import FarmBatch
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def paper_pictures(comparison: Comparison, paths: list[Path]) -> None:
 
 
 def _flight(comparison: Comparison, name: str) -> Iterator[Scene]:
-    batch, policy = FarmBatch(comparison.config, 1), policy_of(name, comparison.config)
+    batch, policy = make_farms(comparison.config, 1), policy_of(name, comparison.config)
     observer = Observer(batch, 0)
     batch.reset(0, comparison.farm, episode_seed(comparison.farm, comparison.episode))
     policy.reset(batch, 0)

@@ -76,6 +76,7 @@ def added_table() -> str:
         route=True,
         service=True,
         link=True,
+        advice="horizon",
     )
     plain, lines = observation_parts(farm), ["| agents | observation | numbers | from | to | meaning |"]
     lines.append("|---|---|---:|---:|---:|---|")

@@ -3,7 +3,9 @@
 import math
 from typing import Final, NamedTuple
 
+from common.actions.adapters import Headings, NineMoves
 from common.config import FarmConfig
+from common.config.farm.control import Control
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, ROUTE_PLOTS
 from rollout.sim.kernel.views.fields import SCALE
 from rollout.sim.kernel.views.maps import BLOCK, BLOCKS, CELLS
@@ -63,7 +65,17 @@ def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...
         parts += _link() if task else _links(config)
     if config.failures.some:
         parts.append(Part("alive", 1, 0.0, 1.0, "share of the own type's UAVs that have not failed"))
+    if seen.advice:
+        parts.append(_advice(config, name))
     return tuple(parts)
+
+
+def _advice(config: FarmConfig, name: str) -> Part:
+    control: Control = getattr(config.control, name)
+    size = {"moves": NineMoves.options, "headings": Headings.options}.get(control)
+    if size is None:
+        return Part("advice", 2, -1.0, 1.0, "velocity of the advised heuristic over full speed")
+    return Part("advice", size, 0.0, 1.0, "1 for the option that is nearest to what the advised heuristic would do")
 
 
 def _tasks(config: FarmConfig, name: str) -> list[Part]:

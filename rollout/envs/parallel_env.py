@@ -26,8 +26,9 @@ from common.errors import SimulationError
 from common.team import Float32
 from rollout.envs.episodes import TRAINING_FARMS, EpisodeStream
 from rollout.envs.spaces import action_box, observation_box, row_box
+from rollout.heuristics.advised import make_farms
 from rollout.rendering.render import FRAMES_PER_SECOND, RENDER_MODES, Renderer, require_mode
-from rollout.sim.batch import REWARD_PARTS, FarmBatch
+from rollout.sim.batch import REWARD_PARTS
 
 Infos = dict[str, dict[str, Any]]
 Observations = dict[str, Float32]
@@ -98,7 +99,7 @@ class FarmParallelEnv(ParallelEnv[str, Float32, Float32]):  # type: ignore[misc]
     ) -> None:
         require_mode(render_mode)
         self.render_mode = render_mode
-        self.batch = FarmBatch(config or preset("study").farm, 1)
+        self.batch = make_farms(config or preset("study").farm, 1)
         self._episodes = EpisodeStream(farms)
         self._episode = (-1, -1)
         self._renderer: Renderer | None = None

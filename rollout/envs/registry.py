@@ -17,14 +17,14 @@ from common.errors import ConfigError
 from common.protocol.message_sizes import require_frames
 from common.team import TeamSpec
 from rollout.envs.base import Environments
-from rollout.sim.batch import FarmBatch
+from rollout.heuristics.advised import make_farms
 
 Factory = Callable[[RunConfig, int, bool], Environments]
 """Makes the given number of environments for a run; True asks for `Environments.hindsight`, where there is any."""
 
 
 def _farms(config: RunConfig, count: int, hindsight: bool) -> Environments:
-    return FarmBatch(config.farm, count, config.rollout.threads, hindsight)
+    return make_farms(config.farm, count, config.rollout.threads, hindsight)
 
 
 def _pettingzoo(config: RunConfig, count: int) -> Environments:

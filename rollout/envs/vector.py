@@ -19,8 +19,8 @@ from common.errors import ConfigError, SimulationError
 from common.team import Float32, TeamSpec
 from rollout.envs.episodes import TRAINING_FARMS, EpisodeStream, whole
 from rollout.envs.spaces import action_box, observation_box
+from rollout.heuristics.advised import make_farms
 from rollout.rendering.render import FRAMES_PER_SECOND, RENDER_MODES, Renderer, require_mode
-from rollout.sim.batch import FarmBatch
 
 Observations = dict[str, Float32]
 Mask = NDArray[np.bool_]
@@ -78,7 +78,7 @@ class FarmVectorEnv(VectorEnv[Observations, Float32 | Mapping[str, Float32], NDA
         rendered: Sequence[int] = (0,),
     ) -> None:
         require_mode(render_mode)
-        self.batch = FarmBatch(config or preset("study").farm, num_envs)
+        self.batch = make_farms(config or preset("study").farm, num_envs)
         self.num_envs = num_envs
         self._mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self._mode}

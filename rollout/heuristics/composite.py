@@ -133,13 +133,21 @@ class CompositePolicy:
 
     def act(self, farms: FarmBatch) -> Float32:
         """Return the actions [E, A] of this step."""
-        world, count = self._config.world, len(farms.position)
-        goals = np.stack([self._goals(farms, index) for index in range(count)])
-        position = np.where(farms.gone[..., None], AWAY, farms.position)
-        waiting = loiter(position, goals, farms.time, self._loiter)
+        count = len(farms.position)
+        return self.velocities(farms, np.arange(count)).reshape(count, -1).astype(np.float32)
+
+    def velocities(self, farms: FarmBatch, indices: NDArray[np.int64]) -> Array:
+        """Return the velocities of this step in some environments, [k, n, 2] as shares of full speed.
+
+        Call it once a step: group policies remember what they did.
+        """
+        world = self._config.world
+        goals = np.stack([self._goals(farms, index) for index in indices.tolist()])
+        position = np.where(farms.gone[indices, :, None], AWAY, farms.position[indices])
+        waiting = loiter(position, goals, farms.time[indices], self._loiter)
         action = towards(position, waiting, world)
         parts = [keep_apart(position[:, rows], action[:, rows], world) for rows in farms.team.agent_slices()]
-        return np.concatenate(parts, axis=1).reshape(count, -1).astype(np.float32)
+        return np.concatenate(parts, axis=1)
 
     def _goals(self, farms: FarmBatch, index: int) -> Array:
         if (farms.gone[index] != self._gone[index]).any():

@@ -5,7 +5,7 @@ import functools
 import itertools
 import math
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,7 +73,14 @@ class FarmBatch:
         SimulationError: there is no environment, or no thread.
     """
 
+    advised: ClassVar[bool] = False
+    """Whether the class writes `farm.observation.advice`."""
+
     def __init__(self, config: FarmConfig, environments: int, threads: int = 1, hindsight: bool = False) -> None:
+        if config.observation.advice and not self.advised:
+            raise SimulationError(
+                "farms with farm.observation.advice are made by rollout.heuristics.advised.make_farms."
+            )
         if environments < 1 or threads < 1:
             raise SimulationError(f"got {environments} environments and {threads} threads; both must be at least 1.")
         if hindsight and config.radio.delivery == "expected":
@@ -229,7 +236,7 @@ class FarmBatch:
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "FarmBatch":
         """Return a copy that continues exactly as this batch would, with threads of its own."""
-        twin = object.__new__(FarmBatch)
+        twin = object.__new__(type(self))
         memo[id(self)] = twin
         fresh = ThreadPoolExecutor(len(self._arguments) - 1, "farms") if self._pool else None
         twin.__dict__ |= copy.deepcopy({name: item for name, item in self.__dict__.items() if name != "_pool"}, memo)

@@ -3,6 +3,7 @@
 Source: boustrophedon coverage (Choset and Pignon 1998) over a partition of the field.
 """
 
+import functools
 from collections.abc import Sequence
 from typing import Final
 
@@ -23,8 +24,9 @@ Block = tuple[int, int, int, int]
 """First column, end column, first row and end row of a part of the field; ends are exclusive."""
 
 
+@functools.lru_cache(maxsize=64)
 def sweep_routes(config: FarmConfig) -> list[Array]:
-    """Return the plot boxes of each monitoring UAV's part in sweep order, [2, L, 2] m each."""
+    """Return the plot boxes of each monitoring UAV's part in sweep order, [2, L, 2] m each; do not change them."""
     world, boxes = config.world, plot_boxes(config)
     divisions = [
         [boxes[:, woven(block, world.plots_y)] for block in blocks]

@@ -50,6 +50,10 @@ class ObservationConfig:
     """Whether UAVs see their relay and the slack of the link to it, and relays that of the links to the UAVs that they
     serve, now and after each of nine moves (ours)."""
 
+    advice: str = ""
+    """Heuristic whose next move each UAV sees, TASK or TASK+RELAYS as `--policy` takes it; empty for none. Fresh actors
+    of moves and headings begin with following it (ours)."""
+
     @property
     def added(self) -> bool:
         """Whether any observation is on that the paper does not have: those from `peers` on."""
@@ -62,6 +66,7 @@ class ObservationConfig:
             self.route,
             self.service,
             self.link,
+            bool(self.advice),
         )
         return self.peers > 0 or self.units > 0 or any(switches)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from common.actions.adapters import EDGE, Lattice, MirroredAxes, NineMoves
 from common.config import FarmConfig
+from common.farm import advice_sizes
 from rollout.sim.kernel.link import radio_constants
 from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, field_range
 from rollout.sim.kernel.views.fields import FLOOR, SCALE
@@ -51,6 +52,7 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
         ]
     share = len(farm.living(kind)) / (farm.kind == kind).sum()
     parts += [np.array([share])] if farm.config.failures.some else []
+    parts += [np.zeros(advice_sizes(farm.config)[kind])]
     return np.concatenate(parts)
 
 

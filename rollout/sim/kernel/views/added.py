@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Constants
+from rollout.sim.kernel.flight.failures import see_nothing
 from rollout.sim.kernel.spatial.neighbours import cell_of
 from rollout.sim.kernel.spatial.tallies import total
 from rollout.sim.kernel.views.constants import ViewConstants
@@ -114,7 +115,7 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
         at = put_links(fleet, view, farm.position, farm.assignment, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[0], fleet.relays, seen, at)
-    return at
+    return see_nothing(view.advice[0], seen, at)
 
 
 @inlined
@@ -170,7 +171,7 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
         at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[1], fleet.collectors - fleet.relays, seen, at)
-    return at
+    return see_nothing(view.advice[1], seen, at)
 
 
 @allocation_free
@@ -218,4 +219,4 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
         at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[2], fleet.uavs - fleet.collectors, seen, at)
-    return at
+    return see_nothing(view.advice[2], seen, at)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from common.actions.adapters import Lattice
 from common.config import FarmConfig, WorldConfig
+from common.farm import advice_sizes
 from rollout.sim.kernel.link import RadioConstants, chance_at, reach_of
 from rollout.sim.kernel.views.arrays import TWO_MOVES
 from rollout.sim.sweep_routes import sweep_routes
@@ -48,6 +49,7 @@ class ViewConstants(NamedTuple):
         service: whether relays see what each move does to D_c.
         alive: whether they see how many of their type have not failed.
         link: whether UAVs and relays see their links.
+        advice: [3] numbers of each type that say what a heuristic would do; the simulator leaves them 0.
         link_range: range of the UAV-UAV link, m.
         served: UAVs that a relay sees of those that it serves.
         columns: lattice points along x.
@@ -88,6 +90,7 @@ class ViewConstants(NamedTuple):
     service: bool
     alive: bool
     link: bool
+    advice: Indices
     link_range: float
     served: int
     columns: int
@@ -138,6 +141,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         service=seen.service,
         alive=config.failures.some,
         link=seen.link,
+        advice=np.array(advice_sizes(config), np.int64),
         link_range=float(config.relay.link_range),
         served=config.relay.capacity_for(world),
         columns=lattice.columns,

@@ -1,0 +1,126 @@
+"""Farms whose UAVs see what a heuristic would do in their place (`farm.observation.advice`).
+
+A fresh actor follows the advice, so that learning begins where the heuristic is, and finds what the heuristic leaves.
+Sources: action advising (Torrey and Taylor 2013), residual policy learning (Silver et al. 2018).
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.actions.adapters import EDGE, Headings, Lattice, NineMoves
+from common.config import FarmConfig
+from common.errors import ConfigError
+from common.farm import advice_columns
+from common.team import Float32, GroupSpec
+from rollout.heuristics.composite import CompositePolicy
+from rollout.heuristics.registry import RELAYS, TASKS, heuristic
+from rollout.sim.batch import FarmBatch
+from rollout.sim.boxes import Array
+
+POSITION: Final = slice(0, 2)
+"""Part of an observation that holds the own position; the field spans -1 to 1."""
+SIGNS: Final = slice(2, 4)
+"""Part of an observation with mirrored axes that holds their signs."""
+
+
+def make_farms(config: FarmConfig, environments: int, threads: int = 1, hindsight: bool = False) -> FarmBatch:
+    """Return farms with what their configuration lets UAVs see; the arguments and errors are those of `FarmBatch`.
+
+    Raises:
+        ConfigError: there is no such heuristic to advise, or it has no goals to tell.
+    """
+    kind = AdvisedFarms if config.observation.advice else FarmBatch
+    return kind(config, environments, threads, hindsight)
+
+
+class AdvisedFarms(FarmBatch):
+    """Farms that write the advice of a heuristic into the observations after each step.
+
+    The heuristic flies along with the UAVs, wherever they go. After the last step nothing is advised.
+
+    Args:
+        config: the farm.
+        environments: E.
+        threads: number of threads of the simulator; the heuristic has one.
+        hindsight: as for `FarmBatch`.
+    """
+
+    advised = True
+
+    def __init__(self, config: FarmConfig, environments: int, threads: int = 1, hindsight: bool = False) -> None:
+        super().__init__(config, environments, threads, hindsight)
+        found = heuristic(config.observation.advice, config)
+        if not isinstance(found, CompositePolicy):
+            raise ConfigError(
+                f"farm.observation.advice must be one of {', '.join(TASKS)}, or TASK+{'|'.join(RELAYS)}, "
+                f"not {config.observation.advice!r}."
+            )
+        self._heuristic = found
+        self._columns = advice_columns(config)
+
+    def reset(self, index: int, farm_seed: int, episode_seed: int) -> None:
+        """Start an episode in one environment; see `FarmBatch.reset`."""
+        super().reset(index, farm_seed, episode_seed)
+        self._heuristic.reset(self, index)
+        self._advise(np.array([index]))
+
+    def step(self, action: Float32) -> None:
+        """Step every environment; see `FarmBatch.step`."""
+        super().step(action)
+        under_way = np.flatnonzero(~self.ended)
+        if len(under_way):
+            self._advise(under_way)
+
+    def _advise(self, indices: NDArray[np.int64]) -> None:
+        """Write the advice of the present step into the observations of some environments."""
+        velocity = self._heuristic.velocities(self, indices)
+        views, mirrored = self.team.split_observations(self.observation), self.config.observation.mirrored
+        for group, rows, view, columns in zip(
+            self.team.groups, self.team.agent_slices(), views, self._columns, strict=True
+        ):
+            seen = view[indices]
+            own = velocity[:, rows] * (seen[..., SIGNS] if mirrored else 1.0)
+            seen[..., columns] = advice(group, seen, own) * ~self.gone[indices, rows, None]
+            view[indices] = seen
+
+
+def advice(group: GroupSpec, observation: Float32, velocity: Array) -> Float32:
+    """Return the numbers of an observation that advise a velocity.
+
+    Args:
+        group: the UAVs' type.
+        observation: [..., o] float32.
+        velocity: [..., 2] along the UAVs' own axes, as shares of full speed.
+
+    Returns:
+        [..., k] float32: 1 for the option that comes nearest to the velocity and 0 for all others; or, if the type has
+        no options, the velocity.
+    """
+    for adapter in group.adapters:
+        if isinstance(adapter, Lattice) and group.choices:
+            return np.eye(NineMoves.options, dtype=np.float32)[nearest_move(adapter, observation, velocity)]
+        if isinstance(adapter, Headings):
+            return np.eye(Headings.options, dtype=np.float32)[nearest_heading(adapter, velocity)]
+    return velocity.astype(np.float32)
+
+
+def nearest_move(lattice: Lattice, observation: Float32, velocity: Array) -> NDArray[np.int64]:
+    """Return which of nine moves leads to the cell that a velocity leads to, or towards it, [...]."""
+    count, reach = np.array([lattice.columns, lattice.rows]), np.array([lattice.reach_x, lattice.reach_y])
+    share = (observation[..., POSITION].astype(np.float64) + 1.0) / 2.0
+    now, then = (
+        np.clip(np.floor(place * count + EDGE), 0, count - 1).astype(np.int64)
+        for place in (share, share + velocity * reach)
+    )
+    step = np.clip(then - now, -1, 1)
+    move: NDArray[np.int64] = 3 * (step[..., 0] + 1) + step[..., 1] + 1
+    return move
+
+
+def nearest_heading(headings: Headings, velocity: Array) -> NDArray[np.int64]:
+    """Return which option of headings is nearest to a velocity, [...]; idling counts as standing still."""
+    options = np.concatenate([np.zeros((1, 2)), headings.velocities()])
+    nearest: NDArray[np.int64] = ((velocity[..., None, :] - options) ** 2).sum(axis=-1).argmin(axis=-1)
+    return nearest
