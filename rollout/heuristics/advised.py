@@ -29,7 +29,7 @@ def make_farms(config: FarmConfig, environments: int, threads: int = 1, hindsigh
     """Return farms with what their configuration lets UAVs see; the arguments and errors are those of `FarmBatch`.
 
     Raises:
-        ConfigError: there is no such heuristic to advise, or it has no goals to tell.
+        ConfigError: there is no such heuristic to advise, or it has no goals.
     """
     kind = AdvisedFarms if config.observation.advice else FarmBatch
     return kind(config, environments, threads, hindsight)
