@@ -169,6 +169,8 @@ def _added(farm: FarmConfig, name: str) -> list[str]:
         added += ["service", *_nine("service")]
     if seen.link:
         added += _links(farm, task=task)
+    if seen.stress and task:
+        added += _square("block_stress", 5)
     return [*added, *(["alive"] if farm.failures.some else []), *_advice(farm, name)]
 
 

@@ -22,6 +22,7 @@ from common.config.farm import (
     RadioConfig,
     RelayConfig,
     RewardConfig,
+    StressConfig,
     WorldConfig,
 )
 from common.config.farm.control import ControlConfig
@@ -60,5 +61,6 @@ __all__ = [
     "RewardConfig",
     "RolloutConfig",
     "RunConfig",
+    "StressConfig",
     "WorldConfig",
 ]

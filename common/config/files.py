@@ -40,7 +40,12 @@ LATER: Final[Mapping[str, Value]] = {
     "farm.observation.advice": "",
     "farm.observation.link": False,
     "farm.observation.route": False,
+    "farm.observation.stress": False,
     "farm.reward.relayed": 0.0,
+    "farm.stress.growth": 3,
+    "farm.stress.patches": 0,
+    "farm.stress.radius": 60.0,
+    "farm.stress.seconds": 200.0,
 }
 """Options that earlier versions did not have, with the values under which a run is what it was before."""
 

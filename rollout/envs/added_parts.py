@@ -63,6 +63,9 @@ def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...
         parts += _service(config, served)
     if seen.link:
         parts += _link() if task else _links(config)
+    if seen.stress and task:
+        blocks = f"of {BLOCKS} x {BLOCKS} blocks of {BLOCK} x {BLOCK} plots, x outer"
+        parts.append(Part("stress", BLOCKS**2, 0.0, 1.0, f"share of stressed plots {blocks}"))
     if config.failures.some:
         parts.append(Part("alive", 1, 0.0, 1.0, "share of the own type's UAVs that have not failed"))
     if seen.advice:

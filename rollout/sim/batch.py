@@ -22,6 +22,7 @@ from rollout.sim.kernel.arrays import REWARD_PARTS, make_scratch
 from rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_workspace
 from rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
 from rollout.sim.layout import Layout, make_layout
+from rollout.sim.stress import patches
 from rollout.sim.sweep_routes import assigned_routes, sweep_routes
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
@@ -65,6 +66,10 @@ class FarmBatch:
         link_quality: [E, n_m + n_d] signal-to-noise ratio of the link between each served UAV and its relay, dB:
             P_ut minus the free-space loss (km and MHz, as in the assignment's cost) minus the noise k_B T B in dBm;
             NO_LINK without a relay.
+        patch_place: [E, P, 2] centres of the patches of stress, m.
+        patch_time: [E, P, 2] first step of each patch, and the first one without it.
+        patch_known: [E, P] whether the team knows it (`farm.stress`).
+        stressed: [E, n_px, n_py] 1 for plots in living patches that are known; [E, 0, n_py] without patches.
         hindsight: [E, T, n] float32 what to add to the reward of each of the episode's T steps so that a visit is paid
             what it was worth to the team as far as known, see `rollout.sim.kernel.hindsight`; None unless tracked.
 
@@ -113,6 +118,10 @@ class FarmBatch:
         self.utility: NDArray[np.float64] = self._state.utility
         self.served_sensors: NDArray[np.float64] = self._state.served
         self.link_quality: NDArray[np.float64] = self._state.quality
+        self.patch_place: NDArray[np.float64] = self._state.patch_place
+        self.patch_time: NDArray[np.int32] = self._state.patch_time
+        self.patch_known: NDArray[np.bool_] = self._state.patch_known
+        self.stressed: NDArray[np.float64] = self._state.stressed
         self.hindsight: Float32 | None = self._state.hindsight if hindsight else None
 
     @property
@@ -173,6 +182,8 @@ class FarmBatch:
         state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
         state.failure[e] = failure_steps(self.config, farm_seed, episode_seed)
         state.gone[e], state.living[e] = False, world.counts
+        if self.config.stress.some:
+            self._begin_stress(e, layout)
         if self._routes:
             monitors = self.team.agent_slices()[1]
             state.sweep[e] = assigned_routes(self._routes, state.position[e, monitors], world)
@@ -181,6 +192,14 @@ class FarmBatch:
         for visits in (state.plot_visit, state.sensor_visit, state.hindsight):
             visits[e] = 0
         begin_episode(self._arguments[0].address, e)
+
+    def _begin_stress(self, e: int, layout: Layout) -> None:
+        """Draw the patches of an episode that begins, and let nobody know any."""
+        state, (place, time) = self._state, patches(self.config, *self._seeds[e])
+        state.patch_place[e], state.patch_time[e] = place, time
+        state.patch_known[e], state.stressed[e] = False, 0.0
+        state.plot_cycle[e, 0], state.plot_cycle[e, 1] = min(self._constants.camera.cycle, NEVER), layout.plot_phase
+        state.sensor_cycle[e, 0], state.sensor_cycle[e, 1] = state.cycle[e], layout.sensor_phase
 
     def step(self, action: Float32) -> None:
         """Step every environment.

@@ -8,6 +8,7 @@ from common.config.farm.failures import FailureConfig
 from common.config.farm.observation import ObservationConfig
 from common.config.farm.relay import RelayConfig
 from common.config.farm.reward import RewardConfig
+from common.config.farm.stress import StressConfig
 from common.config.farm.world import WorldConfig
 from common.errors import ConfigError
 
@@ -21,6 +22,7 @@ __all__ = [
     "RadioConfig",
     "RelayConfig",
     "RewardConfig",
+    "StressConfig",
     "WorldConfig",
 ]
 
@@ -38,6 +40,7 @@ class FarmConfig:
     observation: ObservationConfig = field(default_factory=ObservationConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
     failures: FailureConfig = field(default_factory=FailureConfig)
+    stress: StressConfig = field(default_factory=StressConfig)
 
     def __post_init__(self) -> None:
         """Refuse sections that contradict each other."""

@@ -50,6 +50,8 @@ class ObservationConfig:
     """Whether UAVs see their relay and the slack of the link to it, and relays that of the links to the UAVs that they
     serve, now and after each of nine moves (ours)."""
 
+    stress: bool = False
+    """Whether UAVs with tasks see where the patches of stress around them are that the team knows (ours)."""
     advice: str = ""
     """Heuristic whose next move each UAV sees, TASK or TASK+RELAYS as `--policy` takes it; empty for none. Fresh actors
     of moves and headings begin with following it (ours)."""
@@ -66,6 +68,7 @@ class ObservationConfig:
             self.route,
             self.service,
             self.link,
+            self.stress,
             bool(self.advice),
         )
         return self.peers > 0 or self.units > 0 or any(switches)

@@ -61,6 +61,12 @@ class State(NamedTuple):
         gone: [E, n] whether each UAV has failed, see `failures`; the position of one that has is infinite.
         living: [E, 3] UAVs of each type that have not failed.
         shown: [E, n, 2] positions, of UAVs that have failed the last ones, m; [E, 0, 2] unless UAVs can fail.
+        patch_place: [E, P, 2] centres of the patches of stress, m.
+        patch_time: [E, P, 2] first step of each patch, and the first one without it.
+        patch_known: [E, P] whether the team knows it.
+        stressed: [E, n_px, n_py] 1 for plots in living patches that are known; [E, 0, n_py] without patches.
+        plot_cycle: [E, 2, n_px, n_py] present cycle and phase of each plot's VDF; [E, 2, 0, n_py] without patches.
+        sensor_cycle: [E, 2, S] cycle without stress and phase of each sensor's AoI; [E, 2, 0] without patches.
         hindsight: [E, T, n] corrections of the episode's rewards; [E, 0, n] unless visits are tracked.
     """
 
@@ -102,6 +108,12 @@ class State(NamedTuple):
     gone: Flags
     living: Indices
     shown: Array
+    patch_place: Array
+    patch_time: Int32
+    patch_known: Flags
+    stressed: Array
+    plot_cycle: Int32
+    sensor_cycle: Int32
     hindsight: Float32
 
 
@@ -146,6 +158,12 @@ class Farm(NamedTuple):
     gone: Flags
     living: Indices
     shown: Array
+    patch_place: Array
+    patch_time: Int32
+    patch_known: Flags
+    stressed: Array
+    plot_cycle: Int32
+    sensor_cycle: Int32
     hindsight: Float32
 
 
@@ -230,7 +248,7 @@ def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
     world, team = config.world, farm_team(config)
     count, uavs, sensors = environments, world.uavs, world.sensors
     plots, served = (world.plots_x, world.plots_y), world.monitoring_uavs + world.collection_uavs
-    columns, rows = cell_counts(world)
+    stress, (columns, rows) = config.stress, cell_counts(world)
     return State(
         key=np.zeros(count, np.uint64),
         time=np.full(count, -1, np.int64),
@@ -270,6 +288,12 @@ def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
         gone=np.zeros((count, uavs), np.bool_),
         living=np.zeros((count, 3), np.int64),
         shown=np.zeros((count, config.failures.some * uavs, 2)),
+        patch_place=np.zeros((count, stress.patches, 2)),
+        patch_time=np.zeros((count, stress.patches, 2), np.int32),
+        patch_known=np.zeros((count, stress.patches), np.bool_),
+        stressed=np.zeros((count, stress.some * world.plots_x, world.plots_y)),
+        plot_cycle=np.zeros((count, 2, stress.some * world.plots_x, world.plots_y), np.int32),
+        sensor_cycle=np.zeros((count, 2, stress.some * sensors), np.int32),
         hindsight=np.zeros((count, hindsight * world.steps, uavs), np.float32),
     )
 

@@ -52,7 +52,7 @@ def photograph(c: Constants, farm: Farm, s: Scratch) -> None:
                     successes += 1
                     note_image(c, farm, u, column, row)
     if due_now:
-        rising[1] = _rise(camera, step, level, due)
+        rising[1] = _rise(camera, step, level, due, c.stress.some, farm.plot_cycle)
         tally_plots(level, below, above)
     for entry in range(successes):
         column, row = taken[entry] // camera.plots_y, taken[entry] % camera.plots_y
@@ -77,14 +77,14 @@ def _succeeds(
 
 
 @allocation_free
-def _rise(camera: CameraConstants, step: int, level: Array, due: Int32) -> int:
-    """Raise VDF where a cycle ends; return the next step at which any VDF rises."""
+def _rise(camera: CameraConstants, step: int, level: Array, due: Int32, stress: bool, cycles: Int32) -> int:
+    """Raise VDF where a cycle ends; return the next step at which any VDF rises. With stress each plot has a cycle."""
     soonest = step + camera.cycle
     for column in range(camera.plots_x):
         for row in range(camera.plots_y):
             if due[column, row] == step:
                 level[column, row] = min(level[column, row] + 1.0, camera.level_max)
-                due[column, row] += camera.cycle
+                due[column, row] += cycles[0, column, row] if stress else camera.cycle
             soonest = min(soonest, due[column, row])
     return soonest
 

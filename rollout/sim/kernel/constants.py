@@ -8,7 +8,12 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.errors import ConfigError
-from common.farm import farm_team
+from rollout.sim.kernel.event_constants import (
+    FailureConstants,
+    StressConstants,
+    failure_constants,
+    stress_constants,
+)
 from rollout.sim.kernel.link import RadioConstants, loss_at_one_metre, noise, radio_constants
 from rollout.sim.kernel.views.constants import ViewConstants, view_constants
 
@@ -177,18 +182,6 @@ class RewardConstants(NamedTuple):
     relayed: float
 
 
-class FailureConstants(NamedTuple):
-    """UAVs that fail.
-
-    Attributes:
-        some: whether any UAV can fail.
-        sizes: numbers that a UAV of each type observes.
-    """
-
-    some: bool
-    sizes: tuple[int, int, int]
-
-
 class ObservationConstants(NamedTuple):
     """What the UAVs see.
 
@@ -233,6 +226,7 @@ class Constants(NamedTuple):
     observation: ObservationConstants
     added: ViewConstants
     failures: FailureConstants
+    stress: StressConstants
 
 
 def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
@@ -270,7 +264,8 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         _reward(config),
         seen,
         view_constants(config, radio, cells),
-        _failures(config),
+        failure_constants(config),
+        stress_constants(config),
     )
     return Constants(*(_cast(part) for part in parts))
 
@@ -313,11 +308,6 @@ def _fleet(config: FarmConfig) -> FleetConstants:
         collision=world.collision_distance,
         any_plane=config.reward.nearest == "any",
     )
-
-
-def _failures(config: FarmConfig) -> FailureConstants:
-    relays, monitors, collectors = (group.observation_size for group in farm_team(config).groups)
-    return FailureConstants(some=config.failures.some, sizes=(relays, monitors, collectors))
 
 
 def _flight(config: FarmConfig) -> FlightConstants:

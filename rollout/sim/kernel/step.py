@@ -5,7 +5,7 @@ Inside step k, at t = k t_step, the order is:
 2. UAVs fail, if any does in this step, and the others move.
 3. Relays are assigned, and D_c(k) is computed at the new positions.
 4. Sensors send and plots are photographed, for credit of AoI(t - t_step) and VDF(t - t_step).
-5. Counters rise or fall.
+5. Counters rise or fall, in patches of stress faster. UAVs find the patches that they are over.
 6. All UAVs observe.
 
 Every stage takes the same three records: `Constants` from the configuration, `Farm` with the state of one environment,
@@ -31,6 +31,7 @@ from rollout.sim.kernel.relays import assign_relays, measure_service
 from rollout.sim.kernel.rewards import reward_step
 from rollout.sim.kernel.spatial.quadrants import point_to_age, point_to_level
 from rollout.sim.kernel.spatial.tallies import tally_plots, tally_sensors, total
+from rollout.sim.kernel.stress import change_cycles, find_stress
 from rollout.sim.kernel.views.added import prepare_views
 
 Float32 = NDArray[np.float32]
@@ -86,6 +87,12 @@ def _farm(state: State, e: int) -> Farm:
         gone=state.gone[e],
         living=state.living[e],
         shown=state.shown[e],
+        patch_place=state.patch_place[e],
+        patch_time=state.patch_time[e],
+        patch_known=state.patch_known[e],
+        stressed=state.stressed[e],
+        plot_cycle=state.plot_cycle[e],
+        sensor_cycle=state.sensor_cycle[e],
         hindsight=state.hindsight[e],
     )
 
@@ -161,10 +168,14 @@ def _step(c: Constants, farm: Farm, s: Scratch, action: Float32, fresh: bool) ->
     if c.failures.some:
         show_places(farm)
     _update_geometry(c, farm, s, fresh or lost)
+    if c.stress.some and not fresh:
+        change_cycles(c, farm)
     if not fresh:
         _serve_tasks(c, farm, s)
     if not fresh:
         reward_step(c, farm, s)
+    if c.stress.some and not fresh:
+        find_stress(c, farm)
     _observe(c, farm, s)
     if not fresh:
         _add_up(c, farm, s)

@@ -22,6 +22,7 @@ from rollout.sim.kernel.views.units import MOST
 from rollout.sim.reference.axes import place_of, signs_of
 from rollout.sim.reference.links import link_view, links_view
 from rollout.sim.reference.routes import route_view
+from rollout.sim.reference.stress import stress_view
 
 if TYPE_CHECKING:
     from rollout.sim.reference.farm import ReferenceFarm
@@ -50,6 +51,7 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
             if kind
             else links_view(farm, u, signs, relay_places(farm, u, signs))
         ]
+    parts += [stress_view(farm, u, signs)] if seen.stress and kind else []
     share = len(farm.living(kind)) / (farm.kind == kind).sum()
     parts += [np.array([share])] if farm.config.failures.some else []
     parts += [np.zeros(advice_sizes(farm.config)[kind])]

@@ -18,7 +18,9 @@ from rollout.sim.failures import failure_steps
 from rollout.sim.kernel.relays import NO_LINK
 from rollout.sim.layout import Layout
 from rollout.sim.reference.routes import first_sweep
+from rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
 from rollout.sim.reference.views import observe
+from rollout.sim.stress import patches
 
 Array = NDArray[np.float64]
 
@@ -131,6 +133,7 @@ class ReferenceFarm:
         position: [n, 2] m; before: [n, 2] the same one step ago.
         aoi: [S]; vdf: [n_px, n_py].
         gone: [n] whether a UAV has failed.
+        known: [P] whether the team knows a patch of stress.
         assignment: [n_m + n_d] relays, -1 for none; assignment_cost: the sum of its costs.
         service: [n_c] D_c, m.
         link_quality: [n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
@@ -157,6 +160,8 @@ class ReferenceFarm:
         x = (np.arange(world.plots_x) + 0.5) * world.field_x / world.plots_x
         y = (np.arange(world.plots_y) + 0.5) * world.field_y / world.plots_y
         self.plot_xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        self.patches = patches(config, layout.seed, episode_seed)
+        self.known = np.zeros(config.stress.patches, bool)
         self.chance = np.zeros(world.sensors)
         self.energy, self.utility, self.reward = np.zeros(world.uavs), np.zeros(world.uavs), np.zeros(world.uavs)
         self.parts = np.zeros((world.uavs, 8))
@@ -194,6 +199,7 @@ class ReferenceFarm:
         self._photograph()
         self._collect()
         self._reward(service_before, motivated)
+        find(self)
         self._look()
 
     def distance(self, a: int, b: int, position: Array) -> float:
@@ -265,14 +271,14 @@ class ReferenceFarm:
         """VMUF and eq. VDF: the UAV closest to a plot's centre takes its image (W18 to W23)."""
         world, camera = self.config.world, self.config.camera
         monitors = self.living(1)
-        cycle = round(world.vdf_cycle / world.step_seconds)
+        cycles = plot_cycles(self)
         width, depth = world.field_x / world.plots_x, world.field_y / world.plots_y
         grid_x = (np.arange(camera.grid_x) + 0.5) / camera.grid_x * width
         grid_y = (np.arange(camera.grid_y) + 0.5) / camera.grid_y * depth
         for x in range(world.plots_x):
             for y in range(world.plots_y):
                 centre = self.plot_xy[x * world.plots_y + y]
-                due = (self.time - self.layout.plot_phase[x, y]) % cycle == 0
+                due = (self.time - self.layout.plot_phase[x, y]) % cycles[x, y] == 0
                 if len(monitors) == 0:
                     self._serve(self.vdf, (x, y), 0, 0.0, bool(due), world.vdf_max)
                     continue
@@ -307,13 +313,14 @@ class ReferenceFarm:
         """DCUF and eq. AoI (W17 to W20); expected delivery resets a share of the counter."""
         world = self.config.world
         owner, self.chance = self.sensor_chances()
+        cycles = sensor_cycles(self)
         for j, u in enumerate(owner):
             share = self.chance[j]
             if self.config.radio.delivery == "bernoulli":
                 share = float(packet_draw(self.key, self.time, j) < share)
             if share > 0.0 and not self.linked[u - world.communication_uavs]:
                 share = 0.0
-            due = (self.time - self.layout.sensor_phase[j]) % self.layout.sensor_cycle_steps[j] == 0
+            due = (self.time - self.layout.sensor_phase[j]) % cycles[j] == 0
             self._serve(self.aoi, (j,), int(u), share, bool(due), world.aoi_max)
 
     def _serve(self, counter: Array, item: tuple[int, ...], u: int, share: float, due: bool, cap: int) -> None:

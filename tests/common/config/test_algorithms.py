@@ -1,6 +1,7 @@
 """One configuration class for each algorithm; an option without effect is refused where it is given."""
 
 import dataclasses
+import functools
 import hashlib
 
 import pytest
@@ -172,8 +173,12 @@ def test_a_run_may_have_memory():
 def test_digests_of_earlier_versions_count(name):
     """A run without the options of later versions has the digest that it had; one with them has another."""
     config = with_values(preset(name), {"farm.observation.route": False})
-    lines = to_toml(config).replace('[farm.failures]\nper_hour = 0.0\nat = ""\n\n', "").splitlines()
-    later = "memory = ", "objective = ", "sequence_steps = ", "route = ", "link = ", "advice = ", "relayed = "
+    events = (
+        '[farm.failures]\nper_hour = 0.0\nat = ""\n\n',
+        "[farm.stress]\npatches = 0\nradius = 60.0\ngrowth = 3\nseconds = 200.0\n\n",
+    )
+    lines = functools.reduce(lambda text, section: text.replace(section, ""), events, to_toml(config)).splitlines()
+    later = "memory = ", "objective = ", "sequence_steps = ", "route = ", "link = ", "stress = ", "advice = ", "relayed = "
     kept = [line for line in lines if not line.startswith(later)]
     assert digest(config) == hashlib.sha256("\n".join([*kept, ""]).encode()).hexdigest()[:16]
     assert digest(with_values(config, {"farm.observation.route": True})) != digest(config)

@@ -49,6 +49,7 @@ class ViewConstants(NamedTuple):
         service: whether relays see what each move does to D_c.
         alive: whether they see how many of their type have not failed.
         link: whether UAVs and relays see their links.
+        stress: whether UAVs with tasks see the patches of stress that the team knows.
         advice: [3] numbers of each type that say what a heuristic would do; the simulator leaves them 0.
         link_range: range of the UAV-UAV link, m.
         served: UAVs that a relay sees of those that it serves.
@@ -90,6 +91,7 @@ class ViewConstants(NamedTuple):
     service: bool
     alive: bool
     link: bool
+    stress: bool
     advice: Indices
     link_range: float
     served: int
@@ -141,6 +143,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         service=seen.service,
         alive=config.failures.some,
         link=seen.link,
+        stress=seen.stress,
         advice=np.array(advice_sizes(config), np.int64),
         link_range=float(config.relay.link_range),
         served=config.relay.capacity_for(world),

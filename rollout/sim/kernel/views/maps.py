@@ -19,7 +19,7 @@ CELLS: Final = 7
 
 
 @allocation_free
-def _block(own: int, sign: float, block: int, count: int) -> tuple[int, int]:
+def block_ends(own: int, sign: float, block: int, count: int) -> tuple[int, int]:
     """Return the first plot of a block along an axis and one past its last, those in the field."""
     low = own + (BLOCK * block - 2 if sign > 0.0 else -BLOCK * block - 1)
     return max(0, low), min(count, low + BLOCK)
@@ -54,9 +54,9 @@ def put_plots(
     per_level, per_plot, columns, rows = 1.0 / (BLOCK * BLOCK * level_max), 1.0 / (BLOCK * BLOCK), *level.shape
     half = BLOCKS // 2
     for block_x in range(-half, half + 1):
-        west, east = _block(column, sx, block_x, columns)
+        west, east = block_ends(column, sx, block_x, columns)
         for block_y in range(-half, half + 1):
-            south, north = _block(row, sy, block_y, rows)
+            south, north = block_ends(row, sy, block_y, rows)
             stale = 0
             for i in range(west, east):
                 for j in range(south, north):
@@ -84,9 +84,9 @@ def put_cells(
             at += 1
     scale, half = 1.0 / (2.0 * BLOCK * BLOCK * level_max), BLOCKS // 2
     for block_x in range(-half, half + 1):
-        west, east = _block(column, sx, block_x, columns)
+        west, east = block_ends(column, sx, block_x, columns)
         for block_y in range(-half, half + 1):
-            south, north = _block(row, sy, block_y, rows)
+            south, north = block_ends(row, sy, block_y, rows)
             seen[at] = min(1.0, _sum(above, west, east, south, north) * scale)
             at += 1
     return at

@@ -47,8 +47,9 @@ def dose(examples: int) -> settings:
 
 SLOW = (HealthCheck.too_slow, HealthCheck.data_too_large)
 
-APART = ("link", "relayed")
-"""What is drawn by `test_properties_links` and is on in `test_properties_added`, and is off elsewhere."""
+APART = ("link", "relayed", "stress")
+"""What `test_properties_links` and `test_properties_stress` draw, and is off elsewhere; `test_properties_added` has the
+switches of observations on."""
 GROUNDS = ("seeded", "borders", "heap")
 STARTS = ("seeded", "together", "corners", "plots")
 MANNERS = ("uniform", "lasting", "saturated", "hovering", "corners", "tiny")

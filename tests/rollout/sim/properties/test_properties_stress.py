@@ -1,0 +1,113 @@
+"""Patches of stress, on any farm: what rises when, who knows, and the reference farm."""
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.config import FarmConfig, StressConfig
+from common.farm import farm_environment
+from rollout.sim.batch import FarmBatch
+from rollout.sim.reference.farm import ReferenceFarm
+from rollout.sim.stress import patches
+from tests.rollout.sim.course import begin
+from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
+
+SMALL = worlds(st.integers(1, 5), 90)
+
+
+@st.composite
+def stresses(draw: st.DrawFn) -> StressConfig:
+    """Draw patches; many begin, end and overlap within a short episode."""
+    return StressConfig(
+        patches=draw(st.integers(1, 12)),
+        radius=draw(st.sampled_from([3.0, 17.3, 61.7, 1000.0])),
+        growth=draw(st.integers(1, 9)),
+        seconds=draw(st.sampled_from([0.1, 2.0, 7.0, 500.0])),
+    )
+
+
+def stressed(config: FarmConfig, stress: StressConfig) -> FarmConfig:
+    """Return the farm with patches, which UAVs see."""
+    return replace(config, stress=stress, observation=replace(config.observation, stress=True))
+
+
+def stress_columns(config: FarmConfig) -> list[int]:
+    """Return where a row of observations shows patches."""
+    spec, names = farm_environment(config), []
+    for group in spec.team.groups:
+        names += [*spec.tensor_names[group.name].observation] * group.count
+    return [index for index, name in enumerate(names) if name.startswith("block_stress")]
+
+
+@dose(30)
+@given(flights(farm_configs(SMALL)), stresses())
+def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
+    """Counters, rewards and observations are the reference farm's."""
+    flight = replace(flight, config=stressed(flight.config, stress))
+    batch, layout = begin(flight), flight.layout()
+    with placed(layout, flight.positions()):
+        farm = ReferenceFarm(flight.config, layout, flight.episode)
+    farm._assign(batch.assignment[0])
+    farm._look()
+    for action in flight.actions()[:16]:
+        batch.step(action[None])
+        farm.step(action, batch.assignment[0])
+        np.testing.assert_allclose(batch.aoi[0], farm.aoi, rtol=1e-9, atol=1e-9)
+        np.testing.assert_array_equal(batch.vdf[0], farm.vdf)
+        np.testing.assert_array_equal(batch.patch_known[0], farm.known)
+        np.testing.assert_allclose(batch.reward[0], farm.reward, rtol=1e-5, atol=1e-5)
+        columns = stress_columns(flight.config)
+        np.testing.assert_allclose(batch.observation[0, columns], farm.observation[columns], rtol=0.0, atol=1e-6)
+
+
+@dose(20)
+@given(flights(farm_configs(SMALL)), stresses())
+def test_a_patch_of_no_growth_changes_nothing(flight: Flight, stress: StressConfig):
+    """With growth 1, the episode is bit-equal to one without patches."""
+    with_patches = replace(flight.config, stress=replace(stress, growth=1))
+    one, two = begin(replace(flight, config=with_patches)), begin(flight)
+    for action in flight.actions():
+        one.step(action[None])
+        two.step(action[None])
+        for name in ("aoi", "vdf", "observation", "reward"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_counters_rise_faster_in_a_patch_and_as_before_after_it():
+    """A plot that nobody visits rises at the multiples of its cycle, which is shorter while a patch covers it."""
+    config = FarmConfig(stress=StressConfig(patches=1, radius=1000.0, growth=3, seconds=100.0))
+    config = replace(config, camera=replace(config.camera, image_distance=1.0))
+    farms = FarmBatch(config, 1)
+    farms.reset(0, 3, 1)
+    first, end = patches(config, 3, 1).time[0]
+    before, rises = farms.vdf.copy(), []
+    for step in range(1, 501):
+        farms.step(np.zeros((1, 24), np.float32))
+        if (farms.vdf > before).all():
+            rises.append(step)
+        assert ((farms.vdf > before).all(), (farms.vdf > before).any()) != (False, True)
+        before = farms.vdf.copy()
+        if farms.vdf.max() == 5.0:
+            break
+    wanted = [t for t in range(1, 501) if t % (10 if first <= t < end else 30) == 0]
+    assert rises == wanted[:5]
+
+
+def test_a_patch_is_known_from_the_step_in_which_a_uav_with_a_task_is_over_it():
+    """Nobody knows a patch that no monitor and no collector has been over, and it then fades with its end."""
+    config = stressed(FarmConfig(), StressConfig(patches=3, radius=40.0, seconds=60.0))
+    farms = FarmBatch(config, 1)
+    farms.reset(0, 5, 2)
+    place, time = patches(config, 5, 2)
+    random, known = np.random.default_rng(0), np.zeros(3, bool)
+    relays = config.world.communication_uavs
+    for step in range(1, 501):
+        farms.step(random.uniform(-1.0, 1.0, (1, 24)).astype(np.float32))
+        apart = np.linalg.norm(farms.position[0, relays:, None] - place, axis=2)
+        alive = (time[:, 0] <= step) & (step < time[:, 1])
+        known |= alive & (apart <= 40.0).any(axis=0)
+        assert np.array_equal(farms.patch_known[0], known)
+        assert farms.stressed[0].any() == (alive & known).any()
+    assert known.any()
