@@ -21,6 +21,7 @@ from rollout.heuristics.steering import keep_apart, loiter, loiter_speed, toward
 from rollout.sim.batch import FarmBatch
 from rollout.sim.boxes import Array
 from rollout.sim.layout import Layout
+from rollout.sim.stress import known_cycles
 
 RELAYS: Final = 0
 MONITORS: Final = 1
@@ -44,6 +45,7 @@ class FarmState:
         aoi: [S] AoI.
         vdf: [n_px n_py] VDF, plots in row-major order.
         assignment: [n_m + n_d] relay of each served UAV; -1 without relays.
+        cycles: cycles of the counters as far as known, VDF [n_px n_py] and AoI [S], steps.
     """
 
     config: FarmConfig
@@ -55,6 +57,7 @@ class FarmState:
     aoi: Array
     vdf: Array
     assignment: NDArray[np.int64]
+    cycles: tuple[NDArray[np.int64], NDArray[np.int64]]
 
     def of(self, kind: int) -> Array:
         """Return the positions of the UAVs of a type, [n_v, 2] m."""
@@ -183,4 +186,5 @@ class CompositePolicy:
             aoi=farms.aoi[index],
             vdf=farms.vdf[index].reshape(-1),
             assignment=np.where(served >= 0, number[served], -1),
+            cycles=known_cycles(farms, index),
         )

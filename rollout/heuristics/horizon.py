@@ -56,7 +56,12 @@ EFFORT: Final = Effort()
 
 
 def monitors(state: FarmState) -> GroupPolicy:
-    """Return monitors that sweep until the last steps. All plots are alike, so no plan beats a sweep."""
+    """Return monitors that sweep until the last steps, and where there can be stress, monitors that plan throughout.
+
+    Where all plots are alike, no plan beats a sweep.
+    """
+    if state.config.stress.some:
+        return HorizonGroupPolicy(state, MONITORS)
     return Handover(state, lawnmower.monitors(state), HorizonGroupPolicy(state, MONITORS))
 
 
@@ -99,12 +104,11 @@ class HorizonGroupPolicy:
         self._reward = step_reward(state.config, kind, effort.discount)
         if kind == MONITORS:
             self._grid = plot_grid(state.config)
-            self._cycle: Indices = np.full(layout.plot_phase.size, round(world.vdf_cycle / world.step_seconds))
             self._phase: Indices = layout.plot_phase.reshape(-1)
             self._most = float(world.vdf_max)
         else:
             self._grid = sensor_grid(state.config, layout.sensor_xy)
-            self._cycle, self._phase = layout.sensor_cycle_steps, layout.sensor_phase
+            self._phase = layout.sensor_phase
             self._most = float(world.aoi_max)
         self._plans: list[Indices] = [NOBODY] * len(state.of(kind))
 
@@ -137,9 +141,9 @@ class HorizonGroupPolicy:
 
     def _levels(self, state: FarmState, horizon: int) -> Array:
         """Return the counters [horizon, S] that the coming steps would credit if no UAV served anything."""
-        now = state.vdf if self._kind == MONITORS else state.aoi
+        now, cycle = (state.vdf, state.cycles[0]) if self._kind == MONITORS else (state.aoi, state.cycles[1])
         then = state.time + np.arange(horizon)[:, None]
-        rises = (then - self._phase) // self._cycle - (state.time - self._phase) // self._cycle
+        rises = (then - self._phase) // cycle - (state.time - self._phase) // cycle
         levels: Array = np.minimum(now + rises, self._most)
         return levels
 

@@ -1,6 +1,8 @@
 """The patches of stress of an episode: where, and when."""
 
-from typing import NamedTuple
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,8 +10,12 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.seeds import stream
 from rollout.sim.boxes import Array
+from rollout.sim.sweep_routes import plot_centres
 
-LATEST = 0.75
+if TYPE_CHECKING:
+    from rollout.sim.batch import FarmBatch
+
+LATEST: Final = 0.75
 """Share of the episode within which patches appear."""
 
 
@@ -33,6 +39,24 @@ def patches(config: FarmConfig, farm_seed: int, episode_seed: int) -> Patches:
     first = random.integers(1, max(1, int(LATEST * world.steps)), stress.patches, endpoint=True)
     lasting = max(1, int(min(stress.seconds / world.step_seconds, world.steps)))
     return Patches(place, np.stack([first, first + lasting], axis=1))
+
+
+def known_cycles(farms: FarmBatch, index: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the cycles of the counters of an environment as the team knows them, plots [P] and sensors [S], steps."""
+    config, layout = farms.config, farms.layout(index)
+    world, stress = config.world, config.stress
+    plots = np.full(world.plots_x * world.plots_y, round(world.vdf_cycle / world.step_seconds))
+    sensors = layout.sensor_cycle_steps
+    if stress.some:
+        first, end = farms.patch_time[index].T
+        known = farms.patch_known[index] & (first <= farms.time[index]) & (farms.time[index] < end)
+        place = farms.patch_place[index]
+        plots = np.where(
+            within(config, place, known, plot_centres(world)), np.maximum(1, plots // stress.growth), plots
+        )
+        covered = within(config, place, known, layout.sensor_xy)
+        sensors = np.where(covered, np.maximum(1, sensors // stress.growth), sensors)
+    return plots, sensors
 
 
 def within(config: FarmConfig, place: Array, living: NDArray[np.bool_], xy: Array) -> NDArray[np.bool_]:

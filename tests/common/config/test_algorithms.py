@@ -178,7 +178,16 @@ def test_digests_of_earlier_versions_count(name):
         "[farm.stress]\npatches = 0\nradius = 60.0\ngrowth = 3\nseconds = 200.0\n\n",
     )
     lines = functools.reduce(lambda text, section: text.replace(section, ""), events, to_toml(config)).splitlines()
-    later = "memory = ", "objective = ", "sequence_steps = ", "route = ", "link = ", "stress = ", "advice = ", "relayed = "
+    later = (
+        "memory = ",
+        "objective = ",
+        "sequence_steps = ",
+        "route = ",
+        "link = ",
+        "stress = ",
+        "advice = ",
+        "relayed = ",
+    )
     kept = [line for line in lines if not line.startswith(later)]
     assert digest(config) == hashlib.sha256("\n".join([*kept, ""]).encode()).hexdigest()[:16]
     assert digest(with_values(config, {"farm.observation.route": True})) != digest(config)
