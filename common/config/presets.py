@@ -51,6 +51,14 @@ entropy_scales = ""
 """
 """A farm on which images and data count only while the UAV's relay is near; see docs/reference/environment.md."""
 
+UNEVEN: Final = """
+[farm.stress]
+patches = 6
+[farm.observation]
+stress = true
+"""
+"""A farm on which patches of stress come and go, where plots and sensors need three times as many visits."""
+
 EIA_SEC: Final = """
 episodes = 400
 [farm.observation]
@@ -156,6 +164,7 @@ PRESETS: Final[dict[str, RunConfig]] = {
     "quick": from_toml(QUICK, RunConfig()),
     "long": from_toml(LONG, RunConfig()),
     "connected": from_toml(CONNECTED, RunConfig()),
+    "uneven": from_toml(UNEVEN, RunConfig()),
     "eia-sec": _EIA_SEC,
     "study": from_toml(STUDY, _EIA_SEC),
     "paper": from_toml(PAPER, _EIA_SEC),

@@ -35,7 +35,7 @@ class LearnerArguments:
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
     preset: str = "default"
-    """Configuration to begin from: default, quick, long, connected, eia-sec, study, paper, or an ablation: eia, sec,
+    """Configuration to begin from: default, quick, long, connected, uneven, eia-sec, study, paper, or an ablation: eia, sec,
     base."""
     config: Path | None = None
     """TOML file whose values override the preset's."""

@@ -46,7 +46,7 @@ class TrainArguments:
     """Train on this machine: learner, elite coordinator and workers run as separate processes over loopback."""
 
     preset: str = "default"
-    """Configuration to begin from: default, quick, long, connected, eia-sec, study, paper, or an ablation: eia, sec,
+    """Configuration to begin from: default, quick, long, connected, uneven, eia-sec, study, paper, or an ablation: eia, sec,
     base."""
     config: Path | None = None
     """TOML file whose values override the preset's."""
