@@ -30,6 +30,13 @@ PIECE_STEPS: Final = 4
 """Steps of a trail that share one opacity."""
 FULL: Final = 0.85
 """Opacity of a trail's newest end."""
+FAINT: Final = 0.3
+"""Opacity of what is gone, or is not known."""
+UP, DOWN = "0.15", "#EE6677"
+"""Colours of links that are up, and of those that are down."""
+DOTTED: Final = (0, (1.0, 1.6))
+STRESS: Final = "#AA3377"
+"""Colour of patches of stress."""
 
 
 class FarmMap:
@@ -53,7 +60,8 @@ class FarmMap:
         axes.set_xlabel("x, m", **SMALL)
         axes.set_ylabel("y, m", labelpad=1, **SMALL)
         self._circles = self._make_circles(scene)
-        self._links = LineCollection([], colors="0.15", linewidths=1.1, linestyles=(0, (1.0, 1.6)), zorder=3)
+        self._links = LineCollection([], linewidths=1.1, linestyles=DOTTED, zorder=3)
+        self._stress = _make_ellipses(axes, scene.config.stress.radius, "none", STRESS, 1.8)
         self._trails = LineCollection([], linewidths=2.0, capstyle="butt", joinstyle="round", zorder=3)
         axes.add_collection(self._links)
         axes.add_collection(self._trails)
@@ -62,6 +70,7 @@ class FarmMap:
         self._plots: tuple[slice, slice, Indices, Indices] | None = None
         self.artists: tuple[Any, ...] = (
             *self._circles,
+            *([self._stress] if scene.config.stress.some else []),
             self._links,
             self._trails,
             *self._sensors,
@@ -78,11 +87,14 @@ class FarmMap:
         """Update every moving artist from the scene."""
         slices = dict(zip(TYPES, farm_team(scene.config).agent_slices(), strict=True))
         for circle, name in zip(self._circles, (MONITORING, COLLECTION), strict=True):
-            circle.set_offsets(scene.position[slices[name]])
+            circle.set_offsets(scene.position[slices[name]][~scene.gone[slices[name]]])
         relays = slices[COMMUNICATION].stop
         linked = scene.assignment >= 0
         ends = [scene.position[scene.assignment[linked]], scene.position[relays:][linked]]
         self._links.set_segments([*np.stack(ends, axis=1)])
+        self._links.set_color([UP if up else DOWN for up in scene.linked[linked]])
+        self._stress.set_offsets(scene.stress)
+        self._stress.set_edgecolor([to_rgba(STRESS, FULL if known else FAINT) for known in scene.known])
         segments, colours = _trails(scene, slices)
         self._trails.set_segments(segments)
         self._trails.set_color(colours)
@@ -92,6 +104,7 @@ class FarmMap:
             sensors.set_array(scene.aoi[chosen])
         for uavs, name in zip(self._uavs, TYPES, strict=True):
             uavs.set_offsets(scene.position[slices[name]])
+            uavs.set_alpha([FAINT if gone else 1.0 for gone in scene.gone[slices[name]]])
         for index, numbers in enumerate(self._numbers):
             wearers = [part.start + index for part in slices.values() if part.start + index < part.stop]
             numbers.set_offsets(scene.position[wearers])
@@ -120,21 +133,27 @@ class FarmMap:
         """Make the circles that show how far cameras and sensor radios reach."""
         circles = []
         for name, radius in ((MONITORING, camera_radius(scene.config)), (COLLECTION, radio_radius(scene.config))):
-            circle = EllipseCollection(
-                2.0 * radius,
-                2.0 * radius,
-                0.0,
-                units="xy",
-                offsets=np.zeros((1, 2)),
-                offset_transform=self._map.transData,
-                facecolors=[to_rgba(COLOURS[name], 0.14)],
-                edgecolors=[to_rgba(COLOURS[name], 0.9)],
-                linewidths=0.9,
-                zorder=2,
-            )
-            self._map.add_collection(circle)
+            circle = _make_ellipses(self._map, radius, to_rgba(COLOURS[name], 0.14), to_rgba(COLOURS[name], 0.9), 0.9)
             circles.append(circle)
         return circles
+
+
+def _make_ellipses(axes: Axes, radius: float, face: Any, edge: Any, width: float) -> EllipseCollection:
+    """Make circles of one radius in m, and add them to the axes."""
+    circles = EllipseCollection(
+        2.0 * radius,
+        2.0 * radius,
+        0.0,
+        units="xy",
+        offsets=np.zeros((0, 2)),
+        offset_transform=axes.transData,
+        facecolors=[face],
+        edgecolors=[edge],
+        linewidths=width,
+        zorder=2,
+    )
+    axes.add_collection(circles)
+    return circles
 
 
 def _trails(scene: Scene, slices: dict[str, slice]) -> tuple[list[Numbers], list[tuple[float, float, float, float]]]:
@@ -219,11 +238,12 @@ def make_scales(figure: Figure, scene: Scene, across: tuple[float, float], botto
 def make_legend(figure: Figure, scene: Scene, corner: tuple[float, float]) -> None:
     """Draw the legend of the map's other symbols, with its upper left corner at `corner` of the figure."""
     handles = [
-        Line2D([], [], color="0.15", linestyle=(0, (1.0, 1.6)), label="relay and whom it serves"),
+        Line2D([], [], color=UP, linestyle=DOTTED, label="relay and whom it serves"),
         Line2D([], [], color="0.4", linewidth=2.0, label=f"path of the last {TRAIL_STEPS} steps"),
         _ring(MONITORING, f"camera, {camera_radius(scene.config):.0f} m"),
         _ring(COLLECTION, f"half of all packets arrive, {radio_radius(scene.config):.0f} m"),
     ]
+    handles += _events(scene)
     for kind, cycle in enumerate(scene.config.world.sensor_cycles):
         marker = SENSOR_MARKERS[kind % len(SENSOR_MARKERS)]
         handles.append(
@@ -239,6 +259,18 @@ def make_legend(figure: Figure, scene: Scene, corner: tuple[float, float]) -> No
         borderaxespad=0.0,
         handlelength=1.8,
     )
+
+
+def _events(scene: Scene) -> list[Line2D]:
+    """Return the symbols of what not every farm has: links that are down, patches of stress."""
+    handles = []
+    if scene.config.relay.require_link:
+        handles.append(Line2D([], [], color=DOWN, linestyle=DOTTED, label="link out of range"))
+    if scene.config.stress.some:
+        patch = Line2D([], [], marker="o", markersize=9, linestyle="", label="patch of stress; faint: not known")
+        patch.set(markerfacecolor="none", markeredgecolor=STRESS, markeredgewidth=1.8)
+        handles.append(patch)
+    return handles
 
 
 def _ring(name: str, label: str) -> Line2D:

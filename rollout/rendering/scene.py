@@ -37,6 +37,10 @@ class Scene:
         vdf: [n_px, n_py] units.
         course: [step + 1, 2] mean AoI and mean VDF of every step; NaN for steps that were not observed.
         reward: reward per agent in this episode so far, by type; "mean" is the mean over all agents.
+        gone: [n] whether a UAV has failed.
+        linked: [n_m + n_d] whether the link of a served UAV is up.
+        stress: [K, 2] centres of the patches of stress that there are now, m.
+        known: [K] whether the team knows them.
     """
 
     config: FarmConfig
@@ -49,6 +53,10 @@ class Scene:
     vdf: Numbers
     course: Numbers
     reward: dict[str, float]
+    gone: NDArray[np.bool_]
+    linked: NDArray[np.bool_]
+    stress: Numbers
+    known: NDArray[np.bool_]
 
     @property
     def headline(self) -> str:
@@ -88,6 +96,8 @@ class Observer:
             name: float(rewards[part].mean()) for name, part in zip(TYPES, batch.team.agent_slices(), strict=True)
         }
         position = batch.position[index].copy()
+        first, end = batch.patch_time[index].T
+        lives = (first <= step) & (step < end)
         return Scene(
             config=batch.config,
             layout=layout,
@@ -99,7 +109,27 @@ class Observer:
             vdf=batch.vdf[index].copy(),
             course=self._course[: step + 1].copy(),
             reward={**by_type, "mean": float(rewards.mean())},
+            gone=batch.gone[index].copy(),
+            linked=links_up(batch.config, position, batch.assignment[index]),
+            stress=batch.patch_place[index, lives].copy(),
+            known=batch.patch_known[index, lives].copy(),
         )
+
+
+def links_up(config: FarmConfig, position: Numbers, assignment: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return whether each served UAV has a relay, and where links count, one within range, [n_m + n_d].
+
+    Args:
+        config: the farm.
+        position: [n, 2] m.
+        assignment: [n_m + n_d] relays; -1 for none.
+    """
+    world, relay = config.world, config.relay
+    height = np.repeat((world.height_monitoring, world.height_collection), world.counts[1:])
+    flat = ((position[world.communication_uavs :] - position[assignment]) ** 2).sum(axis=1)
+    near = flat + (height - world.height_communication) ** 2 <= relay.link_range**2
+    up: NDArray[np.bool_] = (assignment >= 0) & (near if relay.require_link else True)
+    return up
 
 
 BISECTIONS: Final = 64
