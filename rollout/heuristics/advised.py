@@ -38,7 +38,8 @@ def make_farms(config: FarmConfig, environments: int, threads: int = 1, hindsigh
 class AdvisedFarms(FarmBatch):
     """Farms that write the advice of a heuristic into the observations after each step.
 
-    The heuristic flies along with the UAVs, wherever they go. After the last step nothing is advised.
+    The heuristic flies along with the UAVs, wherever they go. After the last step nothing is advised. Options are
+    coarser than what a heuristic does, so a UAV that chooses the marked one flies exactly as advised.
 
     Args:
         config: the farm.
@@ -59,6 +60,9 @@ class AdvisedFarms(FarmBatch):
             )
         self._heuristic = found
         self._columns = advice_columns(config)
+        shape = environments, config.world.uavs, 2
+        self._velocity: Float32 = np.zeros(shape, np.float32)
+        self._marked: Float32 = np.full(shape, np.nan, np.float32)
 
     def reset(self, index: int, farm_seed: int, episode_seed: int) -> None:
         """Start an episode in one environment; see `FarmBatch.reset`."""
@@ -68,22 +72,40 @@ class AdvisedFarms(FarmBatch):
 
     def step(self, action: Float32) -> None:
         """Step every environment; see `FarmBatch.step`."""
-        super().step(action)
+        super().step(self._followed(action) if action.shape == (len(self.time), self._marked[0].size) else action)
         under_way = np.flatnonzero(~self.ended)
         if len(under_way):
             self._advise(under_way)
 
+    def _followed(self, action: Float32) -> Float32:
+        """Return the actions, with the heuristic's own in place of those of the options that it marked."""
+        chosen = action.reshape(self._marked.shape)
+        follows = (chosen == self._marked).all(axis=-1, keepdims=True)
+        return np.where(follows, self._velocity, chosen).reshape(action.shape)
+
     def _advise(self, indices: NDArray[np.int64]) -> None:
         """Write the advice of the present step into the observations of some environments."""
         velocity = self._heuristic.velocities(self, indices)
+        self._velocity[indices] = velocity
         views, mirrored = self.team.split_observations(self.observation), self.config.observation.mirrored
         for group, rows, view, columns in zip(
             self.team.groups, self.team.agent_slices(), views, self._columns, strict=True
         ):
-            seen = view[indices]
+            seen, left = view[indices], ~self.gone[indices, rows, None]
             own = velocity[:, rows] * (seen[..., SIGNS] if mirrored else 1.0)
-            seen[..., columns] = advice(group, seen, own) * ~self.gone[indices, rows, None]
+            told = advice(group, seen, own)
+            seen[..., columns] = told * left
             view[indices] = seen
+            if group.choices:
+                option = told.argmax(axis=-1)[..., None].astype(np.float32)
+                self._marked[indices, rows] = np.where(left, adapted(group, seen, option), np.nan)
+
+
+def adapted(group: GroupSpec, observation: Float32, action: Float32) -> Float32:
+    """Return the environment's actions [..., 2] for the options [..., 1] of a type's UAVs."""
+    for adapter in group.adapters:
+        action = adapter.adapt(observation, action)
+    return action
 
 
 def advice(group: GroupSpec, observation: Float32, velocity: Array) -> Float32:

@@ -12,7 +12,7 @@ from common.config.presets import preset
 from common.errors import ConfigError, SimulationError
 from common.farm import HEADING_SPEEDS, advice_columns, farm_environment, farm_team
 from learner.trainers import make_trainer
-from rollout.heuristics.advised import make_farms, nearest_heading, nearest_move
+from rollout.heuristics.advised import adapted, make_farms, nearest_heading, nearest_move
 from rollout.heuristics.registry import heuristic
 from rollout.policies import ActorPolicy
 from rollout.sim.batch import FarmBatch
@@ -69,12 +69,12 @@ def test_advised_velocities_are_those_of_the_heuristic(mirrored):
         farms.step(action)
 
 
-def test_uavs_that_follow_marks_fly_nearly_as_the_heuristic():
-    """Options are coarser than velocities, and lose a little."""
-    config = advised("horizon")
-    config = replace(config, world=replace(config.world, steps=250))
+@pytest.mark.parametrize("name", ["horizon", "tour+centroid"])
+def test_uavs_that_follow_marks_fly_exactly_as_the_heuristic(name):
+    """Options are coarser than velocities, but the marked one stands for the heuristic's own velocity."""
+    config = advised(name)
     farms, plain = make_farms(config, 2), FarmBatch(replace(config, observation=DEFAULT.observation), 2)
-    policy = heuristic("horizon", plain.config)
+    policy = heuristic(name, plain.config)
     for e in range(2):
         farms.reset(e, 1000 + e, 0)
         plain.reset(e, 1000 + e, 0)
@@ -84,10 +84,32 @@ def test_uavs_that_follow_marks_fly_nearly_as_the_heuristic():
             assert (marks.sum(axis=-1) == 1.0).all()
         farms.step(follow(farms))
         plain.step(policy.act(plain))
-    tasks = slice(DEFAULT.world.communication_uavs, None)
-    ours, theirs = (np.mean([b.summary(e).reward[tasks] for e in range(2)]) for b in (farms, plain))
-    assert ours > 0.95 * theirs
+        assert np.array_equal(farms.position, plain.position)
+        assert np.array_equal(farms.reward, plain.reward)
     assert all((marks == 0.0).all() for marks in advice_of(farms))  # nothing is advised after the last step
+
+
+def test_another_option_is_flown_as_it_is():
+    """Only the marked option stands for the advice."""
+    config = advised("tour")
+    farms, plain = make_farms(config, 1), FarmBatch(replace(config, observation=DEFAULT.observation), 1)
+    random, compared = np.random.default_rng(0), 0
+    for episode in range(20):
+        farms.reset(0, 1000, episode)
+        plain.reset(0, 1000, episode)
+        action = []
+        for group, view, marks in zip(
+            farms.team.groups, farms.team.split_observations(farms.observation), advice_of(farms), strict=True
+        ):
+            other = (marks.argmax(axis=-1) + random.integers(1, group.choices[0], group.count)) % group.choices[0]
+            action.append(adapted(group, view, other[..., None].astype(np.float32)).reshape(1, -1))
+        row = np.concatenate(action, axis=1).astype(np.float32)
+        apart = (row != follow(farms)).reshape(12, 2).any(axis=1)  # at the border, several options are one
+        farms.step(row)
+        plain.step(row)
+        assert np.array_equal(farms.position[0, apart], plain.position[0, apart])
+        compared += int(apart.sum())
+    assert compared > 200
 
 
 def test_a_fresh_policy_follows_the_advice():

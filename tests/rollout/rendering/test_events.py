@@ -1,0 +1,68 @@
+"""Pictures of what not every farm has: links out of range, UAVs that are gone, patches of stress."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+
+from common.config import FarmConfig, StressConfig
+from rollout.rendering.farm_map import DOWN, STRESS
+from rollout.rendering.render import Renderer
+from rollout.rendering.scene import Observer, links_up
+from rollout.sim.batch import FarmBatch
+
+
+def flown(config, steps):
+    """Return farms after so many steps in which all UAVs stay."""
+    farms = FarmBatch(config, 1)
+    farms.reset(0, 5, 2)
+    for _ in range(steps):
+        farms.step(np.zeros((1, 24), np.float32))
+    return farms
+
+
+def colours(config, steps):
+    """Return the colours in a picture, [N, 3]."""
+    farms = flown(config, steps)
+    renderer = Renderer(farms, 0)
+    renderer.observe()
+    return renderer.render("rgb_array").reshape(-1, 3) / 255.0
+
+
+def has(pixels, colour):
+    """Return whether any pixel is close to a colour."""
+    return bool((np.abs(pixels - to_rgb(colour)).max(axis=1) < 0.12).any())
+
+
+@pytest.mark.parametrize("some", [False, True])
+def test_patches_and_broken_links_are_drawn_where_there_are_any(some):
+    """Their colours are in the picture only of farms that have them."""
+    config = FarmConfig()
+    if some:
+        stress = StressConfig(patches=6, radius=60.0, seconds=500.0)
+        config = replace(config, stress=stress, relay=replace(config.relay, require_link=True, link_range=20.0))
+    pixels = colours(config, 400)
+    assert has(pixels, STRESS) == some
+    assert has(pixels, DOWN) == some
+
+
+def test_a_scene_has_the_patches_that_there_are_now():
+    """Those before their first step and after their last one are not shown."""
+    farms = flown(FarmConfig(stress=StressConfig(patches=8, radius=30.0, seconds=60.0)), 200)
+    scene = Observer(farms, 0).scene()
+    first, end = farms.patch_time[0].T
+    lives = (first <= 200) & (end > 200)
+    assert np.array_equal(scene.stress, farms.patch_place[0, lives])
+    assert np.array_equal(scene.known, farms.patch_known[0, lives])
+
+
+def test_a_link_is_up_within_its_range():
+    """The range is a distance in space; a UAV without a relay has no link."""
+    config = FarmConfig()
+    config = replace(config, relay=replace(config.relay, require_link=True, link_range=100.0))
+    position = np.zeros((12, 2))
+    position[4:8, 0] = 99.0, 101.0, 0.0, 50.0
+    assignment = np.zeros(8, np.int64)
+    assignment[2] = -1
+    assert links_up(config, position, assignment).tolist() == [True, False, False, True, True, True, True, True]
