@@ -1,8 +1,10 @@
 """Where learning pays: a policy trained for each of several farms, beside the best heuristic there.
 
-    python -m experiments.conditions [NAME ...] [--episodes 1600] [--seed 0] [--write docs/results/conditions]
+    python -m experiments.conditions [NAME ...] [--episodes 1600] [--advised 600] [--seed 0]
+        [--write docs/results/conditions]
 
-Farms that stand in the results already keep their numbers unless they are named.
+A second policy sees the advice of the best heuristic and begins with following it (`farm.observation.advice`). What
+stands in the results already stays as it is, unless its farm is named.
 """
 
 import argparse
@@ -16,7 +18,7 @@ import torch
 
 from common.config import FarmConfig, RunConfig
 from common.config.files import from_toml
-from common.config.presets import preset
+from common.config.presets import LONG, preset
 from deploy.local.in_process import train_in_process
 from deploy.reports.provenance import provenance
 from experiments.heuristics import interval
@@ -46,6 +48,7 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
         "default",
         "[farm.world]\ncommunication_uavs = 8\nmonitoring_uavs = 8\ncollection_uavs = 8",
     ),
+    "patches of stress": ("uneven", ""),
     "clustered sensors": ("default", '[farm.world]\ndensity = "clustered"'),
 }
 """Each farm by its name: a preset, and what differs from it."""
@@ -76,31 +79,81 @@ def flown(farm: FarmConfig, policy: Policy, name: str, farms: range) -> Scores:
     }
 
 
-def compare(name: str, episodes: int, seed: int, farms: range) -> Scores:
-    """Train for a condition; return its scores and those of all heuristics, the best first."""
-    config = configuration(name, episodes, seed)
+def trained(config: RunConfig, farms: range, name: str) -> Scores:
+    """Train; return the scores of the policy, and what it took."""
     began = time.monotonic()
     trainer = train_in_process(config)
-    seconds = time.monotonic() - began
-    learned = flown(config.farm, ActorPolicy(trainer.actors().noise_free()), "learned", farms)
-    others = [flown(config.farm, policy_of(task, config.farm), task, farms) for task in TASKS]
-    others.sort(key=lambda scores: -float(scores["reward"][0]))
-    steps = trainer.environment_steps
-    return {"seconds": round(seconds, 1), "steps": steps, "learned": learned, "heuristics": others}
+    seconds = round(time.monotonic() - began, 1)
+    scores = flown(config.farm, ActorPolicy(trainer.actors().noise_free()), name, farms)
+    return {**scores, "seconds": seconds, "steps": trainer.environment_steps}
+
+
+def best_heuristics(farm: FarmConfig, farms: range) -> list[Scores]:
+    """Return the scores of all heuristics, the best first."""
+    scores = [flown(farm, policy_of(task, farm), task, farms) for task in TASKS]
+    return sorted(scores, key=lambda found: -float(found["reward"][0]))
+
+
+def with_advice(config: RunConfig, heuristic: str, episodes: int) -> RunConfig:
+    """Return the run that learns from a heuristic on, with the settings of the preset long."""
+    long = from_toml(LONG, config)
+    observation = replace(long.farm.observation, advice=heuristic)
+    return replace(long, farm=replace(long.farm, observation=observation), episodes=episodes)
+
+
+def compare(name: str, found: Scores, episodes: tuple[int, int], seed: int, farms: range) -> Scores:
+    """Return what was found for a condition, with what is missing measured.
+
+    Args:
+        name: the condition.
+        found: "learned" and "advised", scores of policies, and "heuristics", scores of all heuristics, the best first;
+            as far as they are known.
+        episodes: those of the policy that learns from nothing, and of the one that learns from a heuristic on.
+        seed: of the runs.
+        farms: seeds of the farms to score on.
+    """
+    found, config = dict(found), configuration(name, episodes[0], seed)
+    if "heuristics" not in found:
+        found["heuristics"] = best_heuristics(config.farm, farms)
+    if "learned" not in found:
+        found["learned"] = trained(config, farms, "learned")
+    if "advised" not in found and episodes[1] > 0:
+        advice = found["heuristics"][0]["policy"]
+        found["advised"] = trained(with_advice(config, advice, episodes[1]), farms, f"advised by {advice}")
+    return found
 
 
 def page(data: dict[str, Any]) -> str:
     """Return the results as a page."""
-    head = ("farm", "learned", "best heuristic", "", "ratio", "c, m, d learned", "c, m, d heuristic", "minutes")
-    rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---:|---|---:|---:|---:|---:|"]
+    head = (
+        "farm",
+        "best heuristic",
+        "",
+        "learned",
+        "ratio",
+        "advised",
+        "ratio",
+        "c, m, d: heuristic",
+        "learned",
+        "advised",
+    )
+    rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * 7]
     for name, found in data["results"].items():
-        learned, best = found["learned"], found["heuristics"][0]
-        reward, bar = (f"{s['reward'][0]:.0f} ({s['reward'][1]:.0f}..{s['reward'][2]:.0f})" for s in (learned, best))
-        ratio = f"{learned['reward'][0] / best['reward'][0]:.2f}"
-        types = [", ".join(f"{value:.0f}" for value in scores["types"].values()) for scores in (learned, best)]
-        cells = (name, reward, bar, best["policy"], ratio, *types, f"{found['seconds'] / 60.0:.1f}")
+        bar = found["heuristics"][0]
+        cells = [name, _reward(bar), bar["policy"]]
+        for policy in ("learned", "advised"):
+            known = policy in found
+            cells += [_reward(found[policy]) if known else "-"]
+            cells += [f"{found[policy]['reward'][0] / bar['reward'][0]:.3f}" if known else "-"]
+        for scores in (bar, found["learned"], found.get("advised")):
+            cells.append(", ".join(f"{value:.0f}" for value in scores["types"].values()) if scores else "-")
         rows.append("| " + " | ".join(cells) + " |")
-    return filled(TEMPLATE, data, tables="\n".join([*rows, ""]), episodes=data["episodes"], seed=data["seed"])
+    numbers = {name: data[name] for name in ("episodes", "advised", "seed")}
+    return filled(TEMPLATE, data, tables="\n".join([*rows, ""]), **numbers)
+
+
+def _reward(scores: Scores) -> str:
+    return f"{scores['reward'][0]:.0f} ({scores['reward'][1]:.0f}..{scores['reward'][2]:.0f})"
 
 
 def kept(folder: Path | None) -> dict[str, Scores]:
@@ -118,6 +171,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m experiments.conditions", description=about)
     parser.add_argument("name", nargs="*", help="conditions; by default all that the results do not hold")
     parser.add_argument("--episodes", type=int, default=1600)
+    parser.add_argument("--advised", type=int, default=600, help="episodes of the policy with advice; 0 for none")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--farms", type=farm_range, default="1020:1100", help="farm seeds A:B, from A to B - 1")
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
@@ -126,13 +180,18 @@ def main() -> None:
         parser.error(f"there is no condition {unknown[0]!r}; they are {', '.join(CONDITIONS)}")
     torch.set_num_threads(1)
     results = kept(arguments.write)
-    wanted = arguments.name or [name for name in CONDITIONS if name not in results]
+    for name in arguments.name:
+        results.pop(name, None)
     data: dict[str, Any] = {**provenance("experiments.conditions"), "farms": list(arguments.farms)}
     # The command for all farms, whichever were measured last.
-    data["command"] = f"python -m experiments.conditions --episodes {arguments.episodes} --seed {arguments.seed}"
-    data |= {"episodes": arguments.episodes, "seed": arguments.seed, "results": results}
-    for name in wanted:
-        results[name] = compare(name, arguments.episodes, arguments.seed, arguments.farms)
+    data["command"] = (
+        f"python -m experiments.conditions --episodes {arguments.episodes} --advised {arguments.advised} "
+        f"--seed {arguments.seed}"
+    )
+    data |= {"episodes": arguments.episodes, "advised": arguments.advised, "seed": arguments.seed, "results": results}
+    for name in arguments.name or CONDITIONS:
+        episodes = arguments.episodes, arguments.advised
+        results[name] = compare(name, results.get(name, {}), episodes, arguments.seed, arguments.farms)
         data["results"] = {key: results[key] for key in CONDITIONS if key in results}
         write_results(data, page, arguments.write)
 

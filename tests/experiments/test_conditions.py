@@ -40,28 +40,34 @@ def tiny(monkeypatch):
 
 def test_a_condition_is_trained_and_compared(tiny):
     """Both sides have rewards, and the page says who won."""
-    found = compare("tiny", 4, 0, range(1000, 1002))
-    assert found["steps"] == 160
+    found = compare("tiny", {}, (4, 4), 0, range(1000, 1002))
+    assert found["learned"]["steps"] == found["advised"]["steps"] == 160
+    assert found["advised"]["policy"] == "advised by greedy"
     assert [scores["policy"] for scores in found["heuristics"]] == ["greedy"]
-    origin = {"command": "c", "commit": "d", "farms": [1000, 1001], "episodes": 4, "seed": 0}
+    origin = {"command": "c", "commit": "d", "farms": [1000, 1001], "episodes": 4, "advised": 4, "seed": 0}
     text = page({**origin, "results": {"tiny": found}})
-    assert f"| {found['learned']['reward'][0] / found['heuristics'][0]['reward'][0]:.2f} |" in text
+    for policy in ("learned", "advised"):
+        assert f"| {found[policy]['reward'][0] / found['heuristics'][0]['reward'][0]:.3f} |" in text
+    del found["advised"]
+    assert "| - |" in page({**origin, "results": {"tiny": found}})
 
 
 def test_what_was_measured_is_kept(tiny, monkeypatch, tmp_path, capsys):
     """A second call measures what is missing, and a named condition anew."""
     measured = []
+    score = {"policy": "greedy", "reward": [1.0, 1.0, 1.0], "types": {"c": 1.0}, "aoi": 1.0, "vdf": 1.0}
 
-    def once(name, episodes, seed, farms):
-        measured.append(name)
-        score = {"policy": "greedy", "reward": [1.0, 1.0, 1.0], "types": {"c": 1.0}, "aoi": 1.0, "vdf": 1.0}
-        return {"seconds": 1.0, "steps": 1, "learned": score, "heuristics": [score]}
+    def once(config, farms, name):
+        measured.append(f"{config.env.name if 'advised' in name else name} {config.farm.relay.require_link}")
+        return {**score, "seconds": 1.0, "steps": 1}
 
-    monkeypatch.setattr(conditions, "compare", once)
-    for words in ([], [], ["tiny"]):
+    monkeypatch.setattr(conditions, "trained", once)
+    monkeypatch.setattr(conditions, "best_heuristics", lambda farm, farms: [score])
+    for words in (["--advised", "0"], [], [], ["tiny"]):
         monkeypatch.setattr(sys, "argv", ["conditions", *words, "--write", str(tmp_path)])
         main()
-    assert measured == ["tiny", "other", "tiny"]
+    alone, advised = ["learned True", "learned False"], ["farm True", "farm False"]
+    assert measured == [*alone, *advised, "learned True", "farm True"]
     assert list(kept(tmp_path)) == ["tiny", "other"]
     assert json.loads((tmp_path / "results.json").read_text())["seed"] == 0
     monkeypatch.setattr(sys, "argv", ["conditions", "nothing"])
