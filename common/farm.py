@@ -55,7 +55,7 @@ def farm_environment(farm: FarmConfig) -> EnvironmentSpec:
     """Return a farm's description for generic code."""
     team = farm_team(farm)
     names = {group.name: _tensor_names(farm, group) for group in team.groups}
-    metrics = (*EPISODE_METRICS, *([FAILED] if farm.failures.some else []))
+    metrics = (*EPISODE_METRICS, *([FAILED] if farm.loses_uavs else []))
     return EnvironmentSpec(team, (farm.world.steps, farm.world.steps), metrics, LETTERS, names)
 
 
@@ -171,7 +171,8 @@ def _added(farm: FarmConfig, name: str) -> list[str]:
         added += _links(farm, task=task)
     if seen.stress and task:
         added += _square("block_stress", 5)
-    return [*added, *(["alive"] if farm.failures.some else []), *_advice(farm, name)]
+    added += ["charge", "station_dx", "station_dy", "charge_there"] if seen.charge else []
+    return [*added, *(["alive"] if farm.loses_uavs else []), *_advice(farm, name)]
 
 
 def _advice(farm: FarmConfig, name: str) -> list[str]:

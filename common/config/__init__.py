@@ -16,6 +16,7 @@ from common.config.algorithms import (
 )
 from common.config.environment import EnvConfig
 from common.config.farm import (
+    BatteryConfig,
     CameraConfig,
     EnergyConfig,
     FarmConfig,
@@ -35,6 +36,7 @@ __all__ = [
     "ALGORITHM_CONFIGS",
     "AlgorithmConfig",
     "BaselineConfig",
+    "BatteryConfig",
     "CameraConfig",
     "ControlConfig",
     "EiaPpoConfig",

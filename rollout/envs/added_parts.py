@@ -66,7 +66,11 @@ def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...
     if seen.stress and task:
         blocks = f"of {BLOCKS} x {BLOCKS} blocks of {BLOCK} x {BLOCK} plots, x outer"
         parts.append(Part("stress", BLOCKS**2, 0.0, 1.0, f"share of stressed plots {blocks}"))
-    if config.failures.some:
+    if seen.charge:
+        parts.append(Part("charge", 1, 0.0, 1.0, "charge over capacity"))
+        parts.append(Part("station", 2, -1.0, 1.0, "offset (dx / X, dy / Y) to the nearest station"))
+        parts.append(Part("charge there", 1, -1.0, 1.0, "the same after a straight flight to it, clipped"))
+    if config.loses_uavs:
         parts.append(Part("alive", 1, 0.0, 1.0, "share of the own type's UAVs that have not failed"))
     if seen.advice:
         parts.append(_advice(config, name))

@@ -3,6 +3,8 @@
 A group policy sets goals for its UAVs. `steering` flies every UAV to its goal and keeps the UAVs apart. Each
 environment has its own group policies, so an episode does not depend on the rest of the batch.
 
+Where UAVs have batteries, they leave for a station in time, whatever their group policies want (`charging`).
+
 When UAVs fail (`farm.failures`), the others begin anew: they get new group policies for a farm that has only them. So
 routes are divided among the living, and nobody reckons with a UAV that is gone.
 """
@@ -15,8 +17,9 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FailureConfig, FarmConfig
+from common.config import BatteryConfig, FailureConfig, FarmConfig
 from common.team import Float32
+from rollout.heuristics.charging import Charging
 from rollout.heuristics.steering import keep_apart, loiter, loiter_speed, towards
 from rollout.sim.batch import FarmBatch
 from rollout.sim.boxes import Array
@@ -99,7 +102,7 @@ def left_over(config: FarmConfig, living: tuple[int, int, int]) -> FarmConfig:
     capacity = max(config.relay.capacity_for(config.world), -(-(monitors + collectors) // relays))
     world = replace(config.world, communication_uavs=relays, monitoring_uavs=monitors, collection_uavs=collectors)
     relay = replace(config.relay, capacity=capacity)
-    return replace(config, world=world, relay=relay, failures=FailureConfig())
+    return replace(config, world=world, relay=relay, failures=FailureConfig(), battery=BatteryConfig())
 
 
 class CompositePolicy:
@@ -126,12 +129,14 @@ class CompositePolicy:
         self._seeds: dict[int, tuple[int, int]] = {}
         self._groups: dict[int, list[GroupPolicy]] = {}
         self._gone: dict[int, NDArray[np.bool_]] = {}
+        self._charging: dict[int, Charging] = {}
 
     def reset(self, farms: FarmBatch, index: int) -> None:
         """Make new group policies for one environment."""
         episode = farms.summary(index)
         self._layouts[index] = farms.layout(index)
         self._seeds[index] = episode.farm, episode.episode
+        self._charging[index] = Charging(self._config)
         self._begin(farms, index)
 
     def act(self, farms: FarmBatch) -> Float32:
@@ -158,6 +163,8 @@ class CompositePolicy:
         state = self._farm_state(farms, index)
         goals: Array = np.full(farms.position[index].shape, AWAY)
         goals[~farms.gone[index]] = np.concatenate([group.goals(state) for group in self._groups[index]])
+        if self._config.battery.some:
+            self._charging[index].redirect(farms, index, goals)
         return goals
 
     def _begin(self, farms: FarmBatch, index: int) -> None:

@@ -66,6 +66,7 @@ class FarmBatch:
         link_quality: [E, n_m + n_d] signal-to-noise ratio of the link between each served UAV and its relay, dB:
             P_ut minus the free-space loss (km and MHz, as in the assignment's cost) minus the noise k_B T B in dBm;
             NO_LINK without a relay.
+        charge: [E, n] of the batteries, J; [E, 0] without batteries (`farm.battery`).
         patch_place: [E, P, 2] centres of the patches of stress, m.
         patch_time: [E, P, 2] first step of each patch, and the first one without it.
         patch_known: [E, P] whether the team knows it (`farm.stress`).
@@ -107,7 +108,7 @@ class FarmBatch:
         self.parts: NDArray[np.float64] = self._state.parts
         self.time: NDArray[np.int64] = self._state.time
         self.terminated: NDArray[np.bool_] = np.zeros(environments, np.bool_)
-        self.position: NDArray[np.float64] = self._state.shown if config.failures.some else self._state.position
+        self.position: NDArray[np.float64] = self._state.shown if config.loses_uavs else self._state.position
         self.gone: NDArray[np.bool_] = self._state.gone
         self.aoi: NDArray[np.float64] = self._state.age
         self.vdf: NDArray[np.float64] = self._state.level
@@ -118,6 +119,7 @@ class FarmBatch:
         self.utility: NDArray[np.float64] = self._state.utility
         self.served_sensors: NDArray[np.float64] = self._state.served
         self.link_quality: NDArray[np.float64] = self._state.quality
+        self.charge: NDArray[np.float64] = self._state.charge
         self.patch_place: NDArray[np.float64] = self._state.patch_place
         self.patch_time: NDArray[np.int32] = self._state.patch_time
         self.patch_known: NDArray[np.bool_] = self._state.patch_known
@@ -182,6 +184,8 @@ class FarmBatch:
         state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
         state.failure[e] = failure_steps(self.config, farm_seed, episode_seed)
         state.gone[e], state.living[e] = False, world.counts
+        if self.config.battery.some:
+            state.charge[e] = self.config.battery.capacity
         if self.config.stress.some:
             self._begin_stress(e, layout)
         if self._routes:
@@ -240,7 +244,7 @@ class FarmBatch:
         farm, episode = self._seeds[index]
         steps = int(self.time[index])
         aoi, vdf, *rest = self._state.sums[index].tolist()
-        failed = [float(self.gone[index].sum())] if self.config.failures.some else []
+        failed = [float(self.gone[index].sum())] if self.config.loses_uavs else []
         metrics = (aoi / max(steps, 1), vdf / max(steps, 1), *rest, *failed)
         return EpisodeSummary(
             farm=farm,

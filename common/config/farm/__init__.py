@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from common.config.farm.battery import BatteryConfig
 from common.config.farm.control import ControlConfig
 from common.config.farm.equipment import CameraConfig, EnergyConfig, RadioConfig
 from common.config.farm.failures import FailureConfig
@@ -13,6 +14,7 @@ from common.config.farm.world import WorldConfig
 from common.errors import ConfigError
 
 __all__ = [
+    "BatteryConfig",
     "CameraConfig",
     "ControlConfig",
     "EnergyConfig",
@@ -41,6 +43,7 @@ class FarmConfig:
     control: ControlConfig = field(default_factory=ControlConfig)
     failures: FailureConfig = field(default_factory=FailureConfig)
     stress: StressConfig = field(default_factory=StressConfig)
+    battery: BatteryConfig = field(default_factory=BatteryConfig)
 
     def __post_init__(self) -> None:
         """Refuse sections that contradict each other."""
@@ -50,3 +53,8 @@ class FarmConfig:
             raise ConfigError(
                 f"observation.sensors {self.observation.sensors} exceeds the {self.world.sensors} sensors there are."
             )
+
+    @property
+    def loses_uavs(self) -> bool:
+        """Whether a UAV can be gone before the end: it fails, or its battery is empty."""
+        return self.failures.some or self.battery.some

@@ -52,6 +52,8 @@ class ObservationConfig:
 
     stress: bool = False
     """Whether UAVs with tasks see where the patches of stress around them are that the team knows (ours)."""
+    charge: bool = False
+    """Whether UAVs see their charge, the way to the nearest station and what would be left there (ours)."""
     advice: str = ""
     """Heuristic whose next move each UAV sees, TASK or TASK+RELAYS as `--policy` takes it; empty for none. Fresh actors
     of moves and headings begin with following it (ours)."""
@@ -69,6 +71,7 @@ class ObservationConfig:
             self.service,
             self.link,
             self.stress,
+            self.charge,
             bool(self.advice),
         )
         return self.peers > 0 or self.units > 0 or any(switches)

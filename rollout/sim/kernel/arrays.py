@@ -61,6 +61,7 @@ class State(NamedTuple):
         gone: [E, n] whether each UAV has failed, see `failures`; the position of one that has is infinite.
         living: [E, 3] UAVs of each type that have not failed.
         shown: [E, n, 2] positions, of UAVs that have failed the last ones, m; [E, 0, 2] unless UAVs can fail.
+        charge: [E, n] of the batteries, J.
         patch_place: [E, P, 2] centres of the patches of stress, m.
         patch_time: [E, P, 2] first step of each patch, and the first one without it.
         patch_known: [E, P] whether the team knows it.
@@ -108,6 +109,7 @@ class State(NamedTuple):
     gone: Flags
     living: Indices
     shown: Array
+    charge: Array
     patch_place: Array
     patch_time: Int32
     patch_known: Flags
@@ -158,6 +160,7 @@ class Farm(NamedTuple):
     gone: Flags
     living: Indices
     shown: Array
+    charge: Array
     patch_place: Array
     patch_time: Int32
     patch_known: Flags
@@ -287,7 +290,8 @@ def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
         failure=np.zeros((count, uavs), np.int32),
         gone=np.zeros((count, uavs), np.bool_),
         living=np.zeros((count, 3), np.int64),
-        shown=np.zeros((count, config.failures.some * uavs, 2)),
+        shown=np.zeros((count, config.loses_uavs * uavs, 2)),
+        charge=np.zeros((count, config.battery.some * uavs)),
         patch_place=np.zeros((count, stress.patches, 2)),
         patch_time=np.zeros((count, stress.patches, 2), np.int32),
         patch_known=np.zeros((count, stress.patches), np.bool_),
@@ -305,7 +309,7 @@ def make_scratch(config: FarmConfig) -> Scratch:
     served = world.monitoring_uavs + collectors
     relays = world.communication_uavs
     places = relays * config.relay.capacity_for(world)
-    if config.failures.some:
+    if config.loses_uavs:
         places = max(places, served + relays - 1)  # a living relay may serve more, see `capacity_left`
     return Scratch(
         previous=np.zeros((uavs, 2)),

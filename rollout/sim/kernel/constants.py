@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.errors import ConfigError
 from rollout.sim.kernel.event_constants import (
+    BatteryConstants,
     FailureConstants,
     StressConstants,
+    battery_constants,
     failure_constants,
     stress_constants,
 )
@@ -227,6 +229,7 @@ class Constants(NamedTuple):
     added: ViewConstants
     failures: FailureConstants
     stress: StressConstants
+    battery: BatteryConstants
 
 
 def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
@@ -266,6 +269,7 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         view_constants(config, radio, cells),
         failure_constants(config),
         stress_constants(config),
+        battery_constants(config),
     )
     return Constants(*(_cast(part) for part in parts))
 

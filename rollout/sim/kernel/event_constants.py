@@ -1,9 +1,15 @@
-"""The compiled simulator's constants of what happens during an episode: UAVs that fail, patches of stress."""
+"""The compiled simulator's constants of an episode's events: failures, stress, empty batteries."""
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from common.config import FarmConfig
 from common.farm import farm_team
+from rollout.sim.stations import station_places
+
+Array = NDArray[np.float64]
 
 
 class FailureConstants(NamedTuple):
@@ -34,13 +40,37 @@ class StressConstants(NamedTuple):
     plot_cycle: int
 
 
+class BatteryConstants(NamedTuple):
+    """Batteries.
+
+    Attributes:
+        some: whether UAVs have any.
+        capacity: of each, J.
+        power: of charging, W.
+        landing_square: square of the distance from a station within which UAVs land, m^2.
+        stations: [K, 2] m.
+    """
+
+    some: bool
+    capacity: float
+    power: float
+    landing_square: float
+    stations: Array
+
+
 def failure_constants(config: FarmConfig) -> FailureConstants:
     """Derive the numbers of UAVs that fail."""
     relays, monitors, collectors = (group.observation_size for group in farm_team(config).groups)
-    return FailureConstants(some=config.failures.some, sizes=(relays, monitors, collectors))
+    return FailureConstants(some=config.loses_uavs, sizes=(relays, monitors, collectors))
 
 
 def stress_constants(config: FarmConfig) -> StressConstants:
     """Derive the numbers of the patches of stress."""
     stress, cycle = config.stress, round(config.world.vdf_cycle / config.world.step_seconds)
     return StressConstants(stress.some, stress.radius**2, stress.growth, max(1, cycle // stress.growth))
+
+
+def battery_constants(config: FarmConfig) -> BatteryConstants:
+    """Derive the numbers of the batteries."""
+    battery = config.battery
+    return BatteryConstants(battery.some, battery.capacity, battery.power, battery.landing**2, station_places(config))

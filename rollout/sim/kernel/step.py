@@ -2,7 +2,7 @@
 
 Inside step k, at t = k t_step, the order is:
 1. Motivation compares the commanded velocity with the direction observed before the step.
-2. UAVs fail, if any does in this step, and the others move.
+2. UAVs fail, if any does in this step, and the others move. Batteries empty, or charge.
 3. Relays are assigned, and D_c(k) is computed at the new positions.
 4. Sensors send and plots are photographed, for credit of AoI(t - t_step) and VDF(t - t_step).
 5. Counters rise or fall, in patches of stress faster. UAVs find the patches that they are over.
@@ -23,6 +23,7 @@ from rollout.sim.kernel.compiler.argument_pack import unpack
 from rollout.sim.kernel.compiler.decorators import allocation_free, allocation_free_entry, inlined
 from rollout.sim.kernel.compiler.prefetch import prefetch
 from rollout.sim.kernel.constants import Constants
+from rollout.sim.kernel.flight.battery import use_charge
 from rollout.sim.kernel.flight.failures import lose_uavs, show_places
 from rollout.sim.kernel.flight.motion import find_nearest, fly
 from rollout.sim.kernel.observation import see_plots, see_relays, see_sensors
@@ -87,6 +88,7 @@ def _farm(state: State, e: int) -> Farm:
         gone=state.gone[e],
         living=state.living[e],
         shown=state.shown[e],
+        charge=state.charge[e],
         patch_place=state.patch_place[e],
         patch_time=state.patch_time[e],
         patch_known=state.patch_known[e],
@@ -165,6 +167,8 @@ def _step(c: Constants, farm: Farm, s: Scratch, action: Float32, fresh: bool) ->
         fly(c, farm, s, action)
     else:
         _start(c, farm, s)
+    if c.battery.some and not fresh:
+        use_charge(c, farm, s)
     if c.failures.some:
         show_places(farm)
     _update_geometry(c, farm, s, fresh or lost)

@@ -20,6 +20,7 @@ from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, fiel
 from rollout.sim.kernel.views.fields import FLOOR, SCALE
 from rollout.sim.kernel.views.units import MOST
 from rollout.sim.reference.axes import place_of, signs_of
+from rollout.sim.reference.battery import charge_view
 from rollout.sim.reference.links import link_view, links_view
 from rollout.sim.reference.routes import route_view
 from rollout.sim.reference.stress import stress_view
@@ -52,8 +53,9 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
             else links_view(farm, u, signs, relay_places(farm, u, signs))
         ]
     parts += [stress_view(farm, u, signs)] if seen.stress and kind else []
+    parts += [charge_view(farm, u, signs)] if seen.charge else []
     share = len(farm.living(kind)) / (farm.kind == kind).sum()
-    parts += [np.array([share])] if farm.config.failures.some else []
+    parts += [np.array([share])] if farm.config.loses_uavs else []
     parts += [np.zeros(advice_sizes(farm.config)[kind])]
     return np.concatenate(parts)
 

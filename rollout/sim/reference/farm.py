@@ -17,6 +17,7 @@ from rollout.sim.batch import packet_key, start_levels, start_positions
 from rollout.sim.failures import failure_steps
 from rollout.sim.kernel.relays import NO_LINK
 from rollout.sim.layout import Layout
+from rollout.sim.reference.battery import use_charge
 from rollout.sim.reference.routes import first_sweep
 from rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
 from rollout.sim.reference.views import observe
@@ -133,6 +134,7 @@ class ReferenceFarm:
         position: [n, 2] m; before: [n, 2] the same one step ago.
         aoi: [S]; vdf: [n_px, n_py].
         gone: [n] whether a UAV has failed.
+        charge: [n] of the batteries, J.
         known: [P] whether the team knows a patch of stress.
         assignment: [n_m + n_d] relays, -1 for none; assignment_cost: the sum of its costs.
         service: [n_c] D_c, m.
@@ -161,6 +163,7 @@ class ReferenceFarm:
         y = (np.arange(world.plots_y) + 0.5) * world.field_y / world.plots_y
         self.plot_xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         self.patches = patches(config, layout.seed, episode_seed)
+        self.charge = np.full(world.uavs, config.battery.capacity)
         self.known = np.zeros(config.stress.patches, bool)
         self.chance = np.zeros(world.sensors)
         self.energy, self.utility, self.reward = np.zeros(world.uavs), np.zeros(world.uavs), np.zeros(world.uavs)
@@ -189,11 +192,10 @@ class ReferenceFarm:
         self.position = np.clip(wanted, 0.0, (world.field_x, world.field_y))
         self.outside = (self.position != wanted).any(axis=1)
         speed = np.sqrt((velocity**2).sum(axis=1))
-        power = [
-            flight_power(self.config.energy, v) + other_power(self.config.energy, k)
-            for v, k in zip(speed, self.kind, strict=True)
-        ]
+        power = [self.power(u, v) for u, v in enumerate(speed)]
         self.energy = np.where(self.gone, 0.0, np.array(power) * world.step_seconds)
+        if self.config.battery.some:
+            use_charge(self, np.array([other_power(self.config.energy, k) for k in self.kind]))
         self._assign(assignment)
         self.utility = np.zeros(world.uavs)
         self._photograph()
@@ -201,6 +203,10 @@ class ReferenceFarm:
         self._reward(service_before, motivated)
         find(self)
         self._look()
+
+    def power(self, u: int, speed: float) -> float:
+        """Return what a UAV needs at a speed, W."""
+        return flight_power(self.config.energy, speed) + other_power(self.config.energy, self.kind[u])
 
     def distance(self, a: int, b: int, position: Array) -> float:
         """Return the 3-D distance of two UAVs, m."""

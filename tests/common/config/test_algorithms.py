@@ -175,6 +175,7 @@ def test_digests_of_earlier_versions_count(name):
     config = with_values(preset(name), {"farm.observation.route": False})
     events = (
         '[farm.failures]\nper_hour = 0.0\nat = ""\n\n',
+        "[farm.battery]\ncapacity = 0.0\nstations = 4\npower = 400.0\nlanding = 5.0\n\n",
         "[farm.stress]\npatches = 0\nradius = 60.0\ngrowth = 3\nseconds = 200.0\n\n",
     )
     lines = functools.reduce(lambda text, section: text.replace(section, ""), events, to_toml(config)).splitlines()
@@ -185,6 +186,7 @@ def test_digests_of_earlier_versions_count(name):
         "route = ",
         "link = ",
         "stress = ",
+        "charge = ",
         "advice = ",
         "relayed = ",
     )

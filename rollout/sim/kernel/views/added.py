@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Constants
+from rollout.sim.kernel.flight.battery import put_charge
 from rollout.sim.kernel.flight.failures import see_nothing
 from rollout.sim.kernel.spatial.neighbours import cell_of
 from rollout.sim.kernel.spatial.tallies import total
@@ -114,6 +115,8 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.link:
         sx, sy = v.sign[u, 0], v.sign[u, 1]
         at = put_links(fleet, view, farm.position, farm.assignment, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
+    if view.charge:
+        at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
     if view.alive:
         at = _put_alive(farm.living[0], fleet.relays, seen, at)
     return see_nothing(view.advice[0], seen, at)
@@ -174,6 +177,8 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
         at = put_stress(farm.stressed, column, row, sx, sy, seen, at)
     elif view.stress:
         at = see_nothing(BLOCKS * BLOCKS, seen, at)
+    if view.charge:
+        at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
     if view.alive:
         at = _put_alive(farm.living[1], fleet.collectors - fleet.relays, seen, at)
     return see_nothing(view.advice[1], seen, at)
@@ -227,6 +232,8 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
         at = put_stress(farm.stressed, column, row, sx, sy, seen, at)
     elif view.stress:
         at = see_nothing(BLOCKS * BLOCKS, seen, at)
+    if view.charge:
+        at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
     if view.alive:
         at = _put_alive(farm.living[2], fleet.uavs - fleet.collectors, seen, at)
     return see_nothing(view.advice[2], seen, at)

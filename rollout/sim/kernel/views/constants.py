@@ -50,6 +50,7 @@ class ViewConstants(NamedTuple):
         alive: whether they see how many of their type have not failed.
         link: whether UAVs and relays see their links.
         stress: whether UAVs with tasks see the patches of stress that the team knows.
+        charge: whether UAVs see their batteries.
         advice: [3] numbers of each type that say what a heuristic would do; the simulator leaves them 0.
         link_range: range of the UAV-UAV link, m.
         served: UAVs that a relay sees of those that it serves.
@@ -92,6 +93,7 @@ class ViewConstants(NamedTuple):
     alive: bool
     link: bool
     stress: bool
+    charge: bool
     advice: Indices
     link_range: float
     served: int
@@ -131,7 +133,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
     sure, most = image_bounds(config)
     boxes, plots, starts = flat_routes(config)
     return ViewConstants(
-        some=seen.added or config.failures.some,
+        some=seen.added or config.loses_uavs,
         peers=seen.peers,
         last_move=seen.last_move,
         closing=seen.closing,
@@ -141,9 +143,10 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         phases=seen.phases,
         route=seen.route,
         service=seen.service,
-        alive=config.failures.some,
+        alive=config.loses_uavs,
         link=seen.link,
         stress=seen.stress,
+        charge=seen.charge,
         advice=np.array(advice_sizes(config), np.int64),
         link_range=float(config.relay.link_range),
         served=config.relay.capacity_for(world),

@@ -47,8 +47,8 @@ def dose(examples: int) -> settings:
 
 SLOW = (HealthCheck.too_slow, HealthCheck.data_too_large)
 
-APART = ("link", "relayed", "stress")
-"""What `test_properties_links` and `test_properties_stress` draw, and is off elsewhere; `test_properties_added` has the
+APART = ("link", "relayed", "stress", "charge")
+"""What the tests of links, stress and batteries draw, and is off elsewhere; `test_properties_added` has the
 switches of observations on."""
 GROUNDS = ("seeded", "borders", "heap")
 STARTS = ("seeded", "together", "corners", "plots")

@@ -1,0 +1,34 @@
+"""Batteries of the UAVs, and the stations that charge them."""
+
+from dataclasses import dataclass
+from typing import Final
+
+from common.config.checks import not_negative, positive, within
+
+MOST_STATIONS: Final = 64
+"""Most charging stations of a farm."""
+
+
+@dataclass(frozen=True)
+class BatteryConfig:
+    """Batteries that flights empty; without a capacity, energy only costs reward."""
+
+    capacity: float = 0.0
+    """Charge of a full battery, with which a UAV starts, J; 0 for no batteries (ours)."""
+    stations: int = 4
+    """Charging stations, evenly over the field (ours)."""
+    power: float = 400.0
+    """Power with which a station charges each UAV that has landed, W (ours)."""
+    landing: float = 5.0
+    """Distance from a station within which a UAV that flies at most 1 m/s has landed, m (ours)."""
+
+    def __post_init__(self) -> None:
+        """Refuse batteries that are none."""
+        not_negative(capacity=self.capacity)
+        within(1, MOST_STATIONS, stations=self.stations)
+        positive(power=self.power, landing=self.landing)
+
+    @property
+    def some(self) -> bool:
+        """Whether there are batteries."""
+        return self.capacity > 0.0
