@@ -59,6 +59,14 @@ stress = true
 """
 """A farm on which patches of stress come and go, where plots and sensors need three times as many visits."""
 
+BATTERY: Final = """
+[farm.battery]
+capacity = 8000.0
+[farm.observation]
+charge = true
+"""
+"""A farm whose UAVs fly for about three minutes, and then have to charge for about twenty seconds."""
+
 EIA_SEC: Final = """
 episodes = 400
 [farm.observation]
@@ -165,6 +173,7 @@ PRESETS: Final[dict[str, RunConfig]] = {
     "long": from_toml(LONG, RunConfig()),
     "connected": from_toml(CONNECTED, RunConfig()),
     "uneven": from_toml(UNEVEN, RunConfig()),
+    "battery": from_toml(BATTERY, RunConfig()),
     "eia-sec": _EIA_SEC,
     "study": from_toml(STUDY, _EIA_SEC),
     "paper": from_toml(PAPER, _EIA_SEC),

@@ -14,7 +14,7 @@ from rollout.sim.kernel.flight.motion import flight_power
 from rollout.sim.layout import cell_counts
 from rollout.sim.stations import station_places
 
-RESERVE: Final = 0.1
+RESERVE: Final = 0.2
 """Share of the capacity that should be left at the station."""
 FULL: Final = 0.9
 """Share of the capacity with which a UAV leaves the station."""

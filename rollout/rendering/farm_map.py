@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
 from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, SENSOR_MARKERS, SOIL_STOPS, TYPES, shade
 from rollout.rendering.scene import TRAIL_STEPS, Scene, camera_radius, radio_radius
+from rollout.sim.stations import station_places
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -62,6 +63,8 @@ class FarmMap:
         self._circles = self._make_circles(scene)
         self._links = LineCollection([], linewidths=1.1, linestyles=DOTTED, zorder=3)
         self._stress = _make_ellipses(axes, scene.config.stress.radius, "none", STRESS, 1.8)
+        self._batteries = _make_batteries(axes) if scene.config.battery.some else []
+        stations = [_make_stations(axes, scene)] if scene.config.battery.some else []
         self._trails = LineCollection([], linewidths=2.0, capstyle="butt", joinstyle="round", zorder=3)
         axes.add_collection(self._links)
         axes.add_collection(self._trails)
@@ -70,12 +73,14 @@ class FarmMap:
         self._plots: tuple[slice, slice, Indices, Indices] | None = None
         self.artists: tuple[Any, ...] = (
             *self._circles,
+            *stations,
             *([self._stress] if scene.config.stress.some else []),
             self._links,
             self._trails,
             *self._sensors,
             *self._uavs,
             *self._numbers,
+            *self._batteries,
         )
 
     def pixel(self, x: float, y: float) -> tuple[int, int]:
@@ -95,6 +100,8 @@ class FarmMap:
         self._links.set_color([UP if up else DOWN for up in scene.linked[linked]])
         self._stress.set_offsets(scene.stress)
         self._stress.set_edgecolor([to_rgba(STRESS, FULL if known else FAINT) for known in scene.known])
+        for bars, share in zip(self._batteries, (np.ones_like(scene.charge), scene.charge), strict=False):
+            bars.set_segments(_bars(scene, share))
         segments, colours = _trails(scene, slices)
         self._trails.set_segments(segments)
         self._trails.set_color(colours)
@@ -154,6 +161,29 @@ def _make_ellipses(axes: Axes, radius: float, face: Any, edge: Any, width: float
     )
     axes.add_collection(circles)
     return circles
+
+
+def _make_stations(axes: Axes, scene: Scene) -> PathCollection:
+    """Make the symbols of the charging stations, which stay."""
+    x, y = station_places(scene.config).T
+    return axes.scatter(x, y, marker="H", s=320, facecolors="none", edgecolors=INK, linewidths=1.4, zorder=2.2)
+
+
+def _make_batteries(axes: Axes) -> list[LineCollection]:
+    """Make the bars for the capacity and the charge of each UAV."""
+    bars = [LineCollection([], colors=colour, linewidths=3.0, capstyle="butt", zorder=7) for colour in ("white", INK)]
+    for bar in bars:
+        axes.add_collection(bar)
+    return bars
+
+
+def _bars(scene: Scene, share: Numbers) -> list[Numbers]:
+    """Return a bar under each UAV that is not gone, [2, 2] m; a share of 1 is as wide as a UAV's marker."""
+    world, left = scene.config.world, ~scene.gone
+    width, below = 0.036 * world.field_x, 0.028 * world.field_y
+    start = scene.position[left] - (0.5 * width, below)
+    end = start + np.stack([width * share[left], np.zeros(int(left.sum()))], axis=1)
+    return [*np.stack([start, end], axis=1)]
 
 
 def _trails(scene: Scene, slices: dict[str, slice]) -> tuple[list[Numbers], list[tuple[float, float, float, float]]]:
@@ -266,6 +296,10 @@ def _events(scene: Scene) -> list[Line2D]:
     handles = []
     if scene.config.relay.require_link:
         handles.append(Line2D([], [], color=DOWN, linestyle=DOTTED, label="link out of range"))
+    if scene.config.battery.some:
+        station = Line2D([], [], marker="H", markersize=9, linestyle="", label="charging station; bar: charge")
+        station.set(markerfacecolor="none", markeredgecolor=INK, markeredgewidth=1.4)
+        handles.append(station)
     if scene.config.stress.some:
         patch = Line2D([], [], marker="o", markersize=9, linestyle="", label="patch of stress; faint: not known")
         patch.set(markerfacecolor="none", markeredgecolor=STRESS, markeredgewidth=1.8)

@@ -41,6 +41,7 @@ class Scene:
         linked: [n_m + n_d] whether the link of a served UAV is up.
         stress: [K, 2] centres of the patches of stress that there are now, m.
         known: [K] whether the team knows them.
+        charge: [n] charge over capacity; [0] without batteries.
     """
 
     config: FarmConfig
@@ -57,6 +58,7 @@ class Scene:
     linked: NDArray[np.bool_]
     stress: Numbers
     known: NDArray[np.bool_]
+    charge: Numbers
 
     @property
     def headline(self) -> str:
@@ -113,6 +115,7 @@ class Observer:
             linked=links_up(batch.config, position, batch.assignment[index]),
             stress=batch.patch_place[index, lives].copy(),
             known=batch.patch_known[index, lives].copy(),
+            charge=np.maximum(batch.charge[index], 0.0) / max(batch.config.battery.capacity, 1e-9),
         )
 
 

@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.collections import PathCollection
 from matplotlib.colors import to_rgb
 
-from common.config import FarmConfig, StressConfig
-from rollout.rendering.farm_map import DOWN, STRESS
+from common.config import BatteryConfig, FarmConfig, StressConfig
+from rollout.rendering.farm_map import DOWN, STRESS, FarmMap, _bars
 from rollout.rendering.render import Renderer
 from rollout.rendering.scene import Observer, links_up
 from rollout.sim.batch import FarmBatch
@@ -66,3 +68,20 @@ def test_a_link_is_up_within_its_range():
     assignment = np.zeros(8, np.int64)
     assignment[2] = -1
     assert links_up(config, position, assignment).tolist() == [True, False, False, True, True, True, True, True]
+
+
+def test_batteries_and_stations_are_drawn():
+    """A bar has the length of the charge, and the map has a symbol for each station."""
+    farms = flown(FarmConfig(battery=BatteryConfig(capacity=8000.0, stations=3)), 100)
+    renderer = Renderer(farms, 0)
+    renderer.observe()
+    scene = Observer(farms, 0).scene()
+    renderer.render("rgb_array")
+    share = farms.charge[0] / 8000.0
+    assert np.allclose(scene.charge, share)
+    for bar, part in zip(_bars(scene, scene.charge), share, strict=True):
+        assert bar[1, 0] - bar[0, 0] == pytest.approx(0.036 * 400.0 * part)
+    figure, axes = plt.subplots()
+    drawn = FarmMap(axes, scene)
+    assert any(len(artist.get_offsets()) == 3 for artist in drawn.artists if isinstance(artist, PathCollection))
+    plt.close(figure)

@@ -1,0 +1,66 @@
+"""Heuristics with batteries."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from common.config.presets import preset
+from rollout.heuristics.charging import FULL, Charging
+from rollout.heuristics.registry import TASKS, heuristic
+from rollout.sim.batch import FarmBatch
+from rollout.sim.stations import station_places
+
+FARM = preset("battery").farm
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_nobody_runs_empty(name):
+    """Every heuristic's UAVs charge in time, and more than once."""
+    farms, policy = FarmBatch(FARM, 2), heuristic(name, FARM)
+    for e in range(2):
+        farms.reset(e, 500 + e, 0)
+        policy.reset(farms, e)
+    charged, before = np.zeros((2, 12)), farms.charge.copy()
+    while not farms.ended.any():
+        farms.step(policy.act(farms))
+        charged += farms.charge > before
+        before = farms.charge.copy()
+    assert not farms.gone.any()
+    assert (charged[:, 4:] > 5).all()
+
+
+def test_uavs_of_a_type_take_different_stations_and_leave_when_full():
+    """Two monitors at one place go to two stations; a full battery frees its station."""
+    farms = FarmBatch(FARM, 1)
+    farms.reset(0, 1, 1)
+    farms.position[0, 4:6] = 110.0, 100.0
+    farms.charge[0, 4:6] = 900.0
+    charging, stations = Charging(FARM), station_places(FARM)
+    goals = np.full((12, 2), 7.0)
+    charging.redirect(farms, 0, goals)
+    taken = [int(np.flatnonzero((stations == goal).all(axis=1))[0]) for goal in goals[4:6]]
+    assert len(set(taken)) == 2
+    assert (goals[[0, 1, 6, 11]] == 7.0).all()
+    farms.charge[0, 4:6] = FULL * FARM.battery.capacity - 1.0, FULL * FARM.battery.capacity
+    goals = np.full((12, 2), 7.0)
+    charging.redirect(farms, 0, goals)
+    assert (goals[4] == stations[taken[0]]).all()
+    assert (goals[5] == 7.0).all()
+
+
+def test_a_uav_that_is_gone_holds_no_station():
+    """Its station is free for the next one."""
+    farms = FarmBatch(replace(FARM, failures=replace(FARM.failures, at="monitoring 0 at 1")), 1)
+    farms.reset(0, 1, 1)
+    farms.charge[0, 4:6] = 100.0
+    farms.position[0, 4:6] = 110.0, 100.0
+    charging, stations = Charging(FARM), station_places(FARM)
+    charging.redirect(farms, 0, np.zeros((12, 2)))
+    farms.step(np.zeros((1, 24), np.float32))
+    farms.charge[0, 6] = 100.0
+    farms.position[0, 6] = stations[0]
+    goals = np.zeros((12, 2))
+    charging.redirect(farms, 0, goals)
+    assert (goals[4] == 0.0).all()
+    assert goals[6].any()
