@@ -23,10 +23,10 @@ from common.team import Float32
 from deploy.reports.provenance import provenance
 from experiments.reporting import farm_range, filled, write_results
 from rollout.evaluation import episode_seed
-from rollout.heuristics import lawnmower
 from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy, FarmState
-from rollout.heuristics.horizon import Effort, HorizonGroupPolicy
 from rollout.heuristics.relays import CentroidRelays
+from rollout.heuristics.tasks import lawnmower
+from rollout.heuristics.tasks.horizon import Effort, HorizonGroupPolicy
 from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
 

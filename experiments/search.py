@@ -16,10 +16,10 @@ from common.config.presets import preset
 from deploy.reports.provenance import provenance
 from experiments.reporting import farm_range, filled, write_results
 from rollout.evaluation import evaluate
-from rollout.heuristics import horizon
 from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
-from rollout.heuristics.horizon import Effort, HorizonGroupPolicy
 from rollout.heuristics.relays import SearchRelays
+from rollout.heuristics.tasks import horizon
+from rollout.heuristics.tasks.horizon import Effort, HorizonGroupPolicy
 from rollout.policies import policy_of
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")

@@ -76,6 +76,8 @@ def added_table() -> str:
         route=True,
         service=True,
         link=True,
+        stress=True,
+        charge=True,
         advice="horizon",
     )
     plain, lines = observation_parts(farm), ["| agents | observation | numbers | from | to | meaning |"]

@@ -93,11 +93,11 @@ class AdvisedFarms(FarmBatch):
         ):
             seen, left = view[indices], ~self.gone[indices, rows, None]
             own = velocity[:, rows] * (seen[..., SIGNS] if mirrored else 1.0)
-            told = advice(group, seen, own)
-            seen[..., columns] = told * left
+            marks = advice(group, seen, own)
+            seen[..., columns] = marks * left
             view[indices] = seen
             if group.choices:
-                option = told.argmax(axis=-1)[..., None].astype(np.float32)
+                option = marks.argmax(axis=-1)[..., None].astype(np.float32)
                 self._marked[indices, rows] = np.where(left, adapted(group, seen, option), np.nan)
 
 

@@ -1,6 +1,6 @@
 """All heuristics by name.
 
-To add one for monitors and collectors, write a module with the functions `monitors` and `collectors` beside this one
+To add one for monitors and collectors, write a module with the functions `monitors` and `collectors` in `tasks`,
 and add a line to TASKS. A heuristic for relays is a line in RELAYS. A heuristic that flies all UAVs by itself is a line
 in WHOLE.
 """
@@ -9,11 +9,11 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from common.config import FarmConfig
-from rollout.heuristics import greedy, horizon, hungarian, lawnmower, tour
 from rollout.heuristics.composite import CompositePolicy, GroupPolicyFactory
 from rollout.heuristics.random import RandomPolicy
 from rollout.heuristics.relays import CentroidRelays, CoverageRelays, SearchRelays
 from rollout.heuristics.static import StaticPolicy
+from rollout.heuristics.tasks import greedy, horizon, hungarian, lawnmower, tour
 
 WHOLE: Final[dict[str, Callable[[], Any]]] = {
     "static": StaticPolicy,

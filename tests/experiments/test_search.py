@@ -1,7 +1,7 @@
 """What a harder search gives."""
 
 from experiments.search import FORMS, fly, page
-from rollout.heuristics.horizon import EFFORT
+from rollout.heuristics.tasks.horizon import EFFORT
 from tests.rollout.heuristics.small_farm import SMALL
 
 

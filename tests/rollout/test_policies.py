@@ -115,7 +115,7 @@ def test_an_unknown_policy_is_refused_with_the_known_names():
 
 def test_heuristics_have_one_list():
     """The registry, the files, the documentation and the command's help name the same heuristics."""
-    files = {path.stem for path in (ROOT / "rollout/heuristics").glob("*.py")}
+    files = {path.stem for path in (ROOT / "rollout/heuristics").rglob("*.py")}
     assert set(HEURISTICS) == {*TASKS, "static", "random"} <= files
     page = (ROOT / "docs/reference/heuristics.md").read_text()
     named = {line.split("`")[1] for line in page.splitlines() if line.startswith("| `")}

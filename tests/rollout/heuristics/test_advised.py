@@ -59,13 +59,13 @@ def test_advised_velocities_are_those_of_the_heuristic(mirrored):
         policy.reset(farms, e)
     while not farms.ended.any():
         action = policy.act(farms)
-        told = []
+        seen = []
         for group, view, part in zip(
             farms.team.groups, farms.team.split_observations(farms.observation), advice_of(farms), strict=True
         ):
             signs = view[..., 2:4] if mirrored else 1.0
-            told.append((part * signs).reshape(2, group.count * 2))
-        assert np.array_equal(np.concatenate(told, axis=1), action)
+            seen.append((part * signs).reshape(2, group.count * 2))
+        assert np.array_equal(np.concatenate(seen, axis=1), action)
         farms.step(action)
 
 

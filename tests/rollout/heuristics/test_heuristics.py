@@ -5,17 +5,17 @@ import pytest
 
 from common.config import EnergyConfig, FarmConfig, WorldConfig
 from rollout.evaluation import evaluate
-from rollout.heuristics import greedy, hungarian
 from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
-from rollout.heuristics.greedy import best_targets
-from rollout.heuristics.hungarian import HungarianGroupPolicy, chain_value
-from rollout.heuristics.lawnmower import INSET, collection_routes
 from rollout.heuristics.registry import HEURISTICS, TASKS
 from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centres, served_heights, total_service
-from rollout.heuristics.sites import steps_between
 from rollout.heuristics.static import StaticPolicy
 from rollout.heuristics.steering import keep_apart, loiter_speed, towards
-from rollout.heuristics.tour import grouped_tours, plot_tours, short_tour, tries
+from rollout.heuristics.tasks import greedy, hungarian
+from rollout.heuristics.tasks.greedy import best_targets
+from rollout.heuristics.tasks.hungarian import HungarianGroupPolicy, chain_value
+from rollout.heuristics.tasks.lawnmower import INSET, collection_routes
+from rollout.heuristics.tasks.sites import steps_between
+from rollout.heuristics.tasks.tour import grouped_tours, plot_tours, short_tour, tries
 from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
 from rollout.sim.boxes import aim, inside, reach, steps_to

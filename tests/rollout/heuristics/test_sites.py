@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from common.config import FarmConfig, WorldConfig
-from rollout.heuristics.horizon import plot_grid, sensor_grid
-from rollout.heuristics.sites import (
+from rollout.heuristics.tasks.horizon import plot_grid, sensor_grid
+from rollout.heuristics.tasks.sites import (
     images_succeed,
     packet_chances,
     pairs_within,

@@ -14,8 +14,8 @@ from scipy.cluster.vq import kmeans2
 from common.config import WorldConfig
 from common.seeds import stream
 from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.sites import sensor_stops, steps_between
-from rollout.heuristics.tour_follower import TourFollower
+from rollout.heuristics.tasks.sites import sensor_stops, steps_between
+from rollout.heuristics.tasks.tour_follower import TourFollower
 from rollout.sim.boxes import Array
 from rollout.sim.sweep_routes import plot_boxes, plot_centres
 

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from rollout.heuristics.composite import MONITORS, FarmState
-from rollout.heuristics.sites import sensor_stops
+from rollout.heuristics.tasks.sites import sensor_stops
 from rollout.sim.boxes import Array
 from rollout.sim.sweep_routes import plot_boxes
 

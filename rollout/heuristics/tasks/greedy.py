@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.targets import Targets
+from rollout.heuristics.tasks.targets import Targets
 from rollout.sim.boxes import Array, aim, steps_to
 
 OFFSET: Final = 1.0

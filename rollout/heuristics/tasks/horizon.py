@@ -12,10 +12,10 @@ import numpy as np
 
 from common.actions.adapters import fewest
 from common.config import FarmConfig
-from rollout.heuristics import lawnmower
-from rollout.heuristics.beam import Array, Indices, SearchGrid, StepReward, best_path
 from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.sites import images_succeed, packet_chances, pairs_within, radio_range
+from rollout.heuristics.tasks import lawnmower
+from rollout.heuristics.tasks.beam import Array, Indices, SearchGrid, StepReward, best_path
+from rollout.heuristics.tasks.sites import images_succeed, packet_chances, pairs_within, radio_range
 from rollout.sim.boxes import reach
 from rollout.sim.kernel.constants import constants
 from rollout.sim.kernel.flight.motion import flight_power

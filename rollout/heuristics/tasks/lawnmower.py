@@ -9,7 +9,7 @@ import numpy as np
 
 from common.config import WorldConfig
 from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.tour_follower import TourFollower
+from rollout.heuristics.tasks.tour_follower import TourFollower
 from rollout.sim.boxes import Array
 from rollout.sim.sweep_routes import Block, divided, shortest, sweep_routes
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
-from rollout.heuristics.targets import Targets
+from rollout.heuristics.tasks.targets import Targets
 from rollout.sim.boxes import Array, aim, steps_to
 
 Indices = NDArray[np.int64]

@@ -1,0 +1,1 @@
+"""Heuristics for monitoring and data collection UAVs, and what they share."""
