@@ -13,8 +13,14 @@ from common.config import WorldConfig
 from common.farm import LETTERS, farm_team
 from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, SOIL_STOPS, TYPES, rgb, shade
 from rollout.rendering.scene import Scene
+from rollout.sim.stations import station_places
 
 Pixels = NDArray[np.uint8]
+
+ALARM, STATION = "#EE6677", "#555555"
+"""Colours of a UAV whose charge is low, and of a charging station."""
+LOW: Final = 0.2
+"""Share of the capacity below which a charge is low."""
 Numbers = NDArray[np.float64]
 
 WIDTH: Final = 72
@@ -94,17 +100,25 @@ def _places(world: WorldConfig, xy: Numbers, size: tuple[int, int]) -> NDArray[n
 
 
 def _signs(scene: Scene, rows: int, width: int) -> dict[tuple[int, int], tuple[str, Style]]:
-    """Return the characters that replace pixels, by (row, column): each UAV's letter and number."""
-    signs = {}
+    """Return the characters that replace pixels, by (row, column): each UAV's letter and number, a station's H.
+
+    A UAV whose charge is low is red.
+    """
+    world, low = scene.config.world, np.zeros(len(scene.position), np.bool_)
+    signs: dict[tuple[int, int], tuple[str, Style]] = {}
+    if scene.config.battery.some:
+        low = scene.charge < LOW
+        for column, row in _places(world, station_places(scene.config), (width, rows)).tolist():
+            signs[rows - 1 - row, column] = ("H", _badge(STATION))
     names = [
         f"{LETTERS[group.name]}{index}" for group in farm_team(scene.config).groups for index in range(group.count)
     ]
     colours = [COLOURS[group.name] for group in farm_team(scene.config).groups for _ in range(group.count)]
-    at = _places(scene.config.world, scene.position, (width, rows))
-    for name, colour, (column, row) in zip(names, colours, at.tolist(), strict=True):
+    at = _places(world, scene.position, (width, rows))
+    for name, colour, empty, (column, row) in zip(names, colours, low.tolist(), at.tolist(), strict=True):
         first = min(column, width - len(name))
         for place, letter in enumerate(name):
-            signs[rows - 1 - row, first + place] = (letter, _badge(colour))
+            signs[rows - 1 - row, first + place] = (letter, _badge(ALARM if empty else colour))
     return signs
 
 

@@ -12,6 +12,7 @@ from common.config import BatteryConfig, FarmConfig, StressConfig
 from rollout.rendering.farm_map import DOWN, STRESS, FarmMap, _bars
 from rollout.rendering.render import Renderer
 from rollout.rendering.scene import Observer, links_up
+from rollout.rendering.terminal import ALARM, terminal_text
 from rollout.sim.batch import FarmBatch
 
 
@@ -85,3 +86,19 @@ def test_batteries_and_stations_are_drawn():
     drawn = FarmMap(axes, scene)
     assert any(len(artist.get_offsets()) == 3 for artist in drawn.artists if isinstance(artist, PathCollection))
     plt.close(figure)
+
+
+def test_the_terminal_shows_stations_and_low_charges():
+    """A station is an H, and a UAV with little charge has the alarm's colour."""
+    config = FarmConfig(battery=BatteryConfig(capacity=8000.0, stations=3))
+    farms = FarmBatch(config, 1)
+    farms.reset(0, 5, 2)
+    farms.position[0] = 20.0, 20.0
+    observer = Observer(farms, 0)
+    observer.observe()
+    text = terminal_text(observer.scene(), 60)
+    assert text.plain.count("H") == 3
+    farms.charge[0, 11] = 0.1 * 8000.0
+    styles = [str(span.style) for span in terminal_text(observer.scene(), 60).spans]
+    assert any(ALARM.lower() in style.lower() for style in styles)
+    assert not any(ALARM.lower() in str(span.style).lower() for span in text.spans)

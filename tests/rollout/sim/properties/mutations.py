@@ -69,8 +69,8 @@ MUTATIONS = (
     one(
         "VDF is due one step later each time",
         "sim/kernel/camera.py",
-        "due[column, row] += camera.cycle",
-        "due[column, row] += camera.cycle + 1",
+        "due[column, row] += cycles[0, column, row] if stress else camera.cycle",
+        "due[column, row] += cycles[0, column, row] if stress else camera.cycle + 1",
     ),
     one("AoI has no cap", "sim/kernel/radio.py", "min(age[j] + 1.0, radio.level_max)", "age[j] + 1.0"),
     one(

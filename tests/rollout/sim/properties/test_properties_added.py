@@ -36,6 +36,8 @@ ALL = {
     "route": True,
     "service": True,
     "link": True,
+    "stress": True,
+    "charge": True,
 }
 """Every switch, on."""
 SMALL = worlds(st.one_of(st.integers(1, 4), st.integers(1, 10)), 90)
