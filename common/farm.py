@@ -164,6 +164,8 @@ def _added(farm: FarmConfig, name: str) -> list[str]:
         added += ["service", *_nine("service")]
     if seen.link:
         added += _links(farm, task=task)
+    added += ["wind_x", "wind_y"] if seen.wind else []
+    added += _nine("refused") if seen.zones else []
     return [*added, *(["alive"] if farm.failures.some else [])]
 
 

@@ -75,6 +75,8 @@ def added_table() -> str:
         route=True,
         service=True,
         link=True,
+        wind=True,
+        zones=True,
     )
     plain, lines = observation_parts(farm), ["| agents | observation | numbers | from | to | meaning |"]
     lines.append("|---|---|---:|---:|---:|---|")

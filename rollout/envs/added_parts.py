@@ -61,6 +61,10 @@ def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...
         parts += _service(config, served)
     if seen.link:
         parts += _link() if task else _links(config)
+    if seen.wind:
+        parts.append(Part("wind", 2, -1.0, 1.0, "of the last step, over full speed"))
+    if seen.zones:
+        parts.append(Part("refused", 9, 0.0, 1.0, "1 for each of nine moves that a no-fly zone would refuse"))
     if config.failures.some:
         parts.append(Part("alive", 1, 0.0, 1.0, "share of the own type's UAVs that have not failed"))
     return tuple(parts)

@@ -49,6 +49,10 @@ class ObservationConfig:
     link: bool = False
     """Whether UAVs see their relay and the slack of the link to it, and relays that of the links to the UAVs that they
     serve, now and after each of nine moves (ours)."""
+    wind: bool = False
+    """Whether UAVs see the wind of the last step, as a share of full speed (ours)."""
+    zones: bool = False
+    """Whether UAVs see which of nine moves a no-fly zone would refuse (ours)."""
 
     @property
     def added(self) -> bool:
@@ -62,6 +66,8 @@ class ObservationConfig:
             self.route,
             self.service,
             self.link,
+            self.wind,
+            self.zones,
         )
         return self.peers > 0 or self.units > 0 or any(switches)
 

@@ -61,6 +61,9 @@ class State(NamedTuple):
         gone: [E, n] whether each UAV has failed, see `failures`; the position of one that has is infinite.
         living: [E, 3] UAVs of each type that have not failed.
         shown: [E, n, 2] positions, of UAVs that have failed the last ones, m; [E, 0, 2] unless UAVs can fail.
+        wind: [E, T + 1, 2] wind of each step, m/s; [E, 0, 2] without wind.
+        zone_side: [E, K, 4] sides of the no-fly zones, see `flight.airspace`.
+        zone_box: [E, Z, 4] boxes around them.
         hindsight: [E, T, n] corrections of the episode's rewards; [E, 0, n] unless visits are tracked.
     """
 
@@ -102,6 +105,9 @@ class State(NamedTuple):
     gone: Flags
     living: Indices
     shown: Array
+    wind: Array
+    zone_side: Array
+    zone_box: Array
     hindsight: Float32
 
 
@@ -146,6 +152,9 @@ class Farm(NamedTuple):
     gone: Flags
     living: Indices
     shown: Array
+    wind: Array
+    zone_side: Array
+    zone_box: Array
     hindsight: Float32
 
 
@@ -270,6 +279,9 @@ def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
         gone=np.zeros((count, uavs), np.bool_),
         living=np.zeros((count, 3), np.int64),
         shown=np.zeros((count, config.failures.some * uavs, 2)),
+        wind=np.zeros((count, config.wind.some * (world.steps + 1), 2)),
+        zone_side=np.zeros((count, sum(config.zones.corners), 4)),
+        zone_box=np.zeros((count, len(config.zones.corners), 4)),
         hindsight=np.zeros((count, hindsight * world.steps, uavs), np.float32),
     )
 

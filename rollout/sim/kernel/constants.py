@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.errors import ConfigError
 from common.farm import farm_team
+from rollout.sim.kernel.flight.airspace import AirspaceConstants, airspace
 from rollout.sim.kernel.link import RadioConstants, loss_at_one_metre, noise, radio_constants
 from rollout.sim.kernel.views.constants import ViewConstants, view_constants
 
@@ -233,6 +234,7 @@ class Constants(NamedTuple):
     observation: ObservationConstants
     added: ViewConstants
     failures: FailureConstants
+    airspace: AirspaceConstants
 
 
 def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
@@ -271,6 +273,7 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         seen,
         view_constants(config, radio, cells),
         _failures(config),
+        airspace(config),
     )
     return Constants(*(_cast(part) for part in parts))
 

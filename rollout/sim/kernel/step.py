@@ -86,6 +86,9 @@ def _farm(state: State, e: int) -> Farm:
         gone=state.gone[e],
         living=state.living[e],
         shown=state.shown[e],
+        wind=state.wind[e],
+        zone_side=state.zone_side[e],
+        zone_box=state.zone_box[e],
         hindsight=state.hindsight[e],
     )
 

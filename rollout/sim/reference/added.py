@@ -18,6 +18,7 @@ from rollout.sim.kernel.link import radio_constants
 from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, field_range
 from rollout.sim.kernel.views.fields import FLOOR, SCALE
 from rollout.sim.kernel.views.units import MOST
+from rollout.sim.reference.airspace import airspace_view
 from rollout.sim.reference.axes import place_of, signs_of
 from rollout.sim.reference.links import link_view, links_view
 from rollout.sim.reference.routes import route_view
@@ -49,6 +50,8 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
             if kind
             else links_view(farm, u, signs, relay_places(farm, u, signs))
         ]
+    if seen.wind or seen.zones:
+        parts += [airspace_view(farm, u, signs, places(farm, u) if kind else relay_places(farm, u, signs))]
     share = len(farm.living(kind)) / (farm.kind == kind).sum()
     parts += [np.array([share])] if farm.config.failures.some else []
     return np.concatenate(parts)

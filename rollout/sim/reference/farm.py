@@ -17,8 +17,10 @@ from rollout.sim.batch import packet_key, start_levels, start_positions
 from rollout.sim.failures import failure_steps
 from rollout.sim.kernel.relays import NO_LINK
 from rollout.sim.layout import Layout
+from rollout.sim.reference.airspace import air_velocity, stopped
 from rollout.sim.reference.routes import first_sweep
 from rollout.sim.reference.views import observe
+from rollout.sim.wind import wind_series
 
 Array = NDArray[np.float64]
 
@@ -149,8 +151,9 @@ class ReferenceFarm:
         heights = (world.height_communication, world.height_monitoring, world.height_collection)
         self.height = np.array(heights)[self.kind]
         self.key = packet_key(layout.seed, episode_seed)
-        self.position = start_positions(world, layout.seed, episode_seed)
+        self.position = start_positions(world, layout.seed, episode_seed, layout.zones)
         self.before = self.position
+        self.wind = wind_series(config, layout.seed, episode_seed)
         self.failure = failure_steps(config, layout.seed, episode_seed)
         self.gone = np.zeros(world.uavs, bool)
         self.aoi, self.vdf = start_levels(world, layout.seed, episode_seed)
@@ -180,10 +183,14 @@ class ReferenceFarm:
         velocity[self.gone] = 0.0
         motivated = (velocity * self.direction).sum(axis=1) > 0
         self.before, service_before = self.position, self.service
-        wanted = self.position + velocity * world.step_seconds
-        self.position = np.clip(wanted, 0.0, (world.field_x, world.field_y))
-        self.outside = (self.position != wanted).any(axis=1)
-        speed = np.sqrt((velocity**2).sum(axis=1))
+        air, ground = air_velocity(self, velocity)
+        ground = np.where(self.gone[:, None], 0.0, ground)
+        wanted = self.position + ground * world.step_seconds
+        inside = np.clip(wanted, 0.0, (world.field_x, world.field_y))
+        refused = stopped(self, inside)
+        self.position = np.where(refused[:, None], self.position, inside)
+        self.outside = (inside != wanted).any(axis=1) | refused
+        speed = np.sqrt((air**2).sum(axis=1))
         power = [
             flight_power(self.config.energy, v) + other_power(self.config.energy, k)
             for v, k in zip(speed, self.kind, strict=True)

@@ -8,6 +8,7 @@ from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Constants
 from rollout.sim.kernel.spatial.neighbours import cell_of
 from rollout.sim.kernel.spatial.tallies import total
+from rollout.sim.kernel.views.airspace import put_airspace
 from rollout.sim.kernel.views.constants import ViewConstants
 from rollout.sim.kernel.views.fields import put_field, share_points, weigh_points
 from rollout.sim.kernel.views.links import put_link, put_links
@@ -112,6 +113,8 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.link:
         sx, sy = v.sign[u, 0], v.sign[u, 1]
         at = put_links(fleet, view, farm.position, farm.assignment, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
+    if view.wind or view.zones:
+        at = put_airspace(c, farm, u, v.sign[u, 0], v.sign[u, 1], v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[0], fleet.relays, seen, at)
     return at
@@ -168,6 +171,8 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
     if view.link:
         relay = farm.assignment[u - fleet.relays]
         at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
+    if view.wind or view.zones:
+        at = put_airspace(c, farm, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[1], fleet.collectors - fleet.relays, seen, at)
     return at
@@ -216,6 +221,8 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.link:
         relay = farm.assignment[u - fleet.relays]
         at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
+    if view.wind or view.zones:
+        at = put_airspace(c, farm, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[2], fleet.uavs - fleet.collectors, seen, at)
     return at

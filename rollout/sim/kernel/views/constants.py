@@ -48,6 +48,8 @@ class ViewConstants(NamedTuple):
         service: whether relays see what each move does to D_c.
         alive: whether they see how many of their type have not failed.
         link: whether UAVs and relays see their links.
+        wind: whether UAVs see the wind.
+        zones: whether they see which moves no-fly zones refuse.
         link_range: range of the UAV-UAV link, m.
         served: UAVs that a relay sees of those that it serves.
         columns: lattice points along x.
@@ -88,6 +90,8 @@ class ViewConstants(NamedTuple):
     service: bool
     alive: bool
     link: bool
+    wind: bool
+    zones: bool
     link_range: float
     served: int
     columns: int
@@ -138,6 +142,8 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         service=seen.service,
         alive=config.failures.some,
         link=seen.link,
+        wind=seen.wind,
+        zones=seen.zones,
         link_range=float(config.relay.link_range),
         served=config.relay.capacity_for(world),
         columns=lattice.columns,

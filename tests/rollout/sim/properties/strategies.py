@@ -47,8 +47,8 @@ def dose(examples: int) -> settings:
 
 SLOW = (HealthCheck.too_slow, HealthCheck.data_too_large)
 
-APART = ("link", "relayed")
-"""What is drawn by `test_properties_links` and is on in `test_properties_added`, and is off elsewhere."""
+APART = ("link", "relayed", "wind", "zones")
+"""What tests of their own draw (`test_properties_links`, `test_properties_airspace`), and is off elsewhere."""
 GROUNDS = ("seeded", "borders", "heap")
 STARTS = ("seeded", "together", "corners", "plots")
 MANNERS = ("uniform", "lasting", "saturated", "hovering", "corners", "tiny")
