@@ -3,6 +3,9 @@
 A group policy sets goals for its UAVs. `steering` flies every UAV to its goal and keeps the UAVs apart. Each
 environment has its own group policies, so an episode does not depend on the rest of the batch.
 
+Around no-fly zones, UAVs fly to waypoints on the way to their goals, and none makes a move that a zone would refuse. In
+wind, they command what their top airspeed allows, as if the wind of the last step went on.
+
 When UAVs fail (`farm.failures`), the others begin anew: they get new group policies for a farm that has only them. So
 routes are divided among the living, and nobody reckons with a UAV that is gone.
 """
@@ -17,9 +20,10 @@ from numpy.typing import NDArray
 
 from common.config import FailureConfig, FarmConfig
 from common.team import Float32
+from rollout.heuristics.airspace import airspace_of
 from rollout.heuristics.steering import keep_apart, loiter, loiter_speed, towards
 from rollout.sim.batch import FarmBatch
-from rollout.sim.boxes import Array
+from rollout.sim.boxes import Array, reach
 from rollout.sim.layout import Layout
 
 RELAYS: Final = 0
@@ -137,9 +141,32 @@ class CompositePolicy:
         goals = np.stack([self._goals(farms, index) for index in range(count)])
         position = np.where(farms.gone[..., None], AWAY, farms.position)
         waiting = loiter(position, goals, farms.time, self._loiter)
-        action = towards(position, waiting, world)
-        parts = [keep_apart(position[:, rows], action[:, rows], world) for rows in farms.team.agent_slices()]
-        return np.concatenate(parts, axis=1).reshape(count, -1).astype(np.float32)
+        wind = None
+        if self._config.wind.some:
+            wind = farms.wind[:, None] / (world.speed_x_max, world.speed_y_max)
+        action = towards(position, self._waypoints(farms, position, waiting), world, wind)
+        parts = [keep_apart(position[:, rows], action[:, rows], world, wind) for rows in farms.team.agent_slices()]
+        apart = self._stopped(farms, position, np.concatenate(parts, axis=1))
+        return apart.reshape(count, -1).astype(np.float32)
+
+    def _waypoints(self, farms: FarmBatch, position: Array, goals: Array) -> Array:
+        """Return where the UAVs fly first on their ways around zones, [E, n, 2] m."""
+        if not self._config.zones.some:
+            return goals
+        ways = goals.copy()
+        for index, gone in enumerate(farms.gone):
+            airspace = airspace_of(self._config, self._layouts[index])
+            ways[index, ~gone] = airspace.waypoints(position[index, ~gone], goals[index, ~gone])
+        return ways
+
+    def _stopped(self, farms: FarmBatch, position: Array, action: Array) -> Array:
+        """Return the actions, 0 where a zone would refuse the move."""
+        if self._config.zones.some:
+            for index, gone in enumerate(farms.gone):
+                airspace = airspace_of(self._config, self._layouts[index])
+                goal = position[index] + action[index].astype(np.float32) * reach(self._config.world)
+                action[index, airspace.refused(position[index], goal) & ~gone] = 0.0
+        return action
 
     def _goals(self, farms: FarmBatch, index: int) -> Array:
         if (farms.gone[index] != self._gone[index]).any():
