@@ -12,12 +12,14 @@ from matplotlib.collections import EllipseCollection, LineCollection, PathCollec
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.path import Path
 from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
-from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, SENSOR_MARKERS, SOIL_STOPS, TYPES, shade
+from rollout.rendering.airspace import WindArrow, make_zones
+from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, SENSOR_MARKERS, SOIL_STOPS, TYPES, ZONE, shade
 from rollout.rendering.scene import TRAIL_STEPS, Scene, camera_radius, radio_radius
 
 Numbers = NDArray[np.float64]
@@ -52,6 +54,8 @@ class FarmMap:
         axes.tick_params(labelsize=8, colors=INK)
         axes.set_xlabel("x, m", **SMALL)
         axes.set_ylabel("y, m", labelpad=1, **SMALL)
+        self._zones = make_zones(axes)
+        self._wind = WindArrow(axes, max(world.speed_x_max, world.speed_y_max))
         self._circles = self._make_circles(scene)
         self._links = LineCollection([], colors="0.15", linewidths=1.1, linestyles=(0, (1.0, 1.6)), zorder=3)
         self._trails = LineCollection([], linewidths=2.0, capstyle="butt", joinstyle="round", zorder=3)
@@ -61,12 +65,14 @@ class FarmMap:
         self._uavs, self._numbers = _make_uavs(axes, scene)
         self._plots: tuple[slice, slice, Indices, Indices] | None = None
         self.artists: tuple[Any, ...] = (
+            self._zones,
             *self._circles,
             self._links,
             self._trails,
             *self._sensors,
             *self._uavs,
             *self._numbers,
+            *self._wind.artists,
         )
 
     def pixel(self, x: float, y: float) -> tuple[int, int]:
@@ -76,6 +82,8 @@ class FarmMap:
 
     def update(self, scene: Scene) -> None:
         """Update every moving artist from the scene."""
+        self._zones.set_verts([*scene.layout.zones])
+        self._wind.update(scene.wind)
         slices = dict(zip(TYPES, farm_team(scene.config).agent_slices(), strict=True))
         for circle, name in zip(self._circles, (MONITORING, COLLECTION), strict=True):
             circle.set_offsets(scene.position[slices[name]])
@@ -224,6 +232,8 @@ def make_legend(figure: Figure, scene: Scene, corner: tuple[float, float]) -> No
         _ring(MONITORING, f"camera, {camera_radius(scene.config):.0f} m"),
         _ring(COLLECTION, f"half of all packets arrive, {radio_radius(scene.config):.0f} m"),
     ]
+    if scene.config.zones.some:
+        handles.append(Patch(facecolor=to_rgba(ZONE, 0.16), edgecolor=ZONE, hatch="///", label="no-fly zone"))
     for kind, cycle in enumerate(scene.config.world.sensor_cycles):
         marker = SENSOR_MARKERS[kind % len(SENSOR_MARKERS)]
         handles.append(
