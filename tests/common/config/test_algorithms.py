@@ -172,8 +172,10 @@ def test_a_run_may_have_memory():
 def test_digests_of_earlier_versions_count(name):
     """A run without the options of later versions has the digest that it had; one with them has another."""
     config = with_values(preset(name), {"farm.observation.route": False})
-    lines = to_toml(config).replace('[farm.failures]\nper_hour = 0.0\nat = ""\n\n', "").splitlines()
-    later = "memory = ", "objective = ", "sequence_steps = ", "route = ", "link = ", "relayed = "
+    text = to_toml(config).replace('[farm.failures]\nper_hour = 0.0\nat = ""\n\n', "")
+    text = text.replace("[farm.wind]\nspeed = 0.0\ndirection = -1.0\ngusts = 0.0\ngust_seconds = 10.0\n\n", "")
+    lines = text.replace("[farm.zones]\npolygons = []\nrandom = 0\n\n", "").splitlines()
+    later = "memory = ", "objective = ", "sequence_steps = ", "route = ", "link = ", "relayed = ", "wind = ", "zones = "
     kept = [line for line in lines if not line.startswith(later)]
     assert digest(config) == hashlib.sha256("\n".join([*kept, ""]).encode()).hexdigest()[:16]
     assert digest(with_values(config, {"farm.observation.route": True})) != digest(config)
