@@ -81,7 +81,8 @@ class Airspace:
         first, last = self._lengths(position, self._nodes), self._lengths(self._nodes, goal)
         total = first[:, None] + self._ways + last
         start = int(total.min(axis=1).argmin())
-        return self._nodes[start] if np.isfinite(total[start].min()) else position
+        ahead: Array = self._nodes[start] if np.isfinite(total[start].min()) else position
+        return ahead
 
     def _free(self, position: Array, goal: Array) -> Array:
         """Return the goal, or, if it lies in a zone, the place nearest to it that does not and that is on a side."""

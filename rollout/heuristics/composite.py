@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from common.config import FailureConfig, FarmConfig
 from common.team import Float32
-from rollout.heuristics.airspace import airspace_of
+from rollout.heuristics.airspace import Airspace, airspace_of
 from rollout.heuristics.steering import keep_apart, loiter, loiter_speed, towards
 from rollout.sim.batch import FarmBatch
 from rollout.sim.boxes import Array, reach
@@ -124,6 +124,7 @@ class CompositePolicy:
         self._loiter = loiter_speed(config) * config.world.step_seconds
         self._make = relays, monitors, collectors
         self._layouts: dict[int, Layout] = {}
+        self._airspaces: dict[int, Airspace] = {}
         self._seeds: dict[int, tuple[int, int]] = {}
         self._groups: dict[int, list[GroupPolicy]] = {}
         self._gone: dict[int, NDArray[np.bool_]] = {}
@@ -132,6 +133,7 @@ class CompositePolicy:
         """Make new group policies for one environment."""
         episode = farms.summary(index)
         self._layouts[index] = farms.layout(index)
+        self._airspaces[index] = airspace_of(self._config, self._layouts[index])
         self._seeds[index] = episode.farm, episode.episode
         self._begin(farms, index)
 
@@ -141,7 +143,7 @@ class CompositePolicy:
         goals = np.stack([self._goals(farms, index) for index in range(count)])
         position = np.where(farms.gone[..., None], AWAY, farms.position)
         waiting = loiter(position, goals, farms.time, self._loiter)
-        wind = None
+        wind: Array | None = None
         if self._config.wind.some:
             wind = farms.wind[:, None] / (world.speed_x_max, world.speed_y_max)
         action = towards(position, self._waypoints(farms, position, waiting), world, wind)
@@ -155,17 +157,16 @@ class CompositePolicy:
             return goals
         ways = goals.copy()
         for index, gone in enumerate(farms.gone):
-            airspace = airspace_of(self._config, self._layouts[index])
-            ways[index, ~gone] = airspace.waypoints(position[index, ~gone], goals[index, ~gone])
+            ways[index, ~gone] = self._airspaces[index].waypoints(position[index, ~gone], goals[index, ~gone])
         return ways
 
     def _stopped(self, farms: FarmBatch, position: Array, action: Array) -> Array:
         """Return the actions, 0 where a zone would refuse the move."""
         if self._config.zones.some:
             for index, gone in enumerate(farms.gone):
-                airspace = airspace_of(self._config, self._layouts[index])
                 goal = position[index] + action[index].astype(np.float32) * reach(self._config.world)
-                action[index, airspace.refused(position[index], goal) & ~gone] = 0.0
+                refused = self._airspaces[index].refused(position[index], goal)
+                action[index, refused & ~gone] = 0.0
         return action
 
     def _goals(self, farms: FarmBatch, index: int) -> Array:

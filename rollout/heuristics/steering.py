@@ -83,7 +83,7 @@ def keep_apart(position: Array, action: Array, world: WorldConfig, wind: Array |
     closing = np.maximum(0.0, (motion * heading).sum(axis=-1, keepdims=True))
     side = position + motion - closing * heading
     inside = np.clip(side, EDGE, np.array([world.field_x, world.field_y]) - EDGE)
-    low, high = (-1.0, 1.0) if wind is None else possible(wind)
+    low, high = possible(np.zeros(2) if wind is None else wind)
     apart: Array = np.clip((inside - position) / reach(world), low, high)
     return apart
 

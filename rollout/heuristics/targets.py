@@ -38,6 +38,7 @@ class Targets:
     def value(self, state: FarmState) -> Array:
         """Return the current value of a visit to each target, [K] units."""
         if self._stop is None:
-            return state.vdf * self._free
+            plots: Array = state.vdf * self._free
+            return plots
         value: Array = np.bincount(self._stop, state.aoi, len(self.centre)).astype(np.float64) * self._free
         return value

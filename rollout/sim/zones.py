@@ -59,8 +59,9 @@ def inside(points: Array, zone: Array) -> Flags:
     (ax, ay), (bx, by) = zone.T, np.roll(zone, -1, axis=0).T
     crosses = (ay > y) != (by > y)
     rise = np.where(ay == by, 1.0, by - ay)
-    within: Flags = (crosses & (x < ax + (y - ay) * (bx - ax) / rise)).sum(axis=-1) % 2 == 1
-    return within | touches(points, points, zone)
+    odd = (crosses & (x < ax + (y - ay) * (bx - ax) / rise)).sum(axis=-1) % 2 == 1
+    within: Flags = odd | touches(points, points, zone)
+    return within
 
 
 def touches(start: Array, end: Array, zone: Array) -> Flags:
@@ -95,4 +96,5 @@ def refused(start: Array, end: Array, zones: tuple[Array, ...]) -> Flags:
     found = np.zeros(np.broadcast_shapes(start.shape, end.shape)[:-1], np.bool_)
     for zone in zones:
         found |= inside(end, zone) | touches(start, end, zone)
-    return found & (start != end).any(axis=-1)
+    stopped: Flags = found & (start != end).any(axis=-1)
+    return stopped

@@ -84,7 +84,7 @@ def _crosses_itself(corners: tuple[tuple[float, ...], ...]) -> bool:
             first, second = (corners[a], corners[(a + 1) % count]), (corners[b], corners[(b + 1) % count])
             if b - a in (1, count - 1):
                 shared, one, other = (second[0], first[0], second[1]) if b - a == 1 else (first[0], first[1], second[0])
-                if count > 3 and _turn(shared, one, other) == 0.0 and _same_side(shared, one, other):
+                if _turn(shared, one, other) == 0.0 and _same_side(shared, one, other):
                     return True
             elif _meet(*first, *second):
                 return True

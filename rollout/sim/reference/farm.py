@@ -132,6 +132,7 @@ class ReferenceFarm:
     Attributes:
         position: [n, 2] m; before: [n, 2] the same one step ago.
         aoi: [S]; vdf: [n_px, n_py].
+        wind: [T + 1, 2] of each step, m/s; no rows without wind.
         gone: [n] whether a UAV has failed.
         assignment: [n_m + n_d] relays, -1 for none; assignment_cost: the sum of its costs.
         service: [n_c] D_c, m.
