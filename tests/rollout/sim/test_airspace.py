@@ -74,11 +74,15 @@ def test_gusts_have_their_deviation_and_their_correlation():
 
 
 def test_the_wind_follows_from_the_seeds():
-    """Another episode has another direction and other gusts; the same has the same."""
+    """Another episode has other gusts, and episodes' directions are all around; the same episode has the same wind."""
     config = replace(BASE, wind=WindConfig(speed=3.0, gusts=1.0))
     first, again, other = (wind_series(config, 1, episode) for episode in (2, 2, 3))
     np.testing.assert_array_equal(first, again)
-    assert np.abs(first.mean(axis=0) - other.mean(axis=0)).max() > 0.5
+    assert (first != other).all()
+    steady = replace(BASE, wind=WindConfig(speed=3.0))
+    blown = np.array([wind_series(steady, 1, episode)[0] for episode in range(40)])
+    np.testing.assert_allclose(np.hypot(*blown.T), 3.0)
+    assert len({(x > 0.0, y > 0.0) for x, y in blown.tolist()}) == 4
     assert len(wind_series(BASE, 1, 2)) == 0
 
 
