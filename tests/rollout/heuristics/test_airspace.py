@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from common.config import FarmConfig, WindConfig, WorldConfig, ZoneConfig
+from common.config.presets import preset
 from rollout.heuristics.airspace import MARGIN, Airspace
 from rollout.heuristics.registry import TASKS
 from rollout.heuristics.steering import possible, towards
@@ -13,7 +14,8 @@ from rollout.policies import policy_of
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
 
 BOUNDARY = REWARD_PARTS.index("boundary")
-SHORT = FarmConfig(world=WorldConfig(steps=60, start_levels="random"))
+SEEN = preset("eia-sec").farm.observation
+SHORT = FarmConfig(world=WorldConfig(steps=60, start_levels="random"), observation=SEEN)
 ROOM = ((150.0, 100.0), (250.0, 100.0), (250.0, 300.0), (240.0, 300.0), (240.0, 110.0), (160.0, 110.0), (160.0, 300.0))
 POCKET = (*ROOM, (150.0, 300.0))
 """A U, open to the north."""
@@ -66,7 +68,7 @@ def test_a_goal_in_a_zone_becomes_the_nearest_place_outside():
 
 def test_tours_leave_no_plot_out_that_is_not_in_a_zone():
     """In 400 steps the monitors serve all plots whose middle lies outside, around the zone and in its pocket."""
-    config = replace(FarmConfig(), zones=ZoneConfig((POCKET,)))
+    config = replace(FarmConfig(), zones=ZoneConfig((POCKET,)), observation=SEEN)
     batch, policy = FarmBatch(config, 1), policy_of("lawnmower", config)
     batch.reset(0, 1, 2)
     policy.reset(batch, 0)
