@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from common.config import FailureConfig, FarmConfig
 from common.team import Float32
-from rollout.heuristics.airspace import Airspace, airspace_of
 from rollout.heuristics.steering import keep_apart, loiter, loiter_speed, towards
 from rollout.sim.batch import FarmBatch
 from rollout.sim.boxes import Array, reach
+from rollout.sim.detours import Airspace, airspace_of
 from rollout.sim.layout import Layout
 
 RELAYS: Final = 0

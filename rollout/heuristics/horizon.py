@@ -13,11 +13,11 @@ import numpy as np
 from common.actions.adapters import fewest
 from common.config import FarmConfig
 from rollout.heuristics import lawnmower
-from rollout.heuristics.airspace import Airspace, airspace_of
 from rollout.heuristics.beam import Array, Flags, Indices, SearchGrid, StepReward, best_path
 from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
 from rollout.heuristics.sites import images_succeed, packet_chances, pairs_within, radio_range
 from rollout.sim.boxes import reach
+from rollout.sim.detours import Airspace, airspace_of
 from rollout.sim.kernel.constants import constants
 from rollout.sim.kernel.flight.motion import flight_power
 from rollout.sim.layout import cell_counts

@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from rollout.heuristics.airspace import airspace_of
 from rollout.heuristics.composite import MONITORS, FarmState
 from rollout.heuristics.sites import sensor_stops
 from rollout.sim.boxes import Array
+from rollout.sim.detours import airspace_of
 from rollout.sim.sweep_routes import plot_boxes
 
 

@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from rollout.heuristics.airspace import airspace_of
 from rollout.heuristics.composite import FarmState
 from rollout.sim.boxes import Array, aim, inside, steps_to
+from rollout.sim.detours import airspace_of
 from rollout.sim.sweep_routes import assigned_routes
 
 PATIENCE: Final = 3
