@@ -70,8 +70,7 @@ def touches(start: Array, end: Array, zone: Array) -> Flags:
     c, d = zone, np.roll(zone, -1, axis=0)
     apart = (np.maximum(a, b) < np.minimum(c, d)) | (np.maximum(c, d) < np.minimum(a, b))
     across = (_turn(a, b, c) * _turn(a, b, d) <= 0.0) & (_turn(c, d, a) * _turn(c, d, b) <= 0.0)
-    met: Flags = (across & ~apart.any(axis=-1)).any(axis=-1)
-    return met
+    return np.asarray((across & ~apart.any(axis=-1)).any(axis=-1), np.bool_)
 
 
 def _turn(a: Array, b: Array, c: Array) -> Array:
