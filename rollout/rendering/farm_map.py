@@ -6,6 +6,7 @@ Every animated picture of a farm contains one or more of these maps; the caller 
 from typing import Any, Final
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection, LineCollection, PathCollection
@@ -226,7 +227,7 @@ def make_scales(figure: Figure, scene: Scene, across: tuple[float, float], botto
 
 def make_legend(figure: Figure, scene: Scene, corner: tuple[float, float]) -> None:
     """Draw the legend of the map's other symbols, with its upper left corner at `corner` of the figure."""
-    handles = [
+    handles: list[Artist] = [
         Line2D([], [], color="0.15", linestyle=(0, (1.0, 1.6)), label="relay and whom it serves"),
         Line2D([], [], color="0.4", linewidth=2.0, label=f"path of the last {TRAIL_STEPS} steps"),
         _ring(MONITORING, f"camera, {camera_radius(scene.config):.0f} m"),
