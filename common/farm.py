@@ -172,6 +172,8 @@ def _added(farm: FarmConfig, name: str) -> list[str]:
     if seen.stress and task:
         added += _square("block_stress", 5)
     added += ["charge", "station_dx", "station_dy", "charge_there"] if seen.charge else []
+    added += ["wind_x", "wind_y"] if seen.wind else []
+    added += _nine("refused") if seen.zones else []
     return [*added, *(["alive"] if farm.loses_uavs else []), *_advice(farm, name)]
 
 

@@ -29,6 +29,8 @@ from common.config.farm import (
 from common.config.farm.control import ControlConfig
 from common.config.farm.failures import FailureConfig
 from common.config.farm.observation import ObservationConfig
+from common.config.farm.wind import WindConfig
+from common.config.farm.zones import ZoneConfig
 from common.config.optional_sections import EliteConfig, ExplorationConfig, ReplayConfig
 from common.config.run import EvaluationConfig, LearnerConfig, RolloutConfig, RunConfig
 
@@ -64,5 +66,7 @@ __all__ = [
     "RolloutConfig",
     "RunConfig",
     "StressConfig",
+    "WindConfig",
     "WorldConfig",
+    "ZoneConfig",
 ]

@@ -18,13 +18,14 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 from common.config.algorithms import ALGORITHM_CONFIGS, switched
 from common.config.effect import without_effect
 from common.config.farm.sites import MAX_SENSORS, Sites
+from common.config.farm.zones import MAX_CORNERS, MAX_ZONES, Zones
 from common.config.former import refuse_ablation, upgraded
 from common.config.run import EvaluationConfig, LearnerConfig, RunConfig
 from common.errors import ConfigError
 
 _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
 
-Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], ...]
+Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], ...] | Zones
 """The value of an option."""
 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
@@ -51,6 +52,14 @@ LATER: Final[Mapping[str, Value]] = {
     "farm.stress.patches": 0,
     "farm.stress.radius": 60.0,
     "farm.stress.seconds": 200.0,
+    "farm.observation.wind": False,
+    "farm.observation.zones": False,
+    "farm.wind.direction": -1.0,
+    "farm.wind.gust_seconds": 10.0,
+    "farm.wind.gusts": 0.0,
+    "farm.wind.speed": 0.0,
+    "farm.zones.polygons": (),
+    "farm.zones.random": 0,
 }
 """Options that earlier versions did not have, with the values under which a run is what it was before."""
 
@@ -253,6 +262,8 @@ def _convert(key: str, value: Any, wanted: Any) -> Value:
         return choices[choices.index(value)]
     if wanted == Sites:
         return _sites(key, value)
+    if wanted == Zones:
+        return _zones(key, value)
     if get_origin(wanted) is tuple:
         if not isinstance(value, list) or any(type(item) is not int for item in value):
             raise ConfigError(f"{key} must be a list of whole numbers, not {_show(value)}.")
@@ -277,6 +288,18 @@ def _sites(key: str, value: Any) -> Sites:
         if any(abs(number) > sys.float_info.max for number in site):
             raise ConfigError(f"{key} names a number that is too large.")
     return tuple(tuple(float(number) for number in site) for site in value)
+
+
+def _zones(key: str, value: Any) -> Zones:
+    """Return a TOML list of polygons as floats; ZoneConfig checks their values."""
+    if not isinstance(value, list) or len(value) > MAX_ZONES:
+        raise ConfigError(f"{key} must be a list of at most {MAX_ZONES} polygons, not {_show(value)}.")
+    for polygon in value:
+        if not isinstance(polygon, list) or len(polygon) > MAX_CORNERS:
+            raise ConfigError(
+                f"{key} must be a list of lists of at most {MAX_CORNERS} corners, not of {_show(polygon)}."
+            )
+    return tuple(_sites(key, polygon) for polygon in value)
 
 
 def _brief(value: Value) -> str:

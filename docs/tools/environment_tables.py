@@ -79,6 +79,8 @@ def added_table() -> str:
         stress=True,
         charge=True,
         advice="horizon",
+        wind=True,
+        zones=True,
     )
     plain, lines = observation_parts(farm), ["| agents | observation | numbers | from | to | meaning |"]
     lines.append("|---|---|---:|---:|---:|---|")

@@ -70,6 +70,10 @@ def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...
         parts.append(Part("charge", 1, 0.0, 1.0, "charge over capacity"))
         parts.append(Part("station", 2, -1.0, 1.0, "offset (dx / X, dy / Y) to the nearest station"))
         parts.append(Part("charge there", 1, -1.0, 1.0, "the same after a straight flight to it, clipped"))
+    if seen.wind:
+        parts.append(Part("wind", 2, -1.0, 1.0, "of the last step, over full speed"))
+    if seen.zones:
+        parts.append(Part("refused", 9, 0.0, 1.0, "1 for each of nine moves that a no-fly zone would refuse"))
     if config.loses_uavs:
         parts.append(Part("alive", 1, 0.0, 1.0, "share of the own type's UAVs that have not failed"))
     if seen.advice:

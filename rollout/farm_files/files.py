@@ -5,13 +5,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.errors import ConfigError
 from rollout.farm_files.csv_text import format_csv, parse_csv
 from rollout.farm_files.geojson import format_geojson, parse_geojson
 from rollout.farm_files.projection import TangentPlane
-from rollout.farm_files.survey import GivenFarm, settle
+from rollout.farm_files.survey import GivenFarm, Pair, settle
 from rollout.sim.layout import make_layout
 
 MAX_BYTES: Final = 8 * 1024 * 1024
@@ -46,15 +47,20 @@ def write_farm(path: Path, farm: FarmConfig, seed: int, corner: tuple[float, flo
         corner: longitude and latitude of the field's south-west corner, degrees; GeoJSON only.
 
     Raises:
-        ConfigError: the file cannot be written, another ending, or a corner that is no place.
+        ConfigError: the file cannot be written, another ending, a corner that is no place, or no-fly zones in CSV.
     """
     kind = _format_of(path)
     layout, world = make_layout(farm, seed), farm.world
     cycles = [world.sensor_cycles[sensor] for sensor in layout.sensor_type.tolist()]
+    if kind == CSV and layout.zones:
+        raise ConfigError(f"the farm file {path} cannot hold no-fly zones; one that ends in .geojson can.")
     if kind == CSV:
         text = format_csv([(x, y) for x, y in layout.sensor_xy.tolist()], cycles, (world.field_x, world.field_y))
     else:
-        text = format_geojson(*_on_earth(layout.sensor_xy.tolist(), cycles, (world.field_x, world.field_y), corner))
+        size = world.field_x, world.field_y
+        places = [layout.sensor_xy, *layout.zones]
+        points, corners, zones = _on_earth(places, size, corner)
+        text = format_geojson(points, cycles, corners, zones)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -62,19 +68,27 @@ def write_farm(path: Path, farm: FarmConfig, seed: int, corner: tuple[float, flo
 
 
 def _on_earth(
-    places: Sequence[Sequence[float]], cycles: list[int], field: tuple[float, float], corner: tuple[float, float]
-) -> tuple[list[tuple[float, float]], list[int], list[tuple[float, float]]]:
-    """Return longitude and latitude of the sensors, their cycles, and those of the field's corners."""
+    places: Sequence[NDArray[np.float64]], field: tuple[float, float], corner: tuple[float, float]
+) -> tuple[list[Pair], list[Pair], list[list[Pair]]]:
+    """Return longitude and latitude of the first array of places, of the field's corners, and of the other arrays."""
     if not (abs(corner[0]) <= 180.0 and abs(corner[1]) <= 89.0):
         raise ConfigError(f"no farm lies at longitude {corner[0]:g} and latitude {corner[1]:g}.")
     size = np.array(field)
     middle = TangentPlane(*corner).to_degrees(size[None] / 2.0)[0]
     plane = TangentPlane(float(middle[0]), float(middle[1]))
     corners = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]) * size
-    degrees = plane.to_degrees(np.concatenate([np.array(places), corners]) - size / 2.0)
+    sensors, *zones = ([*map(_pair, _degrees(plane, xy - size / 2.0))] for xy in places)
+    return sensors, [*map(_pair, _degrees(plane, corners - size / 2.0))], zones
+
+
+def _degrees(plane: TangentPlane, metres: NDArray[np.float64]) -> NDArray[np.float64]:
+    degrees = plane.to_degrees(metres)
     degrees[:, 0] = (degrees[:, 0] + 180.0) % 360.0 - 180.0
-    pairs = [(float(longitude), float(latitude)) for longitude, latitude in degrees]
-    return pairs[:-4], cycles, pairs[-4:]
+    return degrees
+
+
+def _pair(place: NDArray[np.float64]) -> Pair:
+    return float(place[0]), float(place[1])
 
 
 def _format_of(path: Path) -> tuple[str, ...]:

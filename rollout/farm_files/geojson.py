@@ -1,4 +1,8 @@
-"""Farms as GeoJSON (RFC 7946): a FeatureCollection of Points, WGS 84, and at most one Polygon, the field's boundary."""
+"""Farms as GeoJSON (RFC 7946): a FeatureCollection of Points and Polygons, WGS 84.
+
+Points are sensors. Polygons with the property "no_fly": true are no-fly zones. At most one other Polygon is the
+field's boundary.
+"""
 
 import json
 import math
@@ -7,6 +11,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, NoReturn
 
 from common.config.farm.sites import MAX_SENSORS
+from common.config.farm.zones import MAX_CORNERS as ZONE_CORNERS
+from common.config.farm.zones import MAX_ZONES
 from common.errors import ConfigError
 from rollout.farm_files.survey import MARKS, Mark, Pair, Survey, quote
 
@@ -53,6 +59,7 @@ def parse_geojson(text: str, name: str) -> Survey:
         collection.mark or "",
         tuple(collection.marks),
         boundary=collection.boundary,
+        zones=collection.zones,
     )
 
 
@@ -116,7 +123,7 @@ class _Document:
 
 
 class _Collection:
-    """Sensors and boundary, feature by feature."""
+    """Sensors, boundary and no-fly zones, feature by feature."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -126,6 +133,7 @@ class _Collection:
         self.mark: Mark | None = None
         self.marks: list[int] = []
         self.boundary: list[Pair] = []
+        self.zones: list[list[Pair]] = []
         self._here = ""
 
     def add(self, feature: Any, line: int) -> None:
@@ -144,7 +152,7 @@ class _Collection:
             self.where.append(self._here)
             self._take_mark(feature.get("properties"))
         elif kind == "Polygon":
-            self._take_boundary(geometry.get("coordinates"))
+            self._take_polygon(geometry.get("coordinates"), feature.get("properties"))
         else:
             what = f"a geometry {quote(kind)}" if isinstance(kind, str) else "no geometry"
             self._refuse(f"{what}, where a sensor is a Point and the field's boundary a Polygon.")
@@ -164,13 +172,26 @@ class _Collection:
                 self._refuse(f"the {mark} must be a whole number from {low} to {high}, not {_show(value)}.")
             self.marks.append(value)
 
-    def _take_boundary(self, rings: Any) -> None:
+    def _take_polygon(self, rings: Any, properties: Any) -> None:
+        mark = properties.get("no_fly", False) if isinstance(properties, dict) else False
+        if not isinstance(mark, bool):
+            self._refuse(f"no_fly must be true or false, not {_show(mark)}.")
+        if mark:
+            if len(self.zones) == MAX_ZONES:
+                self._refuse(f"there are more than {MAX_ZONES} no-fly zones.")
+            corners = self._ring(rings, "a no-fly zone", ZONE_CORNERS + 1)
+            self.zones.append(corners[:-1] if corners[-1] == corners[0] else corners)
+            return
         if self.boundary:
-            self._refuse("a second Polygon; a farm has one field.")
+            self._refuse('a second Polygon without "no_fly": true; a farm has one field.')
+        self.boundary = self._ring(rings, "the boundary", MAX_CORNERS)
+
+    def _ring(self, rings: Any, what: str, most: int) -> list[Pair]:
+        """Return the outer ring of a Polygon."""
         ring = rings[0] if isinstance(rings, list) and rings else None
-        if not isinstance(ring, list) or not 4 <= len(ring) <= MAX_CORNERS:
-            self._refuse(f"the boundary must be a ring of 4 to {MAX_CORNERS} positions, the last of them the first.")
-        self.boundary = [self._position(corner) for corner in ring]
+        if not isinstance(ring, list) or not 4 <= len(ring) <= most:
+            self._refuse(f"{what} must be a ring of 4 to {most} positions, the last of them the first.")
+        return [self._position(corner) for corner in ring]
 
     def _position(self, value: Any) -> Pair:
         numbers: list[Any] = value if isinstance(value, list) and 2 <= len(value) <= 4 else [None]
@@ -185,16 +206,22 @@ class _Collection:
         raise ConfigError(f"{self.name}, {self._here}: {sentence}")
 
 
-def format_geojson(points: Iterable[Pair], cycles: Iterable[int], corners: Sequence[Pair]) -> str:
+def format_geojson(
+    points: Iterable[Pair], cycles: Iterable[int], corners: Sequence[Pair], zones: Iterable[Sequence[Pair]] = ()
+) -> str:
     """Return a farm as GeoJSON text, a feature a line.
 
     Args:
         points: longitude and latitude of each sensor, degrees.
         cycles: update cycle of each, s.
         corners: the field's four corners, counterclockwise.
+        zones: corners of each no-fly zone.
     """
     ring = [_rounded(corner) for corner in (*corners, corners[0])]
     features = [_feature({"type": "Polygon", "coordinates": [ring]}, {"name": "field"})]
+    for zone in zones:
+        around = [_rounded(corner) for corner in (*zone, zone[0])]
+        features.append(_feature({"type": "Polygon", "coordinates": [around]}, {"no_fly": True}))
     for point, cycle in zip(points, cycles, strict=True):
         features.append(_feature({"type": "Point", "coordinates": _rounded(point)}, {"cycle": cycle}))
     body = ",\n".join(json.dumps(feature) for feature in features)

@@ -1,5 +1,6 @@
 """From the contents of a farm file to sensors on a field: projected, moved to the corner, rounded to a millimetre."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,8 +9,9 @@ from typing import Final, Literal, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from common.config import FarmConfig
+from common.config import FarmConfig, ZoneConfig
 from common.config.farm.sites import MAX_SENSORS
+from common.config.farm.zones import Zones
 from common.errors import ConfigError
 from rollout.farm_files.projection import TangentPlane
 
@@ -47,6 +49,7 @@ class Survey:
         marks: one for each sensor, or none at all.
         field: width and depth of the field where the file gives them, m; farm frame only.
         boundary: corners of the field where the file gives them; geographic frame only.
+        zones: corners of each no-fly zone; geographic frame only.
     """
 
     name: str
@@ -57,6 +60,7 @@ class Survey:
     marks: tuple[int, ...] = ()
     field: Pair | None = None
     boundary: Sequence[Pair] = ()
+    zones: Sequence[Sequence[Pair]] = ()
 
     def refuse(self, sensor: int, sentence: str) -> NoReturn:
         """Raise ConfigError with the file and the sensor's location in it."""
@@ -72,15 +76,19 @@ class GivenFarm:
         xy: place of each sensor, in the file's order, m.
         field_x: width, m.
         field_y: depth, m.
+        zones: corners of each no-fly zone, m.
     """
 
     survey: Survey
     xy: tuple[Pair, ...]
     field_x: float
     field_y: float
+    zones: Zones = ()
 
     def on(self, farm: FarmConfig) -> FarmConfig:
         """Return a farm with these sensors on this field. Its plots keep roughly their size.
+
+        No-fly zones of the file replace those of the configuration.
 
         Raises:
             ConfigError: a sensor's type is none of the farm's, or the farm cannot have these sensors.
@@ -105,7 +113,8 @@ class GivenFarm:
                 sensor_cycles=cycles,
                 sites=tuple(place if mark is None else (*place, float(mark)) for place, mark in sites),
             )
-            return replace(farm, world=world)
+            zones = ZoneConfig(self.zones, farm.zones.random) if self.zones else farm.zones
+            return replace(farm, world=world, zones=zones)
         except ConfigError as error:
             raise ConfigError(f"{survey.name} does not fit the configuration: {error}") from error
 
@@ -124,14 +133,15 @@ def settle(survey: Survey) -> GivenFarm:
     if not 1 <= len(survey.points) <= MAX_SENSORS:
         raise ConfigError(f"{survey.name} holds {len(survey.points)} sensors; a farm has 1 to {MAX_SENSORS}.")
     points = np.array(survey.points, np.float64)
+    zones: Zones = ()
     if survey.frame == "geographic":
-        xy, field = _from_degrees(survey, points)
+        xy, field, zones = _from_degrees(survey, points)
     elif survey.frame == "planar":
         _check_extent(survey, points)
         xy, field = _frame(points)
     else:
         xy, field = _from_corner(survey, points)
-    return _checked(survey, xy, field)
+    return _checked(survey, xy, field, zones)
 
 
 def _from_corner(survey: Survey, points: Array) -> tuple[Array, Pair]:
@@ -149,28 +159,34 @@ def _from_corner(survey: Survey, points: Array) -> tuple[Array, Pair]:
     return points, _round_up(points.max(axis=0) + MARGIN)
 
 
-def _from_degrees(survey: Survey, points: Array) -> tuple[Array, Pair]:
-    """Return points in metres from the south-west corner, and the field."""
+def _from_degrees(survey: Survey, points: Array) -> tuple[Array, Pair, Zones]:
+    """Return points in metres from the south-west corner, the field, and the no-fly zones."""
     wrong = np.flatnonzero((np.abs(points) > (180.0, 90.0)).any(axis=1))
     if len(wrong):
         survey.refuse(int(wrong[0]), _out_of_range(survey.points[int(wrong[0])]))
     for corner in survey.boundary:
         if abs(corner[0]) > 180.0 or abs(corner[1]) > 90.0:
             raise ConfigError(f"{survey.name}: in the field's boundary, {_out_of_range(corner)}")
-    both = np.concatenate([points, np.array(survey.boundary, np.float64).reshape(-1, 2)])
+    around = [corner for zone in survey.zones for corner in zone]
+    both = np.concatenate([points, np.array([*survey.boundary, *around], np.float64).reshape(-1, 2)])
+    last = len(points) + len(survey.boundary)
     # A farm across the antimeridian: longitudes are counted from the first sensor's.
     both[:, 0] = points[0, 0] + (both[:, 0] - points[0, 0] + 180.0) % 360.0 - 180.0
-    outline = both[len(points) :] if survey.boundary else both
+    outline = both[len(points) : last] if survey.boundary else both[:last]
     middle = (outline.min(axis=0) + outline.max(axis=0)) / 2.0
     metres = TangentPlane(float(middle[0]), float(middle[1])).to_metres(both)
     # The far side of the Earth projects onto the same plane, so the height below the plane is checked too.
     _check_extent(survey, metres)
     metres = metres[:, :2]
-    if not survey.boundary:
-        return _frame(metres)
-    corners = metres[len(points) :]
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    return metres[: len(points)] - low, (round(float(high[0] - low[0]), 3), round(float(high[1] - low[1]), 3))
+    if survey.boundary:
+        low, high = metres[len(points) : last].min(axis=0), metres[len(points) : last].max(axis=0)
+        field = round(float(high[0] - low[0]), 3), round(float(high[1] - low[1]), 3)
+    else:
+        low = metres[:last].min(axis=0) - MARGIN
+        field = _frame(metres[:last])[1]
+    ends = np.cumsum([last, *map(len, survey.zones)])
+    zones = [np.round(metres[a:b] - low, 3) + 0.0 for a, b in itertools.pairwise(ends.tolist())]
+    return metres[: len(points)] - low, field, tuple(tuple((float(x), float(y)) for x, y in zone) for zone in zones)
 
 
 def _out_of_range(pair: Pair) -> str:
@@ -195,7 +211,7 @@ def _check_extent(survey: Survey, points: Array) -> None:
         )
 
 
-def _checked(survey: Survey, xy: Array, field: Pair) -> GivenFarm:
+def _checked(survey: Survey, xy: Array, field: Pair, zones: Zones) -> GivenFarm:
     """Check that all positions are distinct and inside the field; return the farm with them rounded to 1 mm."""
     if not (0.0 < field[0] <= MAX_EXTENT and 0.0 < field[1] <= MAX_EXTENT):
         raise ConfigError(
@@ -210,7 +226,7 @@ def _checked(survey: Survey, xy: Array, field: Pair) -> GivenFarm:
         if (x, y) in seen:
             survey.refuse(index, f"the sensor stands where that of {survey.where[seen[x, y]]} does.")
         seen[x, y] = index
-    return GivenFarm(survey, tuple(seen), float(field[0]), float(field[1]))
+    return GivenFarm(survey, tuple(seen), float(field[0]), float(field[1]), zones)
 
 
 def _plots(size: float, plot: float) -> int:

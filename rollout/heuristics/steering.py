@@ -21,27 +21,41 @@ STANDOFF: Final = 1e-9
 """Least divisor when a direction is normalised, m."""
 EDGE: Final = 1e-3
 """Least distance from the field's edge, m. It keeps rounding from putting a UAV outside."""
+SLOWEST: Final = 0.05
+"""Least speed against a wind to which a straight way slows a UAV down, over top speed; a faster one drifts."""
 LOITER_MAX: Final = 1.0
 """Top speed of a waiting UAV, m/s."""
 
 
-def towards(position: Array, target: Array, world: WorldConfig) -> Array:
+def possible(wind: Array) -> tuple[Array, Array]:
+    """Return the least and the largest action along each axis that the top airspeed allows in a wind over top speed."""
+    return np.maximum(-1.0, wind - 1.0), np.minimum(1.0, wind + 1.0)
+
+
+def towards(position: Array, target: Array, world: WorldConfig, wind: Array | None = None) -> Array:
     """Return the action that flies straight to a target, at full speed until one step suffices.
 
     Args:
         position: [..., 2] m.
         target: [..., 2] m.
         world: geometry and speeds.
+        wind: [..., 2] over top speed; None for none. In wind, a UAV flies slower so that its way stays straight.
 
     Returns:
         [..., 2] in [-1, 1].
     """
     share = (target - position) / reach(world)
+    if wind is not None:
+        low, high = possible(wind)
+        limit = np.maximum(np.where(share > 0.0, high, -low), SLOWEST)
+        straight = share / np.maximum(1.0, (np.abs(share) / limit).max(axis=-1, keepdims=True))
+        held: Array = np.clip(straight, low, high)
+        return held
     action: Array = share / np.maximum(1.0, np.abs(share).max(axis=-1, keepdims=True))
     return action
 
 
-def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
+def keep_apart(position: Array, action: Array, world: WorldConfig, wind: Array | None = None) -> Array:
     """Remove the part of each UAV's motion that closes in on a neighbour in its plane, and keep UAVs over the field.
 
     A neighbour counts if the step would end closer to it than now and closer than d_safety, which is what the safety
@@ -51,6 +65,7 @@ def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
         position: UAVs of one plane, [E, n, 2] m.
         action: [E, n, 2] uncorrected actions.
         world: geometry and speeds.
+        wind: [E, 1, 2] over top speed; None for none.
 
     Returns:
         [E, n, 2] in [-1, 1].
@@ -68,7 +83,8 @@ def keep_apart(position: Array, action: Array, world: WorldConfig) -> Array:
     closing = np.maximum(0.0, (motion * heading).sum(axis=-1, keepdims=True))
     side = position + motion - closing * heading
     inside = np.clip(side, EDGE, np.array([world.field_x, world.field_y]) - EDGE)
-    apart: Array = np.clip((inside - position) / reach(world), -1.0, 1.0)
+    low, high = possible(np.zeros(2) if wind is None else wind)
+    apart: Array = np.clip((inside - position) / reach(world), low, high)
     return apart
 
 

@@ -6,18 +6,21 @@ Every animated picture of a farm contains one or more of these maps; the caller 
 from typing import Any, Final
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import EllipseCollection, LineCollection, PathCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.path import Path
 from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
-from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, SENSOR_MARKERS, SOIL_STOPS, TYPES, shade
+from rollout.rendering.airspace import WindArrow, make_zones
+from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, SENSOR_MARKERS, SOIL_STOPS, TYPES, ZONE, shade
 from rollout.rendering.scene import TRAIL_STEPS, Scene, camera_radius, radio_radius
 from rollout.sim.stations import station_places
 
@@ -60,6 +63,8 @@ class FarmMap:
         axes.tick_params(labelsize=8, colors=INK)
         axes.set_xlabel("x, m", **SMALL)
         axes.set_ylabel("y, m", labelpad=1, **SMALL)
+        self._zones = make_zones(axes)
+        self._wind = WindArrow(axes, max(world.speed_x_max, world.speed_y_max))
         self._circles = self._make_circles(scene)
         self._links = LineCollection([], linewidths=1.1, linestyles=DOTTED, zorder=3)
         self._stress = _make_ellipses(axes, scene.config.stress.radius, "none", STRESS, 1.8)
@@ -72,6 +77,7 @@ class FarmMap:
         self._uavs, self._numbers = _make_uavs(axes, scene)
         self._plots: tuple[slice, slice, Indices, Indices] | None = None
         self.artists: tuple[Any, ...] = (
+            self._zones,
             *self._circles,
             *stations,
             *([self._stress] if scene.config.stress.some else []),
@@ -81,6 +87,7 @@ class FarmMap:
             *self._uavs,
             *self._numbers,
             *self._batteries,
+            *self._wind.artists,
         )
 
     def pixel(self, x: float, y: float) -> tuple[int, int]:
@@ -90,6 +97,8 @@ class FarmMap:
 
     def update(self, scene: Scene) -> None:
         """Update every moving artist from the scene."""
+        self._zones.set_verts([*scene.layout.zones])
+        self._wind.update(scene.wind)
         slices = dict(zip(TYPES, farm_team(scene.config).agent_slices(), strict=True))
         for circle, name in zip(self._circles, (MONITORING, COLLECTION), strict=True):
             circle.set_offsets(scene.position[slices[name]][~scene.gone[slices[name]]])
@@ -267,7 +276,7 @@ def make_scales(figure: Figure, scene: Scene, across: tuple[float, float], botto
 
 def make_legend(figure: Figure, scene: Scene, corner: tuple[float, float]) -> None:
     """Draw the legend of the map's other symbols, with its upper left corner at `corner` of the figure."""
-    handles = [
+    handles: list[Artist] = [
         Line2D([], [], color=UP, linestyle=DOTTED, label="relay and whom it serves"),
         Line2D([], [], color="0.4", linewidth=2.0, label=f"path of the last {TRAIL_STEPS} steps"),
         _ring(MONITORING, f"camera, {camera_radius(scene.config):.0f} m"),
@@ -291,9 +300,9 @@ def make_legend(figure: Figure, scene: Scene, corner: tuple[float, float]) -> No
     )
 
 
-def _events(scene: Scene) -> list[Line2D]:
-    """Return the symbols of what not every farm has: links that are down, patches of stress."""
-    handles = []
+def _events(scene: Scene) -> list[Artist]:
+    """Return the symbols of what not every farm has: links that are down, stations, patches of stress, no-fly zones."""
+    handles: list[Artist] = []
     if scene.config.relay.require_link:
         handles.append(Line2D([], [], color=DOWN, linestyle=DOTTED, label="link out of range"))
     if scene.config.battery.some:
@@ -304,6 +313,8 @@ def _events(scene: Scene) -> list[Line2D]:
         patch = Line2D([], [], marker="o", markersize=9, linestyle="", label="patch of stress; faint: not known")
         patch.set(markerfacecolor="none", markeredgecolor=STRESS, markeredgewidth=1.8)
         handles.append(patch)
+    if scene.config.zones.some:
+        handles.append(Patch(facecolor=to_rgba(ZONE, 0.16), edgecolor=ZONE, hatch="///", label="no-fly zone"))
     return handles
 
 

@@ -32,6 +32,8 @@ AGE_STOPS: Final = ("#FDE725", "#5EC962", "#21918C", "#3B528B", "#440154")
 """The same map at 0, 1/4, 1/2, 3/4 and 1, for drawing without matplotlib."""
 SOIL_STOPS: Final = ("#FCF9F1", "#EBDCB9", "#CBAA75")
 """Colours of a plot from the freshest image to the oldest."""
+ZONE: Final = "#B2182B"
+"""Colour of a no-fly zone."""
 PART_COLOURS: Final = ("#4477AA", "#BBBBBB", "#EE6677", "#AA3377", "#228833", "#66CCEE", "#CCBB44", "#994455")
 """Colours of a reward's parts in their order: Tol's "bright" set, legible on light and dark, and a dark red of his."""
 

@@ -36,6 +36,7 @@ class Scene:
         aoi: [S] units.
         vdf: [n_px, n_py] units.
         course: [step + 1, 2] mean AoI and mean VDF of every step; NaN for steps that were not observed.
+        wind: [2] of the last step, m/s.
         reward: reward per agent in this episode so far, by type; "mean" is the mean over all agents.
         gone: [n] whether a UAV has failed.
         linked: [n_m + n_d] whether the link of a served UAV is up.
@@ -53,6 +54,7 @@ class Scene:
     aoi: Numbers
     vdf: Numbers
     course: Numbers
+    wind: Numbers
     reward: dict[str, float]
     gone: NDArray[np.bool_]
     linked: NDArray[np.bool_]
@@ -110,6 +112,7 @@ class Observer:
             aoi=batch.aoi[index].copy(),
             vdf=batch.vdf[index].copy(),
             course=self._course[: step + 1].copy(),
+            wind=batch.wind[index].copy(),
             reward={**by_type, "mean": float(rewards.mean())},
             gone=batch.gone[index].copy(),
             linked=links_up(batch.config, position, batch.assignment[index]),
@@ -133,6 +136,14 @@ def links_up(config: FarmConfig, position: Numbers, assignment: NDArray[np.int64
     near = flat + (height - world.height_communication) ** 2 <= relay.link_range**2
     up: NDArray[np.bool_] = (assignment >= 0) & (near if relay.require_link else True)
     return up
+
+
+def wind_text(wind: Numbers) -> str:
+    """Return speed and direction of a wind [2] m/s, or nothing without one."""
+    if not wind.any():
+        return ""
+    bearing = round(math.degrees(math.atan2(-wind[0], -wind[1]))) % 360
+    return f"wind {math.hypot(*wind):.1f} m/s from {bearing:03d}\N{DEGREE SIGN}"
 
 
 BISECTIONS: Final = 64

@@ -11,9 +11,10 @@ from rich.text import Text
 
 from common.config import WorldConfig
 from common.farm import LETTERS, farm_team
-from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, SOIL_STOPS, TYPES, rgb, shade
-from rollout.rendering.scene import Scene
+from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, SOIL_STOPS, TYPES, ZONE, rgb, shade
+from rollout.rendering.scene import Scene, wind_text
 from rollout.sim.stations import station_places
+from rollout.sim.zones import inside_any
 
 Pixels = NDArray[np.uint8]
 
@@ -46,7 +47,8 @@ def terminal_text(scene: Scene, width: int = WIDTH) -> Text:
     pixels = _pixels(scene, width)
     signs = _signs(scene, len(pixels) // 2, width)
     text = Text(no_wrap=True)
-    text.append(f"{scene.headline}   mean AoI {scene.aoi.mean():.2f}   mean VDF {scene.vdf.mean():.2f}\n", "bold")
+    text.append(f"{scene.headline}   mean AoI {scene.aoi.mean():.2f}   mean VDF {scene.vdf.mean():.2f}", "bold")
+    text.append(f"   {wind_text(scene.wind)}\n" if scene.wind.any() else "\n", "bold")
     for row in range(len(pixels) // 2):
         for column in range(width):
             upper, lower = pixels[2 * row, column], pixels[2 * row + 1, column]
@@ -54,7 +56,7 @@ def terminal_text(scene: Scene, width: int = WIDTH) -> Text:
             text.append(*sign if sign else (BLOCK, Style(color=_css(upper), bgcolor=_css(lower))))
         text.append("\n")
     _append_rewards(text, scene)
-    _append_keys(text, scene.config.world)
+    _append_keys(text, scene.config.world, zones=scene.config.zones.some)
     return text
 
 
@@ -79,6 +81,9 @@ def _pixels(scene: Scene, width: int) -> Pixels:
     size = (width, 2 * max(1, round(width * world.field_y / world.field_x / 2)))
     column, row = ((np.arange(count) * plots) // count for count, plots in zip(size, scene.vdf.shape, strict=True))
     canvas = shade(SOIL_STOPS, scene.vdf[np.ix_(column, row)] / world.vdf_max)
+    if scene.layout.zones:
+        share = np.stack(np.meshgrid(*((np.arange(count) + 0.5) / count for count in size), indexing="ij"), axis=-1)
+        canvas[inside_any(share * (world.field_x, world.field_y), scene.layout.zones)] = rgb(ZONE)
     relays = world.communication_uavs
     for served, relay in enumerate(scene.assignment):
         if relay < 0:
@@ -130,12 +135,17 @@ def _append_rewards(text: Text, scene: Scene) -> None:
     text.append(f"all {scene.reward['mean']:.1f}\n")
 
 
-def _append_keys(text: Text, world: WorldConfig) -> None:
+def _append_keys(text: Text, world: WorldConfig, *, zones: bool) -> None:
     for name in TYPES:
         text.append(f" {LETTERS[name]} ", _badge(COLOURS[name]))
         text.append(f" {LABELS[name]}   ")
     text.append(BLOCK, Style(color=_css(LINK)))
-    text.append(" relay link\n")
+    text.append(" relay link")
+    if zones:
+        text.append("   ")
+        text.append(BLOCK, Style(color=ZONE, bgcolor=ZONE))
+        text.append(" no-fly zone")
+    text.append("\n")
     _append_scale(text, "plot, VDF 0 ", SOIL_STOPS, 0.0, world.vdf_max)
     _append_scale(text, "   sensor, AoI 1 ", AGE_STOPS, 1.0 / world.aoi_max, world.aoi_max)
     text.append("\n")

@@ -20,10 +20,13 @@ from common.transitions import EpisodeSummary
 from rollout.sim.failures import NEVER, failure_steps
 from rollout.sim.kernel.arrays import REWARD_PARTS, make_scratch
 from rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_workspace
+from rollout.sim.kernel.flight.airspace import zone_sides
 from rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
 from rollout.sim.layout import Layout, make_layout
 from rollout.sim.stress import patches
 from rollout.sim.sweep_routes import assigned_routes, sweep_routes
+from rollout.sim.wind import wind_series
+from rollout.sim.zones import inside_any
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
 
@@ -127,6 +130,14 @@ class FarmBatch:
         self.hindsight: Float32 | None = self._state.hindsight if hindsight else None
 
     @property
+    def wind(self) -> NDArray[np.float64]:
+        """[E, 2] wind of the last step, m/s; before the first that at the start, and 0 without wind."""
+        series = self._state.wind
+        if series.shape[1] == 0:
+            return np.zeros((len(series), 2))
+        return series[np.arange(len(series)), np.maximum(self.time, 0)]
+
+    @property
     def potential(self) -> Float32:
         """[E, n] Phi = +alpha_1 D_c t_step of relays, -alpha_1 D_c t_step with the printed sign (W1); else 0.
 
@@ -162,7 +173,7 @@ class FarmBatch:
         Args:
             index: the environment.
             farm_seed: determines the farm.
-            episode_seed: determines where the UAVs start, which packets arrive and when UAVs fail.
+            episode_seed: determines where the UAVs start, which packets arrive, when UAVs fail and how the wind blows.
 
         Raises:
             ConfigError: the sensors do not fit at their spacing.
@@ -172,7 +183,7 @@ class FarmBatch:
         self._seeds[e] = (farm_seed, episode_seed)
         state.key[e] = packet_key(farm_seed, episode_seed)
         state.time[e] = 0
-        state.position[e] = start_positions(world, farm_seed, episode_seed)
+        state.position[e] = start_positions(world, farm_seed, episode_seed, layout.zones)
         state.age[e], state.level[e] = start_levels(world, farm_seed, episode_seed)
         state.sensor[e] = layout.sensor_xy.T
         state.cell_start[e] = layout.cell_start
@@ -182,6 +193,8 @@ class FarmBatch:
         level_due = np.where(layout.plot_phase > 0, layout.plot_phase, self._constants.camera.cycle)
         state.level_due[e] = np.minimum(level_due, NEVER)
         state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
+        state.wind[e] = wind_series(self.config, farm_seed, episode_seed)
+        state.zone_side[e], state.zone_box[e] = zone_sides(layout.zones)
         state.failure[e] = failure_steps(self.config, farm_seed, episode_seed)
         state.gone[e], state.living[e] = False, world.counts
         if self.config.battery.some:
@@ -286,9 +299,12 @@ def packet_key(farm_seed: int, episode_seed: int) -> int:
     return derive(farm_seed, episode_seed, "packets")
 
 
-def start_positions(world: WorldConfig, farm_seed: int, episode_seed: int) -> NDArray[np.float64]:
+def start_positions(
+    world: WorldConfig, farm_seed: int, episode_seed: int, zones: tuple[NDArray[np.float64], ...] = ()
+) -> NDArray[np.float64]:
     """Return the start positions of the UAVs, [n, 2] m: uniform, and at least d_safety apart within a plane.
 
+    Places in no-fly zones, [C, 2] m each, are drawn again.
     If a plane is too crowded for that, the distance shrinks by a tenth until a position is found.
     """
     random = stream(farm_seed, episode_seed, "start")
@@ -298,6 +314,8 @@ def start_positions(world: WorldConfig, farm_seed: int, episode_seed: int) -> ND
         apart, tries = world.safety_distance, 0
         while len(plane) < count:
             x, y = random.random() * world.field_x, random.random() * world.field_y
+            if zones and inside_any(np.array((x, y)), zones):
+                continue
             if all(math.sqrt((x - a) * (x - a) + (y - b) * (y - b)) >= apart for a, b in plane):
                 plane.append((x, y))
                 tries = 0

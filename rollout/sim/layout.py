@@ -11,6 +11,7 @@ from common.config import FarmConfig, WorldConfig
 from common.seeds import stream
 from rollout.sim.densities import density_of
 from rollout.sim.poisson_disk import sample_positions
+from rollout.sim.zones import make_zones
 
 CELL: Final = 25.0
 """Edge of the cells that order the sensors, m; larger if an axis would otherwise have more than MAX_CELLS."""
@@ -34,6 +35,7 @@ class Layout:
         plot_phase: [n_px, n_py] the same for VDF.
         cells: number of cells along x and y.
         cell_start: [cells + 1] first sensor of each cell.
+        zones: corners of each no-fly zone, [C, 2] m.
     """
 
     seed: int
@@ -45,6 +47,7 @@ class Layout:
     plot_phase: NDArray[np.int64]
     cells: tuple[int, int]
     cell_start: NDArray[np.int64]
+    zones: tuple[NDArray[np.float64], ...] = ()
 
 
 @functools.lru_cache(maxsize=256)
@@ -74,7 +77,7 @@ def make_layout(farm: FarmConfig, seed: int) -> Layout:
     xy = np.ascontiguousarray(place[order])
     for array in (xy, kind, steps, phase, plot_phase, start):
         array.setflags(write=False)
-    return Layout(seed, density, xy, kind, steps, phase, plot_phase, cells, start)
+    return Layout(seed, density, xy, kind, steps, phase, plot_phase, cells, start, make_zones(farm, seed))
 
 
 def cell_counts(world: WorldConfig) -> tuple[int, int]:

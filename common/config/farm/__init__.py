@@ -10,7 +10,9 @@ from common.config.farm.observation import ObservationConfig
 from common.config.farm.relay import RelayConfig
 from common.config.farm.reward import RewardConfig
 from common.config.farm.stress import StressConfig
+from common.config.farm.wind import WindConfig
 from common.config.farm.world import WorldConfig
+from common.config.farm.zones import ZoneConfig
 from common.errors import ConfigError
 
 __all__ = [
@@ -25,7 +27,9 @@ __all__ = [
     "RelayConfig",
     "RewardConfig",
     "StressConfig",
+    "WindConfig",
     "WorldConfig",
+    "ZoneConfig",
 ]
 
 
@@ -44,11 +48,15 @@ class FarmConfig:
     failures: FailureConfig = field(default_factory=FailureConfig)
     stress: StressConfig = field(default_factory=StressConfig)
     battery: BatteryConfig = field(default_factory=BatteryConfig)
+    wind: WindConfig = field(default_factory=WindConfig)
+    zones: ZoneConfig = field(default_factory=ZoneConfig)
 
     def __post_init__(self) -> None:
         """Refuse sections that contradict each other."""
         self.relay.capacity_for(self.world)
         self.failures.check(self.world.counts, self.world.steps)
+        self.wind.check(self.world)
+        self.zones.check(self.world)
         if self.observation.sensors > self.world.sensors:
             raise ConfigError(
                 f"observation.sensors {self.observation.sensors} exceeds the {self.world.sensors} sensors there are."

@@ -49,6 +49,10 @@ class ObservationConfig:
     link: bool = False
     """Whether UAVs see their relay and the slack of the link to it, and relays that of the links to the UAVs that they
     serve, now and after each of nine moves (ours)."""
+    wind: bool = False
+    """Whether UAVs see the wind of the last step, as a share of full speed (ours)."""
+    zones: bool = False
+    """Whether UAVs see which of nine moves a no-fly zone would refuse (ours)."""
 
     stress: bool = False
     """Whether UAVs with tasks see where the patches of stress around them are that the team knows (ours)."""
@@ -73,6 +77,8 @@ class ObservationConfig:
             self.stress,
             self.charge,
             bool(self.advice),
+            self.wind,
+            self.zones,
         )
         return self.peers > 0 or self.units > 0 or any(switches)
 

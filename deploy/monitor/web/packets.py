@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.farm import farm_team
 from common.protocol.messages import ViewMessage, WatchTerms
-from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, PART_COLOURS, SENSOR_MARKERS, SOIL_STOPS, TYPES
+from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, PART_COLOURS, SENSOR_MARKERS, SOIL_STOPS, TYPES, ZONE
 from rollout.rendering.scene import TRAIL_STEPS, camera_radius, radio_radius
 from rollout.sim.layout import Layout
+from rollout.sim.wind import wind_series
 
 _LENGTH: Final = struct.Struct("<I")
 _DTYPES: Final = {"<f4": "f4", "|u1": "u1"}
@@ -83,6 +84,8 @@ def scene(run: str, worker: str, farm: FarmConfig, terms: WatchTerms) -> Packet:
             {"name": name, "colour": PART_COLOURS[place % len(PART_COLOURS)]}
             for place, name in enumerate(terms.part_names)
         ],
+        "zone": ZONE,
+        "top_speed": max(world.speed_x_max, world.speed_y_max),
         "age": list(AGE_STOPS),
         "soil": list(SOIL_STOPS),
         "trail": TRAIL_STEPS,
@@ -91,8 +94,8 @@ def scene(run: str, worker: str, farm: FarmConfig, terms: WatchTerms) -> Packet:
     return pack("scene", fields, {})
 
 
-def frames(message: ViewMessage, layout: Layout, version: int) -> Packet:
-    """Return frames of an episode, with the sensors of its farm."""
+def frames(message: ViewMessage, farm: FarmConfig, layout: Layout, version: int) -> Packet:
+    """Return frames of an episode, with the sensors and no-fly zones of its farm, and the wind of each frame's step."""
     fields = {
         "farm": message.farm,
         # Seeds have up to 63 bits, but numbers in the browser keep 53.
@@ -102,11 +105,15 @@ def frames(message: ViewMessage, layout: Layout, version: int) -> Packet:
         "noise_std": message.noise_std,
         "uniform": message.uniform,
         "version": version,
+        "zones": [zone.tolist() for zone in layout.zones],
     }
     arrays: dict[str, Array] = {
         name: getattr(message, name) for name in ("position", "assignment", "quality", "aoi", "vdf", "level", "parts")
     }
     arrays["sensor"] = layout.sensor_xy.astype(np.float32)
+    wind = wind_series(farm, message.farm, message.episode)
+    if len(wind):
+        arrays["wind"] = wind[message.first : message.first + len(message.position)].astype(np.float32)
     arrays["kind"] = layout.sensor_type.astype(np.uint8)
     return pack("frames", fields, arrays, len(message.position))
 

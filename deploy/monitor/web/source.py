@@ -155,7 +155,7 @@ class Source:
             self.lost += max(0, envelope.sequence - sequence - 1)
         self._newest = (envelope.incarnation, envelope.sequence)
         self.skipped = message.skipped
-        self._hub.show(packets.frames(message, layout, envelope.version))
+        self._hub.show(packets.frames(message, self._farm, layout, envelope.version))
 
     def _report(self, now: float) -> None:
         self._reported = now

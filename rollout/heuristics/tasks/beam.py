@@ -9,6 +9,7 @@ from rollout.sim.kernel.compiler.decorators import compiled, compiled_entry
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 class SearchGrid(NamedTuple):
@@ -20,6 +21,7 @@ class SearchGrid(NamedTuple):
         first: [K + 1] first entry of each place in `site` and `chance`.
         site: plots or sensors within reach.
         chance: probability that a visit of one step serves the site.
+        free: [K, 3, 3] whether a move back, none or on along x and along y is possible; no-fly zones refuse others.
     """
 
     place: Array
@@ -27,6 +29,7 @@ class SearchGrid(NamedTuple):
     first: Indices
     site: Indices
     chance: Array
+    free: Flags
 
 
 class StepReward(NamedTuple):
@@ -115,6 +118,8 @@ def _expand(
         column, row = node[b] // grid.rows, node[b] % grid.rows
         for x in range(max(0, column - 1), min(columns, column + 2)):
             for y in range(max(0, row - 1), min(grid.rows, row + 2)):
+                if not grid.free[node[b], x - column + 1, y - row + 1]:
+                    continue
                 to = x * grid.rows + y
                 units = _units(grid, level, rest[b], to)
                 value = reward.unit * units + reward.flight[abs(x - column) + abs(y - row)]

@@ -14,9 +14,10 @@ from common.actions.adapters import fewest
 from common.config import FarmConfig
 from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
 from rollout.heuristics.tasks import lawnmower
-from rollout.heuristics.tasks.beam import Array, Indices, SearchGrid, StepReward, best_path
+from rollout.heuristics.tasks.beam import Array, Flags, Indices, SearchGrid, StepReward, best_path
 from rollout.heuristics.tasks.sites import images_succeed, packet_chances, pairs_within, radio_range
 from rollout.sim.boxes import reach
+from rollout.sim.detours import Airspace, airspace_of
 from rollout.sim.kernel.constants import constants
 from rollout.sim.kernel.flight.motion import flight_power
 from rollout.sim.layout import cell_counts
@@ -110,6 +111,9 @@ class HorizonGroupPolicy:
             self._grid = sensor_grid(state.config, layout.sensor_xy)
             self._phase = layout.sensor_phase
             self._most = float(world.aoi_max)
+        if state.layout.zones:
+            airspace = airspace_of(state.config, state.layout)
+            self._grid = self._grid._replace(free=free_moves(self._grid.place, self._grid.rows, airspace))
         self._plans: list[Indices] = [NOBODY] * len(state.of(kind))
 
     def goals(self, state: FarmState) -> Array:
@@ -198,4 +202,19 @@ def _grid(place: Array, rows: int, node: Indices, site: Indices, chance: Array) 
     """Return a grid from triples (node, site, chance), [P] each. Triples with chance 0 are left out."""
     node, site, chance = node[chance > 0.0], site[chance > 0.0], chance[chance > 0.0]
     first = np.searchsorted(node, np.arange(len(place) + 1)).astype(np.int64)
-    return SearchGrid(place, rows, first, site, chance)
+    return SearchGrid(place, rows, first, site, chance, np.ones((len(place), 3, 3), np.bool_))
+
+
+def free_moves(place: Array, rows: int, airspace: Airspace) -> Flags:
+    """Return which moves between neighbouring places [K, 2] m no zone refuses, [K, 3, 3].
+
+    Staying is always possible, and so is leaving a place in a zone, which a UAV next to the zone may be nearest to.
+    """
+    grid = place.reshape(-1, rows, 2)
+    free, inside = np.ones((*grid.shape[:2], 3, 3), np.bool_), airspace.inside(grid)
+    for x in range(-1, 2):
+        for y in range(-1, 2):
+            if x or y:
+                to = np.roll(grid, (-x, -y), axis=(0, 1))
+                free[..., x + 1, y + 1] = ~airspace.inside(to) & (inside | ~airspace.refused(grid, to))
+    return free.reshape(-1, 3, 3)

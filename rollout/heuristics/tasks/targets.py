@@ -7,11 +7,14 @@ from scipy.spatial import cKDTree
 from rollout.heuristics.composite import MONITORS, FarmState
 from rollout.heuristics.tasks.sites import sensor_stops
 from rollout.sim.boxes import Array
+from rollout.sim.detours import airspace_of
 from rollout.sim.sweep_routes import plot_boxes
 
 
 class Targets:
     """Monitors target plots, valued by VDF. Collectors target stops, valued by the AoI of their nearest sensors.
+
+    A target in a no-fly zone has no value.
 
     Args:
         state: state at the start of the episode.
@@ -30,10 +33,12 @@ class Targets:
             self.box = sensor_stops(state.config, state.layout.sensor_xy)
             _, self._stop = cKDTree(self.box.mean(axis=0)).query(state.layout.sensor_xy)
         self.centre: Array = self.box.mean(axis=0)
+        self._free = ~airspace_of(state.config, state.layout).inside(self.centre)
 
     def value(self, state: FarmState) -> Array:
         """Return the current value of a visit to each target, [K] units."""
         if self._stop is None:
-            return state.vdf
-        value: Array = np.bincount(self._stop, state.aoi, len(self.centre)).astype(np.float64)
+            plots: Array = state.vdf * self._free
+            return plots
+        value: Array = np.bincount(self._stop, state.aoi, len(self.centre)).astype(np.float64) * self._free
         return value

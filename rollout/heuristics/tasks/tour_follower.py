@@ -7,6 +7,7 @@ import numpy as np
 
 from rollout.heuristics.composite import FarmState
 from rollout.sim.boxes import Array, aim, inside, steps_to
+from rollout.sim.detours import airspace_of
 from rollout.sim.sweep_routes import assigned_routes
 
 PATIENCE: Final = 3
@@ -14,7 +15,7 @@ PATIENCE: Final = 3
 
 
 class TourFollower:
-    """Each UAV flies laps of one route, through its boxes in order.
+    """Each UAV flies laps of one route, through its boxes in order. Boxes in no-fly zones are left out.
 
     Args:
         routes: one for each UAV, [2, L, 2] m: lowest and highest corners of its boxes.
@@ -24,6 +25,10 @@ class TourFollower:
 
     def __init__(self, routes: Sequence[Array], kind: int, state: FarmState) -> None:
         self._kind = kind
+        self._airspace = airspace_of(state.config, state.layout)
+        if self._airspace.some:
+            free = [~self._airspace.inside(route.mean(axis=0)) for route in routes]
+            routes = [route[:, left] if left.any() else route for route, left in zip(routes, free, strict=True)]
         chosen = assigned_routes(routes, state.of(kind), state.config.world)
         self._routes = [routes[index] for index in chosen[:, 0]]
         self._next = chosen[:, 1].copy()
@@ -43,4 +48,6 @@ class TourFollower:
                 at = self._next[uav] = (at + 1) % length
                 self._nearest[uav], self._waited[uav] = np.inf, 0
             places[uav] = aim(position[uav], route[:, at], route[:, (at + 1) % length], world)
+            if self._airspace.some and self._airspace.detours(position[uav], places[uav]):
+                self._nearest[uav], self._waited[uav] = np.inf, 0
         return places

@@ -68,6 +68,9 @@ class State(NamedTuple):
         stressed: [E, n_px, n_py] 1 for plots in living patches that are known; [E, 0, n_py] without patches.
         plot_cycle: [E, 2, n_px, n_py] present cycle and phase of each plot's VDF; [E, 2, 0, n_py] without patches.
         sensor_cycle: [E, 2, S] cycle without stress and phase of each sensor's AoI; [E, 2, 0] without patches.
+        wind: [E, T + 1, 2] wind of each step, m/s; [E, 0, 2] without wind.
+        zone_side: [E, K, 4] sides of the no-fly zones, see `flight.airspace`.
+        zone_box: [E, Z, 4] boxes around them.
         hindsight: [E, T, n] corrections of the episode's rewards; [E, 0, n] unless visits are tracked.
     """
 
@@ -116,6 +119,9 @@ class State(NamedTuple):
     stressed: Array
     plot_cycle: Int32
     sensor_cycle: Int32
+    wind: Array
+    zone_side: Array
+    zone_box: Array
     hindsight: Float32
 
 
@@ -167,6 +173,9 @@ class Farm(NamedTuple):
     stressed: Array
     plot_cycle: Int32
     sensor_cycle: Int32
+    wind: Array
+    zone_side: Array
+    zone_box: Array
     hindsight: Float32
 
 
@@ -298,6 +307,9 @@ def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
         stressed=np.zeros((count, stress.some * world.plots_x, world.plots_y)),
         plot_cycle=np.zeros((count, 2, stress.some * world.plots_x, world.plots_y), np.int32),
         sensor_cycle=np.zeros((count, 2, stress.some * sensors), np.int32),
+        wind=np.zeros((count, config.wind.some * (world.steps + 1), 2)),
+        zone_side=np.zeros((count, sum(config.zones.corners), 4)),
+        zone_box=np.zeros((count, len(config.zones.corners), 4)),
         hindsight=np.zeros((count, hindsight * world.steps, uavs), np.float32),
     )
 

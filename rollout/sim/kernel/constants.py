@@ -16,6 +16,7 @@ from rollout.sim.kernel.event_constants import (
     failure_constants,
     stress_constants,
 )
+from rollout.sim.kernel.flight.airspace import AirspaceConstants, airspace
 from rollout.sim.kernel.link import RadioConstants, loss_at_one_metre, noise, radio_constants
 from rollout.sim.kernel.views.constants import ViewConstants, view_constants
 
@@ -230,6 +231,7 @@ class Constants(NamedTuple):
     failures: FailureConstants
     stress: StressConstants
     battery: BatteryConstants
+    airspace: AirspaceConstants
 
 
 def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
@@ -270,6 +272,7 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         failure_constants(config),
         stress_constants(config),
         battery_constants(config),
+        airspace(config),
     )
     return Constants(*(_cast(part) for part in parts))
 

@@ -95,6 +95,9 @@ def _farm(state: State, e: int) -> Farm:
         stressed=state.stressed[e],
         plot_cycle=state.plot_cycle[e],
         sensor_cycle=state.sensor_cycle[e],
+        wind=state.wind[e],
+        zone_side=state.zone_side[e],
+        zone_box=state.zone_box[e],
         hindsight=state.hindsight[e],
     )
 

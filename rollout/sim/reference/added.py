@@ -19,6 +19,7 @@ from rollout.sim.kernel.link import radio_constants
 from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, field_range
 from rollout.sim.kernel.views.fields import FLOOR, SCALE
 from rollout.sim.kernel.views.units import MOST
+from rollout.sim.reference.airspace import airspace_view
 from rollout.sim.reference.axes import place_of, signs_of
 from rollout.sim.reference.battery import charge_view
 from rollout.sim.reference.links import link_view, links_view
@@ -54,6 +55,8 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
         ]
     parts += [stress_view(farm, u, signs)] if seen.stress and kind else []
     parts += [charge_view(farm, u, signs)] if seen.charge else []
+    if seen.wind or seen.zones:
+        parts += [airspace_view(farm, u, signs, places(farm, u) if kind else relay_places(farm, u, signs))]
     share = len(farm.living(kind)) / (farm.kind == kind).sum()
     parts += [np.array([share])] if farm.config.loses_uavs else []
     parts += [np.zeros(advice_sizes(farm.config)[kind])]

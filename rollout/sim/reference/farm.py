@@ -17,11 +17,13 @@ from rollout.sim.batch import packet_key, start_levels, start_positions
 from rollout.sim.failures import failure_steps
 from rollout.sim.kernel.relays import NO_LINK
 from rollout.sim.layout import Layout
+from rollout.sim.reference.airspace import air_velocity, stopped
 from rollout.sim.reference.battery import use_charge
 from rollout.sim.reference.routes import first_sweep
 from rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
 from rollout.sim.reference.views import observe
 from rollout.sim.stress import patches
+from rollout.sim.wind import wind_series
 
 Array = NDArray[np.float64]
 
@@ -133,6 +135,7 @@ class ReferenceFarm:
     Attributes:
         position: [n, 2] m; before: [n, 2] the same one step ago.
         aoi: [S]; vdf: [n_px, n_py].
+        wind: [T + 1, 2] of each step, m/s; no rows without wind.
         gone: [n] whether a UAV has failed.
         charge: [n] of the batteries, J.
         known: [P] whether the team knows a patch of stress.
@@ -154,8 +157,9 @@ class ReferenceFarm:
         heights = (world.height_communication, world.height_monitoring, world.height_collection)
         self.height = np.array(heights)[self.kind]
         self.key = packet_key(layout.seed, episode_seed)
-        self.position = start_positions(world, layout.seed, episode_seed)
+        self.position = start_positions(world, layout.seed, episode_seed, layout.zones)
         self.before = self.position
+        self.wind = wind_series(config, layout.seed, episode_seed)
         self.failure = failure_steps(config, layout.seed, episode_seed)
         self.gone = np.zeros(world.uavs, bool)
         self.aoi, self.vdf = start_levels(world, layout.seed, episode_seed)
@@ -188,11 +192,14 @@ class ReferenceFarm:
         velocity[self.gone] = 0.0
         motivated = (velocity * self.direction).sum(axis=1) > 0
         self.before, service_before = self.position, self.service
-        wanted = self.position + velocity * world.step_seconds
-        self.position = np.clip(wanted, 0.0, (world.field_x, world.field_y))
-        self.outside = (self.position != wanted).any(axis=1)
-        speed = np.sqrt((velocity**2).sum(axis=1))
-        power = [self.power(u, v) for u, v in enumerate(speed)]
+        air, ground = air_velocity(self, velocity)
+        ground = np.where(self.gone[:, None], 0.0, ground)
+        wanted = self.position + ground * world.step_seconds
+        inside = np.clip(wanted, 0.0, (world.field_x, world.field_y))
+        refused = stopped(self, inside)
+        self.position = np.where(refused[:, None], self.position, inside)
+        self.outside = (inside != wanted).any(axis=1) | refused
+        power = [self.power(u, v) for u, v in enumerate(np.sqrt((air**2).sum(axis=1)))]
         self.energy = np.where(self.gone, 0.0, np.array(power) * world.step_seconds)
         if self.config.battery.some:
             use_charge(self, np.array([other_power(self.config.energy, k) for k in self.kind]))

@@ -176,6 +176,8 @@ def test_digests_of_earlier_versions_count(name):
     events = (
         '[farm.failures]\nper_hour = 0.0\nat = ""\n\n',
         "[farm.battery]\ncapacity = 0.0\nstations = 4\npower = 400.0\nlanding = 5.0\n\n",
+        "[farm.wind]\nspeed = 0.0\ndirection = -1.0\ngusts = 0.0\ngust_seconds = 10.0\n\n",
+        "[farm.zones]\npolygons = []\nrandom = 0\n\n",
         "[farm.stress]\npatches = 0\nradius = 60.0\ngrowth = 3\nseconds = 200.0\n\n",
     )
     lines = functools.reduce(lambda text, section: text.replace(section, ""), events, to_toml(config)).splitlines()
@@ -187,6 +189,8 @@ def test_digests_of_earlier_versions_count(name):
         "link = ",
         "stress = ",
         "charge = ",
+        "wind = ",
+        "zones = ",
         "advice = ",
         "relayed = ",
     )

@@ -13,7 +13,7 @@ from pettingzoo.test import render_test
 from rich.console import Console
 from rich.text import Text
 
-from common.config import CameraConfig, FarmConfig, RadioConfig, WorldConfig
+from common.config import CameraConfig, FarmConfig, RadioConfig, WindConfig, WorldConfig, ZoneConfig
 from common.errors import SimulationError
 from common.farm import LETTERS
 from rollout.envs.parallel_env import env, parallel_env
@@ -358,3 +358,21 @@ def test_large_teams_and_long_fields_are_drawn():
         farm = parallel_env(FarmConfig(world=world), render_mode=mode)
         farm.reset(seed=0)
         assert len(farm.render()) > 100
+
+
+def test_zones_and_wind_are_shown():
+    """A zone's colour lies over its middle, and picture and text name the wind; without them nothing is there."""
+    zone = ((100.0, 100.0), (180.0, 100.0), (180.0, 180.0), (100.0, 180.0))
+    config = replace(SPARSE, zones=ZoneConfig((zone,)), wind=WindConfig(speed=4.0, direction=270.0))
+    observer, plain = observed(config, 1)[1], observed(SPARSE, 1)[1]
+    assert observer.scene().wind.tolist() == pytest.approx([4.0, 0.0])
+    drawer, image = picture_of(observer)
+    _, without = picture_of(plain)
+    row, column = drawer.pixel(140.0, 140.0)
+    here = image[row - 8 : row + 8, column - 8 : column + 8].astype(int)
+    there = without[row - 8 : row + 8, column - 8 : column + 8].astype(int)
+    assert (there - here)[..., 1:].mean() > 20.0
+    text = terminal_text(observer.scene()).plain
+    assert "wind 4.0 m/s from 270" in text
+    assert "no-fly zone" in text
+    assert "wind" not in terminal_text(plain.scene()).plain

@@ -120,12 +120,14 @@ export class Field {
     pen.beginPath();
     pen.rect(this.x(0) - UAV, this.y(fy) - UAV, fx * this.scale + 2 * UAV, fy * this.scale + 2 * UAV);
     pen.clip();
+    this.drawZones(pen, frame);
     this.drawReach(pen);
     this.drawTrails(pen, past, number);
     this.drawSensors(pen, frame);
     this.drawLinks(pen, frame);
     pen.restore();
     this.drawUavs(pen, past, number);
+    this.drawWind(pen, frame);
   }
 
   x(metres) {
@@ -178,6 +180,50 @@ export class Field {
     pen.rotate(-Math.PI / 2);
     pen.textAlign = "center";
     pen.fillText("y, m", 0, 0);
+    pen.restore();
+  }
+
+  drawZones(pen, frame) {
+    pen.lineWidth = 1.5;
+    pen.strokeStyle = this.scene.zone;
+    pen.fillStyle = css(rgb(this.scene.zone), 0.2);
+    for (const corners of frame.packet.zones) {
+      pen.beginPath();
+      for (const [x, y] of corners) pen.lineTo(this.x(x), this.y(y));
+      pen.closePath();
+      pen.fill();
+      pen.stroke();
+    }
+  }
+
+  // An arrow beside the wind's speed, in the upper left corner of the field.
+  drawWind(pen, frame) {
+    if (!frame.packet.arrays.wind) return;
+    const [x, y] = Past.row(frame, "wind");
+    const speed = Math.hypot(x, y);
+    if (speed < 0.05) return;
+    const [long, left, top] = [(44 * speed) / this.scene.top_speed, this.x(0) + 34, this.y(this.scene.field[1]) + 34];
+    const bearing = (Math.round((Math.atan2(-x, -y) * 180) / Math.PI) + 360) % 360;
+    const text = `wind ${speed.toFixed(1)} m/s from ${String(bearing).padStart(3, "0")}\u00b0`;
+    pen.font = "12px system-ui, sans-serif";
+    pen.textAlign = "left";
+    pen.textBaseline = "middle";
+    pen.fillStyle = "rgba(255,255,255,0.8)";
+    pen.fillRect(left + 26, top - 10, pen.measureText(text).width + 8, 20);
+    pen.fillStyle = "#222";
+    pen.fillText(text, left + 30, top);
+    pen.save();
+    pen.translate(left, top);
+    pen.rotate(Math.atan2(-y, x));
+    pen.strokeStyle = "#222";
+    pen.lineWidth = 3;
+    pen.beginPath();
+    pen.moveTo(-long / 2, 0);
+    pen.lineTo(long / 2, 0);
+    pen.moveTo(long / 2 - 8, -6);
+    pen.lineTo(long / 2, 0);
+    pen.lineTo(long / 2 - 8, 6);
+    pen.stroke();
     pen.restore();
   }
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, FleetConstants, FlightConstants, Indices
+from rollout.sim.kernel.flight.airspace import airspeed, refused
 from rollout.sim.kernel.flight.planes import height_of, kind_of
 
 Float32 = NDArray[np.float32]
@@ -27,11 +28,11 @@ def flight_power(flight: FlightConstants, speed: float) -> float:
 
 @inlined
 def fly(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
-    """Fly one step with the commanded velocity v = action * (V_x-max, V_y-max).
+    """Fly one step with the commanded velocity over ground v = action * (V_x-max, V_y-max).
 
     Reads the directions observed before the step. Updates `position`, clipped to the field (W11). Writes `energy` for
-    the commanded velocity (W6, W7). Writes to the scratch `previous`, `outside` (ACT) and `motivated`, which is 1 where
-    v . D > 0 (W25). A UAV that is gone does not move, and uses no energy.
+    the commanded velocity (W6, W7), in wind for the airspeed that it takes. Writes to the scratch `previous`, `outside`
+    (ACT) and `motivated`, which is 1 where v . D > 0 (W25). A UAV that is gone does not move, and uses no energy.
 
     Args:
         c: constants.
@@ -47,15 +48,24 @@ def fly(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
             continue
         vx = min(1.0, max(-1.0, np.float64(action[2 * u]))) * fleet.speed_x
         vy = min(1.0, max(-1.0, np.float64(action[2 * u + 1]))) * fleet.speed_y
-        speed = math.sqrt(vx * vx + vy * vy)
-        energy[u] = (flight_power(flight, speed) + fleet.payloads[kind_of(fleet, u)]) * fleet.seconds
         motivated[u] = 1.0 if vx * direction[u, 0] + vy * direction[u, 1] > 0.0 else 0.0
+        air_x, air_y = vx, vy
+        if c.airspace.wind:
+            wind_x, wind_y = farm.wind[farm.step, 0], farm.wind[farm.step, 1]
+            air_x, air_y = airspeed(vx, wind_x, fleet.speed_x), airspeed(vy, wind_y, fleet.speed_y)
+            vx, vy = air_x + wind_x, air_y + wind_y
+        speed = math.sqrt(air_x * air_x + air_y * air_y)
+        energy[u] = (flight_power(flight, speed) + fleet.payloads[kind_of(fleet, u)]) * fleet.seconds
         previous[u, 0], previous[u, 1] = position[u, 0], position[u, 1]
         x = position[u, 0] + vx * fleet.seconds
         y = position[u, 1] + vy * fleet.seconds
         position[u, 0] = min(fleet.width, max(0.0, x))
         position[u, 1] = min(fleet.depth, max(0.0, y))
         outside[u] = 1.0 if position[u, 0] != x or position[u, 1] != y else 0.0
+        if c.airspace.zones:
+            x, y = previous[u, 0], previous[u, 1]
+            if refused(c.airspace.first, farm.zone_side, farm.zone_box, x, y, position[u, 0], position[u, 1]):
+                position[u, 0], position[u, 1], outside[u] = x, y, 1.0
 
 
 @allocation_free

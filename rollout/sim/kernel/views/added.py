@@ -11,6 +11,7 @@ from rollout.sim.kernel.flight.failures import see_nothing
 from rollout.sim.kernel.spatial.neighbours import cell_of
 from rollout.sim.kernel.spatial.tallies import total
 from rollout.sim.kernel.stress import put_stress
+from rollout.sim.kernel.views.airspace import put_airspace
 from rollout.sim.kernel.views.constants import ViewConstants
 from rollout.sim.kernel.views.fields import put_field, share_points, weigh_points
 from rollout.sim.kernel.views.links import put_link, put_links
@@ -117,6 +118,8 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
         at = put_links(fleet, view, farm.position, farm.assignment, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.charge:
         at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
+    if view.wind or view.zones:
+        at = put_airspace(c, farm, u, v.sign[u, 0], v.sign[u, 1], v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[0], fleet.relays, seen, at)
     return see_nothing(view.advice[0], seen, at)
@@ -179,6 +182,8 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
         at = see_nothing(BLOCKS * BLOCKS, seen, at)
     if view.charge:
         at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
+    if view.wind or view.zones:
+        at = put_airspace(c, farm, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[1], fleet.collectors - fleet.relays, seen, at)
     return see_nothing(view.advice[1], seen, at)
@@ -234,6 +239,8 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
         at = see_nothing(BLOCKS * BLOCKS, seen, at)
     if view.charge:
         at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
+    if view.wind or view.zones:
+        at = put_airspace(c, farm, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.alive:
         at = _put_alive(farm.living[2], fleet.uavs - fleet.collectors, seen, at)
     return see_nothing(view.advice[2], seen, at)

@@ -52,6 +52,8 @@ class ViewConstants(NamedTuple):
         stress: whether UAVs with tasks see the patches of stress that the team knows.
         charge: whether UAVs see their batteries.
         advice: [3] numbers of each type that say what a heuristic would do; the simulator leaves them 0.
+        wind: whether UAVs see the wind.
+        zones: whether they see which moves no-fly zones refuse.
         link_range: range of the UAV-UAV link, m.
         served: UAVs that a relay sees of those that it serves.
         columns: lattice points along x.
@@ -95,6 +97,8 @@ class ViewConstants(NamedTuple):
     stress: bool
     charge: bool
     advice: Indices
+    wind: bool
+    zones: bool
     link_range: float
     served: int
     columns: int
@@ -148,6 +152,8 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         stress=seen.stress,
         charge=seen.charge,
         advice=np.array(advice_sizes(config), np.int64),
+        wind=seen.wind,
+        zones=seen.zones,
         link_range=float(config.relay.link_range),
         served=config.relay.capacity_for(world),
         columns=lattice.columns,

@@ -47,9 +47,9 @@ def dose(examples: int) -> settings:
 
 SLOW = (HealthCheck.too_slow, HealthCheck.data_too_large)
 
-APART = ("link", "relayed", "stress", "charge")
-"""What the tests of links, stress and batteries draw, and is off elsewhere; `test_properties_added` has the
-switches of observations on."""
+APART = ("link", "relayed", "stress", "charge", "wind", "zones")
+"""What tests of their own draw (of links, stress, batteries, wind and zones), and is off elsewhere;
+`test_properties_added` has the switches of observations on."""
 GROUNDS = ("seeded", "borders", "heap")
 STARTS = ("seeded", "together", "corners", "plots")
 MANNERS = ("uniform", "lasting", "saturated", "hovering", "corners", "tiny")

@@ -1,0 +1,121 @@
+"""No-fly zones: their form in a configuration, and their checks."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from common.config.checks import within
+from common.config.farm.world import WorldConfig
+from common.errors import ConfigError
+
+Zones = tuple[tuple[tuple[float, ...], ...], ...]
+"""The corners (x, y) of each zone, m, in order around it; the last is not the first again."""
+
+MAX_ZONES: Final = 32
+"""Most zones of a farm, given and drawn."""
+MAX_CORNERS: Final = 32
+"""Most corners of a zone."""
+FARTHEST: Final = 1e6
+"""Largest coordinate of a corner, m."""
+LONGEST_SIDE: Final = 80.0
+"""Longest side of a drawn zone, m."""
+MOST_COVERED: Final = 0.5
+"""Largest share of the field inside zones."""
+SAMPLES: Final = 64
+"""Points along each axis at which that share is measured."""
+
+
+@dataclass(frozen=True)
+class ZoneConfig:
+    """Parts of the field that no UAV may enter; without them, nothing changes."""
+
+    polygons: Zones = ()
+    """Given zones: the corners [x, y] of each, m; `--farm-file` reads them from polygons with "no_fly" (ours)."""
+    random: int = 0
+    """Number of rectangles with sides of 30 to 80 m that are drawn from the farm's seed (ours)."""
+
+    def __post_init__(self) -> None:
+        """Refuse too many zones, and corners that are none."""
+        within(0, MAX_ZONES, random=self.random)
+        if len(self.polygons) + self.random > MAX_ZONES:
+            raise ConfigError(f"zones are at most {MAX_ZONES}, not {len(self.polygons) + self.random}.")
+        for index, corners in enumerate(self.polygons):
+            if not 3 <= len(corners) <= MAX_CORNERS:
+                raise ConfigError(f"zones.polygons[{index}] has {len(corners)} corners, not 3 to {MAX_CORNERS}.")
+            for corner in corners:
+                if len(corner) != 2 or not all(-FARTHEST <= number <= FARTHEST for number in corner):
+                    raise ConfigError(f"zones.polygons[{index}] needs corners [x, y] in m, not {list(corner)[:4]}.")
+            if _crosses_itself(corners):
+                raise ConfigError(f"zones.polygons[{index}] crosses itself, or names a corner twice.")
+
+    @property
+    def some(self) -> bool:
+        """Whether there is any zone."""
+        return bool(self.polygons) or self.random > 0
+
+    @property
+    def corners(self) -> tuple[int, ...]:
+        """Number of corners of each zone; the drawn ones come last."""
+        return (*map(len, self.polygons), *(4,) * self.random)
+
+    def check(self, world: WorldConfig) -> None:
+        """Refuse zones that leave too little of the field.
+
+        Raises:
+            ConfigError: half of the field or more may lie inside zones.
+        """
+        if not self.some:
+            return
+        share = _covered(self.polygons, world) if self.polygons else 0.0
+        share += self.random * LONGEST_SIDE**2 / (world.field_x * world.field_y)
+        if share > MOST_COVERED:
+            raise ConfigError(f"zones may cover {share:.0%} of the field; at most {MOST_COVERED:.0%} is possible.")
+
+
+def _crosses_itself(corners: tuple[tuple[float, ...], ...]) -> bool:
+    """Return whether two sides of a polygon meet anywhere but in the corner that they share."""
+    count = len(corners)
+    if len(set(corners)) < count:
+        return True
+    for a in range(count):
+        for b in range(a + 1, count):
+            first, second = (corners[a], corners[(a + 1) % count]), (corners[b], corners[(b + 1) % count])
+            if b - a in (1, count - 1):
+                shared, one, other = (second[0], first[0], second[1]) if b - a == 1 else (first[0], first[1], second[0])
+                if _turn(shared, one, other) == 0.0 and _same_side(shared, one, other):
+                    return True
+            elif _meet(*first, *second):
+                return True
+    return False
+
+
+def _turn(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...]) -> float:
+    """Return twice the signed area of the triangle a, b, c."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _same_side(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...]) -> bool:
+    """Return whether b and c lie on the same side of a, on a line through all three."""
+    return (b[0] - a[0]) * (c[0] - a[0]) + (b[1] - a[1]) * (c[1] - a[1]) > 0.0
+
+
+def _meet(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...], d: tuple[float, ...]) -> bool:
+    """Return whether the lines from a to b and from c to d have a point in common."""
+    boxes = all(max(a[k], b[k]) >= min(c[k], d[k]) and max(c[k], d[k]) >= min(a[k], b[k]) for k in range(2))
+    return boxes and _turn(a, b, c) * _turn(a, b, d) <= 0.0 and _turn(c, d, a) * _turn(c, d, b) <= 0.0
+
+
+def _covered(polygons: Zones, world: WorldConfig) -> float:
+    """Return the share of the field that lies inside polygons."""
+    share = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    x, y = (axis.reshape(-1) for axis in np.meshgrid(share * world.field_x, share * world.field_y))
+    covered = np.zeros(len(x), np.bool_)
+    for corners in polygons:
+        inside = np.zeros(len(x), np.bool_)
+        for (ax, ay), (bx, by) in zip(corners, (*corners[1:], corners[0]), strict=True):
+            if ay != by:
+                inside ^= ((ay > y) != (by > y)) & (x < ax + (y - ay) * (bx - ax) / (by - ay))
+        covered |= inside
+    return math.fsum(covered.tolist()) / len(covered)

@@ -1,0 +1,81 @@
+"""No-fly zones and the wind in matplotlib pictures."""
+
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
+from numpy.typing import NDArray
+
+from rollout.rendering.palette import ZONE
+from rollout.rendering.scene import wind_text
+from rollout.sim.layout import Layout
+
+Array = NDArray[np.float64]
+
+LONGEST: Final = 48.0
+"""Length of the longest arrow, pixels."""
+INK: Final = "0.1"
+
+
+def make_zones(axes: Axes) -> PolyCollection:
+    """Return the artist of the no-fly zones, none yet."""
+    zones = PolyCollection([], facecolors=[to_rgba(ZONE, 0.16)], edgecolors=ZONE, linewidths=1.4, hatch="///", zorder=2)
+    axes.add_collection(zones)
+    return zones
+
+
+def draw_zones(axes: Axes, layout: Layout) -> None:
+    """Draw the no-fly zones of a farm."""
+    if layout.zones:
+        make_zones(axes).set_verts([*layout.zones])
+
+
+class WindArrow:
+    """The wind as an arrow beside its speed, in a map's upper left corner.
+
+    Args:
+        axes: the map.
+        top: wind speed of the longest arrow, m/s.
+
+    Attributes:
+        artists: what is drawn.
+    """
+
+    def __init__(self, axes: Axes, top: float) -> None:
+        self._arrow = axes.quiver(
+            [0.055],
+            [0.945],
+            [0.0],
+            [0.0],
+            transform=axes.transAxes,
+            units="dots",
+            scale_units="dots",
+            scale=top / LONGEST,
+            width=4.0,
+            pivot="middle",
+            color=INK,
+            edgecolor="white",
+            linewidth=0.8,
+            zorder=7,
+        )
+        self._text = axes.text(
+            0.105,
+            0.945,
+            "",
+            transform=axes.transAxes,
+            fontsize=9,
+            color=INK,
+            va="center",
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.8},
+            zorder=7,
+        )
+        self.artists: tuple[Any, ...] = self._arrow, self._text
+
+    def update(self, wind: Array) -> None:
+        """Show a wind, [2] m/s."""
+        for artist in self.artists:
+            artist.set_visible(bool(wind.any()))
+        self._arrow.set_UVC([wind[0]], [wind[1]])
+        self._text.set_text(wind_text(wind))

@@ -1,0 +1,41 @@
+"""Wind and no-fly zones of the reference farm: what they do to flight, and what UAVs see of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rollout.sim.zones import refused
+
+if TYPE_CHECKING:
+    from rollout.sim.reference.farm import ReferenceFarm
+
+Array = NDArray[np.float64]
+
+
+def air_velocity(farm: ReferenceFarm, ground: Array) -> tuple[Array, Array]:
+    """Return the velocities through the air and over ground, [n, 2] m/s each, that commanded ones [n, 2] lead to."""
+    world = farm.config.world
+    if not farm.config.wind.some:
+        return ground, ground
+    top, wind = np.array([world.speed_x_max, world.speed_y_max]), farm.wind[farm.time]
+    air = np.clip(ground - wind, -top, top)
+    return air, air + wind
+
+
+def stopped(farm: ReferenceFarm, goal: Array) -> NDArray[np.bool_]:
+    """Return which UAVs a zone stops on their way to the places [n, 2] m."""
+    return refused(farm.position, goal, farm.layout.zones)
+
+
+def airspace_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
+    """Return the wind that a UAV feels over full speed, and which moves to the places [9, 2] m zones refuse."""
+    seen, world, parts = farm.config.observation, farm.config.world, [np.zeros(0)]
+    if seen.wind:
+        wind = farm.wind[farm.time] if farm.config.wind.some else np.zeros(2)
+        parts.append(signs * wind / (world.speed_x_max, world.speed_y_max))
+    if seen.zones:
+        parts.append(refused(farm.position[u], goals, farm.layout.zones).astype(np.float64))
+    return np.concatenate(parts)

@@ -1,0 +1,108 @@
+"""Wind and no-fly zones: cases worked out by hand, and the statistics of gusts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from common.config import FarmConfig, ObservationConfig, WindConfig, WorldConfig, ZoneConfig
+from common.errors import ConfigError
+from common.farm import farm_environment
+from rollout.sim.batch import REWARD_PARTS, FarmBatch
+from rollout.sim.layout import make_layout
+from rollout.sim.reference.farm import flight_power, other_power
+from rollout.sim.wind import wind_series
+from tests.rollout.sim.properties.strategies import placed
+
+BASE = FarmConfig(
+    world=WorldConfig(communication_uavs=1, monitoring_uavs=1, collection_uavs=1),
+    observation=ObservationConfig(zones=True, wind=True, mirrored=False),
+)
+WEST = replace(BASE, wind=WindConfig(speed=4.0, direction=270.0))
+BOX = ((100.0, 100.0), (140.0, 100.0), (140.0, 140.0), (100.0, 140.0))
+ZONED = replace(BASE, zones=ZoneConfig((BOX,)))
+BOUNDARY = REWARD_PARTS.index("boundary")
+
+
+def flown(config: FarmConfig, position: list[tuple[float, float]], action: list[float]) -> FarmBatch:
+    """Return a batch after one step from given places."""
+    batch = FarmBatch(config, 1)
+    with placed(make_layout(config, 0), np.array(position)):
+        batch.reset(0, 0, 0)
+    batch.step(np.array([action], np.float32))
+    return batch
+
+
+def test_a_west_wind_of_4_m_s_costs_airspeed_eastward_and_westward():
+    """East at 10 takes 6 m/s of air, west at 10 takes 14, of which 10 are possible; standing takes 4."""
+    batch = flown(WEST, [(50.0, 50.0), (200.0, 200.0), (300.0, 300.0)], [1.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(batch.wind[0], [4.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(batch.position[0], [(60.0, 50.0), (194.0, 200.0), (300.0, 300.0)], atol=1e-9)
+    wanted = [
+        flight_power(BASE.energy, speed) + other_power(BASE.energy, kind) for kind, speed in enumerate((6.0, 10.0, 4.0))
+    ]
+    np.testing.assert_allclose(batch.energy[0], wanted, rtol=1e-12)
+
+
+def test_a_zone_stops_what_ends_in_it_and_what_would_fly_through():
+    """Into the box, through its corner in one step, and past it: the first two stay and pay alpha_4."""
+    batch = flown(ZONED, [(95.0, 120.0), (99.0, 104.0), (99.0, 120.0)], [1.0, 0.0, 0.5, -0.5, 0.0, 1.0])
+    np.testing.assert_array_equal(batch.position[0], [(95.0, 120.0), (99.0, 104.0), (99.0, 130.0)])
+    np.testing.assert_array_equal(batch.parts[0, :, BOUNDARY], [-10.0, -10.0, 0.0])
+
+
+def test_uavs_see_the_moves_that_a_zone_refuses():
+    """West of the box, 5 m from it: the three moves to the east end in it, the others do not."""
+    batch = flown(ZONED, [(95.0, 120.0), (300.0, 300.0), (95.0, 120.0)], [0.0] * 6)
+    spec = farm_environment(ZONED)
+    for index, refused in ((0, 3), (1, 0), (2, 3)):
+        rows = batch.team.split_observations(batch.observation[0])[index]
+        names = spec.tensor_names[spec.team.groups[index].name].observation
+        seen = {name: value for name, value in zip(names, rows[0], strict=True) if name.startswith("refused")}
+        assert sum(seen.values()) == refused
+        assert all(seen[f"refused_move_1_{k}"] == (refused > 0) for k in (-1, 0, 1))
+
+
+def test_gusts_have_their_deviation_and_their_correlation():
+    """Over a long episode: deviation 2 m/s, correlation 1/e after 10 s, none between the axes."""
+    world = replace(BASE.world, steps=200_000, speed_x_max=50.0, speed_y_max=50.0)
+    config = replace(BASE, world=world, wind=WindConfig(gusts=2.0))
+    x, y = wind_series(config, 1, 2).T
+    assert x.std() == pytest.approx(2.0, rel=0.03)
+    assert np.corrcoef(x[:-10], x[10:])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.02)
+    assert abs(np.corrcoef(x, y)[0, 1]) < 0.03
+
+
+def test_the_wind_follows_from_the_seeds():
+    """Another episode has other gusts, and episodes' directions are all around; the same episode has the same wind."""
+    config = replace(BASE, wind=WindConfig(speed=3.0, gusts=1.0))
+    first, again, other = (wind_series(config, 1, episode) for episode in (2, 2, 3))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).all()
+    steady = replace(BASE, wind=WindConfig(speed=3.0))
+    blown = np.array([wind_series(steady, 1, episode)[0] for episode in range(40)])
+    np.testing.assert_allclose(np.hypot(*blown.T), 3.0)
+    assert len({(x > 0.0, y > 0.0) for x, y in blown.tolist()}) == 4
+    assert len(wind_series(BASE, 1, 2)) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda: replace(BASE, wind=WindConfig(speed=11.0)), "top speed"),
+        (lambda: WindConfig(speed=-1.0), "speed"),
+        (lambda: WindConfig(direction=400.0), "direction"),
+        (lambda: WindConfig(gust_seconds=0.0), "gust_seconds"),
+        (lambda: ZoneConfig((BOX[:2],)), "corners"),
+        (lambda: ZoneConfig((((0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)),)), "crosses itself"),
+        (lambda: ZoneConfig((((0.0, 0.0), (9.0, 0.0), (4.0, 0.0), (4.0, 4.0)),)), "crosses itself"),
+        (lambda: ZoneConfig((((0.0, 0.0), (float("nan"), 0.0), (4.0, 4.0)),)), "corners"),
+        (lambda: ZoneConfig((BOX,) * 20, 13), "at most 32"),
+        (lambda: replace(BASE, zones=ZoneConfig(random=13)), "cover"),
+        (lambda: replace(BASE, zones=ZoneConfig((((0.0, 0.0), (400.0, 0.0), (400.0, 300.0), (0.0, 300.0)),))), "cover"),
+    ],
+)
+def test_what_no_farm_can_have_is_refused(change, message):
+    """Before any memory is taken."""
+    with pytest.raises(ConfigError, match=message):
+        change()
