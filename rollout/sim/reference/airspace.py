@@ -21,8 +21,8 @@ def air_velocity(farm: ReferenceFarm, ground: Array) -> tuple[Array, Array]:
     if not farm.config.wind.some:
         return ground, ground
     top, wind = np.array([world.speed_x_max, world.speed_y_max]), farm.wind[farm.time]
-    air = np.clip(ground - wind, -top, top)
-    return air, air + wind
+    possible = np.clip(ground, wind - top, wind + top)
+    return possible - wind, possible
 
 
 def stopped(farm: ReferenceFarm, goal: Array) -> NDArray[np.bool_]:

@@ -47,9 +47,9 @@ def zone_sides(zones: tuple[Array, ...]) -> tuple[Array, Array]:
 
 
 @allocation_free
-def airspeed(ground: float, wind: float, top: float) -> float:
-    """Return the airspeed along an axis that a commanded ground speed takes, at most the top speed, m/s."""
-    return min(top, max(-top, ground - wind))
+def ground_speed(commanded: float, wind: float, top: float) -> float:
+    """Return the speed over ground along an axis, m/s: as commanded, where the airspeed is at most the top speed."""
+    return min(wind + top, max(wind - top, commanded))
 
 
 @allocation_free

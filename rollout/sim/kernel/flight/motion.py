@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, FleetConstants, FlightConstants, Indices
-from rollout.sim.kernel.flight.airspace import airspeed, refused
+from rollout.sim.kernel.flight.airspace import ground_speed, refused
 from rollout.sim.kernel.flight.planes import height_of, kind_of
 
 Float32 = NDArray[np.float32]
@@ -52,8 +52,8 @@ def fly(c: Constants, farm: Farm, s: Scratch, action: Float32) -> None:
         air_x, air_y = vx, vy
         if c.airspace.wind:
             wind_x, wind_y = farm.wind[farm.step, 0], farm.wind[farm.step, 1]
-            air_x, air_y = airspeed(vx, wind_x, fleet.speed_x), airspeed(vy, wind_y, fleet.speed_y)
-            vx, vy = air_x + wind_x, air_y + wind_y
+            vx, vy = ground_speed(vx, wind_x, fleet.speed_x), ground_speed(vy, wind_y, fleet.speed_y)
+            air_x, air_y = vx - wind_x, vy - wind_y
         speed = math.sqrt(air_x * air_x + air_y * air_y)
         energy[u] = (flight_power(flight, speed) + fleet.payloads[kind_of(fleet, u)]) * fleet.seconds
         previous[u, 0], previous[u, 1] = position[u, 0], position[u, 1]
