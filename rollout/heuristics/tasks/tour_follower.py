@@ -14,6 +14,10 @@ PATIENCE: Final = 3
 """If another UAV blocks the way for this many steps, the UAV skips the box until the next lap."""
 
 
+STILL: Final = 0.5
+"""A UAV that moved no further in a step is blocked, m."""
+
+
 class TourFollower:
     """Each UAV flies laps of one route, through its boxes in order. Boxes in no-fly zones are left out.
 
@@ -34,6 +38,7 @@ class TourFollower:
         self._next = chosen[:, 1].copy()
         self._nearest = np.full(len(routes), np.inf)
         self._waited = np.zeros(len(routes), np.int64)
+        self._before: Array = np.full((len(routes), 2), np.inf)
 
     def goals(self, state: FarmState) -> Array:
         """Return a place in each UAV's next box, on the side facing the box after it: [n_v, 2] m."""
@@ -48,6 +53,11 @@ class TourFollower:
                 at = self._next[uav] = (at + 1) % length
                 self._nearest[uav], self._waited[uav] = np.inf, 0
             places[uav] = aim(position[uav], route[:, at], route[:, (at + 1) % length], world)
-            if self._airspace.some and self._airspace.detours(position[uav], places[uav]):
+            if self._moves(uav, position[uav]) and self._airspace.detours(position[uav], places[uav]):
                 self._nearest[uav], self._waited[uav] = np.inf, 0
+        self._before = position.copy()
         return places
+
+    def _moves(self, uav: int, position: Array) -> bool:
+        """Return whether a UAV among zones has moved since the last step; on a detour two can block each other."""
+        return self._airspace.some and float(np.abs(position - self._before[uav]).max()) > STILL

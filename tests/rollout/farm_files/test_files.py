@@ -16,26 +16,7 @@ from rollout.farm_files.csv_text import parse_csv
 from rollout.farm_files.geojson import parse_geojson
 from rollout.farm_files.survey import settle
 from rollout.sim.layout import make_layout
-
-FEW = FarmConfig(observation=ObservationConfig(sensors=1))
-
-
-def read(tmp_path, text, name="farm.csv"):
-    path = tmp_path / name
-    path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return read_farm(path)
-
-
-def feature(*coordinates, kind="Point", **properties):
-    shape = list(coordinates) if kind == "Point" else [[list(corner) for corner in coordinates]]
-    return {"type": "Feature", "properties": properties, "geometry": {"type": kind, "coordinates": shape}}
-
-
-def collection(*features, **members):
-    """Return GeoJSON text with a feature a line, the first on line 2."""
-    body = ",\n".join(item if isinstance(item, str) else json.dumps(item) for item in features)
-    more = "".join(f', "{name}": {json.dumps(value)}' for name, value in members.items())
-    return f'{{"type": "FeatureCollection", "features": [\n{body}\n]{more}}}'
+from tests.rollout.farm_files.texts import FEW, collection, feature, read
 
 
 def test_csv_in_the_farms_own_frame(tmp_path):
@@ -242,7 +223,7 @@ BAD_GEOJSON = [
     ),
     (
         collection(POINT, feature(*SQUARE, kind="Polygon"), feature(*SQUARE, kind="Polygon")),
-        "{}, line 4, feature 3: a second Polygon; a farm has one field.",
+        '{}, line 4, feature 3: a second Polygon without "no_fly": true; a farm has one field.',
     ),
     (collection(POINT, feature(*SQUARE[:3], kind="Polygon")), "the boundary must be a ring of 4 to 10000 positions"),
     (
@@ -391,48 +372,3 @@ def test_a_damaged_file_is_a_farm_or_one_sentence(position, byte, cut, example, 
         refusal = str(error)
     assert refusal.startswith(str(path))
     assert 1 <= sensors <= 45
-
-
-YARD = ((11.0002, 48.0002), (11.0006, 48.0002), (11.0004, 48.0005))
-
-
-def test_polygons_marked_no_fly_are_zones(tmp_path):
-    """They move to the field's corner with the sensors, count for no boundary, and survive writing and reading."""
-    ring = (*YARD, YARD[0])
-    points = [feature(11.0 + k * 0.0005, 48.0 + k * 0.0004) for k in range(3)]
-    field = feature((10.999, 47.999), (11.002, 47.999), (11.002, 48.002), (10.999, 47.999), kind="Polygon")
-    text = collection(field, feature(*ring, kind="Polygon", no_fly=True), *points)
-    farm = read(tmp_path, text, "farm.geojson").on(FEW)
-    (zone,) = farm.zones.polygons
-    site = np.array(farm.world.sites[0])
-    assert np.array(zone) - site == pytest.approx(np.array([[14.92, 22.24], [44.75, 22.24], [29.84, 55.6]]), abs=0.05)
-    write_farm(tmp_path / "again.geojson", farm, 0, (10.999, 47.999))
-    (again,) = read_farm(tmp_path / "again.geojson").on(FEW).zones.polygons
-    assert np.array(again) == pytest.approx(np.array(zone), abs=0.01)
-    with pytest.raises(ConfigError, match="cannot hold no-fly zones"):
-        write_farm(tmp_path / "again.csv", farm, 0)
-
-
-def test_zones_without_a_boundary_do_not_move_the_field(tmp_path):
-    """The field is that around the sensors."""
-    points = [feature(11.0 + k * 0.0005, 48.0 + k * 0.0004) for k in range(3)]
-    plain = read(tmp_path, collection(*points), "farm.geojson")
-    zoned = read(tmp_path, collection(feature(*YARD, YARD[0], kind="Polygon", no_fly=True), *points), "farm.geojson")
-    assert (zoned.xy, zoned.field_x, zoned.field_y) == (plain.xy, plain.field_x, plain.field_y)
-    assert len(zoned.zones) == 1
-    assert plain.zones == ()
-
-
-@pytest.mark.parametrize(
-    ("features", "message"),
-    [
-        ([feature(*YARD, YARD[0], kind="Polygon", no_fly=1)], "true or false"),
-        ([feature(*YARD, kind="Polygon", no_fly=True)], "ring of 4"),
-        ([feature(*YARD, YARD[0], kind="Polygon", no_fly=True)] * 33, "more than 32"),
-        ([feature(*YARD, YARD[0], kind="Polygon")] * 2, "second Polygon"),
-    ],
-)
-def test_zones_that_are_none_are_refused(tmp_path, features, message):
-    """With the feature's place in the file."""
-    with pytest.raises(ConfigError, match=message):
-        read(tmp_path, collection(*features, feature(11.0, 48.0)), "farm.geojson")

@@ -91,6 +91,19 @@ def _put_alive(living: int, count: int, seen: Float32, at: int) -> int:
 
 
 @inlined
+def _put_events(c: Constants, farm: Farm, s: Scratch, u: int, kind: int, count: int, at: int) -> int:
+    """Write what every type sees last: charge, wind and zones, who is alive, and room for advice; return the end."""
+    view, v, seen = c.added, s.added, farm.observation
+    if view.charge:
+        at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
+    if view.wind or view.zones:
+        at = put_airspace(c, farm, u, v.sign[u, 0], v.sign[u, 1], v.go_x[u], v.go_y[u], seen, at)
+    if view.alive:
+        at = _put_alive(farm.living[kind], count, seen, at)
+    return see_nothing(view.advice[kind], seen, at)
+
+
+@inlined
 def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     """Write the added observations of a relay; return where they end."""
     fleet, view, v, seen = c.fleet, c.added, s.added, farm.observation
@@ -116,13 +129,7 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.link:
         sx, sy = v.sign[u, 0], v.sign[u, 1]
         at = put_links(fleet, view, farm.position, farm.assignment, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
-    if view.charge:
-        at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
-    if view.wind or view.zones:
-        at = put_airspace(c, farm, u, v.sign[u, 0], v.sign[u, 1], v.go_x[u], v.go_y[u], seen, at)
-    if view.alive:
-        at = _put_alive(farm.living[0], fleet.relays, seen, at)
-    return see_nothing(view.advice[0], seen, at)
+    return _put_events(c, farm, s, u, 0, fleet.relays, at)
 
 
 @inlined
@@ -180,13 +187,7 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
         at = put_stress(farm.stressed, column, row, sx, sy, seen, at)
     elif view.stress:
         at = see_nothing(BLOCKS * BLOCKS, seen, at)
-    if view.charge:
-        at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
-    if view.wind or view.zones:
-        at = put_airspace(c, farm, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
-    if view.alive:
-        at = _put_alive(farm.living[1], fleet.collectors - fleet.relays, seen, at)
-    return see_nothing(view.advice[1], seen, at)
+    return _put_events(c, farm, s, u, 1, fleet.collectors - fleet.relays, at)
 
 
 @allocation_free
@@ -237,10 +238,4 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
         at = put_stress(farm.stressed, column, row, sx, sy, seen, at)
     elif view.stress:
         at = see_nothing(BLOCKS * BLOCKS, seen, at)
-    if view.charge:
-        at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
-    if view.wind or view.zones:
-        at = put_airspace(c, farm, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
-    if view.alive:
-        at = _put_alive(farm.living[2], fleet.uavs - fleet.collectors, seen, at)
-    return see_nothing(view.advice[2], seen, at)
+    return _put_events(c, farm, s, u, 2, fleet.uavs - fleet.collectors, at)
