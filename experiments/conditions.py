@@ -18,7 +18,7 @@ import torch
 
 from common.config import FarmConfig, RunConfig
 from common.config.files import from_toml
-from common.config.presets import LONG, preset
+from common.config.presets import preset
 from deploy.local.in_process import train_in_process
 from deploy.reports.provenance import provenance
 from experiments.heuristics import interval
@@ -52,6 +52,8 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
     "clustered sensors": ("default", '[farm.world]\ndensity = "clustered"'),
 }
 """Each farm by its name: a preset, and what differs from it."""
+ADVISED: Final = "[algorithm]\nactor_rate = 3e-4\nentropy_start = 0.003\nentropy_end = 0.0003"
+"""Settings with advice: a policy that begins as the heuristic needs small steps and little noise."""
 Scores = dict[str, Any]
 
 
@@ -95,10 +97,10 @@ def best_heuristics(farm: FarmConfig, farms: range) -> list[Scores]:
 
 
 def with_advice(config: RunConfig, heuristic: str, episodes: int) -> RunConfig:
-    """Return the run that learns from a heuristic on, with the settings of the preset long."""
-    long = from_toml(LONG, config)
-    observation = replace(long.farm.observation, advice=heuristic)
-    return replace(long, farm=replace(long.farm, observation=observation), episodes=episodes)
+    """Return the run that learns from a heuristic on."""
+    run = from_toml(ADVISED, config)
+    observation = replace(run.farm.observation, advice=heuristic)
+    return replace(run, farm=replace(run.farm, observation=observation), episodes=episodes)
 
 
 def compare(name: str, found: Scores, episodes: tuple[int, int], seed: int, farms: range) -> Scores:

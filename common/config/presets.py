@@ -23,20 +23,6 @@ farms = 4
 """
 """A short run that uses every process and ends within a minute or two on two cores."""
 
-LONG: Final = """
-[farm.observation]
-advice = "horizon"
-[algorithm]
-actor_rate = 3e-4
-entropy_start = 0.003
-entropy_end = 0.0003
-"""
-"""Learning from the best heuristic on: it plans for each UAV, and the actors learn when to do something else.
-
-Planning takes most of the time, so it trains best with a worker for each core. A fresh policy follows the heuristic, so
-it needs small steps and little noise.
-"""
-
 CONNECTED: Final = """
 [farm.relay]
 require_link = true
@@ -170,7 +156,6 @@ _EIA_SEC: Final = from_toml(EIA_SEC, RunConfig())
 PRESETS: Final[dict[str, RunConfig]] = {
     "default": RunConfig(),
     "quick": from_toml(QUICK, RunConfig()),
-    "long": from_toml(LONG, RunConfig()),
     "connected": from_toml(CONNECTED, RunConfig()),
     "uneven": from_toml(UNEVEN, RunConfig()),
     "battery": from_toml(BATTERY, RunConfig()),
