@@ -24,7 +24,7 @@ from rollout.sim.kernel.flight.airspace import zone_sides
 from rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
 from rollout.sim.layout import Layout, make_layout
 from rollout.sim.stress import patches
-from rollout.sim.sweep_routes import assigned_routes, sweep_routes
+from rollout.sim.sweep_routes import divided_among
 from rollout.sim.wind import wind_series
 from rollout.sim.zones import inside_any
 
@@ -102,7 +102,7 @@ class FarmBatch:
         self._arguments = [PackedArguments(shared._replace(scratch=scratch)) for scratch in scratches]
         borders = [environments * k // len(self._arguments) for k in range(len(self._arguments) + 1)]
         self._shares = list(itertools.pairwise(borders))
-        self._routes = sweep_routes(config) if config.observation.route else []
+        self._sweeping: NDArray[np.int64] = np.zeros(environments, np.int64)
         self._pool = ThreadPoolExecutor(len(self._arguments) - 1, "farms") if len(self._arguments) > 1 else None
         self._constants, self._state, self._action = shared.constants, shared.state, shared.action
         self._seeds: list[tuple[int, int]] = [(-1, -1)] * environments
@@ -201,9 +201,8 @@ class FarmBatch:
             state.charge[e] = self.config.battery.capacity
         if self.config.stress.some:
             self._begin_stress(e, layout)
-        if self._routes:
-            monitors = self.team.agent_slices()[1]
-            state.sweep[e] = assigned_routes(self._routes, state.position[e, monitors], world)
+        if self.config.observation.route:
+            self._divide_field(e)
         for array in (state.reward, state.parts, state.energy, state.utility, state.served, state.returns, state.sums):
             array[e] = 0.0
         for visits in (state.plot_visit, state.sensor_visit, state.hindsight):
@@ -232,6 +231,9 @@ class FarmBatch:
         if action.shape != own.shape or action.dtype != own.dtype:
             raise SimulationError(f"actions are {action.dtype}{list(action.shape)}, not float32{list(own.shape)}.")
         own[...] = action
+        if self.config.observation.route and self.config.loses_uavs:
+            for e in np.flatnonzero(self._state.living[:, 1] != self._sweeping).tolist():
+                self._divide_field(e)
         address = self._arguments[0].address
         objection = check_step(address) if self._pool else step_range(address, 0, len(own), True, False)
         if objection == NOT_FINITE:
@@ -240,6 +242,14 @@ class FarmBatch:
             raise SimulationError("an environment was stepped before its reset or after its episode ended.")
         if self._pool:
             self._step_shares(self._pool)
+
+    def _divide_field(self, e: int) -> None:
+        """Give the monitors of an environment that are left the sweep routes of a field that is divided among them."""
+        monitors = self.team.agent_slices()[1]
+        left = ~self.gone[e, monitors]
+        self._sweeping[e] = left.sum()
+        if left.any():
+            self._state.sweep[e][left] = divided_among(self.config, self._state.position[e, monitors][left])
 
     def _step_shares(self, pool: ThreadPoolExecutor) -> None:
         """Step a share of the environments on each thread; the caller's own thread takes the first."""

@@ -5,13 +5,14 @@ Source: boustrophedon coverage (Choset and Pignon 1998) over a partition of the 
 
 import functools
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from common.config import FarmConfig, WorldConfig
+from common.config import FailureConfig, FarmConfig, WorldConfig
 from rollout.sim.boxes import Array, aim, steps_to
 
 LANE_PLOTS: Final = 2
@@ -33,6 +34,32 @@ def sweep_routes(config: FarmConfig) -> list[Array]:
         for blocks in divided(world.monitoring_uavs, world.plots_x, world.plots_y)
     ]
     return shortest(divisions, world)
+
+
+@functools.lru_cache(maxsize=64)
+def all_routes(config: FarmConfig) -> list[Array]:
+    """Return the routes of all divisions that an episode can need, [2, L, 2] m each; do not change them.
+
+    They are those of n_m monitors; or, where UAVs can be gone, those of one, of two, .. of n_m monitors.
+    """
+    if not config.loses_uavs:
+        return sweep_routes(config)
+    numbers = range(1, config.world.monitoring_uavs + 1)
+    worlds = [replace(config.world, monitoring_uavs=number) for number in numbers]
+    return [route for world in worlds for route in sweep_routes(replace(config, world=world, failures=FailureConfig()))]
+
+
+def divided_among(config: FarmConfig, position: Array) -> NDArray[np.int64]:
+    """Return the route of each of the monitors that are left, by its index in `all_routes`, and its first box, [k, 2].
+
+    Args:
+        config: the farm.
+        position: of the monitors that are left, [k, 2] m.
+    """
+    first = len(position) * (len(position) - 1) // 2 if config.loses_uavs else 0
+    routes = all_routes(config)[first : first + len(position)]
+    found: NDArray[np.int64] = assigned_routes(routes, position, config.world) + np.array((first, 0))
+    return found
 
 
 def assigned_routes(routes: Sequence[Array], position: Array, world: WorldConfig) -> NDArray[np.int64]:

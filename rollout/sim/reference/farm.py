@@ -19,7 +19,7 @@ from rollout.sim.kernel.relays import NO_LINK
 from rollout.sim.layout import Layout
 from rollout.sim.reference.airspace import air_velocity, stopped
 from rollout.sim.reference.battery import use_charge
-from rollout.sim.reference.routes import first_sweep
+from rollout.sim.reference.routes import divide_again, first_sweep
 from rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
 from rollout.sim.reference.views import observe
 from rollout.sim.stress import patches
@@ -187,6 +187,7 @@ class ReferenceFarm:
         """
         world = self.config.world
         self.time += 1
+        divide_again(self)
         self.gone = self.failure <= self.time
         velocity = np.clip(action.reshape(-1, 2).astype(np.float64), -1.0, 1.0) * (world.speed_x_max, world.speed_y_max)
         velocity[self.gone] = 0.0

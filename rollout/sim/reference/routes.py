@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from common.farm import ROUTE_PLOTS
 from rollout.sim.boxes import ROUNDING, inside
 from rollout.sim.kernel.views.routes import MOST_OFFSET, PER_OFFSET
-from rollout.sim.sweep_routes import assigned_routes, sweep_routes
+from rollout.sim.sweep_routes import all_routes, divided_among
 
 if TYPE_CHECKING:
     from rollout.sim.reference.farm import ReferenceFarm
@@ -23,7 +23,15 @@ def first_sweep(farm: ReferenceFarm) -> NDArray[np.int64]:
     monitors = farm.position[farm.kind == 1]
     if not farm.config.observation.route:
         return np.zeros((len(monitors), 2), np.int64)
-    return assigned_routes(sweep_routes(farm.config), monitors, farm.config.world)
+    return divided_among(farm.config, monitors)
+
+
+def divide_again(farm: ReferenceFarm) -> None:
+    """Divide the field among the monitors that are left, if one was lost in the last step."""
+    monitors = farm.kind == 1
+    left, lost = ~farm.gone[monitors], farm.failure[monitors] == farm.time - 1
+    if farm.config.observation.route and lost.any() and left.any():
+        farm.sweep[left] = divided_among(farm.config, farm.position[monitors][left])
 
 
 def route_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
@@ -37,7 +45,7 @@ def route_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array
     """
     monitor = u - farm.config.world.communication_uavs
     chosen, at = farm.sweep[monitor]
-    route = sweep_routes(farm.config)[chosen]
+    route = all_routes(farm.config)[chosen]
     at = farm.sweep[monitor, 1] = _next_box(farm, route, int(at), farm.position[u])
     box, onward = route[:, at], route[:, (at + 1) % route.shape[1]]
     gap, then = _gaps(box, goals), _gaps(onward, goals)

@@ -13,6 +13,9 @@ from rollout.envs.added_parts import added_parts
 from rollout.sim.batch import FarmBatch
 from rollout.sim.failures import NEVER, failure_steps
 from rollout.sim.kernel.relays import NO_LINK
+from rollout.sim.layout import make_layout
+from rollout.sim.reference.farm import ReferenceFarm
+from rollout.sim.sweep_routes import all_routes
 from tests.rollout.sim.properties.test_properties_added import ALL, ground, placed_batch, views
 
 SMALL = FarmConfig(
@@ -184,3 +187,31 @@ def test_a_farm_without_uavs_goes_on():
     assert (batch.aoi == config.world.aoi_max).all()
     assert (batch.vdf == config.world.vdf_max).all()
     assert batch.summary(0).reward == (0.0,) * farm_team(config).agents
+
+
+def test_the_field_is_divided_anew_among_the_monitors_that_are_left():
+    """After the step in which one is lost, the routes of the others cover all plots, as the reference says."""
+    config = FarmConfig(failures=FailureConfig(at="monitoring 1 at 5, monitoring 3 at 9"))
+    config = replace(config, observation=replace(config.observation, route=True))
+    batch, farm = FarmBatch(config, 1), ReferenceFarm(config, make_layout(config, 3), 4)
+    batch.reset(0, 3, 4)
+    routes, random = all_routes(config), np.random.default_rng(0)
+    assert len(routes) == 1 + 2 + 3 + 4
+    for step in range(1, 16):
+        action = random.uniform(-1.0, 1.0, 24).astype(np.float32)
+        batch.step(action[None])
+        farm.step(action, batch.assignment[0])
+        np.testing.assert_allclose(batch.observation[0], farm.observation, rtol=0.0, atol=5e-6)
+        left = ~batch.gone[0, 4:8]
+        assert left.sum() == (4 if step < 5 else 3 if step < 9 else 2)
+        if step in (5, 9):
+            continue  # it is lost in this step
+        sweep = batch._state.sweep[0][left]
+        assert np.array_equal(sweep, farm.sweep[left])
+        plots = np.concatenate([routes[route].mean(axis=0) for route in sweep[:, 0]]) // 20.0
+        assert len({*map(tuple, plots)}) == 400
+
+
+def test_without_losses_there_is_one_division():
+    """Farms whose UAVs stay need no other routes."""
+    assert len(all_routes(FarmConfig())) == 4

@@ -12,7 +12,7 @@ from common.config import FarmConfig, WorldConfig
 from common.farm import advice_sizes
 from rollout.sim.kernel.link import RadioConstants, chance_at, reach_of
 from rollout.sim.kernel.views.arrays import TWO_MOVES
-from rollout.sim.sweep_routes import sweep_routes
+from rollout.sim.sweep_routes import all_routes
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -79,7 +79,7 @@ class ViewConstants(NamedTuple):
         age_cycles: [I_type] T_UA of each sensor type, steps.
         route_box: [T, 4] the boxes of all sweep routes: least and largest x, least and largest y, m; none if not seen.
         route_plot: [T] their plots, row-major.
-        route_start: [n_m + 1] where each route begins.
+        route_start: [R + 1] where each route begins.
     """
 
     some: bool
@@ -184,9 +184,9 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
 
 
 def flat_routes(config: FarmConfig) -> tuple[Array, Indices, Indices]:
-    """Return the boxes [T, 4], the plots [T] and the starts [n_m + 1] of all sweep routes; no boxes if none is seen."""
+    """Return the boxes [T, 4], the plots [T] and the starts [R + 1] of all R sweep routes; no boxes if none is seen."""
     world = config.world
-    routes = sweep_routes(config) if config.observation.route else [np.zeros((2, 0, 2))] * world.monitoring_uavs
+    routes = all_routes(config) if config.observation.route else [np.zeros((2, 0, 2))] * world.monitoring_uavs
     corners = np.concatenate(routes, axis=1)
     size = np.array([world.field_x / world.plots_x, world.field_y / world.plots_y])
     column, row = (corners.mean(axis=0) // size).astype(np.int64).T

@@ -87,7 +87,7 @@ def put_route(
         sweep: [2] the UAV's route and the box that comes next; the function updates the latter.
         box: [T, 4] the boxes of all routes: least and largest x, least and largest y, m.
         plot: [T] their plots, row-major.
-        start: [n_m + 1] where each route begins.
+        start: [R + 1] where each route begins.
         level: [n_px, n_py] VDF.
         some: whether any plot has a VDF above 0.
         x: of the UAV, m.
