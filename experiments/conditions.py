@@ -35,7 +35,7 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
     "links 70 m": ("connected", "[farm.relay]\nlink_range = 70.0"),
     "links 50 m": ("connected", "[farm.relay]\nlink_range = 50.0"),
     "failures, 2 an hour": ("default", "[farm.failures]\nper_hour = 2.0"),
-    "failures, 6 an hour": ("default", "[farm.failures]\nper_hour = 6.0"),
+    "failures, 6 an hour": ("failing", ""),
     "links 70 m, failures, 2 an hour": (
         "connected",
         "[farm.relay]\nlink_range = 70.0\n[farm.failures]\nper_hour = 2.0",
@@ -49,6 +49,8 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
         "[farm.world]\ncommunication_uavs = 8\nmonitoring_uavs = 8\ncollection_uavs = 8",
     ),
     "patches of stress": ("uneven", ""),
+    "batteries": ("battery", ""),
+    "all of them": ("field", ""),
     "clustered sensors": ("default", '[farm.world]\ndensity = "clustered"'),
 }
 """Each farm by its name: a preset, and what differs from it."""

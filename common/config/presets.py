@@ -37,6 +37,12 @@ entropy_scales = ""
 """
 """A farm on which images and data count only while the UAV's relay is near; see docs/reference/environment.md."""
 
+FAILING: Final = """
+[farm.failures]
+per_hour = 6.0
+"""
+"""A farm on which a UAV in two fails during the 500 s of an episode."""
+
 UNEVEN: Final = """
 [farm.stress]
 patches = 6
@@ -52,6 +58,35 @@ capacity = 8000.0
 charge = true
 """
 """A farm whose UAVs fly for about three minutes, and then have to charge for about twenty seconds."""
+
+FIELD: Final = """
+[farm.relay]
+require_link = true
+link_range = 100.0
+[farm.failures]
+per_hour = 1.0
+[farm.stress]
+patches = 6
+[farm.battery]
+capacity = 8000.0
+[farm.wind]
+speed = 2.0
+gusts = 1.0
+[farm.zones]
+random = 2
+[farm.observation]
+link = true
+stress = true
+charge = true
+wind = true
+zones = true
+[farm.reward]
+relayed = 0.2
+[algorithm]
+discounts = ""
+entropy_scales = ""
+"""
+"""A farm with all of them: links that count, failures, stress, batteries, wind and no-fly zones."""
 
 EIA_SEC: Final = """
 episodes = 400
@@ -157,8 +192,10 @@ PRESETS: Final[dict[str, RunConfig]] = {
     "default": RunConfig(),
     "quick": from_toml(QUICK, RunConfig()),
     "connected": from_toml(CONNECTED, RunConfig()),
+    "failing": from_toml(FAILING, RunConfig()),
     "uneven": from_toml(UNEVEN, RunConfig()),
     "battery": from_toml(BATTERY, RunConfig()),
+    "field": from_toml(FIELD, RunConfig()),
     "eia-sec": _EIA_SEC,
     "study": from_toml(STUDY, _EIA_SEC),
     "paper": from_toml(PAPER, _EIA_SEC),
