@@ -41,7 +41,7 @@ FAILING: Final = """
 [farm.failures]
 per_hour = 6.0
 """
-"""A farm on which a UAV in two fails during the 500 s of an episode."""
+"""A farm on which more than half of the UAVs fail during an episode."""
 
 UNEVEN: Final = """
 [farm.stress]
