@@ -26,7 +26,8 @@ from rollout.sim.reference.farm import ReferenceFarm
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "how-to" / "farms.md").read_text()
-EXAMPLES = ["orchard.csv", "orchard.geojson"]
+ORCHARD = ["orchard.csv", "orchard.geojson"]
+EXAMPLES = [*ORCHARD, "orchard_no_fly.geojson"]
 
 
 def blocks(language):
@@ -44,7 +45,7 @@ def here(tmp_path, monkeypatch):
 def test_the_commands_of_the_page_do_what_it_says(here):
     """Every command runs and leaves the file behind that it names."""
     lines = [line for block in blocks("sh") for line in block.splitlines()]
-    assert len(lines) == 6
+    assert len(lines) == 8
     for line in lines:
         words = shlex.split(line)
         assert words[0] == "eia-sec"
@@ -74,7 +75,7 @@ def test_the_sentences_of_the_page_are_those_of_the_reader(here):
     lines[8] = re.sub(r"\[11[^\]]*\]", "[48.4, 211.7]", lines[8])
     (here / "orchard.geojson").write_text("\n".join(lines))
     said = []
-    for name in EXAMPLES:
+    for name in ORCHARD:
         with pytest.raises(Exception, match="orchard") as caught:
             read_farm(Path(name))
         said.append(str(caught.value))
@@ -95,7 +96,7 @@ def test_check_says_what_is_in_a_file(here, capsys):
 
 def test_both_examples_are_one_orchard(here):
     """The CSV and the GeoJSON hold the same sensors, up to where the field begins."""
-    first, second = (read_farm(here / name) for name in EXAMPLES)
+    first, second = (read_farm(here / name) for name in ORCHARD)
     assert first.survey.marks == second.survey.marks
     offset = np.array(first.xy) - np.array(second.xy)
     np.testing.assert_allclose(offset, np.broadcast_to(offset[0], offset.shape), atol=0.003)

@@ -15,7 +15,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[4]
 PAGE = ROOT / "docs" / "reference" / "simulator_properties.md"
-NAMES = ("flight", "counters", "symmetry", "batch", "added", "reference", "hindsight", "failures", "links")
+EVENTS = ("failures", "links", "stress", "battery", "airspace", "together")
+NAMES = ("flight", "counters", "symmetry", "batch", "added", "reference", "hindsight", *EVENTS)
 PROPERTIES = [f"test_properties_{name}.py" for name in NAMES]
 """The reference, which notices almost everything, comes after all that need none; hindsight needs it, too."""
 
