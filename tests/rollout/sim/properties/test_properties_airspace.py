@@ -1,4 +1,4 @@
-"""Wind and no-fly zones on any farm: the compiled farm against the reference, and what flight never does."""
+"""Wind and no-fly zones on any farm, and everything at once: against the reference, and what flight never does."""
 
 import math
 from dataclasses import replace
@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import FarmConfig, WindConfig, WorldConfig, ZoneConfig
+from common.config import BatteryConfig, FarmConfig, StressConfig, WindConfig, WorldConfig, ZoneConfig
 from common.farm import farm_environment
 from rollout.envs.spaces import row_box
 from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_positions
@@ -15,7 +15,9 @@ from rollout.sim.layout import Layout
 from rollout.sim.reference.farm import ReferenceFarm, flight_power, other_power
 from rollout.sim.zones import inside_any
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
+from tests.rollout.sim.properties.test_properties_battery import batteries
 from tests.rollout.sim.properties.test_properties_reference import agree_on_directions, assert_equal
+from tests.rollout.sim.properties.test_properties_stress import stresses
 
 BOUNDARY = REWARD_PARTS.index("boundary")
 SMALL = worlds(st.one_of(st.integers(1, 3), st.integers(1, 8)), 80)
@@ -199,3 +201,36 @@ def test_uavs_start_outside_zones(config: FarmConfig, farm: int, episode: int):
     free = start_positions(config.world, farm, episode)
     if not inside_any(free, zones).any():
         np.testing.assert_array_equal(batch.position[0], free)
+
+
+@dose(30)
+@given(flights(airspaces(farm_configs(SMALL))), stresses(), batteries())
+def test_any_flight_with_everything_equals_the_reference(flight: Flight, stress: StressConfig, battery: BatteryConfig):
+    """Every quantity after every step, within the bounds of the observation."""
+    config = flight.config
+    config = replace(
+        config,
+        stress=stress,
+        battery=battery,
+        relay=replace(config.relay, require_link=True),
+        reward=replace(config.reward, relayed=0.5),
+        observation=replace(config.observation, stress=True, charge=True, wind=True, zones=True),
+    )
+    flight = replace(flight, config=config)
+    batch, layout, positions = started(flight)
+    box = row_box(config)
+    with placed(layout, positions):
+        reference = ReferenceFarm(config, layout, flight.episode)
+    reference._assign(batch.assignment[0])
+    reference._look()
+    agree_on_directions(batch, reference)
+    assert_equal(batch, reference)
+    for action in flight.actions()[:20]:
+        batch.step(action[None])
+        reference.step(action, batch.assignment[0])
+        agree_on_directions(batch, reference)
+        assert_equal(batch, reference)
+        np.testing.assert_array_equal(batch.gone[0], reference.gone)
+        np.testing.assert_array_equal(batch.patch_known[0], reference.known)
+        np.testing.assert_allclose(batch.charge[0], reference.charge, rtol=1e-9, atol=1e-6)
+        assert box.contains(batch.observation[0])
