@@ -136,13 +136,18 @@ class Lattice:
         """
         count = np.array([self.columns, self.rows], np.float32)
         reach = np.array([self.reach_x, self.reach_y], np.float32)
-        last = count - np.float32(1)
         share = (position + np.float32(1)) * np.float32(0.5)
-        cell = np.clip(np.floor(share * count + np.float32(EDGE)), 0, last)
         step = np.clip(np.rint(np.float32(GAIN) * action), -1, 1)
-        goal = (np.clip(cell + step, 0, last) + np.float32(0.5)) / count
+        goal = (np.clip(self.cell(position) + step, 0, count - np.float32(1)) + np.float32(0.5)) / count
         velocity: Float32 = np.clip((goal - share) / reach, np.float32(-1), np.float32(1))
         return velocity
+
+    def cell(self, position: Float32) -> Float32:
+        """Return the column and the row of the cells, [..., 2] whole numbers, that hold positions [..., 2] float32."""
+        count = np.array([self.columns, self.rows], np.float32)
+        share = (position + np.float32(1)) * np.float32(0.5)
+        cell: Float32 = np.clip(np.floor(share * count + np.float32(EDGE)), 0, count - np.float32(1))
+        return cell
 
     def complaint(self, observation: Float32) -> str:
         """Return an empty string: every position has a cell."""

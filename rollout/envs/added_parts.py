@@ -3,10 +3,8 @@
 import math
 from typing import Final, NamedTuple
 
-from common.actions.adapters import Headings, NineMoves
 from common.config import FarmConfig
-from common.config.farm.control import Control
-from common.farm import COLLECTION, COMMUNICATION, MONITORING, ROUTE_PLOTS
+from common.farm import COLLECTION, COMMUNICATION, MONITORING, ROUTE_PLOTS, advice_sizes
 from rollout.sim.kernel.views.fields import SCALE
 from rollout.sim.kernel.views.maps import BLOCK, BLOCKS, CELLS
 from rollout.sim.kernel.views.routes import MOST_OFFSET
@@ -82,11 +80,10 @@ def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...
 
 
 def _advice(config: FarmConfig, name: str) -> Part:
-    control: Control = getattr(config.control, name)
-    size = {"moves": NineMoves.options, "headings": Headings.options}.get(control)
-    if size is None:
-        return Part("advice", 2, -1.0, 1.0, "velocity of the advised heuristic over full speed")
-    return Part("advice", size, 0.0, 1.0, "1 for the option that is nearest to what the advised heuristic would do")
+    size = advice_sizes(config)[(COMMUNICATION, MONITORING, COLLECTION).index(name)]
+    if getattr(config.control, name) in ("moves", "headings"):
+        return Part("advice", size, 0.0, 1.0, "1 for the option that is nearest to what the advised heuristic would do")
+    return Part("advice", size, -1.0, 1.0, "velocity of the advised heuristic over full speed")
 
 
 def _tasks(config: FarmConfig, name: str) -> list[Part]:

@@ -4,12 +4,10 @@ A fresh actor follows the advice, so that learning begins where the heuristic is
 Sources: action advising (Torrey and Taylor 2013), residual policy learning (Silver et al. 2018).
 """
 
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import EDGE, Headings, Lattice, NineMoves
+from common.actions.adapters import POSITION, SIGNS, Headings, Lattice, NineMoves
 from common.config import FarmConfig
 from common.errors import ConfigError
 from common.farm import advice_columns
@@ -18,11 +16,6 @@ from rollout.heuristics.composite import CompositePolicy
 from rollout.heuristics.registry import RELAYS, TASKS, heuristic
 from rollout.sim.batch import FarmBatch
 from rollout.sim.boxes import Array
-
-POSITION: Final = slice(0, 2)
-"""Part of an observation that holds the own position; the field spans -1 to 1."""
-SIGNS: Final = slice(2, 4)
-"""Part of an observation with mirrored axes that holds their signs."""
 
 
 def make_farms(config: FarmConfig, environments: int, threads: int = 1, hindsight: bool = False) -> FarmBatch:
@@ -98,14 +91,7 @@ class AdvisedFarms(FarmBatch):
             view[indices] = seen
             if group.choices:
                 option = marks.argmax(axis=-1)[..., None].astype(np.float32)
-                self._marked[indices, rows] = np.where(left, adapted(group, seen, option), np.nan)
-
-
-def adapted(group: GroupSpec, observation: Float32, action: Float32) -> Float32:
-    """Return the environment's actions [..., 2] for the options [..., 1] of a type's UAVs."""
-    for adapter in group.adapters:
-        action = adapter.adapt(observation, action)
-    return action
+                self._marked[indices, rows] = np.where(left, group.adapt(seen, option), np.nan)
 
 
 def advice(group: GroupSpec, observation: Float32, velocity: Array) -> Float32:
@@ -130,13 +116,9 @@ def advice(group: GroupSpec, observation: Float32, velocity: Array) -> Float32:
 
 def nearest_move(lattice: Lattice, observation: Float32, velocity: Array) -> NDArray[np.int64]:
     """Return which of nine moves leads to the cell that a velocity leads to, or towards it, [...]."""
-    count, reach = np.array([lattice.columns, lattice.rows]), np.array([lattice.reach_x, lattice.reach_y])
-    share = (observation[..., POSITION].astype(np.float64) + 1.0) / 2.0
-    now, then = (
-        np.clip(np.floor(place * count + EDGE), 0, count - 1).astype(np.int64)
-        for place in (share, share + velocity * reach)
-    )
-    step = np.clip(then - now, -1, 1)
+    now, reach = observation[..., POSITION], np.array([lattice.reach_x, lattice.reach_y])
+    then = (now + 2.0 * velocity * reach).astype(np.float32)
+    step = np.clip(lattice.cell(then) - lattice.cell(now), -1, 1).astype(np.int64)
     move: NDArray[np.int64] = 3 * (step[..., 0] + 1) + step[..., 1] + 1
     return move
 

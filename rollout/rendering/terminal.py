@@ -10,11 +10,11 @@ from rich.style import Style
 from rich.text import Text
 
 from common.config import WorldConfig
+from common.config.farm.polygons import inside_any
 from common.farm import LETTERS, farm_team
 from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, SOIL_STOPS, TYPES, ZONE, rgb, shade
 from rollout.rendering.scene import Scene, wind_text
 from rollout.sim.stations import station_places
-from rollout.sim.zones import inside_any
 
 Pixels = NDArray[np.uint8]
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig, WorldConfig
+from common.config.farm.polygons import inside_any
 from common.environment import EnvironmentSpec
 from common.errors import ConfigError, SimulationError
 from common.farm import farm_environment
@@ -26,7 +27,6 @@ from rollout.sim.layout import Layout, make_layout
 from rollout.sim.stress import patches
 from rollout.sim.sweep_routes import divided_among
 from rollout.sim.wind import wind_series
-from rollout.sim.zones import inside_any
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
 
@@ -73,7 +73,7 @@ class FarmBatch:
         patch_place: [E, P, 2] centres of the patches of stress, m.
         patch_time: [E, P, 2] first step of each patch, and the first one without it.
         patch_known: [E, P] whether the team knows it (`farm.stress`).
-        stressed: [E, n_px, n_py] 1 for plots in living patches that are known; [E, 0, n_py] without patches.
+        stressed: [E, n_px, n_py] 1 for plots in living patches that are known; [E, 0, n_py] if none can be.
         hindsight: [E, T, n] float32 what to add to the reward of each of the episode's T steps so that a visit is paid
             what it was worth to the team as far as known, see `rollout.sim.kernel.hindsight`; None unless tracked.
 

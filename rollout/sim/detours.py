@@ -10,9 +10,9 @@ import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
 from common.config import FarmConfig
+from common.config.farm.polygons import Flags, inside_any, refused
 from rollout.sim.boxes import Array, reach
 from rollout.sim.layout import Layout
-from rollout.sim.zones import Flags, inside_any, refused
 
 MARGIN: Final = 1.0
 """Distance at which UAVs pass a zone's corners, m."""

@@ -51,12 +51,16 @@ def known_cycles(farms: FarmBatch, index: int) -> tuple[NDArray[np.int64], NDArr
         first, end = farms.patch_time[index].T
         known = farms.patch_known[index] & (first <= farms.time[index]) & (farms.time[index] < end)
         place = farms.patch_place[index]
-        plots = np.where(
-            within(config, place, known, plot_centres(world)), np.maximum(1, plots // stress.growth), plots
-        )
-        covered = within(config, place, known, layout.sensor_xy)
-        sensors = np.where(covered, np.maximum(1, sensors // stress.growth), sensors)
+        plots = shortened(config, plots, within(config, place, known, plot_centres(world)))
+        sensors = shortened(config, sensors, within(config, place, known, layout.sensor_xy))
     return plots, sensors
+
+
+def shortened(
+    config: FarmConfig, cycles: NDArray[np.int64], covered: NDArray[np.bool_] | bool = True
+) -> NDArray[np.int64]:
+    """Return cycles in steps, divided by the growth where a patch covers their counters."""
+    return np.where(covered, np.maximum(1, cycles // config.stress.growth), cycles)
 
 
 def within(config: FarmConfig, place: Array, living: NDArray[np.bool_], xy: Array) -> NDArray[np.bool_]:

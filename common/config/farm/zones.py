@@ -1,12 +1,12 @@
 """No-fly zones: their form in a configuration, and their checks."""
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from common.config.checks import within
+from common.config.farm.polygons import inside_any, meet, turn
 from common.config.farm.world import WorldConfig
 from common.errors import ConfigError
 
@@ -76,46 +76,23 @@ class ZoneConfig:
 
 def _crosses_itself(corners: tuple[tuple[float, ...], ...]) -> bool:
     """Return whether two sides of a polygon meet anywhere but in the corner that they share."""
-    count = len(corners)
+    place, count = np.array(corners), len(corners)
     if len(set(corners)) < count:
         return True
     for a in range(count):
         for b in range(a + 1, count):
-            first, second = (corners[a], corners[(a + 1) % count]), (corners[b], corners[(b + 1) % count])
+            first, second = (place[a], place[(a + 1) % count]), (place[b], place[(b + 1) % count])
             if b - a in (1, count - 1):
                 shared, one, other = (second[0], first[0], second[1]) if b - a == 1 else (first[0], first[1], second[0])
-                if _turn(shared, one, other) == 0.0 and _same_side(shared, one, other):
+                if turn(shared, one, other) == 0.0 and (one - shared) @ (other - shared) > 0.0:
                     return True
-            elif _meet(*first, *second):
+            elif meet(*first, *second):
                 return True
     return False
-
-
-def _turn(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...]) -> float:
-    """Return twice the signed area of the triangle a, b, c."""
-    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-
-def _same_side(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...]) -> bool:
-    """Return whether b and c lie on the same side of a, on a line through all three."""
-    return (b[0] - a[0]) * (c[0] - a[0]) + (b[1] - a[1]) * (c[1] - a[1]) > 0.0
-
-
-def _meet(a: tuple[float, ...], b: tuple[float, ...], c: tuple[float, ...], d: tuple[float, ...]) -> bool:
-    """Return whether the lines from a to b and from c to d have a point in common."""
-    boxes = all(max(a[k], b[k]) >= min(c[k], d[k]) and max(c[k], d[k]) >= min(a[k], b[k]) for k in range(2))
-    return boxes and _turn(a, b, c) * _turn(a, b, d) <= 0.0 and _turn(c, d, a) * _turn(c, d, b) <= 0.0
 
 
 def _covered(polygons: Zones, world: WorldConfig) -> float:
     """Return the share of the field that lies inside polygons."""
     share = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    x, y = (axis.reshape(-1) for axis in np.meshgrid(share * world.field_x, share * world.field_y))
-    covered = np.zeros(len(x), np.bool_)
-    for corners in polygons:
-        inside = np.zeros(len(x), np.bool_)
-        for (ax, ay), (bx, by) in zip(corners, (*corners[1:], corners[0]), strict=True):
-            if ay != by:
-                inside ^= ((ay > y) != (by > y)) & (x < ax + (y - ay) * (bx - ax) / (by - ay))
-        covered |= inside
-    return math.fsum(covered.tolist()) / len(covered)
+    points = np.stack(np.meshgrid(share * world.field_x, share * world.field_y), axis=-1)
+    return float(inside_any(points, tuple(np.array(corners) for corners in polygons)).mean())

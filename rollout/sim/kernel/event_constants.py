@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.farm import farm_team
 from rollout.sim.stations import station_places
+from rollout.sim.stress import shortened
 
 Array = NDArray[np.float64]
 
@@ -67,7 +68,7 @@ def failure_constants(config: FarmConfig) -> FailureConstants:
 def stress_constants(config: FarmConfig) -> StressConstants:
     """Derive the numbers of the patches of stress."""
     stress, cycle = config.stress, round(config.world.vdf_cycle / config.world.step_seconds)
-    return StressConstants(stress.some, stress.radius**2, stress.growth, max(1, cycle // stress.growth))
+    return StressConstants(stress.some, stress.radius**2, stress.growth, int(shortened(config, np.array(cycle))))
 
 
 def battery_constants(config: FarmConfig) -> BatteryConstants:

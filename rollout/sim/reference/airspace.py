@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.zones import refused
+from common.config.farm.polygons import refused
 
 if TYPE_CHECKING:
     from rollout.sim.reference.farm import ReferenceFarm

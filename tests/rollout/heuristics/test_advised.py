@@ -12,7 +12,7 @@ from common.config.presets import preset
 from common.errors import ConfigError, SimulationError
 from common.farm import HEADING_SPEEDS, advice_columns, farm_environment, farm_team
 from learner.trainers import make_trainer
-from rollout.heuristics.advised import adapted, make_farms, nearest_heading, nearest_move
+from rollout.heuristics.advised import make_farms, nearest_heading, nearest_move
 from rollout.heuristics.registry import heuristic
 from rollout.policies import ActorPolicy
 from rollout.sim.batch import FarmBatch
@@ -41,9 +41,7 @@ def follow(farms):
     rows = []
     views = farms.team.split_observations(farms.observation)
     for group, view, marks in zip(farms.team.groups, views, advice_of(farms), strict=True):
-        action = marks.argmax(axis=-1)[..., None].astype(np.float32)
-        for adapter in group.adapters:
-            action = adapter.adapt(view, action)
+        action = group.adapt(view, marks.argmax(axis=-1)[..., None].astype(np.float32))
         rows.append(action.reshape(len(view), -1))
     return np.concatenate(rows, axis=1).astype(np.float32)
 
@@ -102,7 +100,7 @@ def test_another_option_is_flown_as_it_is():
             farms.team.groups, farms.team.split_observations(farms.observation), advice_of(farms), strict=True
         ):
             other = (marks.argmax(axis=-1) + random.integers(1, group.choices[0], group.count)) % group.choices[0]
-            action.append(adapted(group, view, other[..., None].astype(np.float32)).reshape(1, -1))
+            action.append(group.adapt(view, other[..., None].astype(np.float32)).reshape(1, -1))
         row = np.concatenate(action, axis=1).astype(np.float32)
         apart = (row != follow(farms)).reshape(12, 2).any(axis=1)  # at the border, several options are one
         farms.step(row)

@@ -23,3 +23,11 @@ def observation_tolerance(config: FarmConfig) -> np.ndarray:
         names = spec.tensor_names[group.name].observation
         rows += [fields if name.startswith(("near_", "far_")) else ROUGH for name in names] * group.count
     return np.array(rows)
+
+
+def named_columns(config: FarmConfig, *beginnings: str) -> list[int]:
+    """Return the numbers of a row of observations whose names begin so."""
+    spec, names = farm_environment(config), list[str]()
+    for group in spec.team.groups:
+        names += [*spec.tensor_names[group.name].observation] * group.count
+    return [index for index, name in enumerate(names) if name.startswith(beginnings)]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants
+from rollout.sim.kernel.flight.failures import see_nothing
 from rollout.sim.kernel.flight.motion import flight_power
 from rollout.sim.kernel.flight.planes import kind_of
 
@@ -64,9 +65,7 @@ def put_charge(c: Constants, farm: Farm, u: int, sx: float, sy: float, at: int) 
     """Write a UAV's charge, the offset to the nearest station, and what would be left there; return where they end."""
     fleet, battery, seen = c.fleet, c.battery, farm.observation
     if not battery.some:
-        for k in range(NUMBERS):
-            seen[at + k] = 0.0
-        return at + NUMBERS
+        return see_nothing(NUMBERS, seen, at)
     x, y, share = farm.position[u, 0], farm.position[u, 1], farm.charge[u] / battery.capacity
     station = _nearest_station(battery.stations, x, y)
     dx, dy = battery.stations[station, 0] - x, battery.stations[station, 1] - y

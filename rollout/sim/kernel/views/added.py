@@ -15,7 +15,7 @@ from rollout.sim.kernel.views.airspace import put_airspace
 from rollout.sim.kernel.views.constants import ViewConstants
 from rollout.sim.kernel.views.fields import put_field, share_points, weigh_points
 from rollout.sim.kernel.views.links import put_link, put_links
-from rollout.sim.kernel.views.maps import BLOCKS, put_cells, put_plots
+from rollout.sim.kernel.views.maps import put_cells, put_plots
 from rollout.sim.kernel.views.peers import find_near, put_peers, put_risk
 from rollout.sim.kernel.views.places import find_places
 from rollout.sim.kernel.views.routes import put_route
@@ -183,10 +183,8 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
     if view.link:
         relay = farm.assignment[u - fleet.relays]
         at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
-    if view.stress and c.stress.some:
+    if view.stress:
         at = put_stress(farm.stressed, column, row, sx, sy, seen, at)
-    elif view.stress:
-        at = see_nothing(BLOCKS * BLOCKS, seen, at)
     return _put_events(c, farm, s, u, 1, fleet.collectors - fleet.relays, at)
 
 
@@ -233,9 +231,7 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.link:
         relay = farm.assignment[u - fleet.relays]
         at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
-    if view.stress and c.stress.some:
+    if view.stress:
         column, row = cell_of(x / fleet.width, c.camera.plots_x), cell_of(y / fleet.depth, c.camera.plots_y)
         at = put_stress(farm.stressed, column, row, sx, sy, seen, at)
-    elif view.stress:
-        at = see_nothing(BLOCKS * BLOCKS, seen, at)
     return _put_events(c, farm, s, u, 2, fleet.uavs - fleet.collectors, at)

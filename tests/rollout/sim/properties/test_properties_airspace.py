@@ -1,6 +1,7 @@
 """Wind and no-fly zones on any farm, and everything at once: against the reference, and what flight never does."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -8,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import BatteryConfig, FarmConfig, StressConfig, WindConfig, WorldConfig, ZoneConfig
+from common.config.farm.polygons import inside_any
 from common.farm import farm_environment
 from rollout.envs.spaces import row_box
 from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_positions
 from rollout.sim.layout import Layout
 from rollout.sim.reference.farm import ReferenceFarm, flight_power, other_power
-from rollout.sim.zones import inside_any
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.properties.test_properties_battery import batteries
 from tests.rollout.sim.properties.test_properties_reference import agree_on_directions, assert_equal
@@ -70,10 +71,8 @@ def started(flight: Flight) -> tuple[FarmBatch, Layout, np.ndarray]:
     return batch, layout, positions
 
 
-@dose(40)
-@given(FLIGHTS)
-def test_any_flight_in_wind_and_around_zones_equals_the_reference(flight: Flight):
-    """Every quantity after every step, within the bounds of the observation."""
+def flown_beside(flight: Flight) -> Iterator[tuple[FarmBatch, ReferenceFarm]]:
+    """Fly on both farms, and check after every step that they are equal and the observation is within its bounds."""
     batch, layout, positions = started(flight)
     box = row_box(flight.config)
     with placed(layout, positions):
@@ -88,6 +87,14 @@ def test_any_flight_in_wind_and_around_zones_equals_the_reference(flight: Flight
         agree_on_directions(batch, reference)
         assert_equal(batch, reference)
         assert box.contains(batch.observation[0])
+        yield batch, reference
+
+
+@dose(40)
+@given(FLIGHTS)
+def test_any_flight_in_wind_and_around_zones_equals_the_reference(flight: Flight):
+    """Every quantity after every step, within the bounds of the observation."""
+    assert sum(1 for _ in flown_beside(flight)) == min(20, flight.config.world.steps)
 
 
 def angles(points: np.ndarray, zone: np.ndarray) -> np.ndarray:
@@ -217,20 +224,7 @@ def test_any_flight_with_everything_equals_the_reference(flight: Flight, stress:
         observation=replace(config.observation, stress=True, charge=True, wind=True, zones=True),
     )
     flight = replace(flight, config=config)
-    batch, layout, positions = started(flight)
-    box = row_box(config)
-    with placed(layout, positions):
-        reference = ReferenceFarm(config, layout, flight.episode)
-    reference._assign(batch.assignment[0])
-    reference._look()
-    agree_on_directions(batch, reference)
-    assert_equal(batch, reference)
-    for action in flight.actions()[:20]:
-        batch.step(action[None])
-        reference.step(action, batch.assignment[0])
-        agree_on_directions(batch, reference)
-        assert_equal(batch, reference)
+    for batch, reference in flown_beside(flight):
         np.testing.assert_array_equal(batch.gone[0], reference.gone)
         np.testing.assert_array_equal(batch.patch_known[0], reference.known)
         np.testing.assert_allclose(batch.charge[0], reference.charge, rtol=1e-9, atol=1e-6)
-        assert box.contains(batch.observation[0])

@@ -7,12 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import BatteryConfig, FarmConfig
-from common.farm import farm_environment
 from rollout.sim.batch import FarmBatch
 from rollout.sim.reference.farm import ReferenceFarm
 from rollout.sim.stations import station_places
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
+from tests.rollout.sim.tolerances import named_columns
 
 SMALL = worlds(st.integers(1, 5), 90)
 
@@ -33,14 +33,6 @@ def charged(config: FarmConfig, battery: BatteryConfig) -> FarmConfig:
     return replace(config, battery=battery, observation=replace(config.observation, charge=True))
 
 
-def charge_columns(config: FarmConfig) -> list[int]:
-    """Return where a row of observations shows batteries."""
-    spec, names = farm_environment(config), []
-    for group in spec.team.groups:
-        names += [*spec.tensor_names[group.name].observation] * group.count
-    return [index for index, name in enumerate(names) if name.startswith(("charge", "station"))]
-
-
 @dose(30)
 @given(flights(farm_configs(SMALL)), batteries())
 def test_kernel_and_reference_agree(flight: Flight, battery: BatteryConfig):
@@ -51,7 +43,7 @@ def test_kernel_and_reference_agree(flight: Flight, battery: BatteryConfig):
         farm = ReferenceFarm(flight.config, layout, flight.episode)
     farm._assign(batch.assignment[0])
     farm._look()
-    columns = charge_columns(flight.config)
+    columns = named_columns(flight.config, "charge", "station")
     for action in flight.actions()[:16]:
         batch.step(action[None])
         farm.step(action, batch.assignment[0])

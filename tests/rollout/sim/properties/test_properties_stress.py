@@ -7,12 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import FarmConfig, StressConfig
-from common.farm import farm_environment
 from rollout.sim.batch import FarmBatch
 from rollout.sim.reference.farm import ReferenceFarm
 from rollout.sim.stress import patches
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
+from tests.rollout.sim.tolerances import named_columns
 
 SMALL = worlds(st.integers(1, 5), 90)
 
@@ -33,14 +33,6 @@ def stressed(config: FarmConfig, stress: StressConfig) -> FarmConfig:
     return replace(config, stress=stress, observation=replace(config.observation, stress=True))
 
 
-def stress_columns(config: FarmConfig) -> list[int]:
-    """Return where a row of observations shows patches."""
-    spec, names = farm_environment(config), []
-    for group in spec.team.groups:
-        names += [*spec.tensor_names[group.name].observation] * group.count
-    return [index for index, name in enumerate(names) if name.startswith("block_stress")]
-
-
 @dose(30)
 @given(flights(farm_configs(SMALL)), stresses())
 def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
@@ -58,7 +50,7 @@ def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
         np.testing.assert_array_equal(batch.vdf[0], farm.vdf)
         np.testing.assert_array_equal(batch.patch_known[0], farm.known)
         np.testing.assert_allclose(batch.reward[0], farm.reward, rtol=1e-5, atol=1e-5)
-        columns = stress_columns(flight.config)
+        columns = named_columns(flight.config, "block_stress")
         np.testing.assert_allclose(batch.observation[0, columns], farm.observation[columns], rtol=0.0, atol=1e-6)
 
 
