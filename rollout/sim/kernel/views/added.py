@@ -90,14 +90,23 @@ def _put_alive(living: int, count: int, seen: Float32, at: int) -> int:
     return at + 1
 
 
-@inlined
-def _put_events(c: Constants, farm: Farm, s: Scratch, u: int, kind: int, count: int, at: int) -> int:
-    """Write what every type sees last: charge, wind and zones, who is alive, and room for advice; return the end."""
-    view, v, seen = c.added, s.added, farm.observation
+@allocation_free
+def _put_events(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
+    """Write charge, wind and zones; return where they end. It is compiled once for all types."""
+    view, v = c.added, s.added
     if view.charge:
         at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
     if view.wind or view.zones:
-        at = put_airspace(c, farm, u, v.sign[u, 0], v.sign[u, 1], v.go_x[u], v.go_y[u], seen, at)
+        at = put_airspace(c, farm, u, v.sign[u, 0], v.sign[u, 1], v.go_x[u], v.go_y[u], farm.observation, at)
+    return at
+
+
+@inlined
+def _put_last(c: Constants, farm: Farm, s: Scratch, u: int, kind: int, count: int, at: int) -> int:
+    """Write what every type sees last: charge, wind and zones, who is alive, and room for advice; return the end."""
+    view, seen = c.added, farm.observation
+    if view.charge or view.wind or view.zones:
+        at = _put_events(c, farm, s, u, at)
     if view.alive:
         at = _put_alive(farm.living[kind], count, seen, at)
     return see_nothing(view.advice[kind], seen, at)
@@ -129,7 +138,7 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.link:
         sx, sy = v.sign[u, 0], v.sign[u, 1]
         at = put_links(fleet, view, farm.position, farm.assignment, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
-    return _put_events(c, farm, s, u, 0, fleet.relays, at)
+    return _put_last(c, farm, s, u, 0, fleet.relays, at)
 
 
 @inlined
@@ -185,7 +194,7 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
         at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
     if view.stress:
         at = put_stress(farm.stressed, column, row, sx, sy, seen, at)
-    return _put_events(c, farm, s, u, 1, fleet.collectors - fleet.relays, at)
+    return _put_last(c, farm, s, u, 1, fleet.collectors - fleet.relays, at)
 
 
 @allocation_free
@@ -234,4 +243,4 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.stress:
         column, row = cell_of(x / fleet.width, c.camera.plots_x), cell_of(y / fleet.depth, c.camera.plots_y)
         at = put_stress(farm.stressed, column, row, sx, sy, seen, at)
-    return _put_events(c, farm, s, u, 2, fleet.uavs - fleet.collectors, at)
+    return _put_last(c, farm, s, u, 2, fleet.uavs - fleet.collectors, at)
