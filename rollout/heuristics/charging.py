@@ -1,4 +1,7 @@
-"""UAVs with batteries leave for a charging station in time, and stay until the battery is nearly full."""
+"""UAVs with batteries leave for a charging station in time, and stay until the battery is nearly full.
+
+A station in a no-fly zone is none for them.
+"""
 
 from typing import Final
 
@@ -6,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
+from common.config.farm.polygons import inside_any
 from common.farm import farm_team
 from rollout.sim.batch import FarmBatch
 from rollout.sim.boxes import Array
 from rollout.sim.kernel.constants import constants
 from rollout.sim.kernel.flight.motion import flight_power
-from rollout.sim.layout import cell_counts
+from rollout.sim.layout import Layout, cell_counts
 from rollout.sim.stations import station_places
 
 RESERVE: Final = 0.2
@@ -25,12 +29,14 @@ class Charging:
 
     Args:
         config: the farm.
+        layout: its zones.
     """
 
-    def __init__(self, config: FarmConfig) -> None:
+    def __init__(self, config: FarmConfig, layout: Layout) -> None:
         world, numbers = config.world, constants(config, cell_counts(config.world))
         self._capacity = config.battery.capacity
-        self._stations = station_places(config)
+        places = station_places(config)
+        self._stations = places[~inside_any(places, layout.zones)]
         self._types = farm_team(config).agent_slices()
         self._taken: NDArray[np.int64] = np.full(world.uavs, -1)
         speed = min(world.speed_x_max, world.speed_y_max)
@@ -52,6 +58,8 @@ class Charging:
         """Return the station for which a UAV has to leave now; -1 if there is time, or no station free."""
         away = np.linalg.norm(self._stations - position, axis=1)
         away[taken[taken >= 0]] = np.inf
+        if not np.isfinite(away).any():
+            return -1
         station = int(away.argmin())
         left = charge - self._per_metre[u] * away[station]
-        return station if np.isfinite(away[station]) and left < RESERVE * self._capacity else -1
+        return station if left < RESERVE * self._capacity else -1

@@ -142,7 +142,7 @@ class CompositePolicy:
         self._layouts[index] = farms.layout(index)
         self._airspaces[index] = airspace_of(self._config, self._layouts[index])
         self._seeds[index] = episode.farm, episode.episode
-        self._charging[index] = Charging(self._config)
+        self._charging[index] = Charging(self._config, self._layouts[index])
         self._begin(farms, index)
 
     def act(self, farms: FarmBatch) -> Float32:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.config.farm.zones import LONGEST_SIDE
 from common.seeds import stream
+from rollout.sim.stations import station_places
 
 Array = NDArray[np.float64]
 
@@ -21,18 +22,22 @@ TRIES: Final = 200
 
 
 def make_zones(config: FarmConfig, seed: int) -> tuple[Array, ...]:
-    """Return the zones of a farm, [C, 2] m each: the given ones, then rectangles drawn from its seed."""
+    """Return the zones of a farm, [C, 2] m each: the given ones, then rectangles drawn from its seed.
+
+    Where UAVs have batteries, the drawn ones leave the charging stations free, if there is room.
+    """
     zones = [np.array(corners, np.float64) for corners in config.zones.polygons]
     random, size = stream(seed, "layout", "zones"), np.array([config.world.field_x, config.world.field_y])
+    stations = [place[None] for place in station_places(config)] if config.battery.some else []
     for _ in range(config.zones.random):
-        zones.append(_rectangle(random, size, zones))
+        zones.append(_rectangle(random, size, [*zones, *stations]))
     for zone in zones:
         zone.setflags(write=False)
     return tuple(zones)
 
 
 def _rectangle(random: np.random.Generator, size: Array, others: list[Array]) -> Array:
-    """Return a rectangle in the field, apart from the others where there is room."""
+    """Return a rectangle in the field, apart from what else is there, [C, 2] m each, where there is room."""
     longest = min(LONGEST_SIDE, 0.6 * float(size.min()))
     sides = random.uniform(min(SHORTEST_SIDE, longest), longest, 2)
     turn = random.uniform(0.0, 0.5 * math.pi)

@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from common.config import BatteryConfig, ZoneConfig
+from common.config.farm.polygons import inside_any
 from common.config.presets import preset
 from rollout.heuristics.charging import FULL, Charging
 from rollout.heuristics.registry import TASKS, heuristic
 from rollout.sim.batch import FarmBatch
 from rollout.sim.stations import station_places
+from rollout.sim.zones import make_zones
 
 FARM = preset("battery").farm
 
@@ -36,7 +39,7 @@ def test_uavs_of_a_type_take_different_stations_and_leave_when_full():
     farms.reset(0, 1, 1)
     farms.position[0, 4:6] = 110.0, 100.0
     farms.charge[0, 4:6] = 900.0
-    charging, stations = Charging(FARM), station_places(FARM)
+    charging, stations = Charging(FARM, farms.layout(0)), station_places(FARM)
     goals = np.full((12, 2), 7.0)
     charging.redirect(farms, 0, goals)
     taken = [int(np.flatnonzero((stations == goal).all(axis=1))[0]) for goal in goals[4:6]]
@@ -55,7 +58,7 @@ def test_a_uav_that_is_gone_holds_no_station():
     farms.reset(0, 1, 1)
     farms.charge[0, 4:6] = 100.0
     farms.position[0, 4:6] = 110.0, 100.0
-    charging, stations = Charging(FARM), station_places(FARM)
+    charging, stations = Charging(FARM, farms.layout(0)), station_places(FARM)
     charging.redirect(farms, 0, np.zeros((12, 2)))
     farms.step(np.zeros((1, 24), np.float32))
     farms.charge[0, 6] = 100.0
@@ -64,3 +67,31 @@ def test_a_uav_that_is_gone_holds_no_station():
     charging.redirect(farms, 0, goals)
     assert (goals[4] == 0.0).all()
     assert goals[6].any()
+
+
+def test_drawn_zones_leave_the_stations_free():
+    """On fifty farms no zone covers a station, and without batteries zones do not heed the places."""
+    config = replace(FARM, zones=ZoneConfig(random=3))
+    places = station_places(config)
+    covered = [inside_any(places, make_zones(config, seed)).any() for seed in range(50)]
+    assert not any(covered)
+    plain = replace(config, battery=BatteryConfig())
+    assert any(inside_any(places, make_zones(plain, seed)).any() for seed in range(50))
+
+
+def test_a_station_in_a_zone_is_left_out():
+    """UAVs fly to the next one, and nowhere if there is none."""
+    around = [
+        ((x - 9.0, y - 9.0), (x + 9.0, y - 9.0), (x + 9.0, y + 9.0), (x - 9.0, y + 9.0))
+        for x, y in station_places(FARM)
+    ]
+    for zones in (around[:1], around):
+        farms = FarmBatch(replace(FARM, zones=ZoneConfig(tuple(zones))), 1)
+        farms.reset(0, 1, 1)
+        farms.position[0, 4] = 85.0, 85.0
+        farms.charge[0, 4] = 100.0
+        goals = np.zeros((12, 2))
+        Charging(farms.config, farms.layout(0)).redirect(farms, 0, goals)
+        free = station_places(FARM)[len(zones) :]
+        assert any((goals[4] == place).all() for place in free) == (len(free) > 0)
+        assert goals[4].any() == (len(free) > 0)
