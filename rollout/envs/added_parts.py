@@ -3,8 +3,9 @@
 import math
 from typing import Final, NamedTuple
 
-from common.config import FarmConfig
+from common.config import FarmConfig, WorldConfig
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, ROUTE_PLOTS, advice_sizes
+from rollout.sim.kernel.views.constants import field_range
 from rollout.sim.kernel.views.fields import SCALE
 from rollout.sim.kernel.views.maps import BLOCK, BLOCKS, CELLS
 from rollout.sim.kernel.views.routes import MOST_OFFSET
@@ -12,6 +13,8 @@ from rollout.sim.kernel.views.units import MOST
 
 ROUNDING: Final = 1.0 + 1e-9
 """Allowance for differences of float64 distances over a short step before they are rounded to float32."""
+FIELD_ROUNDING: Final = 4e-6
+"""Rounding of the logarithm of a value field, which is a sum of float32."""
 
 
 class Part(NamedTuple):
@@ -30,6 +33,12 @@ class Part(NamedTuple):
     low: float
     high: float
     meaning: str
+
+
+def field_rounding(world: WorldConfig) -> float:
+    """Return how far rounding takes a value field's observed growth with a move, which is scaled by range over step."""
+    step = (world.speed_x_max + world.speed_y_max) * world.step_seconds
+    return FIELD_ROUNDING * max(1.0, field_range(world) / step)
 
 
 def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...]:
@@ -99,9 +108,10 @@ def _tasks(config: FarmConfig, name: str) -> list[Part]:
     if seen.units > 1:
         parts.append(Part("units of two", 9, 0.0, 2.0 * MOST, f"{unit} of each move and the best after it, clipped"))
     points = world.plots_x * world.plots_y if name == MONITORING else world.sensors
+    grown = 1.0 + field_rounding(world)
     for reach in ("near", "far") if seen.fields else ():
         most = SCALE * math.log1p(points) * ROUNDING
-        parts.append(Part(f"{reach} field", 9, -ROUNDING, ROUNDING, "logarithm of its growth with each of nine moves"))
+        parts.append(Part(f"{reach} field", 9, -grown, grown, "logarithm of its growth with each of nine moves"))
         parts.append(Part(f"{reach} field", 1, 0.0, most, f"{SCALE:g} ln(1 + field) at the own place"))
     blocks = f"of {BLOCKS} x {BLOCKS} blocks of {BLOCK} x {BLOCK}"
     if seen.coarse and name == MONITORING:

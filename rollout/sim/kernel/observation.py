@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.axes import in_field, in_plot, sign_of
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, FleetConstants, ObservationConstants
 from rollout.sim.kernel.flight.failures import see_nothing
@@ -30,16 +31,6 @@ Float32 = NDArray[np.float32]
 SENSOR_SCALE: Final = 50.0
 """Offset to a sensor that is observed as 1, m; larger ones are clipped (ours, so that near sensors stay distinct)."""
 PER_SCALE: Final = 1.0 / SENSOR_SCALE
-
-
-@allocation_free
-def _share(fleet: FleetConstants, position: Array, u: int) -> tuple[float, float]:
-    return 2.0 * position[u, 0] * fleet.per_width - 1.0, 2.0 * position[u, 1] * fleet.per_depth - 1.0
-
-
-@allocation_free
-def _sign(what: ObservationConstants, offset: float) -> float:
-    return -1.0 if what.mirrored and offset < 0.0 else 1.0
 
 
 @allocation_free
@@ -116,8 +107,8 @@ def see_relays(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> in
         if farm.gone[u]:
             at = see_nothing(c.failures.sizes[0], seen, at)
             continue
-        x, y = _share(fleet, position, u)
-        sx, sy = _sign(what, x), _sign(what, y)
+        x, y = in_field(fleet, position, u)
+        sx, sy = sign_of(what, x), sign_of(what, y)
         at = _put_place(what, x, y, sx, sy, seen, at)
         at = _put_uav(fleet, position, u, peer[u], sx, sy, seen, at)
         for point in (fleet.relays, u):
@@ -152,12 +143,9 @@ def see_plots(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> int
         if farm.gone[u]:
             at = see_nothing(c.failures.sizes[1], seen, at)
             continue
-        column = min(int(position[u, 0] / camera.plot_width), columns - 1)
-        row = min(int(position[u, 1] / camera.plot_depth), rows - 1)
-        across = 2.0 * (position[u, 0] / camera.plot_width - column) - 1.0
-        along = 2.0 * (position[u, 1] / camera.plot_depth - row) - 1.0
-        sx, sy = _sign(what, across), _sign(what, along)
-        x, y = _share(fleet, position, u)
+        column, row, across, along = in_plot(camera, position, u)
+        sx, sy = sign_of(what, across), sign_of(what, along)
+        x, y = in_field(fleet, position, u)
         at = _put_place(what, x, y, sx, sy, seen, at)
         for step_x in range(-reach, reach + 1):
             for step_y in range(-reach, reach + 1):
@@ -193,8 +181,8 @@ def see_sensors(c: Constants, farm: Farm, s: Scratch, time: float, at: int) -> N
             at = see_nothing(c.failures.sizes[2], seen, at)
             continue
         x, y, listed = position[u, 0], position[u, 1], nearest[u - fleet.collectors]
-        across, along = _share(fleet, position, u)
-        sx, sy = _sign(what, across), _sign(what, along)
+        across, along = in_field(fleet, position, u)
+        sx, sy = sign_of(what, across), sign_of(what, along)
         at = _put_place(what, across, along, sx, sy, seen, at)
         sort, total = (HOLDING, holding) if what.waiting else (ALL, len(age))
         found = nearest_sensors(

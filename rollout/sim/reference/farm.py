@@ -19,7 +19,7 @@ from rollout.sim.kernel.relays import NO_LINK
 from rollout.sim.layout import Layout
 from rollout.sim.reference.airspace import air_velocity, stopped
 from rollout.sim.reference.battery import use_charge
-from rollout.sim.reference.routes import divide_again, first_sweep
+from rollout.sim.reference.routes import advance, divide_again, first_sweep
 from rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
 from rollout.sim.reference.views import observe
 from rollout.sim.stress import patches
@@ -174,6 +174,7 @@ class ReferenceFarm:
         self.parts = np.zeros((world.uavs, 8))
         self.sweep = first_sweep(self)
         self.crowded, self.outside = np.zeros(world.uavs, bool), np.zeros(world.uavs, bool)
+        advance(self)
         self._assign()
         self._look()
 
@@ -210,6 +211,7 @@ class ReferenceFarm:
         self._collect()
         self._reward(service_before, motivated)
         find(self)
+        advance(self)
         self._look()
 
     def power(self, u: int, speed: float) -> float:

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def first_sweep(farm: ReferenceFarm) -> NDArray[np.int64]:
-    """Return each monitoring UAV's route and its first box, [n_m, 2]; zeros unless routes are seen."""
+    """Return each monitoring UAV's route and the box on it that comes next, [n_m, 2]; zeros unless routes are seen."""
     monitors = farm.position[farm.kind == 1]
     if not farm.config.observation.route:
         return np.zeros((len(monitors), 2), np.int64)
@@ -34,8 +34,17 @@ def divide_again(farm: ReferenceFarm) -> None:
         farm.sweep[left] = divided_among(farm.config, farm.position[monitors][left])
 
 
+def advance(farm: ReferenceFarm) -> None:
+    """Let every monitoring UAV go on to the first box of its route that is not done."""
+    if farm.config.observation.route:
+        for u in farm.living(1):
+            monitor = u - farm.config.world.communication_uavs
+            chosen, at = farm.sweep[monitor]
+            farm.sweep[monitor, 1] = _next_box(farm, all_routes(farm.config)[chosen], int(at), farm.position[u])
+
+
 def route_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
-    """Return which move follows the route, and the offsets to the next plots on it; go on along the route.
+    """Return which move follows the route, and the offsets to the next plots on it.
 
     Args:
         farm: the farm.
@@ -43,10 +52,8 @@ def route_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array
         signs: [2] of its axes.
         goals: [9, 2] where its moves lead, m.
     """
-    monitor = u - farm.config.world.communication_uavs
-    chosen, at = farm.sweep[monitor]
+    chosen, at = farm.sweep[u - farm.config.world.communication_uavs]
     route = all_routes(farm.config)[chosen]
-    at = farm.sweep[monitor, 1] = _next_box(farm, route, int(at), farm.position[u])
     box, onward = route[:, at], route[:, (at + 1) % route.shape[1]]
     gap, then = _gaps(box, goals), _gaps(onward, goals)
     cost = np.where(gap <= ROUNDING, 1e3 * then, 1e6 * gap) + ((goals - farm.position[u]) ** 2).sum(axis=1)

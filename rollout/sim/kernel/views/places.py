@@ -12,6 +12,7 @@ import numpy as np
 
 from common.actions.adapters import EDGE as EDGE_SHARE
 from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.axes import along_side, in_field, in_plot, sign_of
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, Indices
 
@@ -22,9 +23,9 @@ EDGE: Final = np.float32(EDGE_SHARE)
 
 
 @allocation_free
-def _share(x: float, sign: float, per_side: float) -> np.float32:
+def _share(x: float, sign: float, side: float, per_side: float) -> np.float32:
     """Return where a UAV stands along its own axis as a share of the field, as `Lattice` computes it."""
-    return (np.float32(sign * (2.0 * x * per_side - 1.0)) + ONE) * HALF
+    return (np.float32(sign * along_side(x, side, per_side)) + ONE) * HALF
 
 
 @allocation_free
@@ -47,7 +48,7 @@ def _go(
     places: Array,
 ) -> None:
     """Write where a move back, none and on leads along an axis, [3] m."""
-    share, points = _share(x, sign, per_side), np.float32(count)
+    share, points = _share(x, sign, side, per_side), np.float32(count)
     point = _point(share, count)
     for move in range(3):
         goal = (min(points - ONE, max(NONE, point + np.float32(move - 1))) + HALF) / points
@@ -65,14 +66,10 @@ def find_places(c: Constants, farm: Farm, s: Scratch) -> None:
             continue
         x, y = position[u, 0], position[u, 1]
         velocity[u, 0], velocity[u, 1] = (x - previous[u, 0]) / view.step_x, (y - previous[u, 1]) / view.step_y
-        across, along = 2.0 * x * fleet.per_width - 1.0, 2.0 * y * fleet.per_depth - 1.0
+        across, along = in_field(fleet, position, u)
         if fleet.relays <= u < fleet.collectors:
-            column = min(int(x / camera.plot_width), camera.plots_x - 1)
-            row = min(int(y / camera.plot_depth), camera.plots_y - 1)
-            across = 2.0 * (x / camera.plot_width - column) - 1.0
-            along = 2.0 * (y / camera.plot_depth - row) - 1.0
-        sx = -1.0 if what.mirrored and across < 0.0 else 1.0
-        sy = -1.0 if what.mirrored and along < 0.0 else 1.0
+            _, _, across, along = in_plot(camera, position, u)
+        sx, sy = sign_of(what, across), sign_of(what, along)
         sign[u, 0], sign[u, 1] = sx, sy
         if u < fleet.relays:
             for move in range(3):
@@ -108,7 +105,7 @@ def go_twice(x: float, sign: float, side: float, per_side: float, count: int, fa
         far: [5] out: middles of the lattice points two back to two on, those in the field, m.
         after: [9] out: which of the five each second move leads to after each first one.
     """
-    last, point = count - 1, int(_point(_share(x, sign, per_side), count))
+    last, point = count - 1, int(_point(_share(x, sign, side, per_side), count))
     for k in range(5):
         middle = (min(last, max(0, point + k - 2)) + 0.5) * side / count
         far[k] = middle if sign > 0.0 else side - middle

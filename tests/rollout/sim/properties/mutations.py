@@ -158,13 +158,13 @@ MUTATIONS = (
     one(
         "a monitor's axis points the wrong way",
         "sim/kernel/observation.py",
-        "_sign(what, across), _sign(what, along)\n        x, y",
-        "_sign(what, -across), _sign(what, along)\n        x, y",
+        "sign_of(what, across), sign_of(what, along)\n        x, y",
+        "sign_of(what, -across), sign_of(what, along)\n        x, y",
     ),
     one(
         "a relay's axes stay the field's",
         "sim/kernel/observation.py",
-        "sx, sy = _sign(what, x), _sign(what, y)",
+        "sx, sy = sign_of(what, x), sign_of(what, y)",
         "sx, sy = 1.0, 1.0",
     ),
     one(
