@@ -1,7 +1,7 @@
 """The house rules, as far as a program can hold them."""
 
 import ast
-import importlib.metadata
+import functools
 import importlib.util
 import itertools
 import re
@@ -10,6 +10,7 @@ import sys
 import tokenize
 import tomllib
 import zipfile
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,13 @@ each_source = pytest.mark.parametrize("name", SOURCE_FILES)
 each_package_file = pytest.mark.parametrize("name", PACKAGE_FILES)
 
 
+@functools.cache
+def providers() -> dict[str, list[str]]:
+    """Return the distributions that provide each installed module."""
+    return {module: [name.lower() for name in names] for module, names in packages_distributions().items()}
+
+
+@functools.cache
 def tree(name: str) -> ast.Module:
     return ast.parse((ROOT / name).read_text())
 
@@ -110,8 +118,7 @@ def test_imports_are_declared_dependencies(name):
     texts = [*project["dependencies"], *(text for group in extras.values() for text in group)]
     declared = {re.split(r"[<>=!~\[; ]", text)[0].lower() for text in texts}
     foreign = top_levels(tree(name)) - set(sys.stdlib_module_names) - set(PACKAGES)
-    providers = importlib.metadata.packages_distributions()
-    assert {module for module in foreign if not declared & {text.lower() for text in providers[module]}} == set()
+    assert {module for module in foreign if not declared.intersection(providers()[module])} == set()
 
 
 @each_source
@@ -230,7 +237,7 @@ def test_no_machine_path_and_no_registry_host():
 @pytest.mark.parametrize("package", PACKAGES)
 def test_no_other_distribution_ships_our_package_names(package):
     """The name imports our package, and no other installed distribution ships a package of that name."""
-    assert set(importlib.metadata.packages_distributions().get(package, [])) <= {"eia-sec"}
+    assert set(providers().get(package, [])) <= {"eia-sec"}
     assert Path(importlib.util.find_spec(package).origin).parent == ROOT / package
 
 
