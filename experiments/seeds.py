@@ -4,6 +4,7 @@
 
 Every policy flies without noise on the farms on which studies are reported. `reached` holds, for each share of the
 lawnmower's reward, the seconds of training until the mean reward of the newest 64 episodes, noise included, got there.
+`script` is what the relays earn that `search` flies in place of the policy's own, beside its monitors and collectors.
 """
 
 import json
@@ -14,12 +15,16 @@ from typing import Any, Final
 import numpy as np
 import tyro
 
+from common.config import FarmConfig
+from common.farm import COMMUNICATION
+from common.team import Float32
 from deploy.local.run_directory import METRICS, POLICY, RunDirectory
 from deploy.reports.run_report import read_metrics
 from experiments.studies.analysis.statistics import interval, mean
 from experiments.studies.scales import FIRST_REPORTED
 from rollout.evaluation import Evaluation, evaluate
-from rollout.policies import policy_of
+from rollout.policies import Policy, policy_of
+from rollout.sim.batch import FarmBatch
 
 FARMS: Final = 80
 """Farms on which studies are reported."""
@@ -27,6 +32,32 @@ SHARES: Final = (0.5, 0.75, 0.9, 1.0)
 """Shares of the lawnmower's reward."""
 WINDOW: Final = 64
 """Episodes whose mean counts."""
+SCRIPT: Final = "lawnmower+search"
+"""A heuristic with the relays that are flown in place of a policy's own."""
+
+
+class ScriptedRelays:
+    """A policy whose relays a heuristic flies.
+
+    Args:
+        policy: flies monitors and collectors.
+        farm: the farm.
+    """
+
+    def __init__(self, policy: Policy, farm: FarmConfig) -> None:
+        self._policies = policy, policy_of(SCRIPT, farm)
+        self._relays = slice(2 * farm.world.communication_uavs)
+
+    def reset(self, farms: FarmBatch, index: int) -> None:
+        """Begin the episode of one environment."""
+        for policy in self._policies:
+            policy.reset(farms, index)
+
+    def act(self, farms: FarmBatch) -> Float32:
+        """Return the actions of all UAVs, [E, A]."""
+        action, scripted = (policy.act(farms).copy() for policy in self._policies)
+        action[:, self._relays] = scripted[:, self._relays]
+        return action
 
 
 @dataclass(frozen=True)
@@ -58,12 +89,15 @@ def summary(path: Path, goal: float) -> tuple[dict[str, Any], Evaluation]:
     config, records = directory.configuration(), read_metrics(path / METRICS)
     outcome = json.loads((path / "evaluation.json").read_text(encoding="utf-8"))
     policy = policy_of(str(path / POLICY), config.farm)
-    found = evaluate(config.farm, policy, range(FIRST_REPORTED, FIRST_REPORTED + FARMS), 1, name=f"seed {config.seed}")
+    farms = range(FIRST_REPORTED, FIRST_REPORTED + FARMS)
+    found = evaluate(config.farm, policy, farms, 1, name=f"seed {config.seed}")
+    scripted = evaluate(config.farm, ScriptedRelays(policy, config.farm), farms, 1, name=SCRIPT)
     last = [record for record in records if record["kind"] == "status"][-1]
     plain = found.to_dict()
     return {
         "seed": config.seed,
         "reward": plain["reward"],
+        "script": scripted.total.types[COMMUNICATION],
         "aoi": plain["aoi"],
         "vdf": plain["vdf"],
         "seconds": outcome["seconds"],

@@ -1,6 +1,11 @@
-"""When a run's training reward reached a goal."""
+"""When a run's training reward reached a goal, and relays that a heuristic flies."""
 
-from experiments.seeds import reached
+import numpy as np
+
+from common.config.presets import preset
+from experiments.seeds import SCRIPT, ScriptedRelays, reached
+from rollout.policies import policy_of
+from rollout.sim.batch import FarmBatch
 
 
 def record(episodes, time, mean):
@@ -20,3 +25,20 @@ def test_a_goal_that_is_never_reached():
     """The best mean of four is 550; a single lucky record before 64 episodes does not count either."""
     assert reached(RECORDS, 551.0) is None
     assert reached([record(16, 1.0, 900.0)], 500.0) is None
+
+
+def test_scripted_relays_leave_the_others_to_the_policy():
+    """Relays do what the heuristic does on the same farm, and monitors and collectors what the policy does."""
+    farm = preset("default").farm
+    policies = ScriptedRelays(policy_of("greedy", farm), farm), policy_of(SCRIPT, farm), policy_of("greedy", farm)
+    batch = FarmBatch(farm, 1)
+    batch.reset(0, 1000, 0)
+    for policy in policies:
+        policy.reset(batch, 0)
+    relays = 2 * farm.world.communication_uavs
+    for _ in range(3):
+        mixed, scripted, own = (policy.act(batch) for policy in policies)
+        np.testing.assert_array_equal(mixed[:, :relays], scripted[:, :relays])
+        np.testing.assert_array_equal(mixed[:, relays:], own[:, relays:])
+        assert not np.array_equal(own[:, relays:], scripted[:, relays:])
+        batch.step(mixed)
