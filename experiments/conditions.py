@@ -1,10 +1,10 @@
 """Where learning pays: a policy trained for each of several farms, beside the best heuristic there.
 
-    python -m experiments.conditions [NAME ...] [--episodes 1600] [--advised 600] [--seed 0]
+    python -m experiments.conditions [NAME ...] [--episodes 1600] [--advised 600] [--no-advice] [--seed 0]
         [--write docs/results/conditions]
 
-A second policy sees the advice of the best heuristic and begins with following it (`farm.observation.advice`). What
-stands in the results already stays as it is, unless its farm is named.
+A second policy sees the advice of the best heuristic and begins with following it (`farm.observation.advice`);
+`--no-advice` leaves it out. What stands in the results already stays as it is, unless its farm is named.
 """
 
 import argparse
@@ -110,13 +110,14 @@ def compare(name: str, found: Scores, episodes: tuple[int, int], seed: int, farm
 
     Args:
         name: the condition.
-        found: "learned" and "advised", scores of policies, and "heuristics", scores of all heuristics, the best first;
-            as far as they are known.
+        found: "learned" and "advised", scores of policies, "heuristics", scores of all heuristics, the best first, and
+            "commit", which measured them; as far as they are known.
         episodes: those of the policy that learns from nothing, and of the one that learns from a heuristic on.
         seed: of the runs.
         farms: seeds of the farms to score on.
     """
     found, config = dict(found), configuration(name, episodes[0], seed)
+    found.setdefault("commit", provenance("")["commit"])
     if "heuristics" not in found:
         found["heuristics"] = best_heuristics(config.farm, farms)
     if "learned" not in found:
@@ -140,8 +141,9 @@ def page(data: dict[str, Any]) -> str:
         "c, m, d: heuristic",
         "learned",
         "advised",
+        "commit",
     )
-    rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * 7]
+    rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * 7 + "---|"]
     for name, found in data["results"].items():
         bar = found["heuristics"][0]
         cells = [name, _reward(bar), bar["policy"]]
@@ -151,7 +153,7 @@ def page(data: dict[str, Any]) -> str:
             cells += [f"{found[policy]['reward'][0] / bar['reward'][0]:.3f}" if known else "-"]
         for scores in (bar, found["learned"], found.get("advised")):
             cells.append(", ".join(f"{value:.0f}" for value in scores["types"].values()) if scores else "-")
-        rows.append("| " + " | ".join(cells) + " |")
+        rows.append("| " + " | ".join([*cells, found["commit"]]) + " |")
     numbers = {name: data[name] for name in ("episodes", "advised", "seed")}
     return filled(TEMPLATE, data, tables="\n".join([*rows, ""]), **numbers)
 
@@ -175,7 +177,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m experiments.conditions", description=about)
     parser.add_argument("name", nargs="*", help="conditions; by default all that the results do not hold")
     parser.add_argument("--episodes", type=int, default=1600)
-    parser.add_argument("--advised", type=int, default=600, help="episodes of the policy with advice; 0 for none")
+    parser.add_argument("--advised", type=int, default=600, help="episodes of the policy with advice")
+    parser.add_argument("--no-advice", action="store_true", help="leave the policy with advice out")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--farms", type=farm_range, default="1020:1100", help="farm seeds A:B, from A to B - 1")
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
@@ -194,7 +197,7 @@ def main() -> None:
     )
     data |= {"episodes": arguments.episodes, "advised": arguments.advised, "seed": arguments.seed, "results": results}
     for name in arguments.name or CONDITIONS:
-        episodes = arguments.episodes, arguments.advised
+        episodes = arguments.episodes, 0 if arguments.no_advice else arguments.advised
         results[name] = compare(name, results.get(name, {}), episodes, arguments.seed, arguments.farms)
         data["results"] = {key: results[key] for key in CONDITIONS if key in results}
         write_results(data, page, arguments.write)

@@ -63,7 +63,7 @@ def test_what_was_measured_is_kept(tiny, monkeypatch, tmp_path, capsys):
 
     monkeypatch.setattr(conditions, "trained", once)
     monkeypatch.setattr(conditions, "best_heuristics", lambda farm, farms: [score])
-    for words in (["--advised", "0"], [], [], ["tiny"]):
+    for words in (["--no-advice"], [], [], ["tiny"]):
         monkeypatch.setattr(sys, "argv", ["conditions", *words, "--write", str(tmp_path)])
         main()
     alone, advised = ["learned True", "learned False"], ["farm True", "farm False"]
