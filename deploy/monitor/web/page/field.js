@@ -151,12 +151,12 @@ export class Field {
     const relays = this.scene.types[0].count;
     const { link_down: down } = this.scene;
     const linked = down && Past.row(frame, "linked");
-    pen.lineWidth = 1.4;
     Past.row(frame, "assignment").forEach((relay, served) => {
       if (relay >= relays) return; // 255: no relay
       const up = !down || linked[served];
       pen.strokeStyle = up ? LINK.colour : down.colour;
       pen.setLineDash(up ? LINK.dash : DOWN_DASH);
+      pen.lineWidth = up ? 1.4 : 1.8;
       pen.beginPath();
       for (const [x, y] of [this.places[relay], this.places[relays + served]]) pen.lineTo(this.x(x), this.y(y));
       pen.stroke();
