@@ -1,15 +1,22 @@
 """Converts chunks of experience to messages and back, and packs several of them into one request."""
 
 from collections.abc import Collection, Sequence
+from typing import Final
 
 import numpy as np
 
 from common.errors import FrameError, SchemaError, VersionError
 from common.protocol.frame import Data, length
-from common.protocol.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessage
+from common.protocol.messages import ChunkMessage, DeliveryMessage
 from common.team import TeamSpec
 from common.transitions import LARGEST, TERMINATED, TRUNCATED, Chunk, EpisodeSummary, Rows
 
+MOST_CHUNKS: Final = 64
+"""Most chunks in one delivery."""
+MOST_BYTES: Final = 2 * 2**20
+"""Most bytes of chunks in one delivery; a single chunk may be larger."""
+SETTLED: Final = ("accepted", "duplicate", "refused")
+"""Verdicts after which a worker drops a chunk; after any other it keeps the chunk."""
 MOST_COUNT = 2**48
 """Largest accepted count of steps or chunks; at a million steps per second it takes nine years to reach."""
 

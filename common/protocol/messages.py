@@ -1,7 +1,7 @@
 """Every message type of the protocol, one dataclass each; `keys` lists their keys, `codec` encodes them."""
 
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +10,6 @@ from common.imitation import ImitationEvent
 from common.protocol.codec import NO_LIMIT, Message
 from common.protocol.frame import MAX_HEADER
 from common.team import Float32
-
-MOST_CHUNKS: Final = 64
-"""Most chunks in one delivery."""
-MOST_BYTES: Final = 2 * 2**20
-"""Most bytes of chunks in one delivery; a single chunk may be larger."""
-SETTLED: Final = ("accepted", "duplicate", "refused")
-"""Verdicts after which a worker drops a chunk; after any other it keeps the chunk."""
 
 
 @dataclass(frozen=True)
@@ -366,6 +359,9 @@ class ViewMessage(Message):
         vdf: [F, n_px, n_py] VDF of each plot over VDF_max, in 255ths.
         level: [F, 2] mean AoI and mean VDF, units.
         parts: [F, types, K] parts of the step reward, averaged over the agents of each type.
+        gone: [F, n] 1 for UAVs that have failed; left out where none can.
+        charge: [F, n] charge over capacity, in 255ths; left out without batteries.
+        known: [F, P] 1 for patches of stress that the team knows; left out without patches.
     """
 
     KIND = 17
@@ -382,6 +378,9 @@ class ViewMessage(Message):
     vdf: NDArray[np.uint8]
     level: Float32
     parts: Float32
+    gone: NDArray[np.uint8] | None = None
+    charge: NDArray[np.uint8] | None = None
+    known: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True)
@@ -391,7 +390,7 @@ class DeliveryMessage(Message):
     Attributes:
         oldest: sequence number of the oldest chunk that the worker still holds.
         flown: environment steps that this incarnation had simulated when it sent this, those in its spool included.
-        sizes: bytes of each chunk's frame; at most MOST_CHUNKS, and at most MOST_BYTES in total unless there is one.
+        sizes: bytes of each chunk's frame; see `common.protocol.chunk_messages` for how many and how large.
     """
 
     KIND = 18

@@ -40,6 +40,7 @@ def check_view(message: ViewMessage, farm: FarmConfig, parts: int) -> None:
         "vdf": (frames, world.plots_x, world.plots_y),
         "level": (frames, 2),
         "parts": (frames, types, parts),
+        **_optional_shapes(message, farm, frames),
     }
     if not 1 <= frames <= FRAMES:
         raise SchemaError(f"a view has {frames} frames, not 1 to {FRAMES}.")
@@ -53,8 +54,31 @@ def check_view(message: ViewMessage, farm: FarmConfig, parts: int) -> None:
     _within(message.level, np.array([world.aoi_max, world.vdf_max]) + EDGE, -EDGE, "level")
     linked = message.assignment[message.assignment != NO_RELAY]
     _within(linked, np.array(world.communication_uavs - 1), 0.0, "assignment")
+    for flags in (message.gone, message.known):
+        if flags is not None and (flags > 1).any():
+            raise SchemaError("a flag is neither 0 nor 1.")
     if message.first + frames > world.steps + 1:
         raise SchemaError(f"a view reaches step {message.first + frames - 1} of {world.steps}.")
+
+
+def _optional_shapes(message: ViewMessage, farm: FarmConfig, frames: int) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of those optional arrays that a message has.
+
+    One that is missing is allowed: workers of earlier versions do not send it.
+
+    Raises:
+        SchemaError: there is one for which the farm has no use.
+    """
+    shapes = {
+        "gone": (farm.loses_uavs, (frames, farm.world.uavs)),
+        "charge": (farm.battery.some, (frames, farm.world.uavs)),
+        "known": (farm.stress.some, (frames, farm.stress.patches)),
+    }
+    sent = {name: entry for name, entry in shapes.items() if getattr(message, name) is not None}
+    for name, (wanted, _) in sent.items():
+        if not wanted:
+            raise SchemaError(f"array {name} is of no use in this farm.")
+    return {name: shape for name, (_, shape) in sent.items()}
 
 
 def _within(values: NDArray[Any], most: NDArray[np.float64], least: float, name: str) -> None:

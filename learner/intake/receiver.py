@@ -14,10 +14,10 @@ from common.history.history import Entry, History
 from common.incarnation import plausible
 from common.process import log
 from common.protocol import keys
-from common.protocol.chunk_messages import MOST_COUNT, from_request
+from common.protocol.chunk_messages import MOST_COUNT, SETTLED, from_request
 from common.protocol.codec import NO_LIMIT
 from common.protocol.frame import Data
-from common.protocol.messages import SETTLED, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
+from common.protocol.messages import ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from common.team import TeamSpec
 from common.transitions import Chunk
 from common.transport.bus import Incoming, Server

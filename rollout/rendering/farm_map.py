@@ -20,7 +20,18 @@ from numpy.typing import NDArray
 
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
 from rollout.rendering.airspace import WindArrow, make_zones
-from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, SENSOR_MARKERS, SOIL_STOPS, TYPES, ZONE, shade
+from rollout.rendering.palette import (
+    AGE_MAP,
+    COLOURS,
+    END_MARKERS,
+    LINK_DOWN,
+    SENSOR_MARKERS,
+    SOIL_STOPS,
+    STRESS,
+    TYPES,
+    ZONE,
+    shade,
+)
 from rollout.rendering.scene import TRAIL_STEPS, Scene, camera_radius, radio_radius
 from rollout.sim.stations import station_places
 
@@ -36,11 +47,9 @@ FULL: Final = 0.85
 """Opacity of a trail's newest end."""
 FAINT: Final = 0.3
 """Opacity of what is gone, or is not known."""
-UP, DOWN = "0.15", "#EE6677"
-"""Colours of links that are up, and of those that are down."""
+UP: Final = "0.15"
+"""Colour of links that are up."""
 DOTTED: Final = (0, (1.0, 1.6))
-STRESS: Final = "#AA3377"
-"""Colour of patches of stress."""
 
 
 class FarmMap:
@@ -106,7 +115,7 @@ class FarmMap:
         linked = scene.assignment >= 0
         ends = [scene.position[scene.assignment[linked]], scene.position[relays:][linked]]
         self._links.set_segments([*np.stack(ends, axis=1)])
-        self._links.set_color([UP if up else DOWN for up in scene.linked[linked]])
+        self._links.set_color([UP if up else LINK_DOWN for up in scene.linked[linked]])
         self._stress.set_offsets(scene.stress)
         self._stress.set_edgecolor([to_rgba(STRESS, FULL if known else FAINT) for known in scene.known])
         for bars, share in zip(self._batteries, (np.ones_like(scene.charge), scene.charge), strict=False):
@@ -304,7 +313,7 @@ def _events(scene: Scene) -> list[Artist]:
     """Return the symbols of what not every farm has: links that are down, stations, patches of stress, no-fly zones."""
     handles: list[Artist] = []
     if scene.config.relay.require_link:
-        handles.append(Line2D([], [], color=DOWN, linestyle=DOTTED, label="link out of range"))
+        handles.append(Line2D([], [], color=LINK_DOWN, linestyle=DOTTED, label="link out of range"))
     if scene.config.battery.some:
         station = Line2D([], [], marker="H", markersize=9, linestyle="", label="charging station; bar: charge")
         station.set(markerfacecolor="none", markeredgecolor=INK, markeredgewidth=1.4)

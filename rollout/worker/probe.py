@@ -24,6 +24,9 @@ class _Frame:
     aoi: NDArray[np.float64]
     vdf: NDArray[np.float64]
     parts: NDArray[np.float64]
+    gone: NDArray[np.bool_]
+    charge: NDArray[np.float64]
+    known: NDArray[np.bool_]
 
 
 class Probe:
@@ -78,6 +81,9 @@ class Probe:
                 batch.aoi[e].copy(),
                 batch.vdf[e].copy(),
                 batch.parts[e].copy(),
+                batch.gone[e].copy(),
+                batch.charge[e].copy(),
+                batch.patch_known[e].copy(),
             )
         )
         if step == batch.config.world.steps:
@@ -119,4 +125,18 @@ class Probe:
             vdf=np.rint(vdf * (255.0 / world.vdf_max)).astype(np.uint8),
             level=means.astype(np.float32),
             parts=(np.add.reduceat(parts, self._starts, axis=1) / self._counts).astype(np.float32),
+            **self._optional(frames),
         )
+
+    def _optional(self, frames: list[_Frame]) -> dict[str, NDArray[np.uint8]]:
+        """Return the arrays that only farms with failures, batteries or stress send."""
+        config, found = self._batch.config, {}
+        if config.loses_uavs:
+            found["gone"] = np.stack([frame.gone for frame in frames]).astype(np.uint8)
+        if config.battery.some:
+            # The step that empties a battery can take more than was left.
+            share = np.maximum(np.stack([frame.charge for frame in frames]), 0.0) / config.battery.capacity
+            found["charge"] = np.rint(255.0 * share).astype(np.uint8)
+        if config.stress.some:
+            found["known"] = np.stack([frame.known for frame in frames]).astype(np.uint8)
+        return found

@@ -10,9 +10,9 @@ from common.errors import BusClosedError, BusError, ProtocolError
 from common.history.history import Entry, History
 from common.process import QUICK_SECONDS, log
 from common.protocol import keys
-from common.protocol.chunk_messages import fitting, to_message, to_request
+from common.protocol.chunk_messages import MOST_CHUNKS, SETTLED, fitting, to_message, to_request
 from common.protocol.codec import NO_LIMIT
-from common.protocol.messages import MOST_CHUNKS, SETTLED, ChunkAck, Envelope
+from common.protocol.messages import ChunkAck, Envelope
 from common.team import TeamSpec
 from common.transitions import Chunk
 from common.transport.bus import Bus

@@ -13,8 +13,8 @@ import pytest
 
 from common.config import ReplayConfig
 from common.protocol import frame, keys
-from common.protocol.chunk_messages import to_message, to_request
-from common.protocol.messages import MOST_BYTES, MOST_CHUNKS, ChunkMessage, DeliveryMessage, Envelope
+from common.protocol.chunk_messages import MOST_BYTES, MOST_CHUNKS, to_message, to_request
+from common.protocol.messages import ChunkMessage, DeliveryMessage, Envelope
 from common.transitions import Chunk, Rows
 from learner.intake.peer_penalties import LIMIT
 from tests.faults.tools.channel import RUN, TEAM, Parcel, a_chunk, front_door, shut

@@ -18,9 +18,24 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.farm import farm_team
 from common.protocol.messages import ViewMessage, WatchTerms
-from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, PART_COLOURS, SENSOR_MARKERS, SOIL_STOPS, TYPES, ZONE
-from rollout.rendering.scene import TRAIL_STEPS, camera_radius, radio_radius
+from common.protocol.view_checks import NO_RELAY
+from rollout.rendering.palette import (
+    AGE_STOPS,
+    COLOURS,
+    GONE,
+    LABELS,
+    LINK_DOWN,
+    PART_COLOURS,
+    SENSOR_MARKERS,
+    SOIL_STOPS,
+    STRESS,
+    TYPES,
+    ZONE,
+)
+from rollout.rendering.scene import TRAIL_STEPS, camera_radius, links_up, radio_radius
 from rollout.sim.layout import Layout
+from rollout.sim.stations import station_places
+from rollout.sim.stress import patches
 from rollout.sim.wind import wind_series
 
 _LENGTH: Final = struct.Struct("<I")
@@ -90,13 +105,28 @@ def scene(run: str, worker: str, farm: FarmConfig, terms: WatchTerms) -> Packet:
         "soil": list(SOIL_STOPS),
         "trail": TRAIL_STEPS,
         "pace": terms.steps_per_second,
+        **_conditions(farm),
     }
     return pack("scene", fields, {})
 
 
+def _conditions(farm: FarmConfig) -> dict[str, Any]:
+    """Return what the page needs of links, failures, batteries and stress; empty for a farm without them."""
+    found: dict[str, Any] = {}
+    if farm.relay.require_link:
+        found["link_down"] = {"colour": LINK_DOWN, "range": farm.relay.link_range}
+    if farm.loses_uavs:
+        found["gone"] = GONE
+    if farm.battery.some:
+        found["stations"] = station_places(farm).tolist()
+    if farm.stress.some:
+        found["stress"] = {"colour": STRESS, "radius": farm.stress.radius}
+    return found
+
+
 def frames(message: ViewMessage, farm: FarmConfig, layout: Layout, version: int) -> Packet:
-    """Return frames of an episode, with the sensors and no-fly zones of its farm, and the wind of each frame's step."""
-    fields = {
+    """Return frames of an episode, with what the seeds determine: sensors, no-fly zones, wind and patches of stress."""
+    fields: dict[str, Any] = {
         "farm": message.farm,
         # Seeds have up to 63 bits, but numbers in the browser keep 53.
         "episode": str(message.episode),
@@ -115,7 +145,20 @@ def frames(message: ViewMessage, farm: FarmConfig, layout: Layout, version: int)
     if len(wind):
         arrays["wind"] = wind[message.first : message.first + len(message.position)].astype(np.float32)
     arrays["kind"] = layout.sensor_type.astype(np.uint8)
+    arrays |= {name: sent for name in ("gone", "charge", "known") if (sent := getattr(message, name)) is not None}
+    if farm.relay.require_link:
+        arrays["linked"] = _linked(message, farm)
+    if farm.stress.some:
+        place, time = patches(farm, message.farm, message.episode)
+        fields["patches"] = np.concatenate([place, time], axis=1).tolist()
     return pack("frames", fields, arrays, len(message.position))
+
+
+def _linked(message: ViewMessage, farm: FarmConfig) -> NDArray[np.uint8]:
+    """Return 1 for each served UAV whose relay is within range, [F, n_m + n_d]."""
+    relays = np.where(message.assignment == NO_RELAY, -1, message.assignment.astype(np.int64))
+    places = message.position.astype(np.float64)
+    return np.stack([links_up(farm, *frame) for frame in zip(places, relays, strict=True)]).astype(np.uint8)
 
 
 def state(sentence: str, counts: Mapping[str, int]) -> Packet:

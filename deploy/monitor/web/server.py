@@ -22,7 +22,10 @@ PAGE: Final = Path(__file__).parent / "page"
 FILES: Final = {
     "/": ("index.html", "text/html"),
     "/watch.css": ("watch.css", "text/css"),
-    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in ("main", "stream", "past", "field", "charts")},
+    **{
+        f"/{name}.js": (f"{name}.js", "text/javascript")
+        for name in ("main", "stream", "past", "field", "conditions", "marks", "charts")
+    },
 }
 """The paths that are served, with file and content type."""
 STREAM: Final = "/stream"

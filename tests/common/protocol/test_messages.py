@@ -69,6 +69,14 @@ EXAMPLES = [
         parts=np.zeros((2, 3, 7), np.float32),
     ),
 ]
+EXAMPLES.append(
+    dataclasses.replace(
+        next(message for message in EXAMPLES if isinstance(message, ViewMessage)),
+        gone=np.zeros((2, 3), np.uint8),
+        charge=np.full((2, 3), 200, np.uint8),
+        known=np.ones((2, 4), np.uint8),
+    )
+)
 
 
 def test_every_type_is_a_dataclass_with_a_number_of_its_own() -> None:
@@ -105,6 +113,9 @@ def test_a_field_that_is_none_is_left_out():
     plain = next(m for m in EXAMPLES if isinstance(m, ParametersMessage))
     assert plain.memory is None
     assert b"memory" not in plain.encode()
+    view = next(m for m in EXAMPLES if isinstance(m, ViewMessage))
+    assert not any(name in view.encode() for name in (b"gone", b"charge", b"known"))
+    assert ViewMessage.decode(view.encode()).charge is None
 
 
 @pytest.mark.parametrize("memory", [None, 7, ["gru"]])

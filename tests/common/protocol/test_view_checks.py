@@ -9,7 +9,7 @@ from common.errors import SchemaError
 from common.protocol.messages import ViewMessage
 from common.protocol.view_checks import FRAMES, check_view
 from rollout.sim.batch import REWARD_PARTS
-from tests.deploy.monitor.web.stage import CONFIG
+from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG
 
 WORLD = CONFIG.farm.world
 
@@ -31,6 +31,16 @@ def a_view(frames=3):
         vdf=np.zeros((frames, WORLD.plots_x, WORLD.plots_y), np.uint8),
         level=np.zeros((frames, 2), np.float32),
         parts=np.zeros((frames, 3, len(REWARD_PARTS)), np.float32),
+    )
+
+
+def a_view_of_conditions(frames=3):
+    """Return a whole view of the farm with batteries, a UAV that fails, and patches of stress."""
+    return dataclasses.replace(
+        a_view(frames),
+        gone=np.zeros((frames, WORLD.uavs), np.uint8),
+        charge=np.full((frames, WORLD.uavs), 255, np.uint8),
+        known=np.ones((frames, CONDITIONS.farm.stress.patches), np.uint8),
     )
 
 
@@ -71,6 +81,29 @@ def test_what_does_not_fit_is_refused(change):
     """Other shapes, numbers out of range, and numbers that are not finite are SchemaErrors."""
     with pytest.raises(SchemaError):
         check_view(dataclasses.replace(a_view(), **change), CONFIG.farm, len(REWARD_PARTS))
+
+
+@pytest.mark.parametrize("name", ["gone", "charge", "known"])
+def test_an_optional_array_is_of_the_farm_or_missing(name):
+    """A farm that has use for it takes it in its shape, or a worker that does not send it; other farms refuse it."""
+    parts, whole = len(REWARD_PARTS), a_view_of_conditions()
+    array = getattr(whole, name)
+    for sent in (array, None):
+        assert check_view(dataclasses.replace(whole, **{name: sent}), CONDITIONS.farm, parts) is None
+    for odd in (array[:, 1:].copy(), array[:2].copy(), array[0]):
+        with pytest.raises(SchemaError, match=f"array {name} is"):
+            check_view(dataclasses.replace(whole, **{name: odd}), CONDITIONS.farm, parts)
+    with pytest.raises(SchemaError, match=f"array {name} is of no use"):
+        check_view(dataclasses.replace(a_view(), **{name: array}), CONFIG.farm, parts)
+
+
+@pytest.mark.parametrize("name", ["gone", "known"])
+def test_a_flag_is_0_or_1(name):
+    """Other numbers are refused."""
+    whole = a_view_of_conditions()
+    getattr(whole, name).flat[-1] = 2
+    with pytest.raises(SchemaError, match="flag"):
+        check_view(whole, CONDITIONS.farm, len(REWARD_PARTS))
 
 
 def test_too_many_frames_are_refused():

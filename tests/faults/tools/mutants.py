@@ -17,7 +17,7 @@ from common.protocol import codec, frame, messages
 from common.protocol.chunk_messages import from_message, from_request, to_message, to_request
 from common.protocol.view_checks import check_view
 from rollout.sim.batch import REWARD_PARTS
-from tests.common.protocol.test_view_checks import CONFIG, a_view
+from tests.common.protocol.test_view_checks import CONDITIONS, CONFIG, a_view, a_view_of_conditions
 from tests.faults.tools.channel import TEAM, a_chunk, with_log_probabilities
 
 KINDS: Final = tuple(
@@ -66,6 +66,7 @@ def samples() -> dict[str, bytes]:
         "on-policy chunk": on_policy,
         "chunk with states": to_message(remembered, TEAM, 1, 1).encode(),
         "actors with memory": recurrent.encode(),
+        "view of conditions": a_view_of_conditions().encode(),
     }
 
 
@@ -98,12 +99,18 @@ def _read_on_policy(data: bytes) -> None:
     from_message(messages.ChunkMessage.decode(data), TEAM, METRIC_NAMES, on_policy=True)
 
 
+def _read_conditions(data: bytes) -> None:
+    """Read a view as a watcher of a farm with batteries, failures and stress does."""
+    check_view(messages.ViewMessage.decode(data), CONDITIONS.farm, len(REWARD_PARTS))
+
+
 READERS: Final[dict[str, Callable[[bytes], None]]] = {
     **{kind.__name__: functools.partial(_read, kind) for kind in KINDS},
     "request": _read_request,
     "on-policy chunk": _read_on_policy,
     "chunk with states": _read_states,
     "actors with memory": functools.partial(_read, messages.ParametersMessage),
+    "view of conditions": _read_conditions,
 }
 
 

@@ -9,7 +9,8 @@ from matplotlib.collections import PathCollection
 from matplotlib.colors import to_rgb
 
 from common.config import BatteryConfig, FarmConfig, StressConfig
-from rollout.rendering.farm_map import DOWN, STRESS, FarmMap, _bars
+from rollout.rendering.farm_map import FarmMap, _bars
+from rollout.rendering.palette import LINK_DOWN, STRESS
 from rollout.rendering.render import Renderer
 from rollout.rendering.scene import Observer, links_up
 from rollout.rendering.terminal import ALARM, terminal_text
@@ -47,7 +48,7 @@ def test_patches_and_broken_links_are_drawn_where_there_are_any(some):
         config = replace(config, stress=stress, relay=replace(config.relay, require_link=True, link_range=20.0))
     pixels = colours(config, 400)
     assert has(pixels, STRESS) == some
-    assert has(pixels, DOWN) == some
+    assert has(pixels, LINK_DOWN) == some
 
 
 def test_a_scene_has_the_patches_that_there_are_now():

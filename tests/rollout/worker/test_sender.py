@@ -9,8 +9,8 @@ from contextlib import contextmanager, suppress
 import pytest
 
 from common.errors import BusError
-from common.protocol.chunk_messages import from_message, from_request
-from common.protocol.messages import MOST_BYTES, MOST_CHUNKS, ChunkAck, ChunkMessage, DeliveryMessage, Envelope
+from common.protocol.chunk_messages import MOST_BYTES, MOST_CHUNKS, from_message, from_request
+from common.protocol.messages import ChunkAck, ChunkMessage, DeliveryMessage, Envelope
 from rollout.worker import sender as module
 from rollout.worker.sender import Sender
 from tests.faults.tools.channel import RUN, TEAM, a_chunk

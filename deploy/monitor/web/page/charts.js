@@ -1,6 +1,6 @@
 // The charts beside the map: a reward's parts as stacked bars, mean AoI and VDF as lines, colour scales.
 
-import { css, niceStep, prepare, ramp } from "./field.js";
+import { css, niceStep, prepare, ramp } from "./marks.js";
 import { Past } from "./past.js";
 
 const BIN = 5; // steps

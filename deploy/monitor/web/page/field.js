@@ -1,97 +1,11 @@
 // The map: plots by VDF, sensors by AoI, reach, trails, links and UAVs.
 
+import { cross, drawCharges, drawPatches, drawStations, drawWind, drawZones, isGone } from "./conditions.js";
+import { DOWN_DASH, LINK, UAV, css, mark, niceStep, prepare, ramp, rgb, uav } from "./marks.js";
 import { Past } from "./past.js";
 
 const MARGIN = { left: 46, right: 12, top: 10, bottom: 34 };
-const UAV = 11; // half the size of a UAV's mark, pixels
 const NEAR = 14; // distance of the pointer to what it points at, pixels
-
-export function rgb(colour) {
-  return [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
-}
-
-// 256 colours between evenly spaced stops, as [r, g, b].
-export function ramp(stops) {
-  const known = stops.map(rgb);
-  return Array.from({ length: 256 }, (_, level) => {
-    const place = (level / 255) * (known.length - 1);
-    const low = Math.min(Math.floor(place), known.length - 2);
-    return known[low].map((value, c) => Math.round(value + (known[low + 1][c] - value) * (place - low)));
-  });
-}
-
-export function css([r, g, b], alpha = 1) {
-  return `rgba(${r},${g},${b},${alpha})`;
-}
-
-// A canvas in device pixels, drawn on in CSS pixels.
-export function prepare(canvas) {
-  const { width, height } = canvas.getBoundingClientRect();
-  const ratio = window.devicePixelRatio || 1;
-  const [w, h] = [Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio))];
-  if (canvas.width !== w || canvas.height !== h) [canvas.width, canvas.height] = [w, h];
-  const pen = canvas.getContext("2d");
-  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-  pen.clearRect(0, 0, width, height);
-  return { pen, width, height };
-}
-
-// Matplotlib's marks by their letters, as paths around a place.
-const CORNERS = {
-  s: [[-1, -1], [1, -1], [1, 1], [-1, 1]],
-  "^": [[0, -1.2], [1.2, 1], [-1.2, 1]],
-  v: [[0, 1.2], [1.2, -1], [-1.2, -1]],
-  D: [[0, -1.3], [1.3, 0], [0, 1.3], [-1.3, 0]],
-  P: [[-0.42, -1.15], [0.42, -1.15], [0.42, -0.42], [1.15, -0.42], [1.15, 0.42], [0.42, 0.42], [0.42, 1.15],
-    [-0.42, 1.15], [-0.42, 0.42], [-1.15, 0.42], [-1.15, -0.42], [-0.42, -0.42]],
-  X: [[-1, -0.4], [-0.4, -1], [0, -0.5], [0.4, -1], [1, -0.4], [0.5, 0], [1, 0.4], [0.4, 1], [0, 0.5], [-0.4, 1],
-    [-1, 0.4], [-0.5, 0]],
-  "*": Array.from({ length: 10 }, (_, k) => {
-    const [angle, size] = [(k * Math.PI) / 5, k % 2 ? 0.55 : 1.35];
-    return [Math.sin(angle) * size, -Math.cos(angle) * size];
-  }),
-};
-
-export function mark(pen, kind, x, y, size) {
-  pen.beginPath();
-  if (!CORNERS[kind]) pen.arc(x, y, size, 0, 2 * Math.PI);
-  else for (const [dx, dy] of CORNERS[kind]) pen.lineTo(x + dx * size, y + dy * size);
-  pen.closePath();
-}
-
-export const UAV_MARKS = { communication: "P", monitoring: "s", collection: "^" };
-
-// A UAV's mark with an arrowhead towards where it flies; the number stands in it.
-export function uav(pen, type, x, y, size, number, heading) {
-  pen.lineJoin = "round";
-  if (heading) {
-    const [hx, hy] = heading;
-    const [near, far, half] = [size * 1.35, size * 2.25, size * 0.62];
-    pen.beginPath();
-    pen.moveTo(x + hx * far, y + hy * far);
-    pen.lineTo(x + hx * near - hy * half, y + hy * near + hx * half);
-    pen.lineTo(x + hx * near + hy * half, y + hy * near - hx * half);
-    pen.closePath();
-    pen.lineWidth = 2.5;
-    pen.strokeStyle = "#fff";
-    pen.stroke();
-    pen.fillStyle = type.colour;
-    pen.fill();
-  }
-  const wide = type.name === "communication" ? size * 1.12 : size;
-  mark(pen, UAV_MARKS[type.name], x, y, wide);
-  pen.lineWidth = 3;
-  pen.strokeStyle = "#fff";
-  pen.stroke();
-  pen.fillStyle = type.colour;
-  pen.fill();
-  if (number === null) return;
-  pen.fillStyle = "#fff";
-  pen.font = `600 ${size * 1.05}px system-ui, sans-serif`;
-  pen.textAlign = "center";
-  pen.textBaseline = "middle";
-  pen.fillText(number, x, y + (type.name === "collection" ? size * 0.28 : 0.5));
-}
 
 export class Field {
   constructor(canvas, scene) {
@@ -120,14 +34,17 @@ export class Field {
     pen.beginPath();
     pen.rect(this.x(0) - UAV, this.y(fy) - UAV, fx * this.scale + 2 * UAV, fy * this.scale + 2 * UAV);
     pen.clip();
-    this.drawZones(pen, frame);
-    this.drawReach(pen);
+    drawZones(this, pen, frame);
+    drawPatches(this, pen, frame);
+    this.drawReach(pen, frame);
+    drawStations(this, pen);
     this.drawTrails(pen, past, number);
     this.drawSensors(pen, frame);
     this.drawLinks(pen, frame);
     pen.restore();
     this.drawUavs(pen, past, number);
-    this.drawWind(pen, frame);
+    drawCharges(this, pen, frame);
+    drawWind(this, pen, frame);
   }
 
   x(metres) {
@@ -183,55 +100,11 @@ export class Field {
     pen.restore();
   }
 
-  drawZones(pen, frame) {
-    pen.lineWidth = 1.5;
-    pen.strokeStyle = this.scene.zone;
-    pen.fillStyle = css(rgb(this.scene.zone), 0.2);
-    for (const corners of frame.packet.zones) {
-      pen.beginPath();
-      for (const [x, y] of corners) pen.lineTo(this.x(x), this.y(y));
-      pen.closePath();
-      pen.fill();
-      pen.stroke();
-    }
-  }
-
-  // An arrow beside the wind's speed, in the upper left corner of the field.
-  drawWind(pen, frame) {
-    if (!frame.packet.arrays.wind) return;
-    const [x, y] = Past.row(frame, "wind");
-    const speed = Math.hypot(x, y);
-    if (speed < 0.05) return;
-    const [long, left, top] = [(44 * speed) / this.scene.top_speed, this.x(0) + 34, this.y(this.scene.field[1]) + 34];
-    const bearing = (Math.round((Math.atan2(-x, -y) * 180) / Math.PI) + 360) % 360;
-    const text = `wind ${speed.toFixed(1)} m/s from ${String(bearing).padStart(3, "0")}\u00b0`;
-    pen.font = "12px system-ui, sans-serif";
-    pen.textAlign = "left";
-    pen.textBaseline = "middle";
-    pen.fillStyle = "rgba(255,255,255,0.8)";
-    pen.fillRect(left + 26, top - 10, pen.measureText(text).width + 8, 20);
-    pen.fillStyle = "#222";
-    pen.fillText(text, left + 30, top);
-    pen.save();
-    pen.translate(left, top);
-    pen.rotate(Math.atan2(-y, x));
-    pen.strokeStyle = "#222";
-    pen.lineWidth = 3;
-    pen.beginPath();
-    pen.moveTo(-long / 2, 0);
-    pen.lineTo(long / 2, 0);
-    pen.moveTo(long / 2 - 8, -6);
-    pen.lineTo(long / 2, 0);
-    pen.lineTo(long / 2 - 8, 6);
-    pen.stroke();
-    pen.restore();
-  }
-
-  drawReach(pen) {
+  drawReach(pen, frame) {
     pen.lineWidth = 1;
     this.owners.forEach(({ type }, u) => {
       const radius = this.scene.reach[type.name];
-      if (!radius) return;
+      if (!radius || isGone(frame, u)) return;
       const [x, y] = this.places[u];
       pen.beginPath();
       pen.arc(this.x(x), this.y(y), radius * this.scale, 0, 2 * Math.PI);
@@ -276,11 +149,14 @@ export class Field {
 
   drawLinks(pen, frame) {
     const relays = this.scene.types[0].count;
-    pen.strokeStyle = "#222";
-    pen.lineWidth = 1.4;
-    pen.setLineDash([2, 3]);
+    const { link_down: down } = this.scene;
+    const linked = down && Past.row(frame, "linked");
     Past.row(frame, "assignment").forEach((relay, served) => {
       if (relay >= relays) return; // 255: no relay
+      const up = !down || linked[served];
+      pen.strokeStyle = up ? LINK.colour : down.colour;
+      pen.setLineDash(up ? LINK.dash : DOWN_DASH);
+      pen.lineWidth = up ? 1.4 : 1.8;
       pen.beginPath();
       for (const [x, y] of [this.places[relay], this.places[relays + served]]) pen.lineTo(this.x(x), this.y(y));
       pen.stroke();
@@ -304,7 +180,8 @@ export class Field {
     this.headings = this.owners.map((_, u) => this.heading(past, number, u));
     this.owners.forEach(({ type, n }, u) => {
       const [x, y] = this.places[u];
-      uav(pen, type, this.x(x), this.y(y), UAV, n, this.headings[u]);
+      if (isGone(past.at(number), u)) cross(pen, this.scene.gone, this.x(x), this.y(y), UAV * 0.8);
+      else uav(pen, type, this.x(x), this.y(y), UAV, n, this.headings[u]);
     });
   }
 
@@ -328,14 +205,18 @@ export class Field {
   tellUav(frame, u) {
     const { type, n } = this.owners[u];
     const [x, y] = this.places[u];
+    if (isGone(frame, u)) return `${type.label} UAV ${n}\nfailed at x ${x.toFixed(1)} m, y ${y.toFixed(1)} m`;
     const speed = this.headings[u] ? this.headings[u][2] : 0;
     const lines = [`${type.label} UAV ${n}`, `x ${x.toFixed(1)} m, y ${y.toFixed(1)} m`, `${speed.toFixed(1)} m/s`];
     const served = u - this.scene.types[0].count;
     if (served >= 0) {
       const quality = Past.row(frame, "quality")[served];
       const relay = Past.row(frame, "assignment")[served];
-      lines.push(relay < this.scene.types[0].count ? `relay ${relay}, link ${quality.toFixed(1)} dB over noise` : "no relay");
+      const broken = this.scene.link_down && !Past.row(frame, "linked")[served] ? ", out of range" : "";
+      lines.push(relay < this.scene.types[0].count
+        ? `relay ${relay}, link ${quality.toFixed(1)} dB over noise${broken}` : "no relay");
     } else lines.push(`serves ${Past.row(frame, "assignment").filter((relay) => relay === n).length} UAVs`);
+    if (frame.packet.arrays.charge) lines.push(`charge ${(Past.row(frame, "charge")[u] / 2.55).toFixed(0)} %`);
     return lines.join("\n");
   }
 
@@ -352,7 +233,7 @@ export class Field {
     const [px, py] = this.scene.plots;
     const [fx, fy] = this.scene.field;
     const fresh = (name) => Past.row(frame, name).reduce((sum, age) => sum + (age === 0), 0) / Past.row(frame, name).length;
-    const near = (type, x, y) => this.owners.some((owner, u) => owner.type.name === type
+    const near = (type, x, y) => this.owners.some((owner, u) => owner.type.name === type && !isGone(frame, u)
       && Math.hypot(this.places[u][0] - x, this.places[u][1] - y) <= this.scene.reach[type]);
     let [sensors, plots] = [0, 0];
     for (let s = 0; s < sensor.length / 2; s++) sensors += near("collection", sensor[2 * s], sensor[2 * s + 1]);
@@ -361,9 +242,4 @@ export class Field {
     }
     return { fresh: [fresh("aoi"), fresh("vdf")], reach: [sensors / (sensor.length / 2), plots / (px * py)] };
   }
-}
-
-export function niceStep(rough) {
-  const power = 10 ** Math.floor(Math.log10(rough));
-  return [1, 2, 5, 10].map((m) => m * power).find((step) => step >= rough * 0.999);
 }

@@ -1,7 +1,9 @@
 // Wires everything together: packets in, the recent past, where in it we are, and what is drawn.
 
 import { Charts, drawScale } from "./charts.js";
-import { Field, css, mark, prepare, rgb, uav } from "./field.js";
+import { cross, patch, station } from "./conditions.js";
+import { Field } from "./field.js";
+import { DOWN_DASH, LINK, css, mark, prepare, rgb, uav } from "./marks.js";
 import { Past } from "./past.js";
 import { listen } from "./stream.js";
 
@@ -101,10 +103,10 @@ function drawLegend() {
     pen.strokeStyle = type.colour;
     pen.stroke();
   }), text);
-  const stroke = (dash, text) => item(icon((pen) => {
+  const stroke = (dash, text, shade = ink) => item(icon((pen) => {
     pen.setLineDash(dash);
     pen.lineWidth = dash.length ? 1.5 : 3;
-    pen.strokeStyle = ink;
+    pen.strokeStyle = shade;
     pen.moveTo(0, 9);
     pen.lineTo(18, 9);
     pen.stroke();
@@ -113,14 +115,30 @@ function drawLegend() {
   by("signs").replaceChildren(
     ring(monitoring, `camera of a monitoring UAV, ${scene.reach.monitoring.toFixed(0)} m`),
     ring(collection, `half of all packets arrive, ${scene.reach.collection.toFixed(0)} m`),
-    stroke([2, 3], "relay and whom it serves"),
+    stroke(LINK.dash, "relay and whom it serves"),
     stroke([], `trail, last ${scene.trail} steps; arrowhead: heading`),
     ...scene.cycles.map((cycle, kind) => item(icon((pen) => {
       mark(pen, scene.markers[kind], 9, 9, 5);
       pen.fillStyle = "#8a9296";
       pen.fill();
     }), `sensor that measures every ${cycle} s`)),
+    ...conditionSigns(scene, ink, stroke),
   );
+}
+
+// The legend's lines for what only some farms have.
+function conditionSigns(scene, ink, stroke) {
+  const signs = [];
+  const add = (text, draw) => signs.push(item(icon(draw), text));
+  if (scene.link_down) {
+    signs.push(stroke(DOWN_DASH, `link out of range, ${scene.link_down.range.toFixed(0)} m`, scene.link_down.colour));
+  }
+  if (scene.stations) add("charging station; bar: charge of a UAV", (pen) => station(pen, ink, 9, 9, 7));
+  if (scene.gone) add("UAV that has failed", (pen) => cross(pen, scene.gone, 9, 9, 5));
+  if (scene.stress) {
+    add("patch of stress; dashed: not found yet", (pen) => patch(pen, scene.stress.colour, 9, 9, 7, true));
+  }
+  return signs;
 }
 
 function number(value, digits) {

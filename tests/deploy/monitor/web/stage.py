@@ -4,12 +4,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from common.actors import TeamActors
-from common.config import FarmConfig, RunConfig, WorldConfig
+from common.config import BatteryConfig, FarmConfig, RunConfig, StressConfig, WorldConfig
+from common.config.farm import FailureConfig
 from common.config.files import to_toml
 from common.config.run import RolloutConfig
 from common.farm import farm_team
@@ -40,11 +42,22 @@ CONFIG = RunConfig(
     ),
     rollout=RolloutConfig(environments=2, chunk_steps=10, train_farms=3),
 )
+CONDITIONS = replace(
+    CONFIG,
+    farm=replace(
+        CONFIG.farm,
+        stress=StressConfig(patches=4, radius=12.0, seconds=200.0),
+        battery=BatteryConfig(capacity=8_000.0, stations=2),
+        failures=FailureConfig(at="collection 1 at 5"),
+        relay=replace(CONFIG.farm.relay, require_link=True, link_range=40.0),
+    ),
+)
+"""The same farm with all that few farms have: links that count, batteries, a UAV that fails, and patches of stress."""
 
 
-def some_actors() -> TeamActors:
+def some_actors(config: RunConfig = CONFIG) -> TeamActors:
     """Return actors that fly somewhere."""
-    team = farm_team(CONFIG.farm)
+    team = farm_team(config.farm)
     actors = TeamActors.initial(team, 8, seed=0)
     return TeamActors(team, 8, tuple(flat * np.float32(8.0) for flat in actors.flat))
 
@@ -134,6 +147,8 @@ class AWorker:
             self.now += seconds
 
 
-def flying(name: str = "w", endpoint: Endpoint | None = None) -> AbstractContextManager[tuple[Endpoint, ViewService]]:
-    """Fly and show the small farm, as a worker does."""
-    return pictures.flying(CONFIG, some_actors(), RUN, name, endpoint, noise=0.1)
+def flying(
+    name: str = "w", endpoint: Endpoint | None = None, config: RunConfig = CONFIG
+) -> AbstractContextManager[tuple[Endpoint, ViewService]]:
+    """Fly and show a small farm, as a worker does."""
+    return pictures.flying(config, some_actors(config), RUN, name, endpoint, noise=0.1)

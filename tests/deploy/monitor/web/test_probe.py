@@ -8,7 +8,7 @@ from common.config import ControlConfig
 from common.protocol.view_checks import FRAMES, check_view
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
 from rollout.worker.probe import HELD, Probe
-from tests.deploy.monitor.web.stage import CONFIG, a_collector, some_actors
+from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG, a_collector, some_actors
 
 WORLD = CONFIG.farm.world
 
@@ -49,6 +49,46 @@ def test_frames_are_the_simulators_states():
         np.testing.assert_allclose(message.level[i], [aoi.mean(), vdf.mean()], rtol=1e-6)
         by_type = [reward[:1].mean(), reward[1:3].mean(), reward[3:].mean()]
         np.testing.assert_allclose(message.parts[i].sum(axis=1), by_type, rtol=1e-4, atol=1e-5)
+
+
+def test_a_frame_has_what_only_some_farms_have():
+    """Failures, charge and the patches that the team knows are the simulator's; other farms send none of them."""
+    farm = CONDITIONS.farm
+    batch, random = FarmBatch(farm, 1), np.random.default_rng(0)
+    probe = Probe(batch, 0)
+    batch.reset(0, 4, 7)
+    probe.open(at_once=True)
+    gone, charge, known = [], [], []
+    for _ in range(WORLD.steps):
+        batch.step(random.uniform(-1, 1, (1, batch.team.environment_action_size)).astype(np.float32))
+        probe.record()
+        for states, now in ((gone, batch.gone), (charge, batch.charge), (known, batch.patch_known)):
+            states.append(now[0].copy())
+    messages = probe.take(0, 0.0, False)
+    for message in messages:
+        check_view(message, farm, len(REWARD_PARTS))
+    np.testing.assert_array_equal(np.concatenate([message.gone for message in messages]), gone)
+    np.testing.assert_array_equal(np.concatenate([message.known for message in messages]), known)
+    shares = np.concatenate([message.charge for message in messages]) / 255
+    np.testing.assert_allclose(shares, np.array(charge) / farm.battery.capacity, atol=0.5 / 255)
+    assert [int(np.sum(flags)) for flags in (gone[3], gone[4])] == [0, 1]
+    assert 0.0 < shares[-1].min() < shares[0].min()
+    assert 0 < np.sum(known) < np.size(known)
+    (plain,), _ = flown(5)
+    assert (plain.gone, plain.charge, plain.known) == (None, None, None)
+
+
+def test_an_empty_battery_is_an_empty_bar():
+    """The step that empties a battery takes more than is left; what is shown ends at 0."""
+    batch = FarmBatch(replace(CONDITIONS.farm, battery=replace(CONDITIONS.farm.battery, capacity=1.0)), 1)
+    probe = Probe(batch, 0)
+    batch.reset(0, 4, 7)
+    probe.open(at_once=True)
+    batch.step(np.ones((1, batch.team.environment_action_size), np.float32))
+    probe.record()
+    (message,) = probe.take(0, 0.0, False)
+    assert batch.charge.max() < 0.0
+    assert not message.charge.any()
 
 
 def test_how_uavs_are_controlled_changes_no_frame():

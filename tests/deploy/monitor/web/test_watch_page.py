@@ -10,7 +10,7 @@ import pytest
 from experiments.pictures import serving
 from rollout.rendering.palette import AGE_STOPS, SOIL_STOPS, rgb
 from rollout.sim.layout import make_layout
-from tests.deploy.monitor.web.stage import CONFIG, RUN, flying, until
+from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG, RUN, flying, until
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
@@ -25,10 +25,10 @@ if (f.step > 5 && new Set(a.subarray(f.i * w, (f.i + 1) * w)).size > 1) return n
 
 
 @contextmanager
-def looking():
+def looking(config=CONFIG):
     """Open the page of a worker that flies; yield the page, the worker and what the browser complained of."""
     with (
-        flying() as (endpoint, view_service),
+        flying(config=config) as (endpoint, view_service),
         serving(endpoint, RUN) as address,
         playwright.sync_playwright() as driver,
     ):
@@ -48,15 +48,7 @@ def looking():
 def test_the_page_shows_what_the_worker_flies():
     """Numbers, colours on the map and words are those of the frames; pause, slider and speeds do what they say."""
     with looking() as (page, view_service, complaints):
-        page.click("#play")
-        until(lambda: page.inner_text("#play") == "play", "the pause")
-        target = until(lambda: page.evaluate(VARIED), "a frame with plots of several ages")
-        until(lambda: int(page.get_attribute("#slider", "max")) >= target, "the slider's new end")
-        page.evaluate(
-            "n => { const s = document.getElementById('slider'); s.value = n; s.dispatchEvent(new Event('input')) }",
-            target,
-        )
-        until(lambda: page.evaluate("Math.floor(watching.view.head)") == target, "the jump")
+        jump(page, VARIED, "a frame with plots of several ages")
         frame = page.evaluate(
             """() => { const f = watching.past.at(Math.floor(watching.view.head)); const a = f.packet.arrays;
             const row = (n) => { const w = a[n].length / a[n].shape[0];
@@ -85,6 +77,19 @@ def test_the_page_shows_what_the_worker_flies():
         assert "run watched, worker w" in page.inner_text("#who")
         assert view_service.watchers == 1
         assert complaints == []
+
+
+def jump(page, wanted, what):
+    """Pause at the frame whose number a script finds."""
+    page.click("#play")
+    until(lambda: page.inner_text("#play") == "play", "the pause")
+    target = until(lambda: page.evaluate(wanted), what)
+    until(lambda: int(page.get_attribute("#slider", "max")) >= target, "the slider's new end")
+    page.evaluate(
+        "n => { const s = document.getElementById('slider'); s.value = n; s.dispatchEvent(new Event('input')) }",
+        target,
+    )
+    until(lambda: page.evaluate("Math.floor(watching.view.head)") == target, "the jump")
 
 
 def colours_match(page, frame):
@@ -144,9 +149,10 @@ The footer is left out of the latter: it stays at the bottom while the rest of a
 """
 
 
-def test_nothing_overlaps_or_sticks_out():
+@pytest.mark.parametrize("config", [CONFIG, CONDITIONS])
+def test_nothing_overlaps_or_sticks_out(config):
     """In wide and in narrow windows nothing lies over another or runs out of its box, and controls can be reached."""
-    with looking() as (page, _, complaints):
+    with looking(config) as (page, _, complaints):
         for width, height in ((1440, 900), (1024, 768), (420, 860)):
             page.set_viewport_size({"width": width, "height": height})
             sticking = page.evaluate(

@@ -1,0 +1,130 @@
+// What only some farms have: no-fly zones, wind, patches of stress, charging stations, batteries and UAVs that failed.
+
+import { LINK, UAV, css, rgb } from "./marks.js";
+import { Past } from "./past.js";
+
+const STATION = 15; // half the size of a station's mark, pixels: more than a UAV's, which may stand on it
+const BAR = { width: 24, height: 5, below: UAV + 5 }; // of a UAV's charge, pixels
+
+export function drawZones(field, pen, frame) {
+  pen.lineWidth = 1.5;
+  pen.strokeStyle = field.scene.zone;
+  pen.fillStyle = css(rgb(field.scene.zone), 0.2);
+  for (const corners of frame.packet.zones) {
+    pen.beginPath();
+    for (const [x, y] of corners) pen.lineTo(field.x(x), field.y(y));
+    pen.closePath();
+    pen.fill();
+    pen.stroke();
+  }
+}
+
+// An arrow beside the wind's speed, in the upper left corner of the field.
+export function drawWind(field, pen, frame) {
+  if (!frame.packet.arrays.wind) return;
+  const [x, y] = Past.row(frame, "wind");
+  const speed = Math.hypot(x, y);
+  if (speed < 0.05) return;
+  const [long, left, top] = [(44 * speed) / field.scene.top_speed, field.x(0) + 34, field.y(field.scene.field[1]) + 34];
+  const bearing = (Math.round((Math.atan2(-x, -y) * 180) / Math.PI) + 360) % 360;
+  const text = `wind ${speed.toFixed(1)} m/s from ${String(bearing).padStart(3, "0")}\u00b0`;
+  pen.font = "12px system-ui, sans-serif";
+  pen.textAlign = "left";
+  pen.textBaseline = "middle";
+  pen.fillStyle = "rgba(255,255,255,0.8)";
+  pen.fillRect(left + 26, top - 10, pen.measureText(text).width + 8, 20);
+  pen.fillStyle = "#222";
+  pen.fillText(text, left + 30, top);
+  pen.save();
+  pen.translate(left, top);
+  pen.rotate(Math.atan2(-y, x));
+  pen.strokeStyle = "#222";
+  pen.lineWidth = 3;
+  pen.beginPath();
+  pen.moveTo(-long / 2, 0);
+  pen.lineTo(long / 2, 0);
+  pen.moveTo(long / 2 - 8, -6);
+  pen.lineTo(long / 2, 0);
+  pen.lineTo(long / 2 - 8, 6);
+  pen.stroke();
+  pen.restore();
+}
+
+// Patches that are there at a frame's step: [x, y, whether the team knows it] each.
+export function patchesAt(frame) {
+  const { patches, arrays } = frame.packet;
+  if (!patches) return [];
+  const known = arrays.known ? Past.row(frame, "known") : null;
+  return patches.flatMap(([x, y, first, end], k) =>
+    first <= frame.step && frame.step < end ? [[x, y, Boolean(known && known[k])]] : []);
+}
+
+// A tinted disc; fainter and with a dashed edge while the team does not know it.
+export function patch(pen, colour, x, y, radius, known) {
+  pen.beginPath();
+  pen.arc(x, y, radius, 0, 2 * Math.PI);
+  pen.fillStyle = css(rgb(colour), known ? 0.26 : 0.12);
+  pen.fill();
+  pen.setLineDash(known ? [] : [5, 4]);
+  pen.lineWidth = 1.6;
+  pen.strokeStyle = css(rgb(colour), known ? 0.85 : 0.5);
+  pen.stroke();
+  pen.setLineDash([]);
+}
+
+export function drawPatches(field, pen, frame) {
+  const { stress } = field.scene;
+  for (const [x, y, known] of patchesAt(frame)) {
+    patch(pen, stress.colour, field.x(x), field.y(y), stress.radius * field.scale, known);
+  }
+}
+
+// A hexagon, as in the other pictures.
+export function station(pen, colour, x, y, size) {
+  pen.beginPath();
+  for (let k = 0; k < 6; k++) {
+    const angle = (k * Math.PI) / 3;
+    pen.lineTo(x + size * Math.cos(angle), y + size * Math.sin(angle));
+  }
+  pen.closePath();
+  pen.lineWidth = 1.6;
+  pen.strokeStyle = colour;
+  pen.stroke();
+}
+
+export function drawStations(field, pen) {
+  for (const [x, y] of field.scene.stations || []) station(pen, LINK.colour, field.x(x), field.y(y), STATION);
+}
+
+export function isGone(frame, u) {
+  return Boolean(frame.packet.arrays.gone) && Past.row(frame, "gone")[u] === 1;
+}
+
+// Where a UAV has failed.
+export function cross(pen, colour, x, y, size) {
+  pen.lineCap = "round";
+  for (const [width, stroke] of [[6, "#fff"], [3, colour]]) {
+    pen.lineWidth = width;
+    pen.strokeStyle = stroke;
+    pen.beginPath();
+    for (const side of [-1, 1]) {
+      pen.moveTo(x - size, y - side * size);
+      pen.lineTo(x + size, y + side * size);
+    }
+    pen.stroke();
+  }
+  pen.lineCap = "butt";
+}
+
+export function drawCharges(field, pen, frame) {
+  if (!frame.packet.arrays.charge) return;
+  const charge = Past.row(frame, "charge");
+  field.places.forEach(([x, y], u) => {
+    if (isGone(frame, u)) return;
+    const [left, top] = [field.x(x) - BAR.width / 2, field.y(y) + BAR.below];
+    pen.fillStyle = "#fff";
+    pen.fillRect(left - 1, top - 1, BAR.width + 2, BAR.height + 2);
+    pen.fillStyle = LINK.colour;
+    pen.fillRect(left, top, (BAR.width * charge[u]) / 255, BAR.height);
+  });
+}

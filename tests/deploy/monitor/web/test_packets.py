@@ -1,0 +1,84 @@
+"""What the browser gets of a farm: nothing of what the farm does not have, and everything of what it has."""
+
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+
+from common.protocol.messages import WatchTerms
+from common.protocol.view_checks import NO_RELAY
+from deploy.monitor.web import packets
+from rollout.rendering.palette import GONE, LINK_DOWN, STRESS
+from rollout.sim.batch import REWARD_PARTS
+from rollout.sim.layout import make_layout
+from rollout.sim.stations import station_places
+from rollout.sim.stress import patches
+from tests.common.protocol.test_view_checks import a_view, a_view_of_conditions
+from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG
+
+TERMS = WatchTerms("", REWARD_PARTS, 4.0, 25.0)
+DTYPES = {"f4": np.float32, "u1": np.uint8}
+
+
+def unpacked(packet):
+    """Return a packet's header and its arrays."""
+    (length,) = struct.unpack_from("<I", packet.data)
+    header = json.loads(packet.data[4 : 4 + length])
+    arrays = {}
+    for name, dtype, shape, place in header["arrays"]:
+        flat = np.frombuffer(packet.data, DTYPES[dtype], int(np.prod(shape)), 4 + length + place)
+        arrays[name] = flat.reshape(shape)
+    return header, arrays
+
+
+def frames(message, farm):
+    return unpacked(packets.frames(message, farm, make_layout(farm, message.farm), 3))
+
+
+def test_a_farm_without_conditions_sends_nothing_of_them():
+    """Scene and frames have the fields and arrays that they had before there were any of these."""
+    scene, _ = unpacked(packets.scene("run", "w", CONFIG.farm, TERMS))
+    assert not {"link_down", "gone", "stations", "stress"} & set(scene)
+    header, arrays = frames(a_view(), CONFIG.farm)
+    assert "patches" not in header
+    sent = ["position", "assignment", "quality", "aoi", "vdf", "level", "parts", "sensor", "kind"]
+    assert [*arrays] == sent
+
+
+def test_a_scene_says_what_the_farm_has():
+    """Stations, radii and colours are those of the configuration and of the other pictures."""
+    scene, _ = unpacked(packets.scene("run", "w", CONDITIONS.farm, TERMS))
+    assert scene["stations"] == station_places(CONDITIONS.farm).tolist()
+    assert scene["stress"] == {"colour": STRESS, "radius": 12.0}
+    assert scene["link_down"] == {"colour": LINK_DOWN, "range": 40.0}
+    assert scene["gone"] == GONE
+
+
+def test_frames_have_the_patches_of_their_episode():
+    """Place and time come from the seeds, what the team knows from the message."""
+    message = a_view_of_conditions()
+    header, arrays = frames(message, CONDITIONS.farm)
+    place, time = patches(CONDITIONS.farm, message.farm, message.episode)
+    np.testing.assert_allclose(np.array(header["patches"]), np.concatenate([place, time], axis=1))
+    for name in ("gone", "charge", "known"):
+        np.testing.assert_array_equal(arrays[name], getattr(message, name))
+
+
+def test_links_are_up_within_their_range():
+    """The range is a distance in space; a UAV without a relay has no link."""
+    message = a_view_of_conditions(2)
+    position, assignment = message.position.copy(), message.assignment.copy()
+    position[:, 0] = 0.0, 0.0
+    position[0, 1:] = [[39.9, 0.0], [40.1, 0.0], [39.9, 0.0], [1.0, 0.0]]  # data collection flies lower
+    position[1, 1:] = 1.0, 0.0
+    assignment[1, 2] = NO_RELAY
+    _, arrays = frames(replace(message, position=position, assignment=assignment), CONDITIONS.farm)
+    assert arrays["linked"].tolist() == [[1, 0, 0, 1], [1, 1, 0, 1]]
+
+
+def test_views_of_earlier_workers_are_shown():
+    """A worker that sends neither failures nor charge is shown without them."""
+    header, arrays = frames(a_view(), CONDITIONS.farm)
+    assert len(header["patches"]) == CONDITIONS.farm.stress.patches
+    assert not {"gone", "charge", "known"} & set(arrays)
