@@ -19,8 +19,18 @@ from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
-from rollout.rendering.airspace import WindArrow, make_zones
-from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, SENSOR_MARKERS, SOIL_STOPS, TYPES, ZONE, shade
+from rollout.rendering.airspace import WindArrow, make_areas, make_zones
+from rollout.rendering.palette import (
+    AGE_MAP,
+    COLOURS,
+    END_MARKERS,
+    SENSOR_MARKERS,
+    SOIL_STOPS,
+    STRESS,
+    TYPES,
+    ZONE,
+    shade,
+)
 from rollout.rendering.scene import TRAIL_STEPS, Scene, camera_radius, radio_radius
 from rollout.sim.stations import station_places
 
@@ -39,8 +49,6 @@ FAINT: Final = 0.3
 UP, DOWN = "0.15", "#EE6677"
 """Colours of links that are up, and of those that are down."""
 DOTTED: Final = (0, (1.0, 1.6))
-STRESS: Final = "#AA3377"
-"""Colour of patches of stress."""
 
 
 class FarmMap:
@@ -63,7 +71,7 @@ class FarmMap:
         axes.tick_params(labelsize=8, colors=INK)
         axes.set_xlabel("x, m", **SMALL)
         axes.set_ylabel("y, m", labelpad=1, **SMALL)
-        self._zones = make_zones(axes)
+        self._zones, self._areas = make_zones(axes), make_areas(axes, scene.config)
         self._wind = WindArrow(axes, max(world.speed_x_max, world.speed_y_max))
         self._circles = self._make_circles(scene)
         self._links = LineCollection([], linewidths=1.1, linestyles=DOTTED, zorder=3)
@@ -78,9 +86,10 @@ class FarmMap:
         self._plots: tuple[slice, slice, Indices, Indices] | None = None
         self.artists: tuple[Any, ...] = (
             self._zones,
+            *([self._areas] if scene.config.stress.faster else []),
             *self._circles,
             *stations,
-            *([self._stress] if scene.config.stress.some else []),
+            *([self._stress] if scene.config.stress.patches else []),
             self._links,
             self._trails,
             *self._sensors,
@@ -301,7 +310,7 @@ def make_legend(figure: Figure, scene: Scene, corner: tuple[float, float]) -> No
 
 
 def _events(scene: Scene) -> list[Artist]:
-    """Return the symbols of what not every farm has: links that are down, stations, patches of stress, no-fly zones."""
+    """Return the symbols of what not every farm has: links that are down, stations, stress, no-fly zones."""
     handles: list[Artist] = []
     if scene.config.relay.require_link:
         handles.append(Line2D([], [], color=DOWN, linestyle=DOTTED, label="link out of range"))
@@ -309,7 +318,9 @@ def _events(scene: Scene) -> list[Artist]:
         station = Line2D([], [], marker="H", markersize=9, linestyle="", label="charging station; bar: charge")
         station.set(markerfacecolor="none", markeredgecolor=INK, markeredgewidth=1.4)
         handles.append(station)
-    if scene.config.stress.some:
+    if scene.config.stress.faster:
+        handles.append(Patch(facecolor="none", edgecolor=STRESS, linewidth=1.8, label="area of faster growth"))
+    if scene.config.stress.patches:
         patch = Line2D([], [], marker="o", markersize=9, linestyle="", label="patch of stress; faint: not known")
         patch.set(markerfacecolor="none", markeredgecolor=STRESS, markeredgewidth=1.8)
         handles.append(patch)

@@ -34,6 +34,8 @@ SOIL_STOPS: Final = ("#FCF9F1", "#EBDCB9", "#CBAA75")
 """Colours of a plot from the freshest image to the oldest."""
 ZONE: Final = "#B2182B"
 """Colour of a no-fly zone."""
+STRESS: Final = "#AA3377"
+"""Colour of patches and areas of stress."""
 PART_COLOURS: Final = ("#4477AA", "#BBBBBB", "#EE6677", "#AA3377", "#228833", "#66CCEE", "#CCBB44", "#994455")
 """Colours of a reward's parts in their order: Tol's "bright" set, legible on light and dark, and a dark red of his."""
 

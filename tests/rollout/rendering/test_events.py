@@ -9,7 +9,8 @@ from matplotlib.collections import PathCollection
 from matplotlib.colors import to_rgb
 
 from common.config import BatteryConfig, FarmConfig, StressConfig
-from rollout.rendering.farm_map import DOWN, STRESS, FarmMap, _bars
+from rollout.rendering.farm_map import DOWN, FarmMap, _bars
+from rollout.rendering.palette import STRESS
 from rollout.rendering.render import Renderer
 from rollout.rendering.scene import Observer, links_up
 from rollout.rendering.terminal import ALARM, terminal_text
@@ -58,6 +59,17 @@ def test_a_scene_has_the_patches_that_there_are_now():
     lives = (first <= 200) & (end > 200)
     assert np.array_equal(scene.stress, farms.patch_place[0, lives])
     assert np.array_equal(scene.known, farms.patch_known[0, lives])
+
+
+def test_areas_are_drawn_in_pictures_and_in_the_terminal():
+    """Their outlines are there without any patch, and those of areas of growth 1 are not."""
+    outline = ((100.0, 100.0), (220.0, 100.0), (220.0, 220.0), (100.0, 220.0))
+    for growth, some in ((1, False), (2, True)):
+        config = FarmConfig(stress=StressConfig(areas=((growth, outline),)))
+        assert has(colours(config, 1), STRESS) == some
+        text = terminal_text(Observer(flown(config, 1), 0).scene(), 60)
+        assert ("area of faster growth" in text.plain) == some
+        assert any(STRESS.lower() in str(span.style).lower() for span in text.spans[:-1]) == some
 
 
 def test_a_link_is_up_within_its_range():
