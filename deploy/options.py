@@ -15,6 +15,7 @@ from common.config import RunConfig
 from common.config.algorithms import switched
 from common.config.effect import switched_off, without_effect
 from common.config.farm.sites import Sites
+from common.config.farm.stress import Areas
 from common.config.farm.zones import Zones
 from common.config.files import from_toml
 from common.config.former import refuse_ablation
@@ -37,8 +38,8 @@ NO_FARM: Final = "--farm-file needs the farm, and this run uses {}."
 
 @_REGISTRY.struct_rule
 def _hide_sites(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """Make no option for sensor positions and zones: there may be thousands, and `--farm-file` reads them."""
-    return StructConstructorSpec(lambda: info.default, ()) if info.type in (Sites, Zones) else None
+    """Make no option for sensor positions, zones and areas: there may be thousands, and `--farm-file` reads them."""
+    return StructConstructorSpec(lambda: info.default, ()) if info.type in (Sites, Zones, Areas) else None
 
 
 def base_configuration(arguments: Sequence[str], default: str = "default") -> RunConfig:

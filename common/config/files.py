@@ -11,21 +11,23 @@ import json
 import re
 import sys
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from common.config.algorithms import ALGORITHM_CONFIGS, switched
 from common.config.effect import without_effect
+from common.config.farm.polygons import MAX_CORNERS
 from common.config.farm.sites import MAX_SENSORS, Sites
-from common.config.farm.zones import MAX_CORNERS, MAX_ZONES, Zones
+from common.config.farm.stress import MAX_AREAS, Area, Areas
+from common.config.farm.zones import MAX_ZONES, Zones
 from common.config.former import refuse_ablation, upgraded
 from common.config.run import EvaluationConfig, LearnerConfig, RunConfig
 from common.errors import ConfigError
 
 _TYPE_NAMES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
 
-Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], ...] | Zones
+Value = bool | int | float | str | tuple[float, ...] | tuple[tuple[float, ...], ...] | Zones | Areas
 """The value of an option."""
 
 _KEY: Final = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*")
@@ -50,6 +52,7 @@ LATER: Final[Mapping[str, Value]] = {
     "farm.observation.wind": False,
     "farm.observation.zones": False,
     "farm.reward.relayed": 0.0,
+    "farm.stress.areas": (),
     "farm.stress.growth": 3,
     "farm.stress.patches": 0,
     "farm.stress.radius": 60.0,
@@ -169,7 +172,7 @@ def method_of(config: RunConfig) -> RunConfig:
     return dataclasses.replace(config, learner=LearnerConfig(), evaluation=EvaluationConfig())
 
 
-def format_value(value: Value) -> str:
+def format_value(value: Value | Area) -> str:
     """Return a field's value as TOML writes it."""
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -260,10 +263,9 @@ def _convert(key: str, value: Any, wanted: Any) -> Value:
         if value not in choices or type(value) is not type(choices[0]):
             raise ConfigError(f"{key} must be one of {', '.join(map(format_value, choices))}, not {_show(value)}.")
         return choices[choices.index(value)]
-    if wanted == Sites:
-        return _sites(key, value)
-    if wanted == Zones:
-        return _zones(key, value)
+    lists: dict[Any, Callable[[str, Any], Value]] = {Sites: _sites, Zones: _zones, Areas: _areas}
+    if wanted in lists:
+        return lists[wanted](key, value)
     if get_origin(wanted) is tuple:
         if not isinstance(value, list) or any(type(item) is not int for item in value):
             raise ConfigError(f"{key} must be a list of whole numbers, not {_show(value)}.")
@@ -300,6 +302,17 @@ def _zones(key: str, value: Any) -> Zones:
                 f"{key} must be a list of lists of at most {MAX_CORNERS} corners, not of {_show(polygon)}."
             )
     return tuple(_sites(key, polygon) for polygon in value)
+
+
+def _areas(key: str, value: Any) -> Areas:
+    """Return a TOML list of areas, a growth and corners each; StressConfig checks their values."""
+    if not isinstance(value, list) or len(value) > MAX_AREAS:
+        raise ConfigError(f"{key} must be a list of at most {MAX_AREAS} areas, not {_show(value)}.")
+    for area in value:
+        if not isinstance(area, list) or len(area) != 2 or type(area[0]) is not int:
+            raise ConfigError(f"{key} must be a list of areas [growth, corners], growth a whole number.")
+    polygons = _zones(key, [corners for _, corners in value])
+    return tuple((growth, corners) for (growth, _), corners in zip(value, polygons, strict=True))
 
 
 def _brief(value: Value) -> str:

@@ -11,7 +11,7 @@ from common.config import FarmConfig, WorldConfig
 from common.config.farm.world import Density
 from common.errors import UsageError
 from deploy.reports.plots import DPI, TEXT
-from rollout.rendering.airspace import draw_zones
+from rollout.rendering.airspace import draw_outlines
 from rollout.rendering.palette import SENSOR_MARKERS
 from rollout.sim.layout import GIVEN, Layout, make_layout
 
@@ -41,7 +41,7 @@ def draw_farm(config: FarmConfig, seed: int, path: Path) -> None:
         axes.axvline(x * world.field_x / world.plots_x, color="0.92", linewidth=0.6, zorder=0)
     for y in range(1, world.plots_y):
         axes.axhline(y * world.field_y / world.plots_y, color="0.92", linewidth=0.6, zorder=0)
-    draw_zones(axes, layout)
+    draw_outlines(axes, config, layout)
     _scatter(axes, layout, world, 16.0)
     axes.set(xlabel="x, m", ylabel="y, m")
     what = "given places" if layout.density == GIVEN else layout.density

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from common.environment import EpisodeMetric
 from common.farm import farm_team
 from rollout.evaluation import Trajectory
-from rollout.rendering.airspace import WindArrow, draw_zones
+from rollout.rendering.airspace import WindArrow, draw_outlines
 from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, LABELS, SENSOR_MARKERS, STYLES, TYPES, LineStyle
 from rollout.sim.layout import make_layout
 from rollout.sim.wind import wind_series
@@ -169,7 +169,7 @@ def _map(axes: Axes, trajectory: Trajectory, *, fading: bool, size: float = 1.0)
         vmax=world.vdf_max,
         zorder=0,
     )
-    draw_zones(axes, make_layout(trajectory.config, trajectory.farm))
+    draw_outlines(axes, trajectory.config, make_layout(trajectory.config, trajectory.farm))
     if trajectory.config.wind.some:
         series = wind_series(trajectory.config, trajectory.farm, trajectory.episode)
         WindArrow(axes, max(world.speed_x_max, world.speed_y_max)).update(series.mean(axis=0))

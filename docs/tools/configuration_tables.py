@@ -11,6 +11,7 @@ from common.config import ALGORITHM_CONFIGS, AlgorithmConfig, RunConfig
 from common.config.ablations import ABLATIONS
 from common.config.algorithms import OPTIONAL_SECTIONS
 from common.config.farm.sites import Sites
+from common.config.farm.stress import Areas
 from common.config.farm.zones import Zones
 from common.config.files import flatten, format_value
 from common.config.presets import PRESETS
@@ -150,6 +151,8 @@ def _type(wanted: Any) -> str:
         return "list of places"
     if wanted == Zones:
         return "list of polygons"
+    if wanted == Areas:
+        return "list of [growth, polygon]"
     if get_origin(wanted) is tuple:
         return "list of integers"
     return {bool: "boolean", int: "integer", float: "number", str: "text"}[wanted]

@@ -47,20 +47,25 @@ def write_farm(path: Path, farm: FarmConfig, seed: int, corner: tuple[float, flo
         corner: longitude and latitude of the field's south-west corner, degrees; GeoJSON only.
 
     Raises:
-        ConfigError: the file cannot be written, another ending, a corner that is no place, or no-fly zones in CSV.
+        ConfigError: the file cannot be written, another ending, a corner that is no place, or no-fly zones or areas
+            in CSV.
     """
     kind = _format_of(path)
     layout, world = make_layout(farm, seed), farm.world
     cycles = [world.sensor_cycles[sensor] for sensor in layout.sensor_type.tolist()]
     if kind == CSV and layout.zones:
         raise ConfigError(f"the farm file {path} cannot hold no-fly zones; one that ends in .geojson can.")
+    if kind == CSV and farm.stress.areas:
+        raise ConfigError(f"the farm file {path} cannot hold areas with a growth; one that ends in .geojson can.")
     if kind == CSV:
         text = format_csv([(x, y) for x, y in layout.sensor_xy.tolist()], cycles, (world.field_x, world.field_y))
     else:
         size = world.field_x, world.field_y
-        places = [layout.sensor_xy, *layout.zones]
-        points, corners, zones = _on_earth(places, size, corner)
-        text = format_geojson(points, cycles, corners, zones)
+        places = [layout.sensor_xy, *layout.zones, *(np.array(area) for _, area in farm.stress.areas)]
+        points, corners, polygons = _on_earth(places, size, corner)
+        zones, outlines = polygons[: len(layout.zones)], polygons[len(layout.zones) :]
+        areas = zip((growth for growth, _ in farm.stress.areas), outlines, strict=True)
+        text = format_geojson(points, cycles, corners, zones, areas)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

@@ -1,7 +1,7 @@
 """Farms as GeoJSON (RFC 7946): a FeatureCollection of Points and Polygons, WGS 84.
 
-Points are sensors. Polygons with the property "no_fly": true are no-fly zones. At most one other Polygon is the
-field's boundary.
+Points are sensors. Polygons with the property "no_fly": true are no-fly zones, and those with a "growth" are areas in
+which counters rise so many times as often. At most one other Polygon is the field's boundary.
 """
 
 import json
@@ -10,11 +10,12 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final, NoReturn
 
+from common.config.farm.polygons import MAX_CORNERS as POLYGON_CORNERS
 from common.config.farm.sites import MAX_SENSORS
-from common.config.farm.zones import MAX_CORNERS as ZONE_CORNERS
+from common.config.farm.stress import MAX_AREAS, MOST_GROWTH
 from common.config.farm.zones import MAX_ZONES
 from common.errors import ConfigError
-from rollout.farm_files.survey import MARKS, Mark, Pair, Survey, quote
+from rollout.farm_files.survey import MARKS, Area, Mark, Pair, Survey, quote
 
 MAX_CORNERS: Final = 10_000
 """Most corners of a field's boundary."""
@@ -60,6 +61,7 @@ def parse_geojson(text: str, name: str) -> Survey:
         tuple(collection.marks),
         boundary=collection.boundary,
         zones=collection.zones,
+        areas=collection.areas,
     )
 
 
@@ -123,7 +125,7 @@ class _Document:
 
 
 class _Collection:
-    """Sensors, boundary and no-fly zones, feature by feature."""
+    """Sensors, boundary, no-fly zones and areas of faster growth, feature by feature."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -134,6 +136,7 @@ class _Collection:
         self.marks: list[int] = []
         self.boundary: list[Pair] = []
         self.zones: list[list[Pair]] = []
+        self.areas: list[Area] = []
         self._here = ""
 
     def add(self, feature: Any, line: int) -> None:
@@ -152,7 +155,8 @@ class _Collection:
             self.where.append(self._here)
             self._take_mark(feature.get("properties"))
         elif kind == "Polygon":
-            self._take_polygon(geometry.get("coordinates"), feature.get("properties"))
+            properties = feature.get("properties")
+            self._take_polygon(geometry.get("coordinates"), properties if isinstance(properties, dict) else {})
         else:
             what = f"a geometry {quote(kind)}" if isinstance(kind, str) else "no geometry"
             self._refuse(f"{what}, where a sensor is a Point and the field's boundary a Polygon.")
@@ -172,19 +176,34 @@ class _Collection:
                 self._refuse(f"the {mark} must be a whole number from {low} to {high}, not {_show(value)}.")
             self.marks.append(value)
 
-    def _take_polygon(self, rings: Any, properties: Any) -> None:
-        mark = properties.get("no_fly", False) if isinstance(properties, dict) else False
+    def _take_polygon(self, rings: Any, properties: dict[str, Any]) -> None:
+        mark = properties.get("no_fly", False)
         if not isinstance(mark, bool):
             self._refuse(f"no_fly must be true or false, not {_show(mark)}.")
+        if mark and "growth" in properties:
+            self._refuse("a Polygon is a no-fly zone or has a growth, not both.")
         if mark:
             if len(self.zones) == MAX_ZONES:
                 self._refuse(f"there are more than {MAX_ZONES} no-fly zones.")
-            corners = self._ring(rings, "a no-fly zone", ZONE_CORNERS + 1)
-            self.zones.append(corners[:-1] if corners[-1] == corners[0] else corners)
-            return
-        if self.boundary:
-            self._refuse('a second Polygon without "no_fly": true; a farm has one field.')
-        self.boundary = self._ring(rings, "the boundary", MAX_CORNERS)
+            self.zones.append(self._corners(rings, "a no-fly zone"))
+        elif "growth" in properties:
+            self._take_area(rings, properties["growth"])
+        else:
+            if self.boundary:
+                self._refuse('a second Polygon without "no_fly": true or a growth; a farm has one field.')
+            self.boundary = self._ring(rings, "the boundary", MAX_CORNERS)
+
+    def _take_area(self, rings: Any, growth: Any) -> None:
+        if type(growth) is not int or not 1 <= growth <= MOST_GROWTH:
+            self._refuse(f"the growth must be a whole number from 1 to {MOST_GROWTH}, not {_show(growth)}.")
+        if len(self.areas) == MAX_AREAS:
+            self._refuse(f"there are more than {MAX_AREAS} areas with a growth.")
+        self.areas.append((growth, self._corners(rings, "an area with a growth")))
+
+    def _corners(self, rings: Any, what: str) -> list[Pair]:
+        """Return the corners of a Polygon, each once."""
+        ring = self._ring(rings, what, POLYGON_CORNERS + 1)
+        return ring[:-1] if ring[-1] == ring[0] else ring
 
     def _ring(self, rings: Any, what: str, most: int) -> list[Pair]:
         """Return the outer ring of a Polygon."""
@@ -207,7 +226,11 @@ class _Collection:
 
 
 def format_geojson(
-    points: Iterable[Pair], cycles: Iterable[int], corners: Sequence[Pair], zones: Iterable[Sequence[Pair]] = ()
+    points: Iterable[Pair],
+    cycles: Iterable[int],
+    corners: Sequence[Pair],
+    zones: Iterable[Sequence[Pair]] = (),
+    areas: Iterable[Area] = (),
 ) -> str:
     """Return a farm as GeoJSON text, a feature a line.
 
@@ -216,12 +239,11 @@ def format_geojson(
         cycles: update cycle of each, s.
         corners: the field's four corners, counterclockwise.
         zones: corners of each no-fly zone.
+        areas: growth and corners of each area in which counters rise faster.
     """
-    ring = [_rounded(corner) for corner in (*corners, corners[0])]
-    features = [_feature({"type": "Polygon", "coordinates": [ring]}, {"name": "field"})]
-    for zone in zones:
-        around = [_rounded(corner) for corner in (*zone, zone[0])]
-        features.append(_feature({"type": "Polygon", "coordinates": [around]}, {"no_fly": True}))
+    features = [_feature(_polygon(corners), {"name": "field"})]
+    features += [_feature(_polygon(zone), {"no_fly": True}) for zone in zones]
+    features += [_feature(_polygon(area), {"growth": growth}) for growth, area in areas]
     for point, cycle in zip(points, cycles, strict=True):
         features.append(_feature({"type": "Point", "coordinates": _rounded(point)}, {"cycle": cycle}))
     body = ",\n".join(json.dumps(feature) for feature in features)
@@ -230,6 +252,10 @@ def format_geojson(
 
 def _feature(geometry: dict[str, Any], properties: dict[str, Any]) -> dict[str, Any]:
     return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
+def _polygon(corners: Sequence[Pair]) -> dict[str, Any]:
+    return {"type": "Polygon", "coordinates": [[_rounded(corner) for corner in (*corners, corners[0])]]}
 
 
 def _rounded(pair: Pair) -> list[float]:

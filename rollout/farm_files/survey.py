@@ -10,13 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig, ZoneConfig
+from common.config.farm.polygons import Polygon
 from common.config.farm.sites import MAX_SENSORS
+from common.config.farm.stress import Areas
 from common.config.farm.zones import Zones
 from common.errors import ConfigError
 from rollout.farm_files.projection import TangentPlane
 
 Array = NDArray[np.float64]
 Pair = tuple[float, float]
+Area = tuple[int, Sequence[Pair]]
+"""The growth of an area, and its corners."""
 Frame = Literal["farm", "planar", "geographic"]
 """x, y from the field's south-west corner; easting, northing in any metric grid; longitude, latitude in degrees."""
 Mark = Literal["type", "cycle", ""]
@@ -50,6 +54,7 @@ class Survey:
         field: width and depth of the field where the file gives them, m; farm frame only.
         boundary: corners of the field where the file gives them; geographic frame only.
         zones: corners of each no-fly zone; geographic frame only.
+        areas: areas in which counters rise faster; geographic frame only.
     """
 
     name: str
@@ -61,6 +66,7 @@ class Survey:
     field: Pair | None = None
     boundary: Sequence[Pair] = ()
     zones: Sequence[Sequence[Pair]] = ()
+    areas: Sequence[Area] = ()
 
     def refuse(self, sensor: int, sentence: str) -> NoReturn:
         """Raise ConfigError with the file and the sensor's location in it."""
@@ -77,6 +83,7 @@ class GivenFarm:
         field_x: width, m.
         field_y: depth, m.
         zones: corners of each no-fly zone, m.
+        areas: growth and corners of each area in which counters rise faster, m.
     """
 
     survey: Survey
@@ -84,11 +91,12 @@ class GivenFarm:
     field_x: float
     field_y: float
     zones: Zones = ()
+    areas: Areas = ()
 
     def on(self, farm: FarmConfig) -> FarmConfig:
         """Return a farm with these sensors on this field. Its plots keep roughly their size.
 
-        No-fly zones of the file replace those of the configuration.
+        No-fly zones of the file replace those of the configuration, and so do its areas.
 
         Raises:
             ConfigError: a sensor's type is none of the farm's, or the farm cannot have these sensors.
@@ -114,7 +122,8 @@ class GivenFarm:
                 sites=tuple(place if mark is None else (*place, float(mark)) for place, mark in sites),
             )
             zones = ZoneConfig(self.zones, farm.zones.random) if self.zones else farm.zones
-            return replace(farm, world=world, zones=zones)
+            stress = replace(farm.stress, areas=self.areas) if self.areas else farm.stress
+            return replace(farm, world=world, zones=zones, stress=stress)
         except ConfigError as error:
             raise ConfigError(f"{survey.name} does not fit the configuration: {error}") from error
 
@@ -133,15 +142,15 @@ def settle(survey: Survey) -> GivenFarm:
     if not 1 <= len(survey.points) <= MAX_SENSORS:
         raise ConfigError(f"{survey.name} holds {len(survey.points)} sensors; a farm has 1 to {MAX_SENSORS}.")
     points = np.array(survey.points, np.float64)
-    zones: Zones = ()
+    polygons: tuple[Polygon, ...] = ()
     if survey.frame == "geographic":
-        xy, field, zones = _from_degrees(survey, points)
+        xy, field, polygons = _from_degrees(survey, points)
     elif survey.frame == "planar":
         _check_extent(survey, points)
         xy, field = _frame(points)
     else:
         xy, field = _from_corner(survey, points)
-    return _checked(survey, xy, field, zones)
+    return _checked(survey, xy, field, polygons)
 
 
 def _from_corner(survey: Survey, points: Array) -> tuple[Array, Pair]:
@@ -159,15 +168,16 @@ def _from_corner(survey: Survey, points: Array) -> tuple[Array, Pair]:
     return points, _round_up(points.max(axis=0) + MARGIN)
 
 
-def _from_degrees(survey: Survey, points: Array) -> tuple[Array, Pair, Zones]:
-    """Return points in metres from the south-west corner, the field, and the no-fly zones."""
+def _from_degrees(survey: Survey, points: Array) -> tuple[Array, Pair, tuple[Polygon, ...]]:
+    """Return points in metres from the south-west corner, the field, and the no-fly zones, then the areas."""
     wrong = np.flatnonzero((np.abs(points) > (180.0, 90.0)).any(axis=1))
     if len(wrong):
         survey.refuse(int(wrong[0]), _out_of_range(survey.points[int(wrong[0])]))
     for corner in survey.boundary:
         if abs(corner[0]) > 180.0 or abs(corner[1]) > 90.0:
             raise ConfigError(f"{survey.name}: in the field's boundary, {_out_of_range(corner)}")
-    around = [corner for zone in survey.zones for corner in zone]
+    polygons = [*survey.zones, *(corners for _, corners in survey.areas)]
+    around = [corner for polygon in polygons for corner in polygon]
     both = np.concatenate([points, np.array([*survey.boundary, *around], np.float64).reshape(-1, 2)])
     last = len(points) + len(survey.boundary)
     # A farm across the antimeridian: longitudes are counted from the first sensor's.
@@ -184,9 +194,9 @@ def _from_degrees(survey: Survey, points: Array) -> tuple[Array, Pair, Zones]:
     else:
         low = metres[:last].min(axis=0) - MARGIN
         field = _frame(metres[:last])[1]
-    ends = np.cumsum([last, *map(len, survey.zones)])
-    zones = [np.round(metres[a:b] - low, 3) + 0.0 for a, b in itertools.pairwise(ends.tolist())]
-    return metres[: len(points)] - low, field, tuple(tuple((float(x), float(y)) for x, y in zone) for zone in zones)
+    ends = np.cumsum([last, *map(len, polygons)])
+    moved = [(np.round(metres[a:b] - low, 3) + 0.0).tolist() for a, b in itertools.pairwise(ends.tolist())]
+    return metres[: len(points)] - low, field, tuple(tuple((x, y) for x, y in corners) for corners in moved)
 
 
 def _out_of_range(pair: Pair) -> str:
@@ -211,7 +221,7 @@ def _check_extent(survey: Survey, points: Array) -> None:
         )
 
 
-def _checked(survey: Survey, xy: Array, field: Pair, zones: Zones) -> GivenFarm:
+def _checked(survey: Survey, xy: Array, field: Pair, polygons: tuple[Polygon, ...]) -> GivenFarm:
     """Check that all positions are distinct and inside the field; return the farm with them rounded to 1 mm."""
     if not (0.0 < field[0] <= MAX_EXTENT and 0.0 < field[1] <= MAX_EXTENT):
         raise ConfigError(
@@ -226,7 +236,9 @@ def _checked(survey: Survey, xy: Array, field: Pair, zones: Zones) -> GivenFarm:
         if (x, y) in seen:
             survey.refuse(index, f"the sensor stands where that of {survey.where[seen[x, y]]} does.")
         seen[x, y] = index
-    return GivenFarm(survey, tuple(seen), float(field[0]), float(field[1]), zones)
+    zones, outlines = polygons[: len(survey.zones)], polygons[len(survey.zones) :]
+    areas = tuple((growth, corners) for (growth, _), corners in zip(survey.areas, outlines, strict=True))
+    return GivenFarm(survey, tuple(seen), float(field[0]), float(field[1]), zones, areas)
 
 
 def _plots(size: float, plot: float) -> int:

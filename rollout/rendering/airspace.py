@@ -1,4 +1,4 @@
-"""No-fly zones and the wind in matplotlib pictures."""
+"""No-fly zones, areas of stress and the wind in matplotlib pictures."""
 
 from typing import Any, Final
 
@@ -8,7 +8,8 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
 from numpy.typing import NDArray
 
-from rollout.rendering.palette import ZONE
+from common.config import FarmConfig
+from rollout.rendering.palette import STRESS, ZONE
 from rollout.rendering.scene import wind_text
 from rollout.sim.layout import Layout
 
@@ -26,10 +27,20 @@ def make_zones(axes: Axes) -> PolyCollection:
     return zones
 
 
-def draw_zones(axes: Axes, layout: Layout) -> None:
-    """Draw the no-fly zones of a farm."""
+def make_areas(axes: Axes, config: FarmConfig) -> PolyCollection:
+    """Return the artist of the areas in which counters rise faster."""
+    outlines = [np.array(corners) for _, corners in config.stress.faster]
+    areas = PolyCollection(outlines, facecolors="none", edgecolors=to_rgba(STRESS, 0.85), linewidths=1.8, zorder=2)
+    axes.add_collection(areas)
+    return areas
+
+
+def draw_outlines(axes: Axes, config: FarmConfig, layout: Layout) -> None:
+    """Draw the no-fly zones of a farm, and the areas in which counters rise faster."""
     if layout.zones:
         make_zones(axes).set_verts([*layout.zones])
+    if config.stress.faster:
+        make_areas(axes, config)
 
 
 class WindArrow:

@@ -19,7 +19,7 @@ from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
-from rollout.rendering.airspace import WindArrow, make_zones
+from rollout.rendering.airspace import WindArrow, make_areas, make_zones
 from rollout.rendering.palette import (
     AGE_MAP,
     COLOURS,
@@ -72,7 +72,7 @@ class FarmMap:
         axes.tick_params(labelsize=8, colors=INK)
         axes.set_xlabel("x, m", **SMALL)
         axes.set_ylabel("y, m", labelpad=1, **SMALL)
-        self._zones = make_zones(axes)
+        self._zones, self._areas = make_zones(axes), make_areas(axes, scene.config)
         self._wind = WindArrow(axes, max(world.speed_x_max, world.speed_y_max))
         self._circles = self._make_circles(scene)
         self._links = LineCollection([], linewidths=1.1, linestyles=DOTTED, zorder=3)
@@ -87,9 +87,10 @@ class FarmMap:
         self._plots: tuple[slice, slice, Indices, Indices] | None = None
         self.artists: tuple[Any, ...] = (
             self._zones,
+            *([self._areas] if scene.config.stress.faster else []),
             *self._circles,
             *stations,
-            *([self._stress] if scene.config.stress.some else []),
+            *([self._stress] if scene.config.stress.patches else []),
             self._links,
             self._trails,
             *self._sensors,
@@ -310,7 +311,7 @@ def make_legend(figure: Figure, scene: Scene, corner: tuple[float, float]) -> No
 
 
 def _events(scene: Scene) -> list[Artist]:
-    """Return the symbols of what not every farm has: links that are down, stations, patches of stress, no-fly zones."""
+    """Return the symbols of what not every farm has: links that are down, stations, stress, no-fly zones."""
     handles: list[Artist] = []
     if scene.config.relay.require_link:
         handles.append(Line2D([], [], color=LINK_DOWN, linestyle=DOTTED, label="link out of range"))
@@ -318,7 +319,9 @@ def _events(scene: Scene) -> list[Artist]:
         station = Line2D([], [], marker="H", markersize=9, linestyle="", label="charging station; bar: charge")
         station.set(markerfacecolor="none", markeredgecolor=INK, markeredgewidth=1.4)
         handles.append(station)
-    if scene.config.stress.some:
+    if scene.config.stress.faster:
+        handles.append(Patch(facecolor="none", edgecolor=STRESS, linewidth=1.8, label="area of faster growth"))
+    if scene.config.stress.patches:
         patch = Line2D([], [], marker="o", markersize=9, linestyle="", label="patch of stress; faint: not known")
         patch.set(markerfacecolor="none", markeredgecolor=STRESS, markeredgewidth=1.8)
         handles.append(patch)

@@ -35,7 +35,7 @@ SOIL_STOPS: Final = ("#FCF9F1", "#EBDCB9", "#CBAA75")
 ZONE: Final = "#B2182B"
 """Colour of a no-fly zone."""
 STRESS: Final = "#AA3377"
-"""Colour of patches of stress."""
+"""Colour of patches and areas of stress."""
 LINK_DOWN: Final = "#EE6677"
 """Colour of links that are out of range."""
 GONE: Final = "#8A9296"

@@ -9,10 +9,10 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
-from common.config import WorldConfig
-from common.config.farm.polygons import inside_any
+from common.config import FarmConfig, WorldConfig
+from common.config.farm.polygons import inside, inside_any
 from common.farm import LETTERS, farm_team
-from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, SOIL_STOPS, TYPES, ZONE, rgb, shade
+from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, SOIL_STOPS, STRESS, TYPES, ZONE, rgb, shade
 from rollout.rendering.scene import Scene, wind_text
 from rollout.sim.stations import station_places
 
@@ -56,7 +56,7 @@ def terminal_text(scene: Scene, width: int = WIDTH) -> Text:
             text.append(*sign if sign else (BLOCK, Style(color=_css(upper), bgcolor=_css(lower))))
         text.append("\n")
     _append_rewards(text, scene)
-    _append_keys(text, scene.config.world, zones=scene.config.zones.some)
+    _append_keys(text, scene.config)
     return text
 
 
@@ -81,20 +81,31 @@ def _pixels(scene: Scene, width: int) -> Pixels:
     size = (width, 2 * max(1, round(width * world.field_y / world.field_x / 2)))
     column, row = ((np.arange(count) * plots) // count for count, plots in zip(size, scene.vdf.shape, strict=True))
     canvas = shade(SOIL_STOPS, scene.vdf[np.ix_(column, row)] / world.vdf_max)
-    if scene.layout.zones:
+    if scene.layout.zones or scene.config.stress.faster:
         share = np.stack(np.meshgrid(*((np.arange(count) + 0.5) / count for count in size), indexing="ij"), axis=-1)
-        canvas[inside_any(share * (world.field_x, world.field_y), scene.layout.zones)] = rgb(ZONE)
+        points = share * (world.field_x, world.field_y)
+        canvas[inside_any(points, scene.layout.zones)] = rgb(ZONE)
+        for _, corners in scene.config.stress.faster:
+            canvas[_border(inside(points, np.array(corners)))] = rgb(STRESS)
     relays = world.communication_uavs
     for served, relay in enumerate(scene.assignment):
         if relay < 0:
             continue
         ends = _places(world, scene.position[[relay, relays + served]], size)
-        points = np.linspace(ends[0], ends[1], int(np.abs(ends[1] - ends[0]).max()) + 1)[::2]
-        canvas[tuple(np.rint(points).astype(np.int64).T)] = LINK
+        way = np.linspace(ends[0], ends[1], int(np.abs(ends[1] - ends[0]).max()) + 1)[::2]
+        canvas[tuple(np.rint(way).astype(np.int64).T)] = LINK
     waiting = scene.aoi >= WAITING
     at = _places(world, scene.layout.sensor_xy[waiting], size)
     canvas[at[:, 0], at[:, 1]] = shade(AGE_STOPS, scene.aoi[waiting] / world.aoi_max)
     return canvas.swapaxes(0, 1)[::-1]
+
+
+def _border(within: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which pixels of a region [width, H] have a neighbour outside of it; outside the picture is outside."""
+    around = np.pad(within, 1)
+    inner = around[:-2, 1:-1] & around[2:, 1:-1] & around[1:-1, :-2] & around[1:-1, 2:]
+    border: NDArray[np.bool_] = within & ~inner
+    return border
 
 
 def _places(world: WorldConfig, xy: Numbers, size: tuple[int, int]) -> NDArray[np.int64]:
@@ -135,16 +146,19 @@ def _append_rewards(text: Text, scene: Scene) -> None:
     text.append(f"all {scene.reward['mean']:.1f}\n")
 
 
-def _append_keys(text: Text, world: WorldConfig, *, zones: bool) -> None:
+def _append_keys(text: Text, config: FarmConfig) -> None:
+    world = config.world
     for name in TYPES:
         text.append(f" {LETTERS[name]} ", _badge(COLOURS[name]))
         text.append(f" {LABELS[name]}   ")
     text.append(BLOCK, Style(color=_css(LINK)))
     text.append(" relay link")
-    if zones:
-        text.append("   ")
-        text.append(BLOCK, Style(color=ZONE, bgcolor=ZONE))
-        text.append(" no-fly zone")
+    marks = ((config.zones.some, ZONE, "no-fly zone"), (config.stress.faster, STRESS, "area of faster growth"))
+    for some, colour, label in marks:
+        if some:
+            text.append("   ")
+            text.append(BLOCK, Style(color=colour, bgcolor=colour))
+            text.append(f" {label}")
     text.append("\n")
     _append_scale(text, "plot, VDF 0 ", SOIL_STOPS, 0.0, world.vdf_max)
     _append_scale(text, "   sensor, AoI 1 ", AGE_STOPS, 1.0 / world.aoi_max, world.aoi_max)

@@ -24,8 +24,8 @@ from rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_work
 from rollout.sim.kernel.flight.airspace import zone_sides
 from rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range
 from rollout.sim.layout import Layout, make_layout
-from rollout.sim.stress import patches
-from rollout.sim.sweep_routes import divided_among
+from rollout.sim.stress import area_growth, first_rises, patches, shortened
+from rollout.sim.sweep_routes import divided_among, plot_centres
 from rollout.sim.wind import wind_series
 
 __all__ = ["REWARD_PARTS", "FarmBatch", "packet_key", "start_levels", "start_positions"]
@@ -73,7 +73,11 @@ class FarmBatch:
         patch_place: [E, P, 2] centres of the patches of stress, m.
         patch_time: [E, P, 2] first step of each patch, and the first one without it.
         patch_known: [E, P] whether the team knows it (`farm.stress`).
-        stressed: [E, n_px, n_py] 1 for plots in living patches that are known; [E, 0, n_py] if none can be.
+        plot_growth: [E, n_px, n_py] how many times as often VDF rises because of areas (`farm.stress.areas`), without
+            patches; [E, 0, n_py] if there is no stress.
+        sensor_growth: [E, S] the same of AoI; [E, 0] if there is no stress.
+        stressed: [E, n_px, n_py] 1 for plots in areas, and in living patches that are known; [E, 0, n_py] if there is
+            no stress.
         hindsight: [E, T, n] float32 what to add to the reward of each of the episode's T steps so that a visit is paid
             what it was worth to the team as far as known, see `rollout.sim.kernel.hindsight`; None unless tracked.
 
@@ -126,6 +130,8 @@ class FarmBatch:
         self.patch_place: NDArray[np.float64] = self._state.patch_place
         self.patch_time: NDArray[np.int32] = self._state.patch_time
         self.patch_known: NDArray[np.bool_] = self._state.patch_known
+        self.plot_growth: NDArray[np.int32] = self._state.plot_cycle[:, 2]
+        self.sensor_growth: NDArray[np.int32] = self._state.sensor_cycle[:, 2]
         self.stressed: NDArray[np.float64] = self._state.stressed
         self.hindsight: Float32 | None = self._state.hindsight if hindsight else None
 
@@ -210,12 +216,21 @@ class FarmBatch:
         begin_episode(self._arguments[0].address, e)
 
     def _begin_stress(self, e: int, layout: Layout) -> None:
-        """Draw the patches of an episode that begins, and let nobody know any."""
+        """Draw the patches of an episode that begins, of which nobody knows any, and shorten the cycles in areas."""
         state, (place, time) = self._state, patches(self.config, *self._seeds[e])
+        areas, usual = self.config.stress.faster, self._constants.camera.cycle
+        growth = area_growth(areas, plot_centres(self.config.world)).reshape(layout.plot_phase.shape)
         state.patch_place[e], state.patch_time[e] = place, time
-        state.patch_known[e], state.stressed[e] = False, 0.0
-        state.plot_cycle[e, 0], state.plot_cycle[e, 1] = min(self._constants.camera.cycle, NEVER), layout.plot_phase
-        state.sensor_cycle[e, 0], state.sensor_cycle[e, 1] = state.cycle[e], layout.sensor_phase
+        state.patch_known[e], state.stressed[e] = False, growth > 1
+        plot_cycle = shortened(np.full(growth.shape, usual), growth)
+        state.plot_cycle[e] = np.minimum(plot_cycle, NEVER), layout.plot_phase, growth
+        state.sensor_cycle[e] = state.cycle[e], layout.sensor_phase, area_growth(areas, layout.sensor_xy)
+        if areas:
+            sensor_cycle = shortened(layout.sensor_cycle_steps, state.sensor_cycle[e, 2])
+            state.cycle[e] = np.minimum(sensor_cycle, NEVER)
+            state.age_due[e] = np.minimum(first_rises(layout.sensor_phase, sensor_cycle), NEVER)
+            state.level_due[e] = np.minimum(first_rises(layout.plot_phase, plot_cycle), NEVER)
+            state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
 
     def step(self, action: Float32) -> None:
         """Step every environment.

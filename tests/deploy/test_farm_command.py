@@ -27,7 +27,7 @@ from rollout.sim.reference.farm import ReferenceFarm
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGE = (DOCS / "how-to" / "farms.md").read_text()
 ORCHARD = ["orchard.csv", "orchard.geojson"]
-EXAMPLES = [*ORCHARD, "orchard_no_fly.geojson"]
+EXAMPLES = [*ORCHARD, "orchard_no_fly.geojson", "orchard_growth.geojson"]
 
 
 def blocks(language):
@@ -45,7 +45,7 @@ def here(tmp_path, monkeypatch):
 def test_the_commands_of_the_page_do_what_it_says(here):
     """Every command runs and leaves the file behind that it names."""
     lines = [line for block in blocks("sh") for line in block.splitlines()]
-    assert len(lines) == 8
+    assert len(lines) == 10
     for line in lines:
         words = shlex.split(line)
         assert words[0] == "eia-sec"

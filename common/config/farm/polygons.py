@@ -1,10 +1,57 @@
-"""The geometry of closed polygons: the border belongs to them."""
+"""Closed polygons: their form in a configuration, their checks, and their geometry. The border belongs to them."""
+
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from common.errors import ConfigError
+
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+Polygon = tuple[tuple[float, ...], ...]
+"""The corners (x, y), m, in order around it; the last is not the first again."""
+
+MAX_CORNERS: Final = 32
+"""Most corners of a polygon."""
+FARTHEST: Final = 1e6
+"""Largest coordinate of a corner, m."""
+
+
+def check_polygon(name: str, corners: Polygon) -> None:
+    """Refuse corners that are none, or too many, and a polygon that crosses itself.
+
+    Args:
+        name: the polygon's place in the configuration, for the error's sentence.
+        corners: its corners.
+
+    Raises:
+        ConfigError: the polygon is none.
+    """
+    if not 3 <= len(corners) <= MAX_CORNERS:
+        raise ConfigError(f"{name} has {len(corners)} corners, not 3 to {MAX_CORNERS}.")
+    for corner in corners:
+        if len(corner) != 2 or not all(-FARTHEST <= number <= FARTHEST for number in corner):
+            raise ConfigError(f"{name} needs corners [x, y] in m, not {list(corner)[:4]}.")
+    if _crosses_itself(corners):
+        raise ConfigError(f"{name} crosses itself, or names a corner twice.")
+
+
+def _crosses_itself(corners: Polygon) -> bool:
+    """Return whether two sides of a polygon meet anywhere but in the corner that they share."""
+    place, count = np.array(corners), len(corners)
+    if len(set(corners)) < count:
+        return True
+    for a in range(count):
+        for b in range(a + 1, count):
+            first, second = (place[a], place[(a + 1) % count]), (place[b], place[(b + 1) % count])
+            if b - a in (1, count - 1):
+                shared, one, other = (second[0], first[0], second[1]) if b - a == 1 else (first[0], first[1], second[0])
+                if turn(shared, one, other) == 0.0 and (one - shared) @ (other - shared) > 0.0:
+                    return True
+            elif meet(*first, *second):
+                return True
+    return False
 
 
 def inside(points: Array, zone: Array) -> Flags:

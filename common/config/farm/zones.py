@@ -6,19 +6,14 @@ from typing import Final
 import numpy as np
 
 from common.config.checks import within
-from common.config.farm.polygons import inside_any, meet, turn
+from common.config.farm.polygons import Polygon, check_polygon, inside_any
 from common.config.farm.world import WorldConfig
 from common.errors import ConfigError
 
-Zones = tuple[tuple[tuple[float, ...], ...], ...]
-"""The corners (x, y) of each zone, m, in order around it; the last is not the first again."""
+Zones = tuple[Polygon, ...]
 
 MAX_ZONES: Final = 32
 """Most zones of a farm, given and drawn."""
-MAX_CORNERS: Final = 32
-"""Most corners of a zone."""
-FARTHEST: Final = 1e6
-"""Largest coordinate of a corner, m."""
 LONGEST_SIDE: Final = 80.0
 """Longest side of a drawn zone, m."""
 MOST_COVERED: Final = 0.5
@@ -42,13 +37,7 @@ class ZoneConfig:
         if len(self.polygons) + self.random > MAX_ZONES:
             raise ConfigError(f"zones are at most {MAX_ZONES}, not {len(self.polygons) + self.random}.")
         for index, corners in enumerate(self.polygons):
-            if not 3 <= len(corners) <= MAX_CORNERS:
-                raise ConfigError(f"zones.polygons[{index}] has {len(corners)} corners, not 3 to {MAX_CORNERS}.")
-            for corner in corners:
-                if len(corner) != 2 or not all(-FARTHEST <= number <= FARTHEST for number in corner):
-                    raise ConfigError(f"zones.polygons[{index}] needs corners [x, y] in m, not {list(corner)[:4]}.")
-            if _crosses_itself(corners):
-                raise ConfigError(f"zones.polygons[{index}] crosses itself, or names a corner twice.")
+            check_polygon(f"zones.polygons[{index}]", corners)
 
     @property
     def some(self) -> bool:
@@ -72,23 +61,6 @@ class ZoneConfig:
         share += self.random * LONGEST_SIDE**2 / (world.field_x * world.field_y)
         if share > MOST_COVERED:
             raise ConfigError(f"zones may cover {share:.0%} of the field; at most {MOST_COVERED:.0%} is possible.")
-
-
-def _crosses_itself(corners: tuple[tuple[float, ...], ...]) -> bool:
-    """Return whether two sides of a polygon meet anywhere but in the corner that they share."""
-    place, count = np.array(corners), len(corners)
-    if len(set(corners)) < count:
-        return True
-    for a in range(count):
-        for b in range(a + 1, count):
-            first, second = (place[a], place[(a + 1) % count]), (place[b], place[(b + 1) % count])
-            if b - a in (1, count - 1):
-                shared, one, other = (second[0], first[0], second[1]) if b - a == 1 else (first[0], first[1], second[0])
-                if turn(shared, one, other) == 0.0 and (one - shared) @ (other - shared) > 0.0:
-                    return True
-            elif meet(*first, *second):
-                return True
-    return False
 
 
 def _covered(polygons: Zones, world: WorldConfig) -> float:

@@ -65,9 +65,12 @@ class State(NamedTuple):
         patch_place: [E, P, 2] centres of the patches of stress, m.
         patch_time: [E, P, 2] first step of each patch, and the first one without it.
         patch_known: [E, P] whether the team knows it.
-        stressed: [E, n_px, n_py] 1 for plots in living patches that are known; [E, 0, n_py] if none can be.
-        plot_cycle: [E, 2, n_px, n_py] present cycle and phase of each plot's VDF; [E, 2, 0, n_py] without patches.
-        sensor_cycle: [E, 2, S] cycle without stress and phase of each sensor's AoI; [E, 2, 0] without patches.
+        stressed: [E, n_px, n_py] 1 for plots in areas, and in living patches that are known; [E, 0, n_py] if there is
+            no stress.
+        plot_cycle: [E, 3, n_px, n_py] present cycle and phase of each plot's VDF, and its growth because of areas;
+            [E, 3, 0, n_py] without stress.
+        sensor_cycle: [E, 3, S] cycle without stress and phase of each sensor's AoI, and its growth because of areas;
+            [E, 3, 0] without stress.
         wind: [E, T + 1, 2] wind of each step, m/s; [E, 0, 2] without wind.
         zone_side: [E, K, 4] sides of the no-fly zones, see `flight.airspace`.
         zone_box: [E, Z, 4] boxes around them.
@@ -305,8 +308,8 @@ def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
         patch_time=np.zeros((count, stress.patches, 2), np.int32),
         patch_known=np.zeros((count, stress.patches), np.bool_),
         stressed=np.zeros((count, (stress.some or config.observation.stress) * world.plots_x, world.plots_y)),
-        plot_cycle=np.zeros((count, 2, stress.some * world.plots_x, world.plots_y), np.int32),
-        sensor_cycle=np.zeros((count, 2, stress.some * sensors), np.int32),
+        plot_cycle=np.zeros((count, 3, stress.some * world.plots_x, world.plots_y), np.int32),
+        sensor_cycle=np.zeros((count, 3, stress.some * sensors), np.int32),
         wind=np.zeros((count, config.wind.some * (world.steps + 1), 2)),
         zone_side=np.zeros((count, sum(config.zones.corners), 4)),
         zone_box=np.zeros((count, len(config.zones.corners), 4)),

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from common.config import FarmConfig
 from common.farm import farm_team
 from rollout.sim.stations import station_places
-from rollout.sim.stress import shortened
 
 Array = NDArray[np.float64]
 
@@ -26,19 +25,17 @@ class FailureConstants(NamedTuple):
 
 
 class StressConstants(NamedTuple):
-    """Patches of stress.
+    """Patches and areas of stress.
 
     Attributes:
         some: whether there are any.
-        square: square of their radius, m^2.
-        growth: what the cycles of counters are divided by.
-        plot_cycle: cycle of VDF in a patch, steps.
+        square: square of the patches' radius, m^2.
+        growth: what a patch divides the cycles of counters by.
     """
 
     some: bool
     square: float
     growth: int
-    plot_cycle: int
 
 
 class BatteryConstants(NamedTuple):
@@ -66,9 +63,9 @@ def failure_constants(config: FarmConfig) -> FailureConstants:
 
 
 def stress_constants(config: FarmConfig) -> StressConstants:
-    """Derive the numbers of the patches of stress."""
-    stress, cycle = config.stress, round(config.world.vdf_cycle / config.world.step_seconds)
-    return StressConstants(stress.some, stress.radius**2, stress.growth, int(shortened(config, np.array(cycle))))
+    """Derive the numbers of the patches and areas of stress."""
+    stress = config.stress
+    return StressConstants(stress.some, stress.radius**2, stress.growth)
 
 
 def battery_constants(config: FarmConfig) -> BatteryConstants:

@@ -5,7 +5,7 @@ Inside step k, at t = k t_step, the order is:
 2. UAVs fail, if any does in this step, and the others move. Batteries empty, or charge.
 3. Relays are assigned, and D_c(k) is computed at the new positions.
 4. Sensors send and plots are photographed, for credit of AoI(t - t_step) and VDF(t - t_step).
-5. Counters rise or fall, in patches of stress faster. UAVs find the patches that they are over.
+5. Counters rise or fall, in patches and areas of stress faster. UAVs find the patches that they are over.
 6. All UAVs observe.
 
 Every stage takes the same three records: `Constants` from the configuration, `Farm` with the state of one environment,

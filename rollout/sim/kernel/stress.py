@@ -1,8 +1,9 @@
 """Patches of stress: the cycles of the counters within change, and UAVs with tasks find them.
 
-A counter is due at step t if t equals its phase modulo its cycle, which is shorter while a patch covers it. Patches do
-not add up. The whole team knows a patch from the step on in which a monitoring or data collection UAV is within its
-radius.
+A counter is due at step t if t equals its phase modulo its cycle, which is shorter while a patch covers it, and always
+in an area. Patches and areas do not add up: the largest growth counts. The whole team knows a patch from the step on in
+which a monitoring or data collection UAV is within its radius, and areas from the start. Areas come as the growth that
+they give each counter.
 """
 
 import numpy as np
@@ -40,6 +41,12 @@ def _covered(place: Array, time: Int32, square: float, step: int, x: float, y: f
 
 
 @allocation_free
+def _shortened(cycle: int, area: int, patch: int, covered: bool) -> int:
+    """Return a cycle divided by the growth of areas, or of patches where one covers the counter and it is larger."""
+    return max(1, cycle // (max(area, patch) if covered else area))
+
+
+@allocation_free
 def _next_due(step: int, phase: int, cycle: int) -> int:
     """Return the first step from this one on that equals the phase modulo the cycle."""
     return step + (phase - step) % cycle
@@ -63,19 +70,20 @@ def change_cycles(c: Constants, farm: Farm) -> None:
     step, place, time, square = farm.step, farm.patch_place, farm.patch_time, c.stress.square
     if not _changes(time, step):
         return
-    camera, due, cycles = c.camera, farm.level_due, farm.plot_cycle
+    camera, due, cycles, growth = c.camera, farm.level_due, farm.plot_cycle, c.stress.growth
     soonest = step + camera.cycle
     for column in range(camera.plots_x):
         for row in range(camera.plots_y):
             x, y = (column + 0.5) * camera.plot_width, (row + 0.5) * camera.plot_depth
-            cycle = c.stress.plot_cycle if _covered(place, time, square, step, x, y) else camera.cycle
+            covered = _covered(place, time, square, step, x, y)
+            cycle = _shortened(camera.cycle, cycles[2, column, row], growth, covered)
             if cycles[0, column, row] != cycle:
                 cycles[0, column, row] = cycle
                 due[column, row] = _next_due(step, cycles[1, column, row], cycle)
             soonest = min(soonest, due[column, row])
     farm.rising[1] = soonest
     usual, due = farm.sensor_cycle, farm.age_due
-    farm.rising[0] = _change_sensors(c.stress.growth, place, time, square, step, farm.sensor, usual, farm.cycle, due)
+    farm.rising[0] = _change_sensors(growth, place, time, square, step, farm.sensor, usual, farm.cycle, due)
 
 
 @allocation_free
@@ -92,13 +100,12 @@ def _change_sensors(
 ) -> int:
     """Give the sensors' counters their cycles; return the next step at which any AoI rises.
 
-    `usual` [2, S] holds the cycles without stress, and the phases.
+    `usual` [3, S] holds the cycles without stress, the phases, and the growth because of areas.
     """
     soonest: int = step + usual[0, 0]
     for j in range(len(cycles)):
-        cycle = usual[0, j]
-        if _covered(place, time, square, step, sensor[0, j], sensor[1, j]):
-            cycle = max(1, cycle // growth)
+        covered = _covered(place, time, square, step, sensor[0, j], sensor[1, j])
+        cycle = _shortened(usual[0, j], usual[2, j], growth, covered)
         if cycles[j] != cycle:
             cycles[j] = cycle
             due[j] = _next_due(step, usual[1, j], cycle)
@@ -108,7 +115,7 @@ def _change_sensors(
 
 @allocation_free
 def find_stress(c: Constants, farm: Farm) -> None:
-    """Note the patches that UAVs with tasks have found, and draw the map of those that live.
+    """Note the patches that UAVs with tasks have found, and draw the map of those that live, and of the areas.
 
     Updates `patch_known` and `stressed`.
     """
@@ -120,17 +127,26 @@ def find_stress(c: Constants, farm: Farm) -> None:
                 known[p] |= _near(place, p, square, position[u, 0], position[u, 1])
             anew |= known[p]
     if anew:
-        _draw(c.camera.plot_width, c.camera.plot_depth, place, time, known, square, step, farm.stressed)
+        width, depth, cycles = c.camera.plot_width, c.camera.plot_depth, farm.plot_cycle
+        _draw(width, depth, place, time, known, square, step, cycles, farm.stressed)
 
 
 @allocation_free
 def _draw(
-    width: float, depth: float, place: Array, time: Int32, known: Flags, square: float, step: int, stressed: Array
+    width: float,
+    depth: float,
+    place: Array,
+    time: Int32,
+    known: Flags,
+    square: float,
+    step: int,
+    cycles: Int32,
+    stressed: Array,
 ) -> None:
-    """Mark the plots [n_px, n_py] whose centre a living patch covers that is known."""
+    """Mark the plots [n_px, n_py] in areas, which have a growth above 1, and in living patches that are known."""
     for column in range(len(stressed)):
         for row in range(stressed.shape[1]):
-            found = False
+            found = cycles[2, column, row] > 1
             for p in range(len(place)):
                 if known[p] and _lives(time, p, step):
                     found |= _near(place, p, square, (column + 0.5) * width, (row + 0.5) * depth)

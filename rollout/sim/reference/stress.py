@@ -1,4 +1,4 @@
-"""Patches of stress on the reference farm: the cycles that they shorten, who knows them, and how they are seen."""
+"""Stress on the reference farm: the cycles that patches and areas shorten, who knows them, and how they are seen."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from common.config.farm.polygons import inside
 from rollout.sim.stress import within
 
 if TYPE_CHECKING:
@@ -19,6 +20,14 @@ def living(farm: ReferenceFarm) -> NDArray[np.bool_]:
     """Return which patches there are now, [P]."""
     first, end = farm.patches.time.T
     return np.asarray((first <= farm.time) & (farm.time < end))
+
+
+def growth_of_areas(farm: ReferenceFarm, xy: Array) -> NDArray[np.int64]:
+    """Return the growth of points [N, 2] without patches: the largest of the areas that each lies in, at least 1."""
+    growth = np.ones(len(xy), np.int64)
+    for faster, corners in farm.config.stress.areas:
+        growth = np.where(inside(xy, np.array(corners)), np.maximum(growth, faster), growth)
+    return growth
 
 
 def plot_cycles(farm: ReferenceFarm) -> NDArray[np.int64]:
@@ -34,9 +43,10 @@ def sensor_cycles(farm: ReferenceFarm) -> NDArray[np.int64]:
 
 
 def shortened(farm: ReferenceFarm, usual: NDArray[np.int64], xy: Array) -> NDArray[np.int64]:
-    """Return cycles, divided by the growth where a living patch covers the points [N, 2] of their counters."""
-    covered = within(farm.config, farm.patches.place, living(farm), xy).reshape(usual.shape)
-    return np.where(covered, np.maximum(1, usual // farm.config.stress.growth), usual)
+    """Return cycles, divided by the largest growth of the areas and living patches that points [N, 2] lie in."""
+    covered = within(farm.config, farm.patches.place, living(farm), xy)
+    growth = np.maximum(growth_of_areas(farm, xy), np.where(covered, farm.config.stress.growth, 1))
+    return np.maximum(1, usual // growth.reshape(usual.shape))
 
 
 def find(farm: ReferenceFarm) -> None:
@@ -49,11 +59,12 @@ def find(farm: ReferenceFarm) -> None:
 
 
 def stress_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
-    """Return the share of plots in living patches that are known, for 5 x 5 blocks of 4 x 4 plots around a UAV."""
+    """Return the share of plots in areas and known living patches, for 5 x 5 blocks of 4 x 4 plots around a UAV."""
     world, half, view = farm.config.world, 10, np.zeros((5, 5))
     count = np.array([world.plots_x, world.plots_y])
     seen = living(farm) & farm.known
-    stressed = within(farm.config, farm.patches.place, seen, farm.plot_xy).reshape(count)
+    stressed = within(farm.config, farm.patches.place, seen, farm.plot_xy) | (growth_of_areas(farm, farm.plot_xy) > 1)
+    stressed = stressed.reshape(count)
     size = np.array([world.field_x, world.field_y])
     own = np.clip(farm.position[u] / size * count, 0, count - 1).astype(np.int64)
     for index in np.ndindex(20, 20):

@@ -223,7 +223,7 @@ BAD_GEOJSON = [
     ),
     (
         collection(POINT, feature(*SQUARE, kind="Polygon"), feature(*SQUARE, kind="Polygon")),
-        '{}, line 4, feature 3: a second Polygon without "no_fly": true; a farm has one field.',
+        '{}, line 4, feature 3: a second Polygon without "no_fly": true or a growth; a farm has one field.',
     ),
     (collection(POINT, feature(*SQUARE[:3], kind="Polygon")), "the boundary must be a ring of 4 to 10000 positions"),
     (

@@ -61,6 +61,17 @@ def test_a_scene_has_the_patches_that_there_are_now():
     assert np.array_equal(scene.known, farms.patch_known[0, lives])
 
 
+def test_areas_are_drawn_in_pictures_and_in_the_terminal():
+    """Their outlines are there without any patch, and those of areas of growth 1 are not."""
+    outline = ((100.0, 100.0), (220.0, 100.0), (220.0, 220.0), (100.0, 220.0))
+    for growth, some in ((1, False), (2, True)):
+        config = FarmConfig(stress=StressConfig(areas=((growth, outline),)))
+        assert has(colours(config, 1), STRESS) == some
+        text = terminal_text(Observer(flown(config, 1), 0).scene(), 60)
+        assert ("area of faster growth" in text.plain) == some
+        assert any(STRESS.lower() in str(span.style).lower() for span in text.spans[:-1]) == some
+
+
 def test_a_link_is_up_within_its_range():
     """The range is a distance in space; a UAV without a relay has no link."""
     config = FarmConfig()

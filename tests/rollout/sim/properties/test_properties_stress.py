@@ -1,4 +1,4 @@
-"""Patches of stress, on any farm: what rises when, who knows, and the reference farm."""
+"""Patches and areas of stress, on any farm: what rises when, who knows, and the reference farm."""
 
 from dataclasses import replace
 
@@ -7,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import FarmConfig, StressConfig
+from common.config.farm.polygons import Polygon
 from rollout.sim.batch import FarmBatch
 from rollout.sim.reference.farm import ReferenceFarm
-from rollout.sim.stress import patches
+from rollout.sim.stress import known_cycles, patches
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.tolerances import named_columns
@@ -18,10 +19,21 @@ SMALL = worlds(st.integers(1, 5), 90)
 
 
 @st.composite
+def outlines(draw: st.DrawFn) -> Polygon:
+    """Draw a rectangle or a triangle that often covers a part of a field."""
+    x, y = (draw(st.integers(-3, 30)) * 9.7 for _ in range(2))
+    width, depth = (draw(st.sampled_from([6.1, 23.0, 91.3, 1000.0])) for _ in range(2))
+    corners = ((x, y), (x + width, y), (x + width, y + depth), (x, y + depth))
+    return corners if draw(st.booleans()) else corners[:3]
+
+
+@st.composite
 def stresses(draw: st.DrawFn) -> StressConfig:
-    """Draw patches; many begin, end and overlap within a short episode."""
+    """Draw patches, areas or both; many patches begin, end and overlap within a short episode."""
+    areas = tuple(draw(st.lists(st.tuples(st.integers(1, 9), outlines()), max_size=3)))
     return StressConfig(
-        patches=draw(st.integers(1, 12)),
+        areas=areas,
+        patches=draw(st.integers(0 if areas else 1, 12)),
         radius=draw(st.sampled_from([3.0, 17.3, 61.7, 1000.0])),
         growth=draw(st.integers(1, 9)),
         seconds=draw(st.sampled_from([0.1, 2.0, 7.0, 500.0])),
@@ -29,7 +41,7 @@ def stresses(draw: st.DrawFn) -> StressConfig:
 
 
 def stressed(config: FarmConfig, stress: StressConfig) -> FarmConfig:
-    """Return the farm with patches, which UAVs see."""
+    """Return the farm with patches and areas, which UAVs see."""
     return replace(config, stress=stress, observation=replace(config.observation, stress=True))
 
 
@@ -56,10 +68,11 @@ def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
 
 @dose(20)
 @given(flights(farm_configs(SMALL)), stresses())
-def test_a_patch_of_no_growth_changes_nothing(flight: Flight, stress: StressConfig):
-    """With growth 1, the episode is bit-equal to one without patches."""
-    with_patches = replace(flight.config, stress=replace(stress, growth=1))
-    one, two = begin(replace(flight, config=with_patches)), begin(flight)
+def test_stress_of_no_growth_changes_nothing(flight: Flight, stress: StressConfig):
+    """With growth 1, the episode is bit-equal to one without patches and areas."""
+    areas = tuple((1, corners) for _, corners in stress.areas)
+    with_stress = replace(flight.config, stress=replace(stress, growth=1, areas=areas))
+    one, two = begin(replace(flight, config=with_stress)), begin(flight)
     for action in flight.actions():
         one.step(action[None])
         two.step(action[None])
@@ -103,3 +116,57 @@ def test_a_patch_is_known_from_the_step_in_which_a_uav_with_a_task_is_over_it():
         assert np.array_equal(farms.patch_known[0], known)
         assert farms.stressed[0].any() == (alive & known).any()
     assert known.any()
+
+
+@dose(20)
+@given(flights(farm_configs(SMALL)), stresses())
+def test_an_area_that_covers_the_field_is_a_patch_that_lasts(flight: Flight, stress: StressConfig):
+    """Whatever patches come, the field grows as one with the larger growth, and the team knows it from the start."""
+    everywhere = ((-1.0, -1.0), (1000.0, -1.0), (1000.0, 1000.0), (-1.0, 1000.0))
+    areas = ((stress.growth, everywhere), *((min(growth, stress.growth), c) for growth, c in stress.areas))
+    one, two = (replace(stress, areas=areas, patches=patches) for patches in (stress.patches, 0))
+    with_patches, without = (begin(replace(flight, config=stressed(flight.config, each))) for each in (one, two))
+    for action in flight.actions():
+        with_patches.step(action[None])
+        without.step(action[None])
+        assert (without.stressed == (stress.growth > 1)).all() or stress.growth == 1
+        for name in ("aoi", "vdf", "reward"):
+            np.testing.assert_array_equal(getattr(with_patches, name), getattr(without, name))
+
+
+LEFT = ((0.0, 0.0), (100.0, 0.0), (100.0, 400.0), (0.0, 400.0))
+LOWER = ((0.0, 0.0), (400.0, 0.0), (400.0, 100.0), (0.0, 100.0))
+
+
+def test_counters_in_areas_rise_at_their_own_cycles_from_the_start():
+    """Cycle 30 becomes 15 in the left quarter and 10 in the lower one, which wins where both are; a patch of 5 wins."""
+    config = FarmConfig(
+        stress=StressConfig(patches=1, radius=1000.0, growth=5, seconds=60.0, areas=((2, LEFT), (3, LOWER)))
+    )
+    config = replace(config, camera=replace(config.camera, image_distance=1.0))
+    farms = FarmBatch(config, 1)
+    farms.reset(0, 3, 1)
+    first, end = patches(config, 3, 1).time[0]
+    cycles = np.full(farms.vdf[0].shape, 30)
+    cycles[: len(cycles) // 4], cycles[:, : cycles.shape[1] // 4] = 15, 10
+    assert np.array_equal(known_cycles(farms, 0)[0], cycles.reshape(-1))
+    assert np.array_equal(farms.stressed[0], cycles < 30)
+    for step in range(1, 501):
+        before = farms.vdf[0].copy()
+        farms.step(np.zeros((1, 24), np.float32))
+        due = step % (np.minimum(cycles, 6) if first <= step < end else cycles) == 0
+        assert np.array_equal(farms.vdf[0], np.minimum(before + due, config.world.vdf_max))
+
+
+def test_sensors_in_areas_have_their_own_cycles():
+    """Which the team knows, and the observation shows areas as patches that are known."""
+    config = stressed(FarmConfig(), StressConfig(areas=((4, LEFT),)))
+    farms = FarmBatch(config, 1)
+    farms.reset(0, 3, 1)
+    layout = farms.layout(0)
+    inside = layout.sensor_xy[:, 0] <= 100.0
+    usual = layout.sensor_cycle_steps
+    assert 0 < inside.sum() < len(inside)
+    assert np.array_equal(known_cycles(farms, 0)[1], np.where(inside, usual // 4, usual))
+    seen = farms.observation[0, named_columns(config, "block_stress")]
+    assert 0.0 < seen.mean() < 1.0
