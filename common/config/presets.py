@@ -92,9 +92,12 @@ EIA_SEC: Final = """
 episodes = 400
 [farm.observation]
 window = 5
+peers = 0
 last_move = false
 closing = false
+units = 0
 fields = false
+coarse = false
 phases = false
 route = false
 service = false

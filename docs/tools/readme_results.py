@@ -119,6 +119,15 @@ def _rank(flown: dict[str, Any]) -> str:
     )
 
 
+def _relays(runs: list[dict[str, Any]]) -> str:
+    """Return what runs' relays earn beside scripted ones, if all runs say it."""
+    if not all("script" in run for run in runs):
+        return ""
+    own, scripted = sum(run["reward"]["c"] for run in runs), sum(run["script"] for run in runs)
+    return f""" Their relays earn {own / len(runs):.1f}, those of the heuristic `search` in their
+        place {scripted / len(runs):.1f} (mean over the seeds)."""
+
+
 def _seeds_line(default: dict[str, Any]) -> str:
     """Return what several seeds of the default preset come to, and how soon."""
     runs, first = default["runs"], default["first_farm"]
@@ -126,13 +135,12 @@ def _seeds_line(default: dict[str, Any]) -> str:
     each = ", ".join(f"{run['reward']['mean']:.0f}" for run in runs)
     minutes = [run["seconds"] / 60 for run in runs]
     soon = [[run["reached"][share] for run in runs] for share in ("0.5", "0.75", "0.9", "1")]
-    relays = [sum(run["reward"]["c"] for run in runs) / len(runs), sum(run["script"] for run in runs) / len(runs)]
     times = ", ".join("never" if None in times else f"{max(times):.0f}" for times in soon)
     return f"""{len(runs)} seeds score {shown(default["reward"])} on farms {first}..{first + default["farms"] - 1}
         (each: {each}; the lawnmower {default["lawnmower"]:.0f}), AoI {aoi}, VDF {vdf}, after {min(minutes):.0f} to
         {max(minutes):.0f} minutes each. The slowest needs {times} seconds to 50, 75, 90 and 100 % of the lawnmower's
-        reward in training, noise included. Their relays earn {relays[0]:.1f}, those of the heuristic `search` in their
-        place {relays[1]:.1f} (mean over the seeds). Made by `{default["command"]}`, commit {default["commit"]}."""
+        reward in training, noise included.{_relays(runs)} Made by `{default["command"]}`, commit
+        {default["commit"]}."""
 
 
 def default_block(

@@ -70,35 +70,25 @@ ABLATIONS: Final = (
     Method("EIA-SEC, printed target", PRINTED_TARGET),
 )
 
-_ALL_OBSERVATIONS: Final[Mapping[str, Value]] = {
-    "farm.observation.peers": 3,
-    "farm.observation.units": 2,
-    "farm.observation.coarse": True,
-}
-"""What the preset `quick` observed when these studies ran. The study `observations` took it away."""
 ON_POLICY: Final = (
-    Method("IPPO, shared parameters", _ALL_OBSERVATIONS),
-    Method("MAPPO, shared parameters", {"algorithm.name": "mappo", **_ALL_OBSERVATIONS}),
-    Method("neither", {"algorithm.parameters": "separate", **_ALL_OBSERVATIONS}),
-    Method("EIA only", {"algorithm.name": "eia-ppo", "algorithm.ensemble": False, **_ALL_OBSERVATIONS}),
-    Method("SEC only", {"algorithm.name": "eia-ppo", "elite.enabled": False, **_ALL_OBSERVATIONS}),
-    Method("EIA-SEC", {"algorithm.name": "eia-ppo", **_ALL_OBSERVATIONS}),
+    Method("IPPO, shared parameters"),
+    Method("MAPPO, shared parameters", {"algorithm.name": "mappo"}),
+    Method("neither", {"algorithm.parameters": "separate"}),
+    Method("EIA only", {"algorithm.name": "eia-ppo", "algorithm.ensemble": False}),
+    Method("SEC only", {"algorithm.name": "eia-ppo", "elite.enabled": False}),
+    Method("EIA-SEC", {"algorithm.name": "eia-ppo"}),
 )
-"""Forms of PPO over the preset `quick`. From `neither` on, each agent has its own networks."""
+"""Forms of PPO over the preset `quick`, with its settings. From `neither` on, each agent has its own networks."""
 _ADDED: Final = ("peers", "last_move", "closing", "units", "fields", "coarse", "phases", "route", "service")
 OBSERVATIONS: Final = (
     ON_POLICY[0],
     # The preset of the paper's method has none of them.
     *(
-        Method(
-            f"without {name}",
-            {**_ALL_OBSERVATIONS, f"farm.observation.{name}": getattr(preset("eia-sec").farm.observation, name)},
-        )
+        Method(f"without {name}", {f"farm.observation.{name}": getattr(preset("eia-sec").farm.observation, name)})
         for name in _ADDED
     ),
-    Method("without peers, units, coarse"),
 )
-"""IPPO with every observation that the paper does not have, with one less, and with three less: today's `quick`."""
+"""IPPO with every observation that the paper does not have, and with one less."""
 
 TUNED_PRESET: Final = "preset eia-sec"
 """What `eia-sec train --preset eia-sec` does; it is tuned further than any method is here."""

@@ -27,17 +27,17 @@ class ObservationConfig:
     """Whether an agent sees its index in its type, 1 of n_v, so that equal actors can divide the work (ours)."""
     clock: bool = True
     """Whether an agent sees the elapsed share of the episode (ours)."""
-    peers: int = 0
+    peers: int = 3
     """Nearest UAVs of its type whose offset, last velocity and presence an agent sees, 0 to 63 (ours)."""
     last_move: bool = True
     """Whether an agent sees its own last velocity, as a share of full speed (ours)."""
     closing: bool = True
     """Whether monitors and collectors see the risk SR that each of nine moves would bring near their peers (ours)."""
-    units: int = 0
+    units: int = 2
     """Moves for which monitors and collectors see the units that each of nine would bring: 0, 1 or 2 (ours)."""
     fields: bool = True
     """Whether monitors and collectors see where their own share of the task lies, near and far (ours)."""
-    coarse: bool = False
+    coarse: bool = True
     """Whether monitors and collectors see coarse maps of VDF and AoI around them (ours)."""
     phases: bool = True
     """Whether agents see the phase of their counters' cycles, and the last 25 and 100 steps run down (ours)."""
