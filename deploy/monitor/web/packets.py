@@ -120,7 +120,8 @@ def _conditions(farm: FarmConfig) -> dict[str, Any]:
     if farm.battery.some:
         found["stations"] = station_places(farm).tolist()
     if farm.stress.some:
-        found["stress"] = {"colour": STRESS, "radius": farm.stress.radius}
+        areas = [corners for _, corners in farm.stress.faster]
+        found["stress"] = {"colour": STRESS, "radius": farm.stress.radius, "areas": areas}
     return found
 
 

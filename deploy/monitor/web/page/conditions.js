@@ -6,15 +6,31 @@ import { Past } from "./past.js";
 const STATION = 15; // half the size of a station's mark, pixels: more than a UAV's, which may stand on it
 const BAR = { width: 24, height: 5, below: UAV + 5 }; // of a UAV's charge, pixels
 
+function polygon(field, pen, corners) {
+  pen.beginPath();
+  for (const [x, y] of corners) pen.lineTo(field.x(x), field.y(y));
+  pen.closePath();
+}
+
 export function drawZones(field, pen, frame) {
   pen.lineWidth = 1.5;
   pen.strokeStyle = field.scene.zone;
   pen.fillStyle = css(rgb(field.scene.zone), 0.2);
   for (const corners of frame.packet.zones) {
-    pen.beginPath();
-    for (const [x, y] of corners) pen.lineTo(field.x(x), field.y(y));
-    pen.closePath();
+    polygon(field, pen, corners);
     pen.fill();
+    pen.stroke();
+  }
+}
+
+// Areas in which counters always rise faster.
+export function drawAreas(field, pen) {
+  const { stress } = field.scene;
+  if (!stress) return;
+  pen.lineWidth = 1.8;
+  pen.strokeStyle = css(rgb(stress.colour), 0.85);
+  for (const corners of stress.areas) {
+    polygon(field, pen, corners);
     pen.stroke();
   }
 }

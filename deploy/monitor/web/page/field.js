@@ -1,6 +1,6 @@
 // The map: plots by VDF, sensors by AoI, reach, trails, links and UAVs.
 
-import { cross, drawCharges, drawPatches, drawStations, drawWind, drawZones, isGone } from "./conditions.js";
+import { cross, drawAreas, drawCharges, drawPatches, drawStations, drawWind, drawZones, isGone } from "./conditions.js";
 import { DOWN_DASH, LINK, UAV, css, mark, niceStep, prepare, ramp, rgb, uav } from "./marks.js";
 import { Past } from "./past.js";
 
@@ -35,6 +35,7 @@ export class Field {
     pen.rect(this.x(0) - UAV, this.y(fy) - UAV, fx * this.scale + 2 * UAV, fy * this.scale + 2 * UAV);
     pen.clip();
     drawZones(this, pen, frame);
+    drawAreas(this, pen);
     drawPatches(this, pen, frame);
     this.drawReach(pen, frame);
     drawStations(this, pen);

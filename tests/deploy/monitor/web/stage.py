@@ -42,17 +42,19 @@ CONFIG = RunConfig(
     ),
     rollout=RolloutConfig(environments=2, chunk_steps=10, train_farms=3),
 )
+AREA = ((60.0, 50.0), (95.0, 50.0), (95.0, 75.0), (60.0, 75.0))
+"""An area of faster growth, m."""
 CONDITIONS = replace(
     CONFIG,
     farm=replace(
         CONFIG.farm,
-        stress=StressConfig(patches=4, radius=12.0, seconds=200.0),
+        stress=StressConfig(patches=4, radius=12.0, seconds=200.0, areas=((2, AREA),)),
         battery=BatteryConfig(capacity=8_000.0, stations=2),
         failures=FailureConfig(at="collection 1 at 5"),
         relay=replace(CONFIG.farm.relay, require_link=True, link_range=40.0),
     ),
 )
-"""The same farm with all that few farms have: links that count, batteries, a UAV that fails, and patches of stress."""
+"""The same farm with all that few farms have: links that count, batteries, a UAV that fails, and stress."""
 
 
 def some_actors(config: RunConfig = CONFIG) -> TeamActors:

@@ -79,6 +79,7 @@ def test_the_page_shows_what_only_some_farms_have():
         assert bars_match(page, position[~gone], np.array(frame["charge"])[~gone] / 255)
         assert links_are_red(page)
         assert stations_are_drawn(page)
+        assert areas_are_outlined(page)
         assert patches_are_tinted(page, frame)
         assert complaints == []
 
@@ -110,6 +111,13 @@ def stations_are_drawn(page):
     before = count(page, "#222222", 40)
     redraw(page, "watching.view.scene.stations.length = 0")
     return count(page, "#222222", 40) < before - 40
+
+
+def areas_are_outlined(page):
+    """Return whether the map has less of the stress's colour without the areas."""
+    before = count(page, STRESS, 60)
+    redraw(page, "watching.view.scene.stress.areas.length = 0")
+    return count(page, STRESS, 60) < before - 100
 
 
 def patches_are_tinted(page, frame):

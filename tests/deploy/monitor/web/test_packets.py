@@ -15,7 +15,7 @@ from rollout.sim.layout import make_layout
 from rollout.sim.stations import station_places
 from rollout.sim.stress import patches
 from tests.common.protocol.test_view_checks import a_view, a_view_of_conditions
-from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG
+from tests.deploy.monitor.web.stage import AREA, CONDITIONS, CONFIG
 
 TERMS = WatchTerms("", REWARD_PARTS, 4.0, 25.0)
 DTYPES = {"f4": np.float32, "u1": np.uint8}
@@ -50,7 +50,7 @@ def test_a_scene_says_what_the_farm_has():
     """Stations, radii and colours are those of the configuration and of the other pictures."""
     scene, _ = unpacked(packets.scene("run", "w", CONDITIONS.farm, TERMS))
     assert scene["stations"] == station_places(CONDITIONS.farm).tolist()
-    assert scene["stress"] == {"colour": STRESS, "radius": 12.0}
+    assert scene["stress"] == {"colour": STRESS, "radius": 12.0, "areas": [[list(corner) for corner in AREA]]}
     assert scene["link_down"] == {"colour": LINK_DOWN, "range": 40.0}
     assert scene["gone"] == GONE
 
