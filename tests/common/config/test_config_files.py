@@ -241,7 +241,12 @@ BASES = "eia-sec", "default"
 OTHER_VALUES = {
     bool: ["true", "false"],
     str: [*(f'"{word}"' for word in WORDS), "'{\"N\": 5}'"],
-    tuple: ["[30]", str([[float(i % 20), float(i // 20)] for i in range(400)]), "[[[0, 0], [9, 0], [4, 4]]]"],
+    tuple: [
+        "[30]",
+        str([[float(i % 20), float(i // 20)] for i in range(400)]),
+        "[[[0, 0], [9, 0], [4, 4]]]",
+        "[[2, [[0, 0], [9, 0], [4, 4]]]]",
+    ],
     int: ["1", "2", "3", "5", "100", "2000000"],
     float: ["0.25", "0.75", "2.0", "4.0"],
 }
