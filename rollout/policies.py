@@ -20,7 +20,7 @@ from common.config import FarmConfig, RunConfig
 from common.errors import PolicyError
 from common.farm import farm_of, farm_team
 from common.policy_file import load_policy
-from common.team import Float32, GroupSpec, TeamSpec
+from common.team import Float32, TeamSpec
 from rollout.envs.base import Environments
 from rollout.heuristics.random import RandomPolicy
 from rollout.heuristics.registry import HEURISTICS, RELAYS, heuristic
@@ -88,21 +88,28 @@ class ActorPolicy:
 def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:
     """Return the actors for a team, with the team's action adapters. The team's field may have another size.
 
+    An actor that all agents of a type share flies any number of them.
+
     Raises:
         PolicyError: the actors are for other types, counts, observations or actions, or for another kind of control.
     """
     if actors.team == team:
         return actors
-    if [_interface(group) for group in actors.team.groups] != [_interface(group) for group in team.groups]:
+    shared = [len(flat) == 1 for flat in actors.flat]
+    if _interfaces(actors.team, shared) != _interfaces(team, shared):
         raise PolicyError(f"the policy is for {_describe(actors.team)}, but this environment has {_describe(team)}.")
     return replace(actors, team=team)
 
 
-def _interface(group: GroupSpec) -> tuple[Any, ...]:
-    """Return what two groups must have in common to use the same actors; the adapters' numbers may differ."""
-    kinds = tuple(adapter.kind for adapter in group.adapters)
-    sizes = group.count, group.observation_size, group.action_size
-    return group.name, *sizes, group.choices, group.masked, kinds
+def _interfaces(team: TeamSpec, shared: list[bool]) -> list[tuple[Any, ...]]:
+    """Return what two teams' types must have in common to use the same actors; the adapters' numbers may differ."""
+    found = []
+    for index, group in enumerate(team.groups):
+        kinds = tuple(adapter.kind for adapter in group.adapters)
+        count = None if index < len(shared) and shared[index] else group.count
+        sizes = count, group.observation_size, group.action_size
+        found.append((group.name, *sizes, group.choices, group.masked, kinds))
+    return found
 
 
 def trained_policy(path: Path, config: FarmConfig) -> Policy:

@@ -174,3 +174,23 @@ def test_a_mirrored_policy_is_another_kind_even_where_sizes_are_the_same():
     begin(mirrored, policy)
     with pytest.raises(PolicyError, match="mirrored axes"):
         begin(plain, policy)
+
+
+@pytest.mark.parametrize("counts", [(1, 2, 3), (5, 6, 8)])
+def test_shared_actors_fly_teams_of_other_sizes(counts):
+    """Without ranks, one actor for all UAVs of a type flies any number of them; separate actors do not."""
+    farm = preset("default").farm
+    uavs = dict(zip(("communication_uavs", "monitoring_uavs", "collection_uavs"), counts, strict=True))
+    farm = replace(farm, observation=replace(farm.observation, identity=False))
+    other = replace(farm, world=replace(farm.world, **uavs))
+    shared = TeamActors.initial(farm_team(farm), 16, 3, head="categorical", shared=True)
+    policy = ActorPolicy(shared)
+    farms = begin(other, policy)
+    expected = TeamActors(farms.team, 16, shared.flat, "categorical")
+    for _ in range(3):
+        action = policy.act(farms)
+        np.testing.assert_array_equal(action, [expected.environment_actions(row[None])[0] for row in farms.observation])
+        farms.step(action)
+    assert action.shape == (3, 2 * sum(counts))
+    with pytest.raises(PolicyError, match="4 monitoring agents"):
+        begin(other, ActorPolicy(TeamActors.initial(farm_team(farm), 16, 3, head="categorical")))

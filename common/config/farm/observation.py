@@ -24,7 +24,8 @@ class ObservationConfig:
     mirrored: bool = True
     """Whether each UAV has axes of its own, on which its position (a monitor's: in its plot) is positive (ours)."""
     identity: bool = True
-    """Whether an agent sees its index in its type, 1 of n_v, so that equal actors can divide the work (ours)."""
+    """Whether an agent sees its index in its type, 1 of n_v, so that equal actors can divide the work. Without it, an
+    actor that a type's agents share flies any number of them (ours)."""
     clock: bool = True
     """Whether an agent sees the elapsed share of the episode (ours)."""
     peers: int = 3

@@ -1,0 +1,91 @@
+"""Transfer: a policy of the default farm on fields from files and in teams of other sizes, beside the best heuristic.
+
+python -m experiments.transfer [--episodes 3200] [--seed 0] [--farms 1020:1040] [--write docs/results/transfer]
+"""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+
+from common.config import FarmConfig, RunConfig
+from common.config.files import from_toml
+from common.config.presets import preset
+from deploy.local.in_process import train_in_process
+from deploy.reports.provenance import provenance
+from experiments.conditions import Scores, best_heuristics, flown
+from experiments.reporting import farm_range, filled, write_results
+from rollout.farm_files import read_farm
+from rollout.policies import ActorPolicy
+
+TEMPLATE: Final = Path(__file__).with_suffix(".md")
+ANY_TEAM: Final = '[farm.world]\ndensity = "mixed"\n[farm.observation]\nidentity = false'
+"""What the policy trains on, over the default preset."""
+EXAMPLES: Final = Path(__file__).resolve().parents[1] / "docs" / "examples"
+FIELDS: Final = ("orchard", "vineyard", "arable")
+"""Files in docs/examples."""
+TEAMS: Final = ((4, 4, 4), (2, 2, 2), (3, 4, 6), (8, 8, 8))
+"""Relays, monitors and collectors on the farm of the training."""
+
+
+def configuration(episodes: int, seed: int) -> RunConfig:
+    """Return the run of the policy."""
+    return replace(from_toml(ANY_TEAM, preset("default")), episodes=episodes, seed=seed)
+
+
+def places(farm: FarmConfig) -> dict[str, FarmConfig]:
+    """Return the farms to fly on by their names."""
+    found = {}
+    for name in FIELDS:
+        given = read_farm(EXAMPLES / f"{name}.geojson").on(farm)
+        size = f"{given.world.field_x:.0f} m x {given.world.field_y:.0f} m, {given.world.sensors} sensors"
+        found[f"{name}, {size}"] = given
+    for relays, monitors, collectors in TEAMS:
+        world = replace(farm.world, communication_uavs=relays, monitoring_uavs=monitors, collection_uavs=collectors)
+        found[f"team {relays} + {monitors} + {collectors}"] = replace(farm, world=world)
+    return found
+
+
+def page(data: dict[str, Any]) -> str:
+    """Return the results as a page."""
+    head = ("where", "best heuristic", "", "policy", "ratio", "c, m, d: heuristic", "policy", "AoI, VDF", "policy")
+    rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * 6]
+    for name, found in data["results"].items():
+        bar, own = found["heuristic"], found["policy"]
+        cells = [name, _reward(bar), bar["policy"], _reward(own), f"{own['reward'][0] / bar['reward'][0]:.3f}"]
+        cells += [", ".join(f"{value:.0f}" for value in scores["types"].values()) for scores in (bar, own)]
+        cells += [f"{scores['aoi']:.2f}, {scores['vdf']:.2f}" for scores in (bar, own)]
+        rows.append("| " + " | ".join(cells) + " |")
+    numbers = {name: data[name] for name in ("episodes", "seed")}
+    return filled(TEMPLATE, data, tables="\n".join([*rows, ""]), **numbers)
+
+
+def _reward(scores: Scores) -> str:
+    return f"{scores['reward'][0]:.0f} ({scores['reward'][1]:.0f}..{scores['reward'][2]:.0f})"
+
+
+def main() -> None:
+    """Train and fly, print what came out, and write it where asked after each place."""
+    about = (__doc__ or "").partition("\n")[0]
+    parser = argparse.ArgumentParser(prog="python -m experiments.transfer", description=about)
+    parser.add_argument("--episodes", type=int, default=3200)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--farms", type=farm_range, default="1020:1040", help="farm seeds A:B, from A to B - 1")
+    parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    results: dict[str, Scores] = {}
+    data: dict[str, Any] = {**provenance("experiments.transfer"), "farms": list(arguments.farms)}
+    data |= {"episodes": arguments.episodes, "seed": arguments.seed, "results": results}
+    config = configuration(arguments.episodes, arguments.seed)
+    policy = ActorPolicy(train_in_process(config).actors().noise_free())
+    for name, farm in places(config.farm).items():
+        bar = best_heuristics(farm, arguments.farms)[0]
+        results[name] = {"heuristic": bar, "policy": flown(farm, policy, "transfer", arguments.farms)}
+        write_results(data, page, arguments.write)
+
+
+if __name__ == "__main__":
+    main()
