@@ -23,6 +23,7 @@ from deploy.local.in_process import train_in_process
 from deploy.reports.provenance import provenance
 from experiments.heuristics import interval
 from experiments.reporting import farm_range, filled, write_results
+from experiments.studies.analysis.verdicts import shown
 from rollout.evaluation import evaluate
 from rollout.heuristics.registry import TASKS
 from rollout.policies import ActorPolicy, Policy, policy_of
@@ -146,20 +147,16 @@ def page(data: dict[str, Any]) -> str:
     rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * 7 + "---|"]
     for name, found in data["results"].items():
         bar = found["heuristics"][0]
-        cells = [name, _reward(bar), bar["policy"]]
+        cells = [name, shown(bar["reward"]), bar["policy"]]
         for policy in ("learned", "advised"):
             known = policy in found
-            cells += [_reward(found[policy]) if known else "-"]
+            cells += [shown(found[policy]["reward"]) if known else "-"]
             cells += [f"{found[policy]['reward'][0] / bar['reward'][0]:.3f}" if known else "-"]
         for scores in (bar, found["learned"], found.get("advised")):
             cells.append(", ".join(f"{value:.0f}" for value in scores["types"].values()) if scores else "-")
         rows.append("| " + " | ".join([*cells, found["commit"]]) + " |")
     numbers = {name: data[name] for name in ("episodes", "advised", "seed")}
     return filled(TEMPLATE, data, tables="\n".join([*rows, ""]), **numbers)
-
-
-def _reward(scores: Scores) -> str:
-    return f"{scores['reward'][0]:.0f} ({scores['reward'][1]:.0f}..{scores['reward'][2]:.0f})"
 
 
 def kept(folder: Path | None) -> dict[str, Scores]:

@@ -27,7 +27,7 @@ from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy, 
 from rollout.heuristics.relays import CentroidRelays
 from rollout.heuristics.tasks import lawnmower
 from rollout.heuristics.tasks.horizon import Effort, HorizonGroupPolicy
-from rollout.policies import policy_of
+from rollout.policies import Policy, policy_of
 from rollout.sim.batch import FarmBatch
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")
@@ -63,39 +63,43 @@ class PartialGroupPolicy(HorizonGroupPolicy):
 
 
 class Exchange:
-    """Flies the policy that ships with the first few of a type exchanged for searches.
+    """Flies one policy with some UAVs exchanged for those of another.
 
     Args:
-        config: the farm.
-        kind: the type's name.
-        searching: how many are exchanged.
+        policy: flies all other UAVs.
+        other: flies those that are exchanged.
+        columns: their columns of an action.
     """
 
-    def __init__(self, config: FarmConfig, kind: str, searching: int) -> None:
-        searchers = partial(PartialGroupPolicy, kind=KINDS[kind], searching=searching)
-        monitors = searchers if kind == MONITORING else lawnmower.monitors
-        collectors = searchers if kind == COLLECTION else lawnmower.collectors
-        self._learned = policy_of(LEARNED, config)
-        self._search = CompositePolicy(config, CentroidRelays, monitors, collectors)
-        first = farm_team(config).agent_slices()[KINDS[kind]].start
-        self._columns = slice(2 * first, 2 * (first + searching))
+    def __init__(self, policy: Policy, other: Policy, columns: slice) -> None:
+        self._policy, self._other, self._columns = policy, other, columns
 
     def reset(self, farms: FarmBatch, index: int) -> None:
         """Prepare for the episode that environment `index` has just begun."""
-        self._learned.reset(farms, index)
-        self._search.reset(farms, index)
+        self._policy.reset(farms, index)
+        self._other.reset(farms, index)
 
     def act(self, farms: FarmBatch) -> Float32:
         """Return the actions [E, A] of all agents."""
-        action = self._learned.act(farms).copy()
+        action = self._policy.act(farms).copy()
         if self._columns.stop > self._columns.start:
-            action[:, self._columns] = self._search.act(farms)[:, self._columns]
+            action[:, self._columns] = self._other.act(farms)[:, self._columns]
         return action
+
+
+def searching_team(config: FarmConfig, kind: str, searching: int) -> Exchange:
+    """Return the policy that ships with the first few of a type exchanged for searches."""
+    searchers = partial(PartialGroupPolicy, kind=KINDS[kind], searching=searching)
+    monitors = searchers if kind == MONITORING else lawnmower.monitors
+    collectors = searchers if kind == COLLECTION else lawnmower.collectors
+    search = CompositePolicy(config, CentroidRelays, monitors, collectors)
+    first = farm_team(config).agent_slices()[KINDS[kind]].start
+    return Exchange(policy_of(LEARNED, config), search, slice(2 * first, 2 * (first + searching)))
 
 
 def fly(config: FarmConfig, kind: str, searching: int, farms: range) -> dict[str, Any]:
     """Return the mean reward of a type's UAVs: of those that search, of those that stay, and of all."""
-    policy, agents, rewards = Exchange(config, kind, searching), farm_team(config).agent_slices()[KINDS[kind]], []
+    policy, agents, rewards = searching_team(config, kind, searching), farm_team(config).agent_slices()[KINDS[kind]], []
     for farm in farms:
         batch = FarmBatch(config, 1)
         batch.reset(0, farm, episode_seed(farm, 0))

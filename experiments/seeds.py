@@ -17,14 +17,13 @@ import tyro
 
 from common.config import FarmConfig
 from common.farm import COMMUNICATION
-from common.team import Float32
 from deploy.local.run_directory import METRICS, POLICY, RunDirectory
 from deploy.reports.run_report import read_metrics
+from experiments.exchange import Exchange
 from experiments.studies.analysis.statistics import interval, mean
 from experiments.studies.scales import FIRST_REPORTED
 from rollout.evaluation import Evaluation, evaluate
 from rollout.policies import Policy, policy_of
-from rollout.sim.batch import FarmBatch
 
 FARMS: Final = 80
 """Farms on which studies are reported."""
@@ -36,28 +35,9 @@ SCRIPT: Final = "lawnmower+search"
 """A heuristic with the relays that are flown in place of a policy's own."""
 
 
-class ScriptedRelays:
-    """A policy whose relays a heuristic flies.
-
-    Args:
-        policy: flies monitors and collectors.
-        farm: the farm.
-    """
-
-    def __init__(self, policy: Policy, farm: FarmConfig) -> None:
-        self._policies = policy, policy_of(SCRIPT, farm)
-        self._relays = slice(2 * farm.world.communication_uavs)
-
-    def reset(self, farms: FarmBatch, index: int) -> None:
-        """Begin the episode of one environment."""
-        for policy in self._policies:
-            policy.reset(farms, index)
-
-    def act(self, farms: FarmBatch) -> Float32:
-        """Return the actions of all UAVs, [E, A]."""
-        action, scripted = (policy.act(farms).copy() for policy in self._policies)
-        action[:, self._relays] = scripted[:, self._relays]
-        return action
+def scripted_relays(policy: Policy, farm: FarmConfig) -> Exchange:
+    """Return a policy whose relays a heuristic flies."""
+    return Exchange(policy, policy_of(SCRIPT, farm), slice(0, 2 * farm.world.communication_uavs))
 
 
 @dataclass(frozen=True)
@@ -91,7 +71,7 @@ def summary(path: Path, goal: float) -> tuple[dict[str, Any], Evaluation]:
     policy = policy_of(str(path / POLICY), config.farm)
     farms = range(FIRST_REPORTED, FIRST_REPORTED + FARMS)
     found = evaluate(config.farm, policy, farms, 1, name=f"seed {config.seed}")
-    scripted = evaluate(config.farm, ScriptedRelays(policy, config.farm), farms, 1, name=SCRIPT)
+    scripted = evaluate(config.farm, scripted_relays(policy, config.farm), farms, 1, name=SCRIPT)
     last = [record for record in records if record["kind"] == "status"][-1]
     plain = found.to_dict()
     return {

@@ -17,6 +17,7 @@ from deploy.local.in_process import train_in_process
 from deploy.reports.provenance import provenance
 from experiments.conditions import Scores, best_heuristics, flown
 from experiments.reporting import farm_range, filled, write_results
+from experiments.studies.analysis.verdicts import shown
 from rollout.farm_files import read_farm
 from rollout.policies import ActorPolicy
 
@@ -54,16 +55,18 @@ def page(data: dict[str, Any]) -> str:
     rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * 6]
     for name, found in data["results"].items():
         bar, own = found["heuristic"], found["policy"]
-        cells = [name, _reward(bar), bar["policy"], _reward(own), f"{own['reward'][0] / bar['reward'][0]:.3f}"]
+        cells = [
+            name,
+            shown(bar["reward"]),
+            bar["policy"],
+            shown(own["reward"]),
+            f"{own['reward'][0] / bar['reward'][0]:.3f}",
+        ]
         cells += [", ".join(f"{value:.0f}" for value in scores["types"].values()) for scores in (bar, own)]
         cells += [f"{scores['aoi']:.2f}, {scores['vdf']:.2f}" for scores in (bar, own)]
         rows.append("| " + " | ".join(cells) + " |")
     numbers = {name: data[name] for name in ("episodes", "seed")}
     return filled(TEMPLATE, data, tables="\n".join([*rows, ""]), **numbers)
-
-
-def _reward(scores: Scores) -> str:
-    return f"{scores['reward'][0]:.0f} ({scores['reward'][1]:.0f}..{scores['reward'][2]:.0f})"
 
 
 def main() -> None:

@@ -20,7 +20,7 @@ from common.config import FarmConfig, RunConfig
 from common.errors import PolicyError
 from common.farm import farm_of, farm_team
 from common.policy_file import load_policy
-from common.team import Float32, TeamSpec
+from common.team import Float32, GroupSpec, TeamSpec
 from rollout.envs.base import Environments
 from rollout.heuristics.random import RandomPolicy
 from rollout.heuristics.registry import HEURISTICS, RELAYS, heuristic
@@ -95,21 +95,21 @@ def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:
     """
     if actors.team == team:
         return actors
-    shared = [len(flat) == 1 for flat in actors.flat]
-    if _interfaces(actors.team, shared) != _interfaces(team, shared):
+    pairs = zip(actors.team.groups, team.groups, actors.flat, strict=False)
+    if len(actors.flat) != len(team.groups) or not all(_fits(own, other, flat) for own, other, flat in pairs):
         raise PolicyError(f"the policy is for {_describe(actors.team)}, but this environment has {_describe(team)}.")
     return replace(actors, team=team)
 
 
-def _interfaces(team: TeamSpec, shared: list[bool]) -> list[tuple[Any, ...]]:
-    """Return what two teams' types must have in common to use the same actors; the adapters' numbers may differ."""
-    found = []
-    for index, group in enumerate(team.groups):
-        kinds = tuple(adapter.kind for adapter in group.adapters)
-        count = None if index < len(shared) and shared[index] else group.count
-        sizes = count, group.observation_size, group.action_size
-        found.append((group.name, *sizes, group.choices, group.masked, kinds))
-    return found
+def _fits(own: GroupSpec, other: GroupSpec, flat: Float32) -> bool:
+    """Return whether the actors of a type [n_v or 1, P] can fly another team's type."""
+    return (own.count == other.count or len(flat) == 1) and _interface(own) == _interface(other)
+
+
+def _interface(group: GroupSpec) -> tuple[Any, ...]:
+    """Return what two groups must have in common to use the same actors; the adapters' numbers may differ."""
+    kinds = tuple(adapter.kind for adapter in group.adapters)
+    return group.name, group.observation_size, group.action_size, group.choices, group.masked, kinds
 
 
 def trained_policy(path: Path, config: FarmConfig) -> Policy:

@@ -72,7 +72,7 @@ def _optional_shapes(message: ViewMessage, farm: FarmConfig, frames: int) -> dic
     shapes = {
         "gone": (farm.loses_uavs, (frames, farm.world.uavs)),
         "charge": (farm.battery.some, (frames, farm.world.uavs)),
-        "known": (farm.stress.some, (frames, farm.stress.patches)),
+        "known": (farm.stress.patches > 0, (frames, farm.stress.patches)),
     }
     sent = {name: entry for name, entry in shapes.items() if getattr(message, name) is not None}
     for name, (wanted, _) in sent.items():

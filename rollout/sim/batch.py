@@ -194,19 +194,13 @@ class FarmBatch:
         state.sensor[e] = layout.sensor_xy.T
         state.cell_start[e] = layout.cell_start
         state.by_row[e], state.row_start[e] = by_rows(layout)
-        state.cycle[e] = np.minimum(layout.sensor_cycle_steps, NEVER)
-        state.age_due[e] = np.where(layout.sensor_phase > 0, np.minimum(layout.sensor_phase, NEVER), state.cycle[e])
-        level_due = np.where(layout.plot_phase > 0, layout.plot_phase, self._constants.camera.cycle)
-        state.level_due[e] = np.minimum(level_due, NEVER)
-        state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
+        self._begin_counters(e, layout)
         state.wind[e] = wind_series(self.config, farm_seed, episode_seed)
         state.zone_side[e], state.zone_box[e] = zone_sides(layout.zones)
         state.failure[e] = failure_steps(self.config, farm_seed, episode_seed)
         state.gone[e], state.living[e] = False, world.counts
         if self.config.battery.some:
             state.charge[e] = self.config.battery.capacity
-        if self.config.stress.some:
-            self._begin_stress(e, layout)
         if self.config.observation.route:
             self._divide_field(e)
         for array in (state.reward, state.parts, state.energy, state.utility, state.served, state.returns, state.sums):
@@ -215,22 +209,23 @@ class FarmBatch:
             visits[e] = 0
         begin_episode(self._arguments[0].address, e)
 
-    def _begin_stress(self, e: int, layout: Layout) -> None:
-        """Draw the patches of an episode that begins, of which nobody knows any, and shorten the cycles in areas."""
-        state, (place, time) = self._state, patches(self.config, *self._seeds[e])
-        areas, usual = self.config.stress.faster, self._constants.camera.cycle
-        growth = area_growth(areas, plot_centres(self.config.world)).reshape(layout.plot_phase.shape)
-        state.patch_place[e], state.patch_time[e] = place, time
-        state.patch_known[e], state.stressed[e] = False, growth > 1
-        plot_cycle = shortened(np.full(growth.shape, usual), growth)
-        state.plot_cycle[e] = np.minimum(plot_cycle, NEVER), layout.plot_phase, growth
-        state.sensor_cycle[e] = state.cycle[e], layout.sensor_phase, area_growth(areas, layout.sensor_xy)
-        if areas:
-            sensor_cycle = shortened(layout.sensor_cycle_steps, state.sensor_cycle[e, 2])
-            state.cycle[e] = np.minimum(sensor_cycle, NEVER)
-            state.age_due[e] = np.minimum(first_rises(layout.sensor_phase, sensor_cycle), NEVER)
-            state.level_due[e] = np.minimum(first_rises(layout.plot_phase, plot_cycle), NEVER)
-            state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
+    def _begin_counters(self, e: int, layout: Layout) -> None:
+        """Set the cycles and first rises of an episode that begins, and draw patches of stress that nobody knows."""
+        state, stress, world = self._state, self.config.stress, self.config.world
+        plot_growth = area_growth(stress.faster, plot_centres(world)).reshape(layout.plot_phase.shape)
+        sensor_growth = area_growth(stress.faster, layout.sensor_xy)
+        plot_cycle = shortened(np.full(plot_growth.shape, self._constants.camera.cycle), plot_growth)
+        sensor_cycle = shortened(layout.sensor_cycle_steps, sensor_growth)
+        state.cycle[e] = np.minimum(sensor_cycle, NEVER)
+        state.age_due[e] = np.minimum(first_rises(layout.sensor_phase, sensor_cycle), NEVER)
+        state.level_due[e] = np.minimum(first_rises(layout.plot_phase, plot_cycle), NEVER)
+        state.rising[e] = state.age_due[e].min(), state.level_due[e].min()
+        if stress.some:
+            state.patch_place[e], state.patch_time[e] = patches(self.config, *self._seeds[e])
+            state.patch_known[e], state.stressed[e] = False, plot_growth > 1
+            state.plot_cycle[e] = np.minimum(plot_cycle, NEVER), layout.plot_phase, plot_growth
+            usual = np.minimum(layout.sensor_cycle_steps, NEVER)
+            state.sensor_cycle[e] = usual, layout.sensor_phase, sensor_growth
 
     def step(self, action: Float32) -> None:
         """Step every environment.

@@ -129,7 +129,7 @@ class Probe:
         )
 
     def _optional(self, frames: list[_Frame]) -> dict[str, NDArray[np.uint8]]:
-        """Return the arrays that only farms with failures, batteries or stress send."""
+        """Return the arrays that only farms with failures, batteries or patches of stress send."""
         config, found = self._batch.config, {}
         if config.loses_uavs:
             found["gone"] = np.stack([frame.gone for frame in frames]).astype(np.uint8)
@@ -137,6 +137,6 @@ class Probe:
             # The step that empties a battery can take more than was left.
             share = np.maximum(np.stack([frame.charge for frame in frames]), 0.0) / config.battery.capacity
             found["charge"] = np.rint(255.0 * share).astype(np.uint8)
-        if config.stress.some:
+        if config.stress.patches:
             found["known"] = np.stack([frame.known for frame in frames]).astype(np.uint8)
         return found

@@ -7,7 +7,7 @@ import pytest
 
 from common.config.presets import PRESETS
 from common.farm import COLLECTION, MONITORING
-from experiments.exchange import LEARNED, Exchange, fly, page
+from experiments.exchange import LEARNED, fly, page, searching_team
 from rollout.evaluation import evaluate
 from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
@@ -19,7 +19,7 @@ FIRST = {MONITORING: 4, COLLECTION: 8}
 @pytest.mark.parametrize("kind", FIRST)
 def test_only_those_that_are_named_search(kind):
     """All other agents do what the policy that ships does in the same place; the two that search do not."""
-    batch, own, learned = FarmBatch(FARM, 1), Exchange(FARM, kind, 2), policy_of(LEARNED, FARM)
+    batch, own, learned = FarmBatch(FARM, 1), searching_team(FARM, kind, 2), policy_of(LEARNED, FARM)
     batch.reset(0, 3, 0)
     own.reset(batch, 0)
     learned.reset(batch, 0)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from common.config.presets import preset
-from experiments.seeds import SCRIPT, ScriptedRelays, reached
+from experiments.seeds import SCRIPT, reached, scripted_relays
 from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
 
@@ -30,7 +30,7 @@ def test_a_goal_that_is_never_reached():
 def test_scripted_relays_leave_the_others_to_the_policy():
     """Relays do what the heuristic does on the same farm, and monitors and collectors what the policy does."""
     farm = preset("default").farm
-    policies = ScriptedRelays(policy_of("greedy", farm), farm), policy_of(SCRIPT, farm), policy_of("greedy", farm)
+    policies = scripted_relays(policy_of("greedy", farm), farm), policy_of(SCRIPT, farm), policy_of("greedy", farm)
     batch = FarmBatch(farm, 1)
     batch.reset(0, 1000, 0)
     for policy in policies:

@@ -119,9 +119,10 @@ def _conditions(farm: FarmConfig) -> dict[str, Any]:
         found["gone"] = GONE
     if farm.battery.some:
         found["stations"] = station_places(farm).tolist()
-    if farm.stress.some:
-        areas = [corners for _, corners in farm.stress.faster]
-        found["stress"] = {"colour": STRESS, "radius": farm.stress.radius, "areas": areas}
+    if farm.stress.patches:
+        found["stress"] = {"colour": STRESS, "radius": farm.stress.radius}
+    if farm.stress.faster:
+        found["areas"] = {"colour": STRESS, "outlines": [corners for _, corners in farm.stress.faster]}
     return found
 
 
@@ -149,7 +150,7 @@ def frames(message: ViewMessage, farm: FarmConfig, layout: Layout, version: int)
     arrays |= {name: sent for name in ("gone", "charge", "known") if (sent := getattr(message, name)) is not None}
     if farm.relay.require_link:
         arrays["linked"] = _linked(message, farm)
-    if farm.stress.some:
+    if farm.stress.patches:
         place, time = patches(farm, message.farm, message.episode)
         fields["patches"] = np.concatenate([place, time], axis=1).tolist()
     return pack("frames", fields, arrays, len(message.position))

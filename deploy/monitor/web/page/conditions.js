@@ -25,11 +25,11 @@ export function drawZones(field, pen, frame) {
 
 // Areas in which counters always rise faster.
 export function drawAreas(field, pen) {
-  const { stress } = field.scene;
-  if (!stress) return;
+  const { areas } = field.scene;
+  if (!areas) return;
   pen.lineWidth = 1.8;
-  pen.strokeStyle = css(rgb(stress.colour), 0.85);
-  for (const corners of stress.areas) {
+  pen.strokeStyle = css(rgb(areas.colour), 0.85);
+  for (const corners of areas.outlines) {
     polygon(field, pen, corners);
     pen.stroke();
   }

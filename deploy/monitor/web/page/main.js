@@ -136,8 +136,14 @@ function conditionSigns(scene, ink, stroke) {
   if (scene.stations) add("charging station; bar: charge of a UAV", (pen) => station(pen, ink, 9, 9, 7));
   if (scene.gone) add("UAV that has failed", (pen) => cross(pen, scene.gone, 9, 9, 5));
   if (scene.stress) {
-    const areas = scene.stress.areas.length > 0 ? "; outline: always" : "";
-    add(`patch of stress; dashed: not found yet${areas}`, (pen) => patch(pen, scene.stress.colour, 9, 9, 7, true));
+    add("patch of stress; dashed: not found yet", (pen) => patch(pen, scene.stress.colour, 9, 9, 7, true));
+  }
+  if (scene.areas) {
+    add("area of faster growth", (pen) => {
+      pen.lineWidth = 1.8;
+      pen.strokeStyle = scene.areas.colour;
+      pen.strokeRect(2, 4, 14, 10);
+    });
   }
   return signs;
 }

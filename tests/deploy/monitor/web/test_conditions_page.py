@@ -9,7 +9,7 @@ from tests.deploy.monitor.web.test_watch_page import jump, looking
 
 pytestmark = pages.pytestmark
 FARM = CONDITIONS.farm
-SIGNS = ("link out of range, 40 m", "charging station", "UAV that has failed", "patch of stress")
+SIGNS = ("link out of range, 40 m", "charging station", "UAV that has failed", "patch of stress", "area of faster")
 """The legend's lines for what only some farms have."""
 EVENTFUL = """(() => { const p = watching.past;
 const row = (f, name) => { const a = f.packet.arrays[name]; const w = a.length / a.shape[0];
@@ -116,7 +116,7 @@ def stations_are_drawn(page):
 def areas_are_outlined(page):
     """Return whether the map has less of the stress's colour without the areas."""
     before = count(page, STRESS, 60)
-    redraw(page, "watching.view.scene.stress.areas.length = 0")
+    redraw(page, "watching.view.scene.areas.outlines.length = 0")
     return count(page, STRESS, 60) < before - 100
 
 

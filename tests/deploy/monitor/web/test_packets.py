@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from common.config import StressConfig
 from common.protocol.messages import WatchTerms
 from common.protocol.view_checks import NO_RELAY
 from deploy.monitor.web import packets
@@ -39,7 +40,7 @@ def frames(message, farm):
 def test_a_farm_without_conditions_sends_nothing_of_them():
     """Scene and frames have the fields and arrays that they had before there were any of these."""
     scene, _ = unpacked(packets.scene("run", "w", CONFIG.farm, TERMS))
-    assert not {"link_down", "gone", "stations", "stress"} & set(scene)
+    assert not {"link_down", "gone", "stations", "stress", "areas"} & set(scene)
     header, arrays = frames(a_view(), CONFIG.farm)
     assert "patches" not in header
     sent = ["position", "assignment", "quality", "aoi", "vdf", "level", "parts", "sensor", "kind"]
@@ -50,9 +51,19 @@ def test_a_scene_says_what_the_farm_has():
     """Stations, radii and colours are those of the configuration and of the other pictures."""
     scene, _ = unpacked(packets.scene("run", "w", CONDITIONS.farm, TERMS))
     assert scene["stations"] == station_places(CONDITIONS.farm).tolist()
-    assert scene["stress"] == {"colour": STRESS, "radius": 12.0, "areas": [[list(corner) for corner in AREA]]}
+    assert scene["stress"] == {"colour": STRESS, "radius": 12.0}
+    assert scene["areas"] == {"colour": STRESS, "outlines": [[list(corner) for corner in AREA]]}
     assert scene["link_down"] == {"colour": LINK_DOWN, "range": 40.0}
     assert scene["gone"] == GONE
+
+
+def test_areas_alone_bring_no_patches():
+    """A farm with areas and without patches sends outlines, and nothing of patches."""
+    farm = replace(CONFIG.farm, stress=StressConfig(areas=((2, AREA),)))
+    scene, _ = unpacked(packets.scene("run", "w", farm, TERMS))
+    assert "areas" in scene
+    assert "stress" not in scene
+    assert "patches" not in frames(a_view(), farm)[0]
 
 
 def test_frames_have_the_patches_of_their_episode():
