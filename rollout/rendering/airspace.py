@@ -36,11 +36,13 @@ def make_areas(axes: Axes, config: FarmConfig) -> PolyCollection:
 
 
 def draw_outlines(axes: Axes, config: FarmConfig, layout: Layout) -> None:
-    """Draw the no-fly zones of a farm, and the areas in which counters rise faster."""
+    """Draw the no-fly zones of a farm, and the areas in which counters rise faster; both have labels for a legend."""
     if layout.zones:
-        make_zones(axes).set_verts([*layout.zones])
+        zones = make_zones(axes)
+        zones.set_verts([*layout.zones])
+        zones.set_label("no-fly zone")
     if config.stress.faster:
-        make_areas(axes, config)
+        make_areas(axes, config).set_label("area of faster growth")
 
 
 class WindArrow:
