@@ -73,7 +73,8 @@ def partitions(directory: Path, doses: list[tuple[str, float]]) -> dict[str, Any
 def check_partitions(measured: dict[str, Any] | None, recovery: float) -> None:
     if measured is None:
         pytest.skip("making network namespaces needs more rights")
-    assert measured["unexplained"] == measured["doubled"] == measured["lost_chunks"] == 0
+    wrong = {name: measured[name] for name in ("unexplained", "doubled", "lost_chunks") if measured[name]}
+    assert not wrong, measured
     assert all(row["worker_grew_mib"] <= 64 for row in measured["partitions"])
     assert max(row["seconds_to_recover"] for row in measured["partitions"]) <= recovery
 

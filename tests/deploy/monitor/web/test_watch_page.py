@@ -95,10 +95,14 @@ def jump(page, wanted, what):
 def colours_match(page, frame):
     """Return whether most plots have the colour of their VDF and most sensors that of their AoI.
 
-    Looked at are the plots' corners and the sensors' middles; UAVs, links, sensors and trails hide a few.
+    Looked at are the plots' corners and the sensors' middles; a sensor hides a few.
     """
-    # Reach covers most of this small field with a tint of its own.
-    page.evaluate("Object.assign(watching.view.field.scene.reach, {monitoring: 0, collection: 0})")
+    # Reach tints most of this small field, and UAVs fly from corner to corner.
+    page.evaluate(
+        """() => { const { field } = watching.view;
+        Object.assign(field.scene.reach, {monitoring: 0, collection: 0});
+        for (const hiding of ['drawUavs', 'drawLinks', 'drawTrails']) field[hiding] = () => {} }"""
+    )
     page.evaluate("watching.view.drawn = ''")
     until(lambda: page.evaluate("watching.view.drawn !== ''"), "another drawing")
     steps = np.array([WORLD.plots_x, WORLD.plots_y])
@@ -120,7 +124,7 @@ def matching(page, places, levels, stops):
     share = np.array(levels) / 255
     wanted = np.stack([np.interp(share, np.linspace(0, 1, len(known)), known[:, c]) for c in range(3)], axis=1)
     close = np.abs(np.array(found) - wanted).max(axis=1) <= 2
-    return close.mean() >= 0.6 and len(np.unique(wanted, axis=0)) > 1
+    return close.mean() >= 0.9 and len(np.unique(wanted, axis=0)) > 1
 
 
 OVERLAPS = """() => {
