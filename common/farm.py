@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from common.actions.adapters import ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
-from common.config import FarmConfig, RunConfig
+from common.config import FarmConfig, RunConfig, WorldConfig
 from common.config.environment import FARM
 from common.config.farm.control import Control
 from common.environment import EnvironmentSpec, EpisodeMetric, TensorNames
@@ -79,6 +79,11 @@ def require_farm(config: RunConfig, complaint: str) -> FarmConfig:
     return farm
 
 
+def lattice_of(world: WorldConfig) -> Lattice:
+    """Return the lattice of a farm's moves. Its points lie alike in all plots."""
+    return Lattice.spanning(*world.reach, world.plots_x, world.plots_y)
+
+
 def farm_team(farm: FarmConfig) -> TeamSpec:
     """Return the team of a farm: communication, monitoring and data collection UAVs, in that order."""
     per_sensor = 1 if farm.observation.form == "printed" else 3
@@ -101,7 +106,7 @@ def _group(farm: FarmConfig, name: str, count: int, observation_size: int, contr
     """Return a type of UAVs with that control; raise ConfigError for UAVs too slow for any lattice."""
     adapters: tuple[ActionAdapter, ...] = (MirroredAxes(),) if farm.observation.mirrored else ()
     if control in ("lattice", "moves"):
-        adapters = (Lattice.spanning(*farm.world.reach), *adapters)
+        adapters = (lattice_of(farm.world), *adapters)
     if control == "moves":
         marks = (_nine(ADVICE), _nine(ROUTE))
         moves = NineMoves(_suggestion(farm, name, count, observation_size, marks))

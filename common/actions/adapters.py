@@ -107,9 +107,12 @@ class Lattice:
                 raise ConfigError(f"a lattice's reach must be positive and finite, not {reach}.")
 
     @classmethod
-    def spanning(cls, reach_x: float, reach_y: float) -> "Lattice":
-        """Return the lattice with the fewest points whose neighbours are within reach of each other."""
-        return cls(fewest(reach_x), fewest(reach_y), reach_x, reach_y)
+    def spanning(cls, reach_x: float, reach_y: float, parts_x: int = 1, parts_y: int = 1) -> "Lattice":
+        """Return the lattice with the fewest points whose neighbours are within reach of each other.
+
+        Each of so many equal parts of the field has equally many of them, unless the parts are smaller than a step.
+        """
+        return cls(fewest(reach_x, parts_x), fewest(reach_y, parts_y), reach_x, reach_y)
 
     def require(self, observation_size: int, action_size: int) -> None:
         """Raise ConfigError unless observations hold a position and actions have two numbers."""
@@ -353,12 +356,17 @@ def adapter_from_dict(data: Any) -> ActionAdapter:
     return kind(**numbers)
 
 
-def fewest(reach: float) -> int:
+def fewest(reach: float, parts: int = 1) -> int:
     """Return the fewest equal cells that fill the field, each at most `reach` wide, as a share of the field.
+
+    Each of so many equal parts of the field has equally many cells, unless the parts are narrower than the reach.
 
     Raises:
         ConfigError: the reach is too small to compute their number.
     """
     if reach * sys.float_info.max <= 1.0:
         raise ConfigError("a step at full speed covers too small a share of the field.")
-    return max(1, math.ceil(1.0 / reach - 1e-9))
+    within_a_part = reach * parts
+    if within_a_part > 1.0 + 1e-9:
+        return max(1, math.ceil(1.0 / reach - 1e-9))
+    return parts * math.ceil(1.0 / within_a_part - 1e-9)

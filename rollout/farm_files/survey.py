@@ -94,8 +94,9 @@ class GivenFarm:
     areas: Areas = ()
 
     def on(self, farm: FarmConfig) -> FarmConfig:
-        """Return a farm with these sensors on this field. Its plots keep roughly their size.
+        """Return a farm with these sensors on this field. Its plots are at most as large as the farm's.
 
+        More than 256 along an axis it cannot have; then they are larger.
         No-fly zones of the file replace those of the configuration, and so do its areas.
 
         Raises:
@@ -242,4 +243,4 @@ def _checked(survey: Survey, xy: Array, field: Pair, polygons: tuple[Polygon, ..
 
 
 def _plots(size: float, plot: float) -> int:
-    return max(1, min(MAX_PLOTS, round(size / plot)))
+    return max(1, min(MAX_PLOTS, math.ceil(size / plot - 1e-9)))

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from common.actions.adapters import fewest
 from common.config import FarmConfig
+from common.farm import lattice_of
 from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState, GroupPolicy
 from rollout.heuristics.tasks import lawnmower
 from rollout.heuristics.tasks.beam import Array, Flags, Indices, SearchGrid, StepReward, best_path
@@ -193,7 +193,8 @@ def sensor_grid(config: FarmConfig, xy: Array) -> SearchGrid:
 
 def _places(config: FarmConfig) -> tuple[Array, int]:
     """Return the smallest even grid with neighbours one step apart, [K, 2] m, and its number of places along y."""
-    size, counts = (config.world.field_x, config.world.field_y), [fewest(share) for share in config.world.reach]
+    lattice = lattice_of(config.world)
+    size, counts = (config.world.field_x, config.world.field_y), (lattice.columns, lattice.rows)
     x, y = ((np.arange(count) + 0.5) * width / count for count, width in zip(counts, size, strict=True))
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2), int(counts[1])
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import EDGE, Lattice, MirroredAxes, NineMoves
+from common.actions.adapters import EDGE, MirroredAxes, NineMoves
 from common.config import FarmConfig
-from common.farm import advice_sizes
+from common.farm import advice_sizes, lattice_of
 from rollout.sim.kernel.link import radio_constants
 from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, field_range
 from rollout.sim.kernel.views.fields import FLOOR, SCALE
@@ -85,7 +85,7 @@ def places(farm: ReferenceFarm, u: int) -> Array:
     """Return where the nine moves of a UAV lead, [9, 2] m: the adapters' actions, flown for one step."""
     world, signs, (size, _) = farm.config.world, signs_of(farm, u), _world(farm)
     own = (place_of(farm, u) * signs).astype(np.float32)
-    action = Lattice.spanning(*world.reach).velocity(np.tile(own, (9, 1)), MOVES)
+    action = lattice_of(world).velocity(np.tile(own, (9, 1)), MOVES)
     turned = MirroredAxes().adapt(np.tile(np.append(own, signs.astype(np.float32)), (9, 1)), action).astype(np.float64)
     moved = farm.position[u] + turned * (world.speed_x_max, world.speed_y_max) * world.step_seconds
     return np.asarray(np.clip(moved, 0.0, size))
@@ -124,7 +124,7 @@ def _risk(farm: ReferenceFarm, u: int) -> Array:
 def _two_moves(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     """Return the lattice points to which a second move leads after each first one, [9, 9, 2] m."""
     world = farm.config.world
-    lattice, (size, _) = Lattice.spanning(*world.reach), _world(farm)
+    lattice, (size, _) = lattice_of(world), _world(farm)
     count = np.array([lattice.columns, lattice.rows])
     own = (place_of(farm, u) * signs).astype(np.float32)
     share = (own + np.float32(1)) * np.float32(0.5)

@@ -12,7 +12,7 @@ from common.actions.adapters import GAIN, SIGNS, Lattice, MirroredAxes, fewest
 from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
 from common.config.presets import preset
 from common.errors import ConfigError, SchemaError
-from common.farm import farm_team
+from common.farm import farm_team, lattice_of
 from common.team import GroupSpec, TeamSpec
 from rollout.sim.batch import FarmBatch
 
@@ -150,9 +150,30 @@ def test_the_fewest_cells_within_reach(reach, cells):
     assert 1.0 / cells <= reach + 1e-9
 
 
+@pytest.mark.parametrize(
+    ("reach", "parts", "cells"),
+    [(0.025, 20, 40), (0.0327, 16, 32), (0.0327, 15, 45), (0.05, 20, 20), (0.3, 20, 4), (0.0250001, 40, 40)],
+)
+def test_equally_many_cells_in_each_part(reach, parts, cells):
+    """None is wider than a step; parts narrower than a step do not count."""
+    assert fewest(reach, parts) == cells
+    assert 1.0 / cells <= reach + 1e-9
+    assert cells % parts == 0 or reach * parts > 1.0
+
+
+def test_a_lattice_lies_alike_in_all_plots():
+    """On a field whose sides are no multiples of a step, every plot has its points in the same places."""
+    world = WorldConfig(field_x=339.9, field_y=306.1, plots_x=17, plots_y=16)
+    lattice = lattice_of(world)
+    assert (lattice.columns, lattice.rows) == (34, 32)
+    depth = world.field_y / world.plots_y
+    within = ((np.arange(lattice.rows) + 0.5) * world.field_y / lattice.rows).reshape(world.plots_y, -1) % depth
+    np.testing.assert_allclose(within, np.tile([depth / 4, 3 * depth / 4], (16, 1)))
+
+
 def test_a_lattice_follows_the_field_and_the_speed():
     """Half the speed along y: twice the rows."""
-    world = WorldConfig(field_x=300.0, speed_y_max=5.0)
+    world = WorldConfig(field_x=300.0, plots_x=15, speed_y_max=5.0)
     lattice = farm_team(replace(PLAIN, world=world)).groups[1].adapters[0]
     assert (lattice.columns, lattice.rows) == (30, 80)
 

@@ -88,7 +88,7 @@ def test_types_of_a_file_are_the_configurations(tmp_path):
 
 
 def test_plots_keep_their_size(tmp_path):
-    """On a field of 900 m x 110 m with plots of about 20 m there are 45 x 6, and never more than 256."""
+    """On a field of 900 m x 110 m with plots of at most 20 m there are 45 x 6, and never more than 256."""
     world = read(tmp_path, "# field: 900 x 110 m\nx,y\n1,1\n").on(FEW).world
     assert (world.plots_x, world.plots_y, world.sensors, world.field_x) == (45, 6, 1, 900.0)
     world = read(tmp_path, "# field: 9000 x 3 m\nx,y\n1,1\n").on(FEW).world

@@ -7,9 +7,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import Lattice
 from common.config import FarmConfig, WorldConfig
-from common.farm import advice_sizes
+from common.farm import advice_sizes, lattice_of
 from rollout.sim.kernel.link import RadioConstants, chance_at, reach_of
 from rollout.sim.kernel.views.arrays import TWO_MOVES
 from rollout.sim.sweep_routes import all_routes
@@ -130,7 +129,7 @@ class ViewConstants(NamedTuple):
 def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, int]) -> ViewConstants:
     """Derive the numbers of the added observations."""
     seen, world = config.observation, config.world
-    lattice = Lattice.spanning(*world.reach)
+    lattice = lattice_of(world)
     chance, limit = chance_table(radio, world.height_collection)
     step_x, step_y = world.speed_x_max * world.step_seconds, world.speed_y_max * world.step_seconds
     width = field_range(world)

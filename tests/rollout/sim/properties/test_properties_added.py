@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.actions.adapters import Lattice
 from common.config import FarmConfig, ObservationConfig, RunConfig, WorldConfig
 from common.config.presets import preset
-from common.farm import farm_environment, farm_team
+from common.farm import farm_environment, farm_team, lattice_of
 from common.team import Float32
 from rollout.envs.spaces import row_box
 from rollout.sim.batch import FarmBatch
@@ -49,7 +48,7 @@ def everything(config: FarmConfig) -> FarmConfig:
 
 def moves(config: FarmConfig, batch: FarmBatch, random: np.random.Generator) -> Float32:
     """Return actions [2 n] that lead to random neighbouring lattice points, so that UAVs come to stand on them."""
-    world, lattice = config.world, Lattice.spanning(*config.world.reach)
+    world, lattice = config.world, lattice_of(config.world)
     place = (2.0 * batch.position[0] / (world.field_x, world.field_y) - 1.0).astype(np.float32)
     return lattice.velocity(place, random.integers(-1, 2, place.shape).astype(np.float32)).reshape(-1)
 
