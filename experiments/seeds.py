@@ -1,6 +1,6 @@
 """Evaluate the policies of several finished runs of one preset, which differ in their seeds.
 
-    python -m experiments.seeds RUN_DIR RUN_DIR ... --commit abc1234 --write docs/results/default/seeds.json
+    python -m experiments.seeds RUN_DIR RUN_DIR ... --commit abc1234 [--add] --write docs/results/default/seeds.json
 
 Every policy flies without noise on the farms on which studies are reported. `reached` holds, for each share of the
 lawnmower's reward, the seconds of training until the mean reward of the newest 64 episodes, noise included, got there.
@@ -22,7 +22,7 @@ from deploy.reports.run_report import read_metrics
 from experiments.exchange import Exchange
 from experiments.studies.analysis.statistics import interval, mean
 from experiments.studies.scales import FIRST_REPORTED
-from rollout.evaluation import Evaluation, evaluate
+from rollout.evaluation import evaluate
 from rollout.policies import Policy, policy_of
 
 FARMS: Final = 80
@@ -31,6 +31,8 @@ SHARES: Final = (0.5, 0.75, 0.9, 1.0)
 """Shares of the lawnmower's reward."""
 WINDOW: Final = 64
 """Episodes whose mean counts."""
+SCORED: Final = ("aoi", "vdf")
+"""Metrics whose means are reported beside the reward."""
 SCRIPT: Final = "lawnmower+search"
 """A heuristic with the relays that are flown in place of a policy's own."""
 
@@ -48,6 +50,8 @@ class Arguments:
     """Their run directories."""
     commit: str
     """Commit that made them."""
+    add: bool = False
+    """Keep what the file has of other seeds."""
     write: Path = Path("docs/results/default/seeds.json")
     """Where the results go."""
 
@@ -63,8 +67,8 @@ def reached(records: list[dict[str, Any]], goal: float) -> float | None:
     return None
 
 
-def summary(path: Path, goal: float) -> tuple[dict[str, Any], Evaluation]:
-    """Return what a run came to, and its policy's evaluation."""
+def summary(path: Path, commit: str, goal: float) -> dict[str, Any]:
+    """Return what a run came to, with its policy's scores on every farm."""
     directory = RunDirectory(path)
     config, records = directory.configuration(), read_metrics(path / METRICS)
     outcome = json.loads((path / "evaluation.json").read_text(encoding="utf-8"))
@@ -74,8 +78,11 @@ def summary(path: Path, goal: float) -> tuple[dict[str, Any], Evaluation]:
     scripted = evaluate(config.farm, scripted_relays(policy, config.farm), farms, 1, name=SCRIPT)
     last = [record for record in records if record["kind"] == "status"][-1]
     plain = found.to_dict()
+    scores = {"reward": [score.reward for score in found.per_farm]}
+    scores |= {name: [score.metrics[name] for score in found.per_farm] for name in SCORED}
     return {
         "seed": config.seed,
+        "commit": commit,
         "reward": plain["reward"],
         "script": scripted.total.types[COMMUNICATION],
         "aoi": plain["aoi"],
@@ -83,27 +90,37 @@ def summary(path: Path, goal: float) -> tuple[dict[str, Any], Evaluation]:
         "seconds": outcome["seconds"],
         "environment_steps": last["environment_steps"],
         "reached": {f"{share:g}": reached(records, share * goal) for share in SHARES},
-    }, found
+        "scores": {name: [round(value, 4) for value in values] for name, values in scores.items()},
+    }
+
+
+def merged(earlier: list[dict[str, Any]], runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return runs by seed; a newer one takes an earlier one's place."""
+    by_seed = {run["seed"]: run for run in (*earlier, *runs)}
+    return [by_seed[seed] for seed in sorted(by_seed)]
+
+
+def intervals(runs: list[dict[str, Any]]) -> dict[str, list[float]]:
+    """Return the mean of each score over all farms and runs, with its interval."""
+    return {name: list(interval(np.array([run["scores"][name] for run in runs]), mean)) for name in ("reward", *SCORED)}
 
 
 def main() -> None:
     """Evaluate all runs and write the results."""
     arguments = tyro.cli(Arguments, prog="python -m experiments.seeds")
+    earlier = json.loads(arguments.write.read_text(encoding="utf-8"))["runs"] if arguments.add else []
     farm = RunDirectory(arguments.runs[0]).configuration().farm
     farms = range(FIRST_REPORTED, FIRST_REPORTED + FARMS)
-    lawnmower = evaluate(farm, policy_of("lawnmower", farm), farms, 1, name="lawnmower")
-    found = [summary(path, lawnmower.total.reward) for path in arguments.runs]
-    names = found[0][1].total.metrics
-    scores = {"reward": np.array([[score.reward for score in one.per_farm] for _, one in found])}
-    scores |= {name: np.array([[s.metrics[name] for s in one.per_farm] for _, one in found]) for name in names}
+    lawnmower = evaluate(farm, policy_of("lawnmower", farm), farms, 1, name="lawnmower").total.reward
+    runs = merged(earlier, [summary(path, arguments.commit, lawnmower) for path in arguments.runs])
     data = {
         "command": "eia-sec train --seed SEED",
-        "commit": arguments.commit,
+        "commit": ", ".join(dict.fromkeys(run["commit"] for run in runs)),
         "first_farm": FIRST_REPORTED,
         "farms": FARMS,
-        "lawnmower": lawnmower.total.reward,
-        "runs": [run for run, _ in found],
-        **{name: list(interval(numbers, mean)) for name, numbers in scores.items() if name in ("reward", "aoi", "vdf")},
+        "lawnmower": lawnmower,
+        "runs": runs,
+        **intervals(runs),
     }
     arguments.write.write_text(json.dumps(data) + "\n", encoding="utf-8")
 

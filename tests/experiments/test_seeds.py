@@ -3,7 +3,7 @@
 import numpy as np
 
 from common.config.presets import preset
-from experiments.seeds import SCRIPT, reached, scripted_relays
+from experiments.seeds import SCRIPT, intervals, merged, reached, scripted_relays
 from rollout.policies import policy_of
 from rollout.sim.batch import FarmBatch
 
@@ -42,3 +42,16 @@ def test_scripted_relays_leave_the_others_to_the_policy():
         np.testing.assert_array_equal(mixed[:, relays:], own[:, relays:])
         assert not np.array_equal(own[:, relays:], scripted[:, relays:])
         batch.step(mixed)
+
+
+def test_runs_of_several_days_are_one_result():
+    """A seed that was trained again takes the earlier run's place; intervals are over the farms of all seeds."""
+    scores = {"reward": [1.0, 3.0], "aoi": [0.5, 0.5], "vdf": [2.0, 4.0]}
+    earlier = [{"seed": 1, "commit": "a", "scores": scores}, {"seed": 0, "commit": "a", "scores": scores}]
+    better = {"reward": [5.0, 7.0], "aoi": [0.3, 0.3], "vdf": [1.0, 1.0]}
+    runs = merged(earlier, [{"seed": 1, "commit": "b", "scores": better}])
+    assert [(run["seed"], run["commit"]) for run in runs] == [(0, "a"), (1, "b")]
+    found = intervals(runs)
+    assert [found[name][0] for name in ("reward", "aoi", "vdf")] == [4.0, 0.4, 2.0]
+    low, high = found["reward"][1:]
+    assert 1.0 <= low < 4.0 < high <= 7.0

@@ -42,11 +42,12 @@ def monitors(state: FarmState) -> GroupPolicy:
 
 
 def collectors(state: FarmState) -> GroupPolicy:
-    """Return collectors whose stops are places that hear sensors well."""
+    """Return collectors whose stops are places that hear sensors well, near the monitors' areas where links count."""
     world = state.config.world
     boxes = sensor_stops(state.config, state.layout.sensor_xy)
-    random = stream("tour", "sensors", *state.seeds)
-    tours = grouped_tours(boxes.mean(axis=0), world.collection_uavs, world, random, RESTARTS)
+    stops, random = boxes.mean(axis=0), stream("tour", "sensors", *state.seeds)
+    tours = tours_beside_monitors(stops, world) if state.config.relay.require_link else []
+    tours = tours or grouped_tours(stops, world.collection_uavs, world, random, RESTARTS)
     return TourFollower([boxes[:, tour] for tour in tours], COLLECTORS, state)
 
 
@@ -57,6 +58,20 @@ def plot_tours(world: WorldConfig) -> tuple[tuple[int, ...], ...]:
     stops = np.array([centres[block].mean(axis=0) for block in blocks])
     tours = grouped_tours(stops, world.monitoring_uavs, world, stream("tour", "plots"), PLOT_RESTARTS)
     return tuple(tuple(plots_along([blocks[stop] for stop in tour], centres, world)) for tour in tours)
+
+
+def tours_beside_monitors(stops: Array, world: WorldConfig) -> list[Indices]:
+    """Return a closed tour through the stops [L, 2] nearest to each monitor's area, so that a relay can be near both.
+
+    There are none when there are more or fewer collectors than monitors, or an area has no stop.
+    """
+    centres = plot_centres(world)
+    middles = np.array([centres[list(plots)].mean(axis=0) for plots in plot_tours(world)])
+    label = np.linalg.norm(stops[:, None] - middles, axis=2).argmin(axis=1)
+    members = [np.flatnonzero(label == area) for area in range(len(middles))]
+    if world.collection_uavs != len(middles) or not all(map(len, members)):
+        return []
+    return [member[short_tour(stops[member], world)[0]] for member in members]
 
 
 def grouped_tours(
