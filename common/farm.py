@@ -179,7 +179,7 @@ def _added(farm: FarmConfig, name: str) -> list[str]:
     added += ["charge", "station_dx", "station_dy", "charge_there"] if seen.charge else []
     added += ["wind_x", "wind_y"] if seen.wind else []
     added += _nine("refused") if seen.zones else []
-    return [*added, *(["alive"] if farm.loses_uavs else []), *_advice(farm, name)]
+    return [*added, *(["alive"] if farm.loses_in_flight else []), *_advice(farm, name)]
 
 
 def _advice(farm: FarmConfig, name: str) -> list[str]:

@@ -43,6 +43,7 @@ LATER: Final[Mapping[str, Value]] = {
     "farm.battery.power": 400.0,
     "farm.battery.stations": 4,
     "farm.failures.at": "",
+    "farm.failures.missing": 0.0,
     "farm.failures.per_hour": 0.0,
     "farm.observation.advice": "",
     "farm.observation.charge": False,

@@ -81,7 +81,7 @@ def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...
         parts.append(Part("wind", 2, -1.0, 1.0, "of the last step, over full speed"))
     if seen.zones:
         parts.append(Part("refused", 9, 0.0, 1.0, "1 for each of nine moves that a no-fly zone would refuse"))
-    if config.loses_uavs:
+    if config.loses_in_flight:
         parts.append(Part("alive", 1, 0.0, 1.0, "share of the own type's UAVs that have not failed"))
     if seen.advice:
         parts.append(_advice(config, name))

@@ -1,4 +1,4 @@
-"""When the UAVs of an episode fail."""
+"""When the UAVs of an episode fail, and which ones are missing from the start."""
 
 from typing import Final
 
@@ -15,7 +15,7 @@ HOUR: Final = 3600.0
 
 
 def failure_steps(config: FarmConfig, farm_seed: int, episode_seed: int) -> NDArray[np.int64]:
-    """Return the first step of which each UAV is no part, from 1 on, [n]; NEVER for none.
+    """Return the first step of which each UAV is no part, from 1 on, [n]; NEVER for none, 1 for one that is missing.
 
     The time to a failure is exponential, so a UAV fails in any step with the same probability. The draws do not depend
     on the rate: at a higher one, every UAV fails sooner.
@@ -30,4 +30,9 @@ def failure_steps(config: FarmConfig, farm_seed: int, episode_seed: int) -> NDAr
     for kind, rank, step in failures.given():
         u = first[kind] + rank
         steps[u] = min(steps[u], step)
+    if failures.missing > 0.0:
+        draws = stream(farm_seed, episode_seed, "missing").random(world.uavs)
+        for start, count in zip(first, world.counts, strict=True):
+            own = draws[start : start + count]
+            steps[start : start + count][(own < failures.missing) & (own < own.max())] = 1
     return steps

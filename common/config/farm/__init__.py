@@ -64,5 +64,10 @@ class FarmConfig:
 
     @property
     def loses_uavs(self) -> bool:
-        """Whether a UAV can be gone before the end: it fails, or its battery is empty."""
+        """Whether a UAV can be gone before the end: it is missing, it fails, or its battery is empty."""
         return self.failures.some or self.battery.some
+
+    @property
+    def loses_in_flight(self) -> bool:
+        """Whether a UAV can be lost in flight, so that the others observe how many are left."""
+        return self.failures.in_flight or self.battery.some

@@ -1,4 +1,4 @@
-"""UAVs that fail in flight: how often, and which ones are given to fail when."""
+"""UAVs that fail in flight, drawn or given, and UAVs that are missing from the start."""
 
 import re
 from dataclasses import dataclass
@@ -30,21 +30,30 @@ class GivenFailure(NamedTuple):
 
 @dataclass(frozen=True)
 class FailureConfig:
-    """UAVs that fail in flight; without failures, nothing changes."""
+    """UAVs that fail in flight or are missing from the start; without, nothing changes."""
 
     per_hour: float = 0.0
     """Expected failures per UAV and hour of flight; 0 for none (ours)."""
     at: str = ""
     """Given failures: type, index within the type and first step without the UAV, separated by commas; for instance
     "monitoring 2 at 120, communication 0 at 300" (ours)."""
+    missing: float = 0.0
+    """Probability that a UAV is missing from the first step on, which makes teams of random sizes; of each type one at
+    least is there (ours)."""
 
     def __post_init__(self) -> None:
-        """Refuse negative rates and failures that cannot be read."""
+        """Refuse rates and probabilities that are none, and failures that cannot be read."""
         within(0.0, MOST_PER_HOUR, per_hour=self.per_hour)
+        within(0.0, 1.0, missing=self.missing)
         self.given()
 
     @property
     def some(self) -> bool:
+        """Whether any UAV can be gone."""
+        return self.in_flight or self.missing > 0.0
+
+    @property
+    def in_flight(self) -> bool:
         """Whether any UAV can fail."""
         return self.per_hour > 0.0 or bool(self.at.strip())
 

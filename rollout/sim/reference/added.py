@@ -58,7 +58,7 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     if seen.wind or seen.zones:
         parts += [airspace_view(farm, u, signs, places(farm, u) if kind else relay_places(farm, u, signs))]
     share = len(farm.living(kind)) / (farm.kind == kind).sum()
-    parts += [np.array([share])] if farm.config.loses_uavs else []
+    parts += [np.array([share])] if farm.config.loses_in_flight else []
     parts += [np.zeros(advice_sizes(farm.config)[kind])]
     return np.concatenate(parts)
 

@@ -174,7 +174,7 @@ def test_digests_of_earlier_versions_count(name):
     """A run without the options of later versions has the digest that it had; one with them has another."""
     config = with_values(preset(name), {"farm.observation.route": False})
     events = (
-        '[farm.failures]\nper_hour = 0.0\nat = ""\n\n',
+        '[farm.failures]\nper_hour = 0.0\nat = ""\nmissing = 0.0\n\n',
         "[farm.battery]\ncapacity = 0.0\nstations = 4\npower = 400.0\nlanding = 5.0\n\n",
         "[farm.wind]\nspeed = 0.0\ndirection = -1.0\ngusts = 0.0\ngust_seconds = 10.0\n\n",
         "[farm.zones]\npolygons = []\nrandom = 0\n\n",

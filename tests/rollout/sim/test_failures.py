@@ -215,3 +215,30 @@ def test_the_field_is_divided_anew_among_the_monitors_that_are_left():
 def test_without_losses_there_is_one_division():
     """Farms whose UAVs stay need no other routes."""
     assert len(all_routes(FarmConfig())) == 4
+
+
+def test_teams_of_random_sizes():
+    """Each UAV is missing from step 1 on with the given probability, but one of each type is always there."""
+    world = WorldConfig(communication_uavs=3, monitoring_uavs=8, collection_uavs=1)
+    config = FarmConfig(world=world, failures=FailureConfig(missing=0.5))
+    drawn = np.stack([failure_steps(config, 7, episode) for episode in range(400)])
+    assert set(np.unique(drawn)) == {1, NEVER}
+    left = [(kind == NEVER).sum(axis=1) for kind in np.split(drawn, [3, 11], axis=1)]
+    assert [int(count.min()) for count in left] == [1, 1, 1]
+    assert [int(count.max()) for count in left] == [3, 8, 1]
+    assert left[1].mean() == pytest.approx(4.0, abs=0.3)
+    alone = FarmConfig(world=world, failures=FailureConfig(missing=1.0))
+    assert (failure_steps(alone, 7, 0) == NEVER).sum() == 3
+
+
+def test_who_is_missing_is_gone_from_the_first_step_and_changes_no_observation():
+    """Nobody observes how many are left, so a policy sees what it would see in a small team."""
+    config = replace(SMALL, failures=FailureConfig(missing=1.0))
+    assert farm_team(config) == farm_team(SMALL)
+    batch = FarmBatch(config, 1)
+    batch.reset(0, 3, 5)
+    hover(batch)
+    assert batch.gone[0].sum() == 1
+    assert (batch.observation[0][np.isnan(batch.observation[0])].size, batch.assignment[0].min()) == (0, -1)
+    with pytest.raises(ConfigError, match="missing"):
+        FailureConfig(missing=1.5)

@@ -136,7 +136,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
     sure, most = image_bounds(config)
     boxes, plots, starts = flat_routes(config)
     return ViewConstants(
-        some=seen.added or config.loses_uavs,
+        some=seen.added or config.loses_in_flight,
         peers=seen.peers,
         last_move=seen.last_move,
         closing=seen.closing,
@@ -146,7 +146,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         phases=seen.phases,
         route=seen.route,
         service=seen.service,
-        alive=config.loses_uavs,
+        alive=config.loses_in_flight,
         link=seen.link,
         stress=seen.stress,
         charge=seen.charge,

@@ -36,7 +36,7 @@ def failing(draw: st.DrawFn, configs: st.SearchStrategy[FarmConfig]) -> FarmConf
         given_at += [f"{KINDS[kind]} {rank} at {step}" for rank in sorted(chosen)]
     hours = world.steps * world.step_seconds / 3600.0
     rate = draw(st.sampled_from([0.0, 0.0, 0.5, 2.0])) / hours
-    return replace(config, failures=FailureConfig(rate, ", ".join(given_at)))
+    return replace(config, failures=FailureConfig(rate, ", ".join(given_at), draw(st.sampled_from([0.0, 0.0, 0.5]))))
 
 
 FARMS = failing(farm_configs(SMALL))
