@@ -29,10 +29,6 @@ BUFFER: Final = 8.0
 """Slack below which a link counts as in danger, m."""
 MOVING: Final = 1e-3
 """Price of a metre, in links that are down for a step."""
-APART: Final = 2.0
-"""Price of a UAV whose relay is not joined to the base station for a step, in links that are down."""
-HOP: Final = 2.0
-"""Price of a hop to the rest of the chain that is in danger, for each UAV served, in links that are."""
 
 
 class CentroidRelays:
@@ -98,9 +94,9 @@ class CoverageRelays:
     of STEPS_AHEAD in which it is down, and what its slack falls short of BUFFER, as a share of it.
 
     With a base station, relays also keep their chain to it together; the others are taken to stay where they are. In
-    each of these steps, a place costs APART for each UAV whose relay would not be joined. For each UAV that the relay
-    serves it also costs HOP times what the hop to the base station, or to the nearest relay that is joined without
-    this one, would cost as a link. So a relay that is not joined finds back.
+    each of these steps, a place costs 1 for each UAV whose relay would not be joined. For each UAV that the relay serves
+    it also costs what the hop to the base station, or to the nearest relay that is joined without this one, would cost
+    as a link. So a relay that is not joined finds back.
 
     Args:
         state: state at the start of the episode.
@@ -167,7 +163,7 @@ def _chain_cost(state: FarmState, relay: int, at: Array) -> Array:
     between, down = relay_gaps(config, places)
     rest = joined_relays(config, relays, np.arange(len(relays)) == relay)
     gap = np.minimum(np.where(rest, between[:, :, relay], np.inf).min(axis=-1), down[:, :, relay])
-    cost: Array = APART * apart + HOP * serves[relay] * _danger(config.relay.hop_range - gap).sum(axis=0)
+    cost: Array = apart + serves[relay] * _danger(config.relay.hop_range - gap).sum(axis=0)
     return cost
 
 
