@@ -94,9 +94,9 @@ class CoverageRelays:
     of STEPS_AHEAD in which it is down, and what its slack falls short of BUFFER, as a share of it.
 
     With a base station, relays also keep their chain to it together; the others are taken to stay where they are. In
-    each of these steps, a place costs 1 for each UAV whose relay would not be joined. For each UAV that the relay serves
-    it also costs what the hop to the base station, or to the nearest relay that is joined without this one, would cost
-    as a link. So a relay that is not joined finds back.
+    each of these steps, a place costs 1 for each UAV whose relay would not be joined. For each UAV that the relay
+    serves it also costs what the hop to the base station, or to the nearest relay that is joined without this one,
+    would cost as a link. So a relay that is not joined finds back.
 
     Args:
         state: state at the start of the episode.
@@ -141,7 +141,8 @@ class CoverageRelays:
 
 def _danger(slack: Array) -> Array:
     """Return what links of this slack cost for a step, m."""
-    danger: Array = (slack < 0.0) + np.clip(1.0 - slack / BUFFER, 0.0, None)
+    down = (slack < 0.0).astype(np.float64)
+    danger: Array = down + np.clip(1.0 - slack / BUFFER, 0.0, None)
     return danger
 
 
