@@ -205,11 +205,13 @@ def advice_columns(farm: FarmConfig) -> tuple[slice, ...]:
 
 def _links(farm: FarmConfig, *, task: bool) -> list[str]:
     """Return the names of what a UAV with a task sees of its link, or a relay of the links to those that it serves."""
+    chained = farm.relay.chained
     if task:
-        return ["relay_dx", "relay_dy", "relay_slack", "relay_up", *_nine("slack")]
+        return ["relay_dx", "relay_dy", "relay_slack", "relay_up", *_nine("slack"), *["relay_joined"] * chained]
     places = range(farm.relay.capacity_for(farm.world))
     served = [f"served_{place}_{end}" for place in places for end in ("dx", "dy", "slack", "present")]
-    return [*served, *_nine("links_up"), *_nine("least_slack")]
+    chain = ["base_dx", "base_dy", "joined", *_nine("joined")] if chained else []
+    return [*served, *_nine("links_up"), *_nine("least_slack"), *chain]
 
 
 def _maps(name: str) -> list[str]:

@@ -1,6 +1,7 @@
 """Refuses options without effect under the chosen algorithm, in a sentence that names the algorithms that use them."""
 
 from dataclasses import fields
+from operator import attrgetter
 from typing import Final
 
 from common.config.algorithms import ALGORITHM_CONFIGS, OPTIONAL_SECTIONS
@@ -10,8 +11,10 @@ SWITCHES: Final = (
     ("algorithm.ensemble_", "algorithm.ensemble", False),
     ("elite.", "elite.enabled", False),
     ("algorithm.sequence_", "algorithm.memory", "none"),
+    ("farm.relay.base", "farm.relay.require_link", False),
+    ("farm.relay.hop_range", "farm.relay.base", ""),
 )
-"""The beginning of options' keys, the switch of their part of the algorithm, and its value when the part is off."""
+"""The beginning of options' keys, the switch of their part of the configuration, and its value when the part is off."""
 
 
 def without_effect(config: RunConfig, key: str) -> str | None:
@@ -31,11 +34,11 @@ def without_effect(config: RunConfig, key: str) -> str | None:
 
 
 def switched_off(config: RunConfig, key: str) -> str | None:
-    """Return why an option has no effect because its part of the algorithm is switched off, or None."""
+    """Return why an option has no effect because its part of the configuration is switched off, or None."""
     for part, switch, off in SWITCHES:
-        section, _, field = switch.partition(".")
-        if key.startswith(part) and key != switch and getattr(getattr(config, section), field, None) == off:
-            return f"{key} has no effect while {switch} is {str(off).lower()}."
+        section, _, field = switch.rpartition(".")
+        if key.startswith(part) and key != switch and getattr(attrgetter(section)(config), field, None) == off:
+            return f"{key} has no effect while {switch} is {str(off).lower() or 'empty'}."
     return None
 
 

@@ -52,6 +52,8 @@ LATER: Final[Mapping[str, Value]] = {
     "farm.observation.stress": False,
     "farm.observation.wind": False,
     "farm.observation.zones": False,
+    "farm.relay.base": "",
+    "farm.relay.hop_range": 200.0,
     "farm.reward.relayed": 0.0,
     "farm.stress.areas": (),
     "farm.stress.growth": 3,

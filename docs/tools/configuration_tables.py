@@ -146,7 +146,7 @@ def _value(value: Any) -> str:
 
 def _type(wanted: Any) -> str:
     if get_origin(wanted) is Literal:
-        return " or ".join(f"`{choice}`" for choice in get_args(wanted))
+        return " or ".join(f"`{choice}`" if choice != "" else "empty" for choice in get_args(wanted))
     if wanted == Sites:
         return "list of places"
     if wanted == Zones:

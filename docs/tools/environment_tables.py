@@ -84,7 +84,8 @@ def added_table() -> str:
     )
     plain, lines = observation_parts(farm), ["| agents | observation | numbers | from | to | meaning |"]
     lines.append("|---|---|---:|---:|---:|---|")
-    more = replace(farm, observation=seen, failures=FailureConfig(per_hour=1.0))
+    chained = replace(farm.relay, require_link=True, base="south")
+    more = replace(farm, observation=seen, failures=FailureConfig(per_hour=1.0), relay=chained)
     for name, parts in observation_parts(more).items():
         added = tuple(part for part in parts if part not in plain[name])
         label = f"`{name}`, {sum(part.size for part in added)} numbers"

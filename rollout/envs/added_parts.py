@@ -69,7 +69,7 @@ def added_parts(config: FarmConfig, name: str, served: float) -> tuple[Part, ...
     if seen.service and not task:
         parts += _service(config, served)
     if seen.link:
-        parts += _link() if task else _links(config)
+        parts += _link(config) if task else _links(config)
     if seen.stress and task:
         blocks = f"of {BLOCKS} x {BLOCKS} blocks of {BLOCK} x {BLOCK} plots, x outer"
         parts.append(Part("stress", BLOCKS**2, 0.0, 1.0, f"share of stressed plots {blocks}"))
@@ -133,14 +133,15 @@ def _phases(config: FarmConfig, name: str) -> list[Part]:
     return [*phase, Part("left", 2, 0.0, 1.0, "steps left over 25 and over 100, at most 1")]
 
 
-def _link() -> list[Part]:
+def _link(config: FarmConfig) -> list[Part]:
     step = "its slack over a diagonal step after each of nine moves, clipped"
-    return [
+    link = [
         Part("relay", 2, -1.0, 1.0, "offset (dx / X, dy / Y) to the own relay; 0 if none"),
         Part("link", 1, -1.0, 1.0, "slack of the link, link range less distance, over the range, clipped"),
         Part("link", 1, 0.0, 1.0, "1 if it is up"),
         Part("link", 9, -1.0, 1.0, step),
     ]
+    return [*link, *[Part("joined", 1, 0.0, 1.0, "1 if the relay is joined")] * config.relay.chained]
 
 
 def _links(config: FarmConfig) -> list[Part]:
@@ -149,10 +150,16 @@ def _links(config: FarmConfig) -> list[Part]:
         Part("served", 1, -1.0, 1.0, "slack of its link, link range less distance, over the range, clipped"),
         Part("served", 1, 0.0, 1.0, "1 if there is one"),
     )
+    chain = (
+        Part("base", 2, -1.0, 1.0, "offset (dx / X, dy / Y) to the base station"),
+        Part("joined", 1, 0.0, 1.0, "1 if it is joined to the base station itself"),
+        Part("joined", 9, 0.0, 1.0, "share of the living relays that would be joined after each of nine moves"),
+    )
     return [
         *served * config.relay.capacity_for(config.world),
         Part("links", 9, 0.0, 1.0, "share of its links that would be up after each of nine moves"),
         Part("links", 9, -1.0, 1.0, "the least slack of them over a diagonal step, clipped"),
+        *chain * config.relay.chained,
     ]
 
 

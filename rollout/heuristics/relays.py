@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from common.config import WorldConfig
-from rollout.heuristics.composite import COLLECTORS, MONITORS, FarmState
+from common.config import FarmConfig, WorldConfig
+from rollout.heuristics.composite import COLLECTORS, MONITORS, RELAYS, FarmState
+from rollout.sim.base_station import joined_relays, relay_gaps
 from rollout.sim.boxes import Array
 from rollout.sim.kernel.constants import LEAST_LINK, RelayConstants, constants
 from rollout.sim.layout import cell_counts
@@ -92,6 +93,11 @@ class CoverageRelays:
     The UAVs that it serves are taken to keep their velocity, and the assignment to stay. A link costs 1 for each step
     of STEPS_AHEAD in which it is down, and what its slack falls short of BUFFER, as a share of it.
 
+    With a base station, relays also keep their chain to it together; the others are taken to stay where they are. In
+    each of these steps, a place costs 1 for each UAV whose relay would not be joined. For each UAV that the relay
+    serves it also costs what the hop to the base station, or to the nearest relay that is joined without this one,
+    would cost as a link. So a relay that is not joined finds back.
+
     Args:
         state: state at the start of the episode.
     """
@@ -114,24 +120,52 @@ class CoverageRelays:
         goals = own.copy()
         for relay in range(first):
             serves = state.assignment == relay
-            if serves.any():
+            if serves.any() or state.config.relay.chained:
                 # The centre is one of the places, so that a relay which has lost everybody finds back.
                 places = np.clip(np.concatenate([own[relay] + self._ways, centres[relay][None]]), 0.0, size)
-                cost = self._cost(state, own[relay], places, coming[:, serves], self._heights[serves])
+                at = _on_the_way(state.config.world, own[relay], places)
+                cost = self._links_cost(state.config, at, coming[:, serves], self._heights[serves])
+                if state.config.relay.chained:
+                    cost += _chain_cost(state, relay, at)
+                cost += MOVING * np.linalg.norm(places - own[relay], axis=1)
                 goals[relay] = places[np.argmin(cost)]
         return goals
 
-    def _cost(self, state: FarmState, own: Array, places: Array, coming: Array, heights: Array) -> Array:
-        """Return what going to each place [K, 2] costs, [K], with the served UAVs at `coming` [T, n, 2]."""
-        world, way = state.config.world, places - own
-        reach = np.array([world.speed_x_max, world.speed_y_max]) * world.step_seconds
-        needed = np.maximum(np.abs(way / reach).max(axis=1), 1e-9)
-        at = own + way * np.minimum(1.0, STEPS_AHEAD[:, None] / needed)[..., None]
+    def _links_cost(self, config: FarmConfig, at: Array, coming: Array, heights: Array) -> Array:
+        """Return what places cost a relay's own links, [K]: it is at `at` [T, K, 2], its UAVs at `coming` [T, n, 2]."""
         flat = ((at[:, :, None] - coming[:, None]) ** 2).sum(axis=-1)
-        slack = state.config.relay.link_range - np.sqrt(flat + (heights - world.height_communication) ** 2)
-        danger = (slack < 0.0) + np.clip(1.0 - slack / BUFFER, 0.0, None)
-        cost: Array = danger.sum(axis=(0, 2)) + MOVING * np.linalg.norm(way, axis=1)
+        slack = config.relay.link_range - np.sqrt(flat + (heights - config.world.height_communication) ** 2)
+        cost: Array = _danger(slack).sum(axis=(0, 2))
         return cost
+
+
+def _danger(slack: Array) -> Array:
+    """Return what links of this slack cost for a step, m."""
+    down = (slack < 0.0).astype(np.float64)
+    danger: Array = down + np.clip(1.0 - slack / BUFFER, 0.0, None)
+    return danger
+
+
+def _on_the_way(world: WorldConfig, own: Array, places: Array) -> Array:
+    """Return where a relay is after each of STEPS_AHEAD on its way to places [K, 2], [T, K, 2] m."""
+    way, reach = places - own, np.array([world.speed_x_max, world.speed_y_max]) * world.step_seconds
+    needed = np.maximum(np.abs(way / reach).max(axis=1), 1e-9)
+    at: Array = own + way * np.minimum(1.0, STEPS_AHEAD[:, None] / needed)[..., None]
+    return at
+
+
+def _chain_cost(state: FarmState, relay: int, at: Array) -> Array:
+    """Return what places cost the chain to the base station, [K], if a relay is at `at` [T, K, 2]."""
+    config, relays = state.config, state.of(RELAYS)
+    places = np.broadcast_to(relays, (*at.shape[:2], *relays.shape)).copy()
+    places[:, :, relay] = at
+    serves = np.bincount(state.assignment[state.assignment >= 0], minlength=len(relays))
+    apart = (~joined_relays(config, places) @ serves).sum(axis=0)
+    between, down = relay_gaps(config, places)
+    rest = joined_relays(config, relays, np.arange(len(relays)) == relay)
+    gap = np.minimum(np.where(rest, between[:, :, relay], np.inf).min(axis=-1), down[:, :, relay])
+    cost: Array = apart + serves[relay] * _danger(config.relay.hop_range - gap).sum(axis=0)
+    return cost
 
 
 def served_centres(own: Array, served: Array, assignment: NDArray[np.int64]) -> Array:

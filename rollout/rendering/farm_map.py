@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
 from rollout.rendering.airspace import WindArrow, make_areas, make_zones
+from rollout.rendering.chain import ChainLines, chain_handles
 from rollout.rendering.palette import (
     AGE_MAP,
     COLOURS,
@@ -76,6 +77,7 @@ class FarmMap:
         self._wind = WindArrow(axes, max(world.speed_x_max, world.speed_y_max))
         self._circles = self._make_circles(scene)
         self._links = LineCollection([], linewidths=1.1, linestyles=DOTTED, zorder=3)
+        self._chain = ChainLines(axes, scene.config)
         self._stress = _make_ellipses(axes, scene.config.stress.radius, "none", STRESS, 1.8)
         self._batteries = _make_batteries(axes) if scene.config.battery.some else []
         stations = [_make_stations(axes, scene)] if scene.config.battery.some else []
@@ -91,6 +93,7 @@ class FarmMap:
             *self._circles,
             *stations,
             *([self._stress] if scene.config.stress.patches else []),
+            *self._chain.artists,
             self._links,
             self._trails,
             *self._sensors,
@@ -109,6 +112,7 @@ class FarmMap:
         """Update every moving artist from the scene."""
         self._zones.set_verts([*scene.layout.zones])
         self._wind.update(scene.wind)
+        self._chain.update(scene)
         slices = dict(zip(TYPES, farm_team(scene.config).agent_slices(), strict=True))
         for circle, name in zip(self._circles, (MONITORING, COLLECTION), strict=True):
             circle.set_offsets(scene.position[slices[name]][~scene.gone[slices[name]]])
@@ -311,10 +315,12 @@ def make_legend(figure: Figure, scene: Scene, corner: tuple[float, float]) -> No
 
 
 def _events(scene: Scene) -> list[Artist]:
-    """Return the symbols of what not every farm has: links that are down, stations, stress, no-fly zones."""
+    """Return the symbols of what not every farm has: links that are down, chains, stations, stress, no-fly zones."""
     handles: list[Artist] = []
     if scene.config.relay.require_link:
-        handles.append(Line2D([], [], color=LINK_DOWN, linestyle=DOTTED, label="link out of range"))
+        down = "link out of range, or without hops" if scene.config.relay.chained else "link out of range"
+        handles.append(Line2D([], [], color=LINK_DOWN, linestyle=DOTTED, label=down))
+    handles += chain_handles(scene.config)
     if scene.config.battery.some:
         station = Line2D([], [], marker="H", markersize=9, linestyle="", label="charging station; bar: charge")
         station.set(markerfacecolor="none", markeredgecolor=INK, markeredgewidth=1.4)

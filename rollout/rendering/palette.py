@@ -26,6 +26,8 @@ STYLES: Final[dict[str, LineStyle]] = {COMMUNICATION: "--", MONITORING: "-", COL
 END_MARKERS: Final = {COMMUNICATION: "P", MONITORING: "s", COLLECTION: "^"}
 SENSOR_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
 """Matplotlib's marker of each sensor type."""
+BASE_MARKER: Final = "p"
+"""Matplotlib's marker of the base station, a pentagon."""
 AGE_MAP: Final = "viridis_r"
 """Matplotlib's colour map of AoI: fresh is yellow, old is dark."""
 AGE_STOPS: Final = ("#FDE725", "#5EC962", "#21918C", "#3B528B", "#440154")
@@ -37,7 +39,7 @@ ZONE: Final = "#B2182B"
 STRESS: Final = "#AA3377"
 """Colour of patches and areas of stress."""
 LINK_DOWN: Final = "#EE6677"
-"""Colour of links that are out of range."""
+"""Colour of links that are out of range, or whose relay is not joined to the base station."""
 GONE: Final = "#8A9296"
 """Colour of the cross on the page where a UAV has failed."""
 PART_COLOURS: Final = ("#4477AA", "#BBBBBB", "#EE6677", "#AA3377", "#228833", "#66CCEE", "#CCBB44", "#994455")

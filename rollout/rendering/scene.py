@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from rollout.rendering.palette import TYPES
+from rollout.sim.base_station import base_place, joined_relays, relay_gaps
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import Layout
 from rollout.sim.reference.farm import noise_mw, packet_loss, received_mw
@@ -40,6 +41,7 @@ class Scene:
         reward: reward per agent in this episode so far, by type; "mean" is the mean over all agents.
         gone: [n] whether a UAV has failed.
         linked: [n_m + n_d] whether the link of a served UAV is up.
+        joined: [n_c] whether hops lead from a relay to the base station; of farms without one, whether it lives.
         stress: [K, 2] centres of the patches of stress that there are now, m.
         known: [K] whether the team knows them.
         charge: [n] charge over capacity; [0] without batteries.
@@ -58,6 +60,7 @@ class Scene:
     reward: dict[str, float]
     gone: NDArray[np.bool_]
     linked: NDArray[np.bool_]
+    joined: NDArray[np.bool_]
     stress: Numbers
     known: NDArray[np.bool_]
     charge: Numbers
@@ -100,6 +103,7 @@ class Observer:
             name: float(rewards[part].mean()) for name, part in zip(TYPES, batch.team.agent_slices(), strict=True)
         }
         position = batch.position[index].copy()
+        joined = chain_of(batch.config, position, batch.gone[index])
         first, end = batch.patch_time[index].T
         lives = (first <= step) & (step < end)
         return Scene(
@@ -115,26 +119,59 @@ class Observer:
             wind=batch.wind[index].copy(),
             reward={**by_type, "mean": float(rewards.mean())},
             gone=batch.gone[index].copy(),
-            linked=links_up(batch.config, position, batch.assignment[index]),
+            linked=links_up(batch.config, position, batch.assignment[index], joined),
+            joined=joined,
             stress=batch.patch_place[index, lives].copy(),
             known=batch.patch_known[index, lives].copy(),
             charge=np.maximum(batch.charge[index], 0.0) / max(batch.config.battery.capacity, 1e-9),
         )
 
 
-def links_up(config: FarmConfig, position: Numbers, assignment: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return whether each served UAV has a relay, and where links count, one within range, [n_m + n_d].
+def chain_of(config: FarmConfig, position: Numbers, gone: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which relays are joined to the base station, [n_c]; of farms without one, which live.
+
+    Args:
+        config: the farm.
+        position: [n, 2] m.
+        gone: [n] whether a UAV has failed.
+    """
+    relays = config.world.communication_uavs
+    return joined_relays(config, position[:relays], gone[:relays])
+
+
+def hop_lines(config: FarmConfig, position: Numbers, joined: NDArray[np.bool_]) -> list[Numbers]:
+    """Return the ends of all hops between joined relays, and from them to the base station, [2, 2] m each.
+
+    Args:
+        config: a farm with a base station.
+        position: [n, 2] of all UAVs, m.
+        joined: [n_c] whether each relay is joined.
+    """
+    relays = position[: len(joined)]
+    between, down = relay_gaps(config, relays)
+    near = joined[:, None] & joined & (between <= config.relay.hop_range)
+    pairs = np.argwhere(np.triu(near, 1))
+    last = np.flatnonzero(joined & (down <= config.relay.hop_range))
+    base = base_place(config)
+    return [*relays[pairs], *(np.stack([relays[i], base]) for i in last)]
+
+
+def links_up(
+    config: FarmConfig, position: Numbers, assignment: NDArray[np.int64], joined: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return whether each served UAV has a relay, and where links count, one within range and joined, [n_m + n_d].
 
     Args:
         config: the farm.
         position: [n, 2] m.
         assignment: [n_m + n_d] relays; -1 for none.
+        joined: [n_c] whether each relay is joined, see `chain_of`.
     """
     world, relay = config.world, config.relay
     height = np.repeat((world.height_monitoring, world.height_collection), world.counts[1:])
     flat = ((position[world.communication_uavs :] - position[assignment]) ** 2).sum(axis=1)
     near = flat + (height - world.height_communication) ** 2 <= relay.link_range**2
-    up: NDArray[np.bool_] = (assignment >= 0) & (near if relay.require_link else True)
+    up: NDArray[np.bool_] = (assignment >= 0) & (near & joined[assignment] if relay.require_link else True)
     return up
 
 

@@ -11,15 +11,16 @@ from rich.text import Text
 
 from common.config import FarmConfig, WorldConfig
 from common.config.farm.polygons import inside, inside_any
-from common.farm import LETTERS, farm_team
+from common.farm import COMMUNICATION, LETTERS, farm_team
 from rollout.rendering.palette import AGE_STOPS, COLOURS, LABELS, SOIL_STOPS, STRESS, TYPES, ZONE, rgb, shade
-from rollout.rendering.scene import Scene, wind_text
+from rollout.rendering.scene import Scene, hop_lines, wind_text
+from rollout.sim.base_station import base_place
 from rollout.sim.stations import station_places
 
 Pixels = NDArray[np.uint8]
 
 ALARM, STATION = "#EE6677", "#555555"
-"""Colours of a UAV whose charge is low, and of a charging station."""
+"""Colours of a UAV whose charge is low, and of a charging station and the base station."""
 LOW: Final = 0.2
 """Share of the capacity below which a charge is low."""
 Numbers = NDArray[np.float64]
@@ -91,13 +92,19 @@ def _pixels(scene: Scene, width: int) -> Pixels:
     for served, relay in enumerate(scene.assignment):
         if relay < 0:
             continue
-        ends = _places(world, scene.position[[relay, relays + served]], size)
-        way = np.linspace(ends[0], ends[1], int(np.abs(ends[1] - ends[0]).max()) + 1)[::2]
-        canvas[tuple(np.rint(way).astype(np.int64).T)] = LINK
+        _draw_line(canvas, _places(world, scene.position[[relay, relays + served]], size), LINK, 2)
+    for hop in hop_lines(scene.config, scene.position, scene.joined) if scene.config.relay.chained else ():
+        _draw_line(canvas, _places(world, hop, size), rgb(COLOURS[COMMUNICATION]), 1)
     waiting = scene.aoi >= WAITING
     at = _places(world, scene.layout.sensor_xy[waiting], size)
     canvas[at[:, 0], at[:, 1]] = shade(AGE_STOPS, scene.aoi[waiting] / world.aoi_max)
     return canvas.swapaxes(0, 1)[::-1]
+
+
+def _draw_line(canvas: Pixels, ends: NDArray[np.int64], colour: "Pixels | tuple[int, int, int]", every: int) -> None:
+    """Draw each so many pixels of a line between two ends [2, 2] on a canvas [width, H, 3]."""
+    way = np.linspace(ends[0], ends[1], int(np.abs(ends[1] - ends[0]).max()) + 1)[::every]
+    canvas[tuple(np.rint(way).astype(np.int64).T)] = colour
 
 
 def _border(within: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -116,7 +123,7 @@ def _places(world: WorldConfig, xy: Numbers, size: tuple[int, int]) -> NDArray[n
 
 
 def _signs(scene: Scene, rows: int, width: int) -> dict[tuple[int, int], tuple[str, Style]]:
-    """Return the characters that replace pixels, by (row, column): each UAV's letter and number, a station's H.
+    """Return the characters that replace pixels, by (row, column): each UAV's letter and number, stations' H and B.
 
     A UAV whose charge is low is red.
     """
@@ -126,6 +133,9 @@ def _signs(scene: Scene, rows: int, width: int) -> dict[tuple[int, int], tuple[s
         low = scene.charge < LOW
         for column, row in _places(world, station_places(scene.config), (width, rows)).tolist():
             signs[rows - 1 - row, column] = ("H", _badge(STATION))
+    if scene.config.relay.chained:
+        column, row = _places(world, base_place(scene.config), (width, rows)).tolist()
+        signs[rows - 1 - row, column] = ("B", _badge(STATION))
     names = [
         f"{LETTERS[group.name]}{index}" for group in farm_team(scene.config).groups for index in range(group.count)
     ]
@@ -153,6 +163,11 @@ def _append_keys(text: Text, config: FarmConfig) -> None:
         text.append(f" {LABELS[name]}   ")
     text.append(BLOCK, Style(color=_css(LINK)))
     text.append(" relay link")
+    if config.relay.chained:
+        text.append("   ")
+        text.append(BLOCK, Style(color=COLOURS[COMMUNICATION], bgcolor=COLOURS[COMMUNICATION]))
+        text.append(" hop to the base station ")
+        text.append("B", _badge(STATION))
     marks = ((config.zones.some, ZONE, "no-fly zone"), (config.stress.faster, STRESS, "area of faster growth"))
     for some, colour, label in marks:
         if some:

@@ -5,6 +5,7 @@ A docstring that ends in "(ours)" marks a constant that the paper does not give;
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from common.config.checks import not_negative, positive
 from common.config.farm.world import WorldConfig
@@ -31,6 +32,11 @@ class RelayConfig:
     """Whether images and packets count only while the UAV's relay is within link_range (W4)."""
     link_range: float = 150.0
     """Range of the UAV-UAV link for require_link, m (ours)."""
+    base: Literal["", "north", "east", "south", "west"] = ""
+    """Edge of the field at whose middle a base station stands; with it, images and packets count only while hops over
+    relays lead to it. Empty for none (ours)."""
+    hop_range: float = 200.0
+    """Range of the links between relays, and from a relay to the base station, m (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse negative weights and ranges."""
@@ -42,7 +48,12 @@ class RelayConfig:
             cost_distance=self.cost_distance,
             cost_link=self.cost_link,
         )
-        positive(link_range=self.link_range)
+        positive(link_range=self.link_range, hop_range=self.hop_range)
+
+    @property
+    def chained(self) -> bool:
+        """Whether links count only while the relay has a chain of hops to a base station."""
+        return self.require_link and bool(self.base)
 
     def capacity_for(self, world: WorldConfig) -> int:
         """Return the UAVs per relay; raise ConfigError when all relays together cannot serve everybody."""

@@ -32,7 +32,8 @@ from rollout.rendering.palette import (
     TYPES,
     ZONE,
 )
-from rollout.rendering.scene import TRAIL_STEPS, camera_radius, links_up, radio_radius
+from rollout.rendering.scene import TRAIL_STEPS, camera_radius, chain_of, links_up, radio_radius
+from rollout.sim.base_station import base_place
 from rollout.sim.layout import Layout
 from rollout.sim.stations import station_places
 from rollout.sim.stress import patches
@@ -111,10 +112,13 @@ def scene(run: str, worker: str, farm: FarmConfig, terms: WatchTerms) -> Packet:
 
 
 def _conditions(farm: FarmConfig) -> dict[str, Any]:
-    """Return what the page needs of links, failures, batteries and stress; empty for a farm without them."""
+    """Return what the page needs of links, chains, failures, batteries and stress; empty for a farm without them."""
     found: dict[str, Any] = {}
     if farm.relay.require_link:
         found["link_down"] = {"colour": LINK_DOWN, "range": farm.relay.link_range}
+    if farm.relay.chained:
+        height, longest = farm.world.height_communication, farm.relay.hop_range
+        found["base"] = {"place": base_place(farm).tolist(), "height": height, "range": longest}
     if farm.loses_uavs:
         found["gone"] = GONE
     if farm.battery.some:
@@ -149,18 +153,29 @@ def frames(message: ViewMessage, farm: FarmConfig, layout: Layout, version: int)
     arrays["kind"] = layout.sensor_type.astype(np.uint8)
     arrays |= {name: sent for name in ("gone", "charge", "known") if (sent := getattr(message, name)) is not None}
     if farm.relay.require_link:
-        arrays["linked"] = _linked(message, farm)
+        joined = _joined(message, farm)
+        arrays["linked"] = _linked(message, farm, joined)
+        if farm.relay.chained:
+            arrays["joined"] = joined.astype(np.uint8)
     if farm.stress.patches:
         place, time = patches(farm, message.farm, message.episode)
         fields["patches"] = np.concatenate([place, time], axis=1).tolist()
     return pack("frames", fields, arrays, len(message.position))
 
 
-def _linked(message: ViewMessage, farm: FarmConfig) -> NDArray[np.uint8]:
-    """Return 1 for each served UAV whose relay is within range, [F, n_m + n_d]."""
+def _joined(message: ViewMessage, farm: FarmConfig) -> NDArray[np.bool_]:
+    """Return which relays are joined to the base station, [F, n_c]; of farms without one, which live."""
+    places = message.position.astype(np.float64)
+    gone = np.zeros(places.shape[:2], np.bool_) if message.gone is None else message.gone.astype(np.bool_)
+    return np.stack([chain_of(farm, *frame) for frame in zip(places, gone, strict=True)])
+
+
+def _linked(message: ViewMessage, farm: FarmConfig, joined: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return 1 for each served UAV whose relay is within range and joined, [F, n_m + n_d]."""
     relays = np.where(message.assignment == NO_RELAY, -1, message.assignment.astype(np.int64))
     places = message.position.astype(np.float64)
-    return np.stack([links_up(farm, *frame) for frame in zip(places, relays, strict=True)]).astype(np.uint8)
+    shown = zip(places, relays, joined, strict=True)
+    return np.stack([links_up(farm, *frame) for frame in shown]).astype(np.uint8)
 
 
 def state(sentence: str, counts: Mapping[str, int]) -> Packet:

@@ -210,7 +210,10 @@ class Scratch(NamedTuple):
         neighbour: [n] nearest UAV.
         distance: [n] d_U, m.
         crowded: [n] whether another UAV of the plane is closer than the collision distance.
-        linked: [n_m + n_d] whether the UAV's relay is in range.
+        linked: [n_m + n_d] whether the UAV's relay is in range, and joined if there is a base station.
+        joined: [n_c] whether each relay is joined to the base station, see `chain`.
+        joined_then: [n_c] the same if one relay stood elsewhere.
+        queue: [n_c] relays that are joined.
         earlier: [n_c] D_c(k-1), m.
         centroid: [n_c + 1, 3] centroids of the served UAVs; the last row is that of all relays, m.
         farthest: [n_c] farthest UAV served.
@@ -238,6 +241,9 @@ class Scratch(NamedTuple):
     distance: Array
     crowded: Array
     linked: Array
+    joined: Flags
+    joined_then: Flags
+    queue: Indices
     earlier: Array
     centroid: Array
     farthest: Indices
@@ -334,6 +340,9 @@ def make_scratch(config: FarmConfig) -> Scratch:
         distance=np.zeros(uavs),
         crowded=np.zeros(uavs),
         linked=np.zeros(served),
+        joined=np.zeros(relays, np.bool_),
+        joined_then=np.zeros(relays, np.bool_),
+        queue=np.zeros(relays, np.int64),
         earlier=np.zeros(relays),
         centroid=np.zeros((relays + 1, 3)),
         farthest=np.zeros(relays, np.int64),

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.errors import ConfigError
+from rollout.sim.kernel.chain import ChainConstants, chain_constants
 from rollout.sim.kernel.event_constants import (
     BatteryConstants,
     FailureConstants,
@@ -232,6 +233,7 @@ class Constants(NamedTuple):
     stress: StressConstants
     battery: BatteryConstants
     airspace: AirspaceConstants
+    chain: ChainConstants
 
 
 def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
@@ -273,6 +275,7 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         stress_constants(config),
         battery_constants(config),
         airspace(config),
+        chain_constants(config),
     )
     return Constants(*(_cast(part) for part in parts))
 

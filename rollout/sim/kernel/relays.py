@@ -6,6 +6,7 @@ from typing import Final
 from rollout.sim.kernel.arrays import AssignmentScratch, Farm, Flags, Scratch
 from rollout.sim.kernel.assignment.exchanges import settle
 from rollout.sim.kernel.assignment.hungarian import assign
+from rollout.sim.kernel.chain import join_relays
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.compiler.logarithm import vectorisable_log
 from rollout.sim.kernel.constants import LEAST_LINK, Array, Constants, FleetConstants, Indices, RelayConstants
@@ -25,7 +26,8 @@ def assign_relays(c: Constants, farm: Farm, s: Scratch, anew: bool) -> None:
     `capacity` columns. The previous assignment is repaired by a few exchanges if that proves a unique optimum.
 
     Updates `assignment` and writes `quality`, the signal-to-noise ratio of each link, and `linked`, 1 where the relay
-    is within link range (W4). A UAV without a relay has the quality NO_LINK, and no range reaches it.
+    is within link range (W4) and, with a base station, joined to it. A UAV without a relay has the quality NO_LINK, and
+    no range reaches it. Writes `joined` where there is a base station.
 
     Args:
         c: constants.
@@ -42,12 +44,16 @@ def assign_relays(c: Constants, farm: Farm, s: Scratch, anew: bool) -> None:
         _leave_out(gone, work.pair)
     if anew or not settle(work.pair, assignment, capacity, work.exchanges):
         _assign_anew(fleet, relay, gone, capacity, position, work, assignment)
+    if c.chain.some:
+        join_relays(c.chain, position, gone, NOBODY, math.inf, math.inf, s.joined, s.queue)
     for served in range(len(assignment)):
         u, distance, quality[served] = fleet.relays + served, math.inf, NO_LINK
         if assignment[served] != NOBODY:
             distance = separation(fleet, position, assignment[served], u)
             quality[served] = relay.budget - _loss(relay, distance)
         linked[served] = 1.0 if distance <= relay.link_range and not gone[u] else 0.0
+        if c.chain.some and assignment[served] != NOBODY and not s.joined[assignment[served]]:
+            linked[served] = 0.0
 
 
 @allocation_free

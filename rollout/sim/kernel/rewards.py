@@ -9,18 +9,21 @@ D_c is a relay's distance from where it serves well, and the relay earns the dec
 computes it: `service` holds D_c(k), `earlier` holds D_c(k-1). P_M and P_C are 1 in a step that serves nothing. The
 energy is already an amount, so t_step does not multiply it (W7).
 
-The sum of `relayed` (ours) is over the UAVs u that the relay serves: their utility and idle parts r_u in this step less
-r_u' without the link to this relay. It is a difference reward with the weight w, and 0 unless
-`farm.relay.require_link`. The weights are the options `farm.reward`. `farm.reward.positioning_sign` sets the sign of
-alpha_1, and `RewardConstants` holds all weights with their signs.
+The sum of `relayed` (ours) is over the UAVs u that the relay serves, and with a base station also over those whose
+relay is joined to it only over this one: their utility and idle parts r_u in this step less r_u' without the links of
+this relay. It is a difference reward with the weight w, and 0 unless `farm.relay.require_link`. The weights are the
+options `farm.reward`. `farm.reward.positioning_sign` sets the sign of alpha_1, and `RewardConstants` holds all weights
+with their signs.
 
 If you change these equations, change the oracle `rollout/sim/reference/farm.py` too. If you change the positioning
 part, change `FarmBatch.potential`, which `rollout/worker/reward_shaping.py` uses.
 """
 
+import math
 from typing import Final
 
 from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.chain import join_relays
 from rollout.sim.kernel.compiler.decorators import inlined
 from rollout.sim.kernel.constants import Constants
 from rollout.sim.kernel.flight.motion import safety_risk
@@ -38,15 +41,18 @@ RELAYED: Final = 7
 
 
 @inlined
-def _relayed(c: Constants, farm: Farm, relay: int) -> float:
-    """Return what the UAVs of a relay earn in this step and would not without their links.
+def _relayed(c: Constants, farm: Farm, s: Scratch, relay: int) -> float:
+    """Return what UAVs earn in this step and would not without the links of a relay.
 
     Without its link a UAV has no utility, so it loses its utility's part and is idle. One that has none loses nothing.
+    A UAV with utility has a link, so its relay is joined where there is a base station.
     """
     fleet, weight, amount = c.fleet, c.reward, 0.0
+    if c.chain.some:
+        join_relays(c.chain, farm.position, farm.gone, relay, math.inf, math.inf, s.joined_then, s.queue)
     for served in range(len(farm.assignment)):
-        u = fleet.relays + served
-        if farm.assignment[served] == relay and farm.utility[u] >= NEGLIGIBLE:
+        u, own = fleet.relays + served, farm.assignment[served]
+        if farm.utility[u] >= NEGLIGIBLE and (own == relay or (c.chain.some and not s.joined_then[own])):
             task = 0 if u < fleet.collectors else 1
             amount += (weight.utility[task] * farm.utility[u] - weight.idle[task]) * fleet.seconds
     return amount
@@ -73,7 +79,7 @@ def reward_step(c: Constants, farm: Farm, s: Scratch) -> None:
         if u < fleet.relays:
             parts[u, POSITIONING] = weight.positioning * (farm.service[u] - s.earlier[u]) * seconds
             if weight.relayed != 0.0:
-                parts[u, RELAYED] = weight.relayed * _relayed(c, farm, u)
+                parts[u, RELAYED] = weight.relayed * _relayed(c, farm, s, u)
         else:
             task = 0 if u < fleet.collectors else 1
             parts[u, UTILITY] = weight.utility[task] * farm.utility[u] * seconds

@@ -19,6 +19,7 @@ from rollout.sim.kernel.relays import NO_LINK
 from rollout.sim.layout import Layout
 from rollout.sim.reference.airspace import air_velocity, stopped
 from rollout.sim.reference.battery import use_charge
+from rollout.sim.reference.links import joined_to_base, relayed
 from rollout.sim.reference.routes import advance, divide_again, first_sweep
 from rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
 from rollout.sim.reference.views import observe
@@ -140,6 +141,8 @@ class ReferenceFarm:
         charge: [n] of the batteries, J.
         known: [P] whether the team knows a patch of stress.
         assignment: [n_m + n_d] relays, -1 for none; assignment_cost: the sum of its costs.
+        joined: [n_c] whether hops lead from a relay to the base station, if there is one.
+        linked: [n_m + n_d] whether the work of a served UAV counts (W4).
         service: [n_c] D_c, m.
         link_quality: [n_m + n_d] signal-to-noise ratio of the link to the relay, dB.
         direction: [n, 2] D_VDF, D_AoI.
@@ -264,7 +267,8 @@ class ReferenceFarm:
             [self.distance(first + k, r, self.position) if r >= 0 else math.inf for k, r in enumerate(self.assignment)]
         )
         in_range = distances <= (relay.link_range if relay.require_link else math.inf)
-        self.linked = in_range & ~self.gone[first:]
+        self.joined = joined_to_base(self) if relay.chained else np.ones(first, bool)
+        self.linked = in_range & ~self.gone[first:] & self.joined[self.assignment]
         loss = free_space_loss(self.config.radio, np.maximum(distances, 1.0))
         quality = self.config.energy.transmit_dbm - loss - 10.0 * math.log10(noise_mw(self.config.radio))
         self.link_quality = np.where(self.assignment >= 0, quality, NO_LINK)
@@ -361,7 +365,7 @@ class ReferenceFarm:
             self.parts[u, 1:4] = energy, -weight.collision_risk * risk * seconds, boundary
             if kind == 0:
                 self.parts[u, 0] = sign * weight.positioning * (self.service[u] - service_before[u]) * seconds
-                self.parts[u, 7] = weight.relayed * self._relayed(u) * seconds
+                self.parts[u, 7] = weight.relayed * relayed(self, u) * seconds
                 continue
             utility, idle, motivation = (
                 (weight.monitoring, weight.monitoring_idle, weight.monitoring_motivation)
@@ -375,16 +379,6 @@ class ReferenceFarm:
             )
             self.parts[u, 4:7] *= seconds
         self.reward = self.parts.sum(axis=1)
-
-    def _relayed(self, relay: int) -> float:
-        """Return what a relay's UAVs earn per second and would not without their links, which make them idle."""
-        weight, amount = self.config.reward, 0.0
-        for u in self.served(relay) if self.config.relay.require_link else ():
-            if self.utility[u] >= NEGLIGIBLE:
-                monitor = self.kind[u] == 1
-                amount += (weight.monitoring if monitor else weight.collection) * self.utility[u]
-                amount += weight.monitoring_idle if monitor else weight.collection_idle
-        return float(amount)
 
     def _look(self) -> None:
         """Find D_VDF and D_AoI, the UAVs that are too close, and all observations."""

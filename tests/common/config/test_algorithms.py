@@ -113,6 +113,11 @@ LINES = [
         [*EIA_SEC, "--algorithm.memory", "gru"],
         "algorithm.memory has no effect with eia-sec; it is an option of ippo, mappo, eia-ppo.",
     ),
+    (["--farm.relay.base", "south"], "farm.relay.base has no effect while farm.relay.require_link is false."),
+    (
+        ["--farm.relay.require-link", "--farm.relay.hop-range", "100"],
+        "farm.relay.hop_range has no effect while farm.relay.base is empty.",
+    ),
     ([*EIA_SEC, "--elite.no-enabled", "--elite.cycle", "4"], "elite.cycle has no effect while elite.enabled is false."),
     (
         ["--algorithm", "sec"],
@@ -193,6 +198,8 @@ def test_digests_of_earlier_versions_count(name):
         "zones = ",
         "advice = ",
         "relayed = ",
+        "base = ",
+        "hop_range = ",
     )
     kept = [line for line in lines if not line.startswith(later)]
     assert digest(config) == hashlib.sha256("\n".join([*kept, ""]).encode()).hexdigest()[:16]

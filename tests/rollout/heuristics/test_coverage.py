@@ -9,7 +9,10 @@ from common.config.presets import preset
 from rollout.evaluation import evaluate
 from rollout.heuristics.registry import default_relays
 from rollout.policies import policy_of
+from rollout.sim.base_station import joined_relays
 from rollout.sim.batch import FarmBatch
+from rollout.sim.layout import make_layout
+from tests.rollout.sim.properties.strategies import placed
 
 FARM = preset("connected").farm
 NEAR = replace(FARM, relay=replace(FARM.relay, link_range=70.0), world=replace(FARM.world, steps=150))
@@ -55,3 +58,42 @@ def test_a_task_heuristic_brings_the_relays_that_the_farm_needs(config, name):
     short = replace(config, world=replace(config.world, steps=30))
     flown = [evaluate(short, policy_of(policy, short), [1000], 1, name="").total for policy in ("tour", f"tour+{name}")]
     assert flown[0] == flown[1]
+
+
+CHAINED = replace(NEAR, relay=replace(NEAR.relay, link_range=150.0, base="south", hop_range=150.0))
+
+
+def joined_share(config):
+    """Return the share of relays that are joined in the second half of an episode of the tour."""
+    batch, policy = FarmBatch(config, 2), policy_of("tour+coverage", config)
+    for index in range(2):
+        batch.reset(index, 1000 + index, 7)
+        policy.reset(batch, index)
+    joined = []
+    while not batch.ended.all():
+        batch.step(policy.act(batch))
+        joined.append(joined_relays(CHAINED, batch.position[:, :4]))
+    return np.mean(joined[len(joined) // 2 :])
+
+
+def test_relays_keep_a_chain_to_the_base_station():
+    """Wherever they start, hops soon lead from nearly all of them to the base station, which they leave without one."""
+    alone = replace(CHAINED, relay=replace(CHAINED.relay, base=""))
+    assert joined_share(CHAINED) > 0.9
+    assert joined_share(alone) < 0.5
+
+
+def test_a_relay_that_serves_nobody_stays_in_the_chain():
+    """The first relay joins the second one, which serves both UAVs, to the base station."""
+    world = replace(FARM.world, communication_uavs=2, monitoring_uavs=1, collection_uavs=1, steps=40)
+    relay = replace(FARM.relay, capacity=2, link_range=300.0, base="south", hop_range=150.0)
+    config = replace(FARM, world=world, relay=relay)
+    batch, policy = FarmBatch(config, 1), policy_of("tour+coverage", config)
+    places = np.array([[200.0, 120.0], [200.0, 240.0], [200.0, 260.0], [210.0, 260.0]])
+    with placed(make_layout(config, 1000), places):
+        batch.reset(0, 1000, 7)
+    policy.reset(batch, 0)
+    assert (batch.assignment[0] == 1).all()
+    for _ in range(10):
+        batch.step(policy.act(batch))
+        assert joined_relays(config, batch.position[0, :2]).all()

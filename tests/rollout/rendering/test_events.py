@@ -5,14 +5,14 @@ from dataclasses import replace
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from matplotlib.collections import PathCollection
+from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.colors import to_rgb
 
-from common.config import BatteryConfig, FarmConfig, StressConfig
-from rollout.rendering.farm_map import FarmMap, _bars
+from common.config import BatteryConfig, FarmConfig, RelayConfig, StressConfig
+from rollout.rendering.farm_map import FarmMap, _bars, _events
 from rollout.rendering.palette import LINK_DOWN, STRESS
 from rollout.rendering.render import Renderer
-from rollout.rendering.scene import Observer, links_up
+from rollout.rendering.scene import Observer, chain_of, hop_lines, links_up
 from rollout.rendering.terminal import ALARM, terminal_text
 from rollout.sim.batch import FarmBatch
 
@@ -80,7 +80,45 @@ def test_a_link_is_up_within_its_range():
     position[4:8, 0] = 99.0, 101.0, 0.0, 50.0
     assignment = np.zeros(8, np.int64)
     assignment[2] = -1
-    assert links_up(config, position, assignment).tolist() == [True, False, False, True, True, True, True, True]
+    joined = np.ones(4, bool)
+    assert links_up(config, position, assignment, joined).tolist() == [True, False, False, *[True] * 5]
+    joined[0] = False
+    assert not links_up(config, position, assignment, joined).any()
+
+
+@pytest.mark.parametrize("base", ["", "east"])
+def test_a_base_station_and_hops_are_drawn_where_there_is_one(base):
+    """The picture has more of the relays' colour, and the terminal a B and a line of its legend."""
+    relay = RelayConfig(require_link=True, link_range=150.0, base=base, **({"hop_range": 300.0} if base else {}))
+    config = replace(FarmConfig(), relay=relay)
+    farms = flown(config, 1)
+    farms.position[0, :4] = [[300.0, 200.0], [250.0, 300.0], [250.0, 100.0], [50.0, 200.0]]
+    observer = Observer(farms, 0)
+    observer.observe()
+    scene = observer.scene()
+    text = terminal_text(scene, 60)
+    assert scene.joined.all()
+    assert ("hop to the base station" in text.plain) == bool(base)
+    assert text.plain.split("\n", 1)[1].count("B") == (2 if base else 0)
+    figure, axes = plt.subplots()
+    drawn = FarmMap(axes, scene)
+    drawn.update(scene)
+    hops = [artist for artist in drawn.artists if isinstance(artist, LineCollection) and artist.get_zorder() == 2.9]
+    assert [len(artist.get_segments()) for artist in hops] == ([9] if base else [])
+    labels = [handle.get_label() for handle in _events(scene)]
+    assert ("base station" in labels) == bool(base)
+    plt.close(figure)
+
+
+def test_hops_join_only_relays_that_are_joined():
+    """The first relay is near the base station, the second one near it, the third one near nobody."""
+    config = FarmConfig(relay=RelayConfig(require_link=True, base="south", hop_range=105.0))
+    position = np.zeros((12, 2))
+    position[:4] = [[200.0, 100.0], [200.0, 200.0], [200.0, 310.0], [0.0, 310.0]]
+    joined = chain_of(config, position, np.zeros(12, bool))
+    assert joined.tolist() == [True, True, False, False]
+    ends = [line.tolist() for line in hop_lines(config, position, joined)]
+    assert ends == [[[200.0, 100.0], [200.0, 200.0]], [[200.0, 100.0], [200.0, 0.0]]]
 
 
 def test_batteries_and_stations_are_drawn():

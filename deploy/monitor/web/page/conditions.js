@@ -1,6 +1,6 @@
-// What only some farms have: no-fly zones, wind, patches of stress, charging stations, batteries and UAVs that failed.
+// What only some farms have: no-fly zones, wind, patches of stress, stations, batteries, chains and UAVs that failed.
 
-import { LINK, UAV, css, rgb } from "./marks.js";
+import { HOP_DASH, LINK, UAV, css, mark, rgb } from "./marks.js";
 import { Past } from "./past.js";
 
 const STATION = 15; // half the size of a station's mark, pixels: more than a UAV's, which may stand on it
@@ -110,6 +110,40 @@ export function station(pen, colour, x, y, size) {
 
 export function drawStations(field, pen) {
   for (const [x, y] of field.scene.stations || []) station(pen, LINK.colour, field.x(x), field.y(y), STATION);
+}
+
+// Hops between joined relays, and from them to the base station, which stands on the ground.
+function hops(field, frame) {
+  const { place, height, range } = field.scene.base;
+  const joined = Past.row(frame, "joined");
+  const ends = [...joined.keys()].filter((relay) => joined[relay]).map((relay) => field.places[relay]);
+  const near = ([x, y], [toX, toY], dz) => Math.hypot(toX - x, toY - y, dz) <= range;
+  const pairs = ends.flatMap((one, k) => ends.slice(k + 1).filter((other) => near(one, other, 0)).map((other) => [one, other]));
+  return [...pairs, ...ends.filter((one) => near(one, place, height)).map((one) => [one, place])];
+}
+
+export function drawChain(field, pen, frame) {
+  if (!field.scene.base) return;
+  pen.lineWidth = 2;
+  pen.strokeStyle = field.scene.types[0].colour;
+  pen.setLineDash(HOP_DASH);
+  for (const ends of hops(field, frame)) {
+    pen.beginPath();
+    for (const [x, y] of ends) pen.lineTo(field.x(x), field.y(y));
+    pen.stroke();
+  }
+  pen.setLineDash([]);
+  const [x, y] = field.scene.base.place;
+  baseStation(pen, field.x(x), field.y(y), UAV);
+}
+
+export function baseStation(pen, x, y, size) {
+  mark(pen, "p", x, y, size);
+  pen.lineWidth = 2;
+  pen.strokeStyle = "#fff";
+  pen.stroke();
+  pen.fillStyle = LINK.colour;
+  pen.fill();
 }
 
 export function isGone(frame, u) {

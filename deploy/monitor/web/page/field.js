@@ -1,6 +1,8 @@
 // The map: plots by VDF, sensors by AoI, reach, trails, links and UAVs.
 
-import { cross, drawAreas, drawCharges, drawPatches, drawStations, drawWind, drawZones, isGone } from "./conditions.js";
+import {
+  cross, drawAreas, drawChain, drawCharges, drawPatches, drawStations, drawWind, drawZones, isGone,
+} from "./conditions.js";
 import { DOWN_DASH, LINK, UAV, css, mark, niceStep, prepare, ramp, rgb, uav } from "./marks.js";
 import { Past } from "./past.js";
 
@@ -42,6 +44,7 @@ export class Field {
     this.drawTrails(pen, past, number);
     this.drawSensors(pen, frame);
     this.drawLinks(pen, frame);
+    drawChain(this, pen, frame);
     pen.restore();
     this.drawUavs(pen, past, number);
     drawCharges(this, pen, frame);
@@ -213,12 +216,18 @@ export class Field {
     if (served >= 0) {
       const quality = Past.row(frame, "quality")[served];
       const relay = Past.row(frame, "assignment")[served];
-      const broken = this.scene.link_down && !Past.row(frame, "linked")[served] ? ", out of range" : "";
+      const broken = this.scene.link_down && !Past.row(frame, "linked")[served] ? this.why(frame, relay) : "";
       lines.push(relay < this.scene.types[0].count
         ? `relay ${relay}, link ${quality.toFixed(1)} dB over noise${broken}` : "no relay");
     } else lines.push(`serves ${Past.row(frame, "assignment").filter((relay) => relay === n).length} UAVs`);
+    if (served < 0 && this.scene.base) lines.push(Past.row(frame, "joined")[n] ? "joined" : "not joined");
     if (frame.packet.arrays.charge) lines.push(`charge ${(Past.row(frame, "charge")[u] / 2.55).toFixed(0)} %`);
     return lines.join("\n");
+  }
+
+  // Why a link to a relay does not count.
+  why(frame, relay) {
+    return this.scene.base && !Past.row(frame, "joined")[relay] ? ", relay not joined" : ", out of range";
   }
 
   tellSensor(frame, s) {

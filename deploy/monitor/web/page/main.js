@@ -1,9 +1,9 @@
 // Wires everything together: packets in, the recent past, where in it we are, and what is drawn.
 
 import { Charts, drawScale } from "./charts.js";
-import { cross, patch, station } from "./conditions.js";
+import { baseStation, cross, patch, station } from "./conditions.js";
 import { Field } from "./field.js";
-import { DOWN_DASH, LINK, css, mark, prepare, rgb, uav } from "./marks.js";
+import { DOWN_DASH, HOP_DASH, LINK, css, mark, prepare, rgb, uav } from "./marks.js";
 import { Past } from "./past.js";
 import { listen } from "./stream.js";
 
@@ -131,7 +131,13 @@ function conditionSigns(scene, ink, stroke) {
   const signs = [];
   const add = (text, draw) => signs.push(item(icon(draw), text));
   if (scene.link_down) {
-    signs.push(stroke(DOWN_DASH, `link out of range, ${scene.link_down.range.toFixed(0)} m`, scene.link_down.colour));
+    const hops = scene.base ? ", or without hops" : "";
+    const { range, colour: shade } = scene.link_down;
+    signs.push(stroke(DOWN_DASH, `link out of range, ${range.toFixed(0)} m${hops}`, shade));
+  }
+  if (scene.base) {
+    add("base station", (pen) => baseStation(pen, 9, 9, 6));
+    signs.push(stroke(HOP_DASH, `hop to it, at most ${scene.base.range.toFixed(0)} m`, scene.types[0].colour));
   }
   if (scene.stations) add("charging station; bar: charge of a UAV", (pen) => station(pen, ink, 9, 9, 7));
   if (scene.gone) add("UAV that has failed", (pen) => cross(pen, scene.gone, 9, 9, 5));

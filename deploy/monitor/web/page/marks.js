@@ -3,6 +3,7 @@
 export const UAV = 11; // half the size of a UAV's mark, pixels
 export const LINK = { colour: "#222", dash: [2, 3] };
 export const DOWN_DASH = [7, 4]; // of links out of range
+export const HOP_DASH = [9, 3, 2, 3]; // of hops between relays and to the base station
 
 export function rgb(colour) {
   return [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
@@ -44,6 +45,7 @@ const CORNERS = {
     [-0.42, 1.15], [-0.42, 0.42], [-1.15, 0.42], [-1.15, -0.42], [-0.42, -0.42]],
   X: [[-1, -0.4], [-0.4, -1], [0, -0.5], [0.4, -1], [1, -0.4], [0.5, 0], [1, 0.4], [0.4, 1], [0, 0.5], [-0.4, 1],
     [-1, 0.4], [-0.5, 0]],
+  p: Array.from({ length: 5 }, (_, k) => [1.2 * Math.sin(0.4 * Math.PI * k), -1.2 * Math.cos(0.4 * Math.PI * k)]),
   "*": Array.from({ length: 10 }, (_, k) => {
     const [angle, size] = [(k * Math.PI) / 5, k % 2 ? 0.55 : 1.35];
     return [Math.sin(angle) * size, -Math.cos(angle) * size];

@@ -14,7 +14,7 @@ from rollout.sim.kernel.stress import put_stress
 from rollout.sim.kernel.views.airspace import put_airspace
 from rollout.sim.kernel.views.constants import ViewConstants
 from rollout.sim.kernel.views.fields import put_field, share_points, weigh_points
-from rollout.sim.kernel.views.links import put_link, put_links
+from rollout.sim.kernel.views.links import put_chain, put_joined, put_link, put_links
 from rollout.sim.kernel.views.maps import put_cells, put_plots
 from rollout.sim.kernel.views.peers import find_near, put_peers, put_risk
 from rollout.sim.kernel.views.places import find_places
@@ -138,6 +138,8 @@ def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.link:
         sx, sy = v.sign[u, 0], v.sign[u, 1]
         at = put_links(fleet, view, farm.position, farm.assignment, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
+        if c.chain.some:
+            at = put_chain(c, farm, s, u, at)
     return _put_last(c, farm, s, u, 0, fleet.relays, at)
 
 
@@ -192,6 +194,8 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
     if view.link:
         relay = farm.assignment[u - fleet.relays]
         at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
+        if c.chain.some:
+            at = put_joined(relay, s.joined, seen, at)
     if view.stress:
         at = put_stress(farm.stressed, column, row, sx, sy, seen, at)
     return _put_last(c, farm, s, u, 1, fleet.collectors - fleet.relays, at)
@@ -240,6 +244,8 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.link:
         relay = farm.assignment[u - fleet.relays]
         at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
+        if c.chain.some:
+            at = put_joined(relay, s.joined, seen, at)
     if view.stress:
         column, row = cell_of(x / fleet.width, c.camera.plots_x), cell_of(y / fleet.depth, c.camera.plots_y)
         at = put_stress(farm.stressed, column, row, sx, sy, seen, at)

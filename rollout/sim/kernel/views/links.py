@@ -3,6 +3,9 @@
 A link of range R over a distance d is up while d <= R. Its slack is R - d: over R for the present, and over the length
 of a diagonal step at full speed for what each of nine moves would leave. Both are clipped to -1..1, and the other end
 stays where it is.
+
+With a base station, UAVs see whether their relay is joined to it, and relays what their own moves would do to the
+chain.
 """
 
 import math
@@ -10,13 +13,16 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rollout.sim.kernel.compiler.decorators import allocation_free
-from rollout.sim.kernel.constants import Array, FleetConstants, Indices
+from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.chain import join_relays
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from rollout.sim.kernel.constants import Array, Constants, FleetConstants, Indices
 from rollout.sim.kernel.flight.failures import NOBODY
 from rollout.sim.kernel.flight.planes import height_of
 from rollout.sim.kernel.views.constants import ViewConstants
 
 Float32 = NDArray[np.float32]
+Flags = NDArray[np.bool_]
 
 
 @allocation_free
@@ -118,3 +124,28 @@ def _kept(
             up += 1 if distance <= view.link_range else 0
             least = min(least, _clipped((view.link_range - distance) * view.per_step))
     return (up / count if count > 0 else 1.0), least
+
+
+@inlined
+def put_chain(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
+    """Write a relay's view of the chain to the base station; return where it ends.
+
+    It is the offset to the base station, 1 if the relay is joined, and for each move the share of the living relays
+    that would be joined.
+    """
+    chain, fleet, v, seen, position = c.chain, c.fleet, s.added, farm.observation, farm.position
+    seen[at] = v.sign[u, 0] * (chain.x - position[u, 0]) * fleet.per_width
+    seen[at + 1] = v.sign[u, 1] * (chain.y - position[u, 1]) * fleet.per_depth
+    seen[at + 2] = 1.0 if s.joined[u] else 0.0
+    at += 3
+    for move in range(9):
+        x, y = v.go_x[u, move // 3], v.go_y[u, move % 3]
+        seen[at + move] = join_relays(chain, position, farm.gone, u, x, y, s.joined_then, s.queue) / farm.living[0]
+    return at + 9
+
+
+@allocation_free
+def put_joined(relay: int, joined: Flags, seen: Float32, at: int) -> int:
+    """Write 1 if a UAV has a relay that is joined; return where that ends."""
+    seen[at] = 1.0 if relay != NOBODY and joined[relay] else 0.0
+    return at + 1

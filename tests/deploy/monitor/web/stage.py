@@ -55,6 +55,15 @@ CONDITIONS = replace(
     ),
 )
 """The same farm with all that few farms have: links that count, batteries, a UAV that fails, and stress."""
+CHAINED = replace(
+    CONFIG,
+    farm=replace(
+        CONFIG.farm,
+        world=replace(CONFIG.farm.world, communication_uavs=3),
+        relay=replace(CONFIG.farm.relay, require_link=True, link_range=40.0, base="south", hop_range=70.0),
+    ),
+)
+"""The same farm with three relays and a base station."""
 
 
 def some_actors(config: RunConfig = CONFIG) -> TeamActors:

@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from rollout.rendering.palette import GONE, LINK_DOWN, STRESS, rgb
+from common.farm import COMMUNICATION
+from rollout.rendering.palette import COLOURS, GONE, LINK_DOWN, STRESS, rgb
 from tests.deploy.monitor.web import test_watch_page as pages
-from tests.deploy.monitor.web.stage import CONDITIONS, CONFIG, until
+from tests.deploy.monitor.web.stage import CHAINED, CONDITIONS, CONFIG, until
 from tests.deploy.monitor.web.test_watch_page import jump, looking
 
 pytestmark = pages.pytestmark
@@ -81,6 +82,23 @@ def test_the_page_shows_what_only_some_farms_have():
         assert stations_are_drawn(page)
         assert areas_are_outlined(page)
         assert patches_are_tinted(page, frame)
+        assert complaints == []
+
+
+def test_the_page_shows_chains():
+    """The legend names base station and hops, whose lines and mark vanish with the base station."""
+    with looking(CHAINED) as (page, _, complaints):
+        assert "base station" in page.inner_text("#signs")
+        assert "hop to it, at most 70 m" in page.inner_text("#signs")
+        assert "link out of range, 40 m, or without hops" in page.inner_text("#signs")
+        until(lambda: page.evaluate("watching.past.last > 3"), "some frames")
+        page.evaluate("watching.view.playing = false; watching.past.add = () => {}")
+        redraw(page, "watching.past.at(Math.floor(watching.view.head)).packet.arrays.joined.fill(1)")
+        blue, dark = COLOURS[COMMUNICATION], "#222222"
+        before = count(page, blue, 30), count(page, dark, 40)
+        redraw(page, "delete watching.view.scene.base")
+        assert count(page, blue, 30) < before[0] - 30
+        assert count(page, dark, 40) < before[1] - 40
         assert complaints == []
 
 

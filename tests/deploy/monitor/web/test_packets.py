@@ -16,7 +16,7 @@ from rollout.sim.layout import make_layout
 from rollout.sim.stations import station_places
 from rollout.sim.stress import patches
 from tests.common.protocol.test_view_checks import a_view, a_view_of_conditions
-from tests.deploy.monitor.web.stage import AREA, CONDITIONS, CONFIG
+from tests.deploy.monitor.web.stage import AREA, CHAINED, CONDITIONS, CONFIG
 
 TERMS = WatchTerms("", REWARD_PARTS, 4.0, 25.0)
 DTYPES = {"f4": np.float32, "u1": np.uint8}
@@ -40,7 +40,7 @@ def frames(message, farm):
 def test_a_farm_without_conditions_sends_nothing_of_them():
     """Scene and frames have the fields and arrays that they had before there were any of these."""
     scene, _ = unpacked(packets.scene("run", "w", CONFIG.farm, TERMS))
-    assert not {"link_down", "gone", "stations", "stress", "areas"} & set(scene)
+    assert not {"link_down", "base", "gone", "stations", "stress", "areas"} & set(scene)
     header, arrays = frames(a_view(), CONFIG.farm)
     assert "patches" not in header
     sent = ["position", "assignment", "quality", "aoi", "vdf", "level", "parts", "sensor", "kind"]
@@ -86,6 +86,26 @@ def test_links_are_up_within_their_range():
     assignment[1, 2] = NO_RELAY
     _, arrays = frames(replace(message, position=position, assignment=assignment), CONDITIONS.farm)
     assert arrays["linked"].tolist() == [[1, 0, 0, 1], [1, 1, 0, 1]]
+
+
+def test_links_count_while_their_relay_is_joined():
+    """The base station is at (50, 0), and the hops' range 70 m; the third relay is too far from the others."""
+    header, _ = unpacked(packets.scene("run", "w", CHAINED.farm, TERMS))
+    assert header["base"] == {"place": [50.0, 0.0], "height": 22.0, "range": 70.0}
+    assert "base" not in unpacked(packets.scene("run", "w", CONDITIONS.farm, TERMS))[0]
+    relays = np.array([[50.0, 60.0], [0.0, 80.0], [100.0, 80.0]], np.float32)
+    message = a_view()
+    position = np.concatenate([np.broadcast_to(relays, (len(message.position), 3, 2)), message.position[:, 1:]], axis=1)
+    assignment = np.broadcast_to(np.array([0, 1, 2, 2], np.uint8), message.assignment.shape)
+    position[:, 3:] = relays[[0, 1, 2, 2]]
+    _, arrays = frames(replace(message, position=position, assignment=assignment), CHAINED.farm)
+    assert (arrays["joined"] == [1, 1, 1]).all()
+    assert (arrays["linked"] == 1).all()
+    position[:, 2] = 100.0, 79.9
+    position[:, 0] = 30.0, 40.0
+    _, arrays = frames(replace(message, position=position, assignment=assignment), CHAINED.farm)
+    assert (arrays["joined"] == [1, 1, 0]).all()
+    assert (arrays["linked"][:, 2:] == 0).all()
 
 
 def test_views_of_earlier_workers_are_shown():

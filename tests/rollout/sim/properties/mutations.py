@@ -118,6 +118,18 @@ MUTATIONS = (
         "0.0 if gone[u] else 1.0",
     ),
     one(
+        "a relay that a chain reaches passes it on to nobody",
+        "sim/kernel/chain.py",
+        "    while done < count:",
+        "    while done < 0:",
+    ),
+    one(
+        "relays are not paid for what others relay over them",
+        "sim/kernel/rewards.py",
+        "own == relay or (c.chain.some and not s.joined_then[own])",
+        "own == relay",
+    ),
+    one(
         "the relays' centroid keeps what the last environment left",
         "sim/kernel/relays.py",
         "    centroid[:, :] = 0.0\n",

@@ -47,8 +47,8 @@ def dose(examples: int) -> settings:
 
 SLOW = (HealthCheck.too_slow, HealthCheck.data_too_large)
 
-APART = ("link", "relayed", "stress", "charge", "wind", "zones")
-"""What tests of their own draw (of links, stress, batteries, wind and zones), and is off elsewhere;
+APART = ("base", "link", "relayed", "stress", "charge", "wind", "zones")
+"""What tests of their own draw (of links, chains, stress, batteries, wind and zones), and is off elsewhere;
 `test_properties_added` has the switches of observations on."""
 GROUNDS = ("seeded", "borders", "heap")
 STARTS = ("seeded", "together", "corners", "plots")
@@ -59,9 +59,11 @@ def switches(section: type) -> dict[str, st.SearchStrategy[Any]]:
     """Return a strategy for every Literal and boolean of a section, found by its annotations."""
     drawn: dict[str, st.SearchStrategy[Any]] = {}
     for name, kind in typing.get_type_hints(section).items():
+        if name in APART:
+            continue
         if typing.get_origin(kind) is typing.Literal:
             drawn[name] = st.sampled_from(typing.get_args(kind))
-        elif kind is bool and name not in APART:
+        elif kind is bool:
             drawn[name] = st.booleans()
     return drawn
 

@@ -96,7 +96,7 @@ def literals_and_booleans() -> list[tuple[str, str, object]]:
         for section, kind in ((f.name, typing.get_type_hints(FarmConfig)[f.name]) for f in fields(FarmConfig))
         for name, hint in typing.get_type_hints(kind).items()
         for value in (typing.get_args(hint) if typing.get_origin(hint) is typing.Literal else (False, True))
-        if typing.get_origin(hint) is typing.Literal or (hint is bool and name not in APART)
+        if (typing.get_origin(hint) is typing.Literal or hint is bool) and name not in APART
     ]
 
 

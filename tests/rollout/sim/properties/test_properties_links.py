@@ -7,20 +7,24 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import FarmConfig
+from common.config import FailureConfig, FarmConfig
+from rollout.envs.spaces import row_box
+from rollout.sim.base_station import MIDDLES, joined_relays
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
 from rollout.sim.reference.farm import ReferenceFarm
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
+from tests.rollout.sim.properties.test_properties_reference import agree_on_directions, assert_equal
 
 UTILITY, IDLE, RELAYED = (REWARD_PARTS.index(name) for name in ("utility", "idle", "relayed"))
 SMALL = worlds(st.integers(1, 5), 90)
 REACHES = st.floats(0.1, 1.0)
 """Link ranges over the field's width."""
+BASES = st.sampled_from(["", *MIDDLES])
 
 
 class CutFarm(ReferenceFarm):
-    """A farm in which one relay's links are down wherever it is. The assignment is the same.
+    """A farm in which one relay's links and hops are down wherever it is. The assignment is the same.
 
     Attributes:
         cut: the relay; -1 for none.
@@ -32,23 +36,37 @@ class CutFarm(ReferenceFarm):
         super()._assign(chosen)
         if self.cut >= 0:
             self.linked &= self.assignment != self.cut
+            self.linked &= self.joined_without(self.cut)[self.assignment]
+
+    def joined_without(self, relay: int) -> np.ndarray:
+        """Return which relays [n_c] are joined if one has failed."""
+        gone = np.array([relay == other or self.gone[other] for other in range(self.config.world.communication_uavs)])
+        return joined_relays(self.config, self.position[: len(gone)], gone)
 
     def task_reward(self) -> float:
         """Return the team's utility and idle parts of the last step."""
         return float(self.parts[:, [UTILITY, IDLE]].sum())
 
 
-def linked(config: FarmConfig, reach: float, weight: float) -> FarmConfig:
-    """Return a farm on which links over a share of its width count and relays are paid for them."""
-    relay = replace(config.relay, require_link=True, link_range=reach * config.world.field_x)
+def linked(config: FarmConfig, reach: float, weight: float, base: str = "") -> FarmConfig:
+    """Return a farm on which links over a share of its width count and relays are paid for them; hops reach as far."""
+    length = reach * config.world.field_x
+    height = config.world.height_communication if base else 0.0
+    relay = replace(config.relay, require_link=True, link_range=length, base=base, hop_range=height + length)
     return replace(config, relay=relay, reward=replace(config.reward, relayed=weight))
 
 
+def failing(config: FarmConfig) -> FarmConfig:
+    """Let the first relay and the first monitor fail during the episode, and let UAVs see links and chains."""
+    at = "communication 0 at 3, monitoring 0 at 4" if config.world.steps >= 4 else ""
+    return replace(config, failures=FailureConfig(at=at), observation=replace(config.observation, link=True))
+
+
 @dose(20)
-@given(flights(farm_configs(SMALL)), REACHES, st.sampled_from([-1.0, 0.5, 2.0]))
-def test_a_relay_is_paid_the_difference_that_its_links_make(flight: Flight, reach: float, weight: float):
+@given(flights(farm_configs(SMALL)), REACHES, st.sampled_from([-1.0, 0.5, 2.0]), BASES)
+def test_a_relay_is_paid_the_difference_that_its_links_make(flight: Flight, reach: float, weight: float, base: str):
     """Its part is the team's task reward less that of the same step, simulated again, in which its links are down."""
-    flight = replace(flight, config=linked(flight.config, reach, weight))
+    flight = replace(flight, config=linked(flight.config, reach, weight, base))
     batch, layout, relays = begin(flight), flight.layout(), flight.config.world.communication_uavs
     with placed(layout, flight.positions()):
         farm = CutFarm(flight.config, layout, flight.episode)
@@ -81,3 +99,24 @@ def test_hindsight_counts_only_what_was_delivered(flight: Flight, reach: float):
         idle.append(batch.utility[0] == 0.0)
     assert batch.hindsight is not None
     assert not batch.hindsight[0, : len(idle)][np.array(idle)].any()
+
+
+@dose(30)
+@given(flights(farm_configs(SMALL)), REACHES, st.sampled_from(sorted(MIDDLES)))
+def test_any_flight_with_a_base_station_equals_the_reference(flight: Flight, reach: float, base: str):
+    """Every quantity after every step, with a relay that fails, within the bounds of the observation."""
+    flight = replace(flight, config=failing(linked(flight.config, reach, 0.5, base)))
+    batch, layout, box = begin(flight), flight.layout(), row_box(flight.config)
+    with placed(layout, flight.positions()):
+        farm = ReferenceFarm(flight.config, layout, flight.episode)
+    farm._assign(batch.assignment[0])
+    farm._look()
+    for action in flight.actions()[:12]:
+        batch.step(action[None])
+        farm.step(action, batch.assignment[0])
+        agree_on_directions(batch, farm)
+        assert_equal(batch, farm)
+        assert box.contains(batch.observation[0])
+        relays = flight.config.world.communication_uavs
+        joined = joined_relays(flight.config, batch.position[0, :relays], batch.gone[0, :relays])
+        np.testing.assert_array_equal(joined, farm.joined)
