@@ -27,6 +27,8 @@ WAYS: Final = (4.0, 10.0, 20.0, 40.0)
 """Lengths of the ways to places that are tried, m."""
 BUFFER: Final = 8.0
 """Slack below which a link counts as in danger, m."""
+MONITOR: Final = 2.0
+"""Worth of a monitor's link, in collectors' links: it earns about twice as much, and in every step."""
 MOVING: Final = 1e-3
 """Price of a metre, in links that are down for a step."""
 
@@ -90,13 +92,14 @@ class SearchRelays:
 class CoverageRelays:
     """Each relay goes where most of its links are up in the coming steps, by a search over places around it.
 
-    The UAVs that it serves are taken to keep their velocity, and the assignment to stay. A link costs 1 for each step
-    of STEPS_AHEAD in which it is down, and what its slack falls short of BUFFER, as a share of it.
+    The UAVs that it serves are taken to keep their velocity, and the assignment to stay. A link costs its worth, 1 or
+    MONITOR, for each step of STEPS_AHEAD in which it is down, and what its slack falls short of BUFFER, as a share of
+    it.
 
     With a base station, relays also keep their chain to it together; the others are taken to stay where they are. In
-    each of these steps, a place costs 1 for each UAV whose relay would not be joined. For each UAV that the relay
-    serves it also costs what the hop to the base station, or to the nearest relay that is joined without this one,
-    would cost as a link. So a relay that is not joined finds back.
+    each of these steps, a place costs the worth of the links whose relay would not be joined. For each UAV that the
+    relay serves it also costs what the hop to the base station, or to the nearest relay that is joined without this
+    one, would cost as a link of the same worth. So a relay that is not joined finds back.
 
     Args:
         state: state at the start of the episode.
@@ -104,6 +107,7 @@ class CoverageRelays:
 
     def __init__(self, state: FarmState) -> None:
         self._heights = served_heights(state)
+        self._worth = np.repeat([MONITOR, 1.0], [len(state.of(kind)) for kind in (MONITORS, COLLECTORS)])
         first = state.agents[0].stop
         self._before = state.position[first:].copy()
         ways = np.concatenate([stride * MOVES / np.linalg.norm(MOVES, axis=1)[:, None] for stride in WAYS])
@@ -124,18 +128,19 @@ class CoverageRelays:
                 # The centre is one of the places, so that a relay which has lost everybody finds back.
                 places = np.clip(np.concatenate([own[relay] + self._ways, centres[relay][None]]), 0.0, size)
                 at = _on_the_way(state.config.world, own[relay], places)
-                cost = self._links_cost(state.config, at, coming[:, serves], self._heights[serves])
+                cost = self._links_cost(state.config, at, coming[:, serves], serves)
                 if state.config.relay.chained:
-                    cost += _chain_cost(state, relay, at)
+                    cost += _chain_cost(state, self._worth, relay, at)
                 cost += MOVING * np.linalg.norm(places - own[relay], axis=1)
                 goals[relay] = places[np.argmin(cost)]
         return goals
 
-    def _links_cost(self, config: FarmConfig, at: Array, coming: Array, heights: Array) -> Array:
+    def _links_cost(self, config: FarmConfig, at: Array, coming: Array, serves: NDArray[np.bool_]) -> Array:
         """Return what places cost a relay's own links, [K]: it is at `at` [T, K, 2], its UAVs at `coming` [T, n, 2]."""
         flat = ((at[:, :, None] - coming[:, None]) ** 2).sum(axis=-1)
-        slack = config.relay.link_range - np.sqrt(flat + (heights - config.world.height_communication) ** 2)
-        cost: Array = _danger(slack).sum(axis=(0, 2))
+        above = self._heights[serves] - config.world.height_communication
+        slack = config.relay.link_range - np.sqrt(flat + above**2)
+        cost: Array = (_danger(slack) @ self._worth[serves]).sum(axis=0)
         return cost
 
 
@@ -154,12 +159,16 @@ def _on_the_way(world: WorldConfig, own: Array, places: Array) -> Array:
     return at
 
 
-def _chain_cost(state: FarmState, relay: int, at: Array) -> Array:
-    """Return what places cost the chain to the base station, [K], if a relay is at `at` [T, K, 2]."""
+def _chain_cost(state: FarmState, worth: Array, relay: int, at: Array) -> Array:
+    """Return what places cost the chain to the base station, [K], if a relay is at `at` [T, K, 2].
+
+    `worth` [n_m + n_d] is that of each UAV's link.
+    """
     config, relays = state.config, state.of(RELAYS)
     places = np.broadcast_to(relays, (*at.shape[:2], *relays.shape)).copy()
     places[:, :, relay] = at
-    serves = np.bincount(state.assignment[state.assignment >= 0], minlength=len(relays))
+    assigned = state.assignment >= 0
+    serves = np.bincount(state.assignment[assigned], worth[assigned], len(relays))
     apart = (~joined_relays(config, places) @ serves).sum(axis=0)
     between, down = relay_gaps(config, places)
     rest = joined_relays(config, relays, np.arange(len(relays)) == relay)

@@ -97,3 +97,16 @@ def test_a_relay_that_serves_nobody_stays_in_the_chain():
     for _ in range(10):
         batch.step(policy.act(batch))
         assert joined_relays(config, batch.position[0, :2]).all()
+
+
+def test_a_relay_that_cannot_serve_both_serves_the_monitor():
+    """With a monitor and a collector 80 m apart and links of 30 m, it flies to the monitor, on either side."""
+    world = replace(FARM.world, communication_uavs=1, monitoring_uavs=1, collection_uavs=1, steps=10)
+    config = replace(FARM, world=world, relay=replace(FARM.relay, capacity=2, link_range=30.0))
+    for x in (160.0, 240.0):
+        batch, policy = FarmBatch(config, 1), policy_of("tour+coverage", config)
+        with placed(make_layout(config, 1000), np.array([[200.0, 200.0], [x, 200.0], [400.0 - x, 200.0]])):
+            batch.reset(0, 1000, 7)
+        policy.reset(batch, 0)
+        batch.step(policy.act(batch))
+        assert (batch.position[0, 0, 0] < 200.0) == (x < 200.0)
