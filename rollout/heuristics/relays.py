@@ -97,9 +97,9 @@ class CoverageRelays:
     it.
 
     With a base station, relays also keep their chain to it together; the others are taken to stay where they are. In
-    each of these steps, a place costs the worth of the links whose relay would not be joined. For each UAV that the
-    relay serves it also costs what the hop to the base station, or to the nearest relay that is joined without this
-    one, would cost as a link of the same worth. So a relay that is not joined finds back.
+    each of these steps, a place costs the worth of the links whose relay would not be joined. It also
+    costs what the hop to the base station, or to the nearest relay that is joined without this one, would cost as a
+    link that is worth as much as those of the relay together, and 1 at least. So a relay that is not joined finds back.
 
     Args:
         state: state at the start of the episode.
@@ -128,20 +128,23 @@ class CoverageRelays:
                 # The centre is one of the places, so that a relay which has lost everybody finds back.
                 places = np.clip(np.concatenate([own[relay] + self._ways, centres[relay][None]]), 0.0, size)
                 at = _on_the_way(state.config.world, own[relay], places)
-                cost = self._links_cost(state.config, at, coming[:, serves], serves)
+                cost = _links_cost(state.config, at, coming[:, serves], self._heights[serves], self._worth[serves])
                 if state.config.relay.chained:
                     cost += _chain_cost(state, self._worth, relay, at)
                 cost += MOVING * np.linalg.norm(places - own[relay], axis=1)
                 goals[relay] = places[np.argmin(cost)]
         return goals
 
-    def _links_cost(self, config: FarmConfig, at: Array, coming: Array, serves: NDArray[np.bool_]) -> Array:
-        """Return what places cost a relay's own links, [K]: it is at `at` [T, K, 2], its UAVs at `coming` [T, n, 2]."""
-        flat = ((at[:, :, None] - coming[:, None]) ** 2).sum(axis=-1)
-        above = self._heights[serves] - config.world.height_communication
-        slack = config.relay.link_range - np.sqrt(flat + above**2)
-        cost: Array = (_danger(slack) @ self._worth[serves]).sum(axis=0)
-        return cost
+
+def _links_cost(config: FarmConfig, at: Array, coming: Array, heights: Array, worth: Array) -> Array:
+    """Return what places cost a relay's own links, [K]: it is at `at` [T, K, 2], its UAVs at `coming` [T, n, 2].
+
+    `heights` [n] m and `worth` [n] are those of the UAVs and of their links.
+    """
+    flat = ((at[:, :, None] - coming[:, None]) ** 2).sum(axis=-1)
+    slack = config.relay.link_range - np.sqrt(flat + (heights - config.world.height_communication) ** 2)
+    cost: Array = (_danger(slack) @ worth).sum(axis=0)
+    return cost
 
 
 def _danger(slack: Array) -> Array:
@@ -173,7 +176,7 @@ def _chain_cost(state: FarmState, worth: Array, relay: int, at: Array) -> Array:
     between, down = relay_gaps(config, places)
     rest = joined_relays(config, relays, np.arange(len(relays)) == relay)
     gap = np.minimum(np.where(rest, between[:, :, relay], np.inf).min(axis=-1), down[:, :, relay])
-    cost: Array = apart + serves[relay] * _danger(config.relay.hop_range - gap).sum(axis=0)
+    cost: Array = apart + max(1.0, serves[relay]) * _danger(config.relay.hop_range - gap).sum(axis=0)
     return cost
 
 
