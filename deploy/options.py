@@ -143,13 +143,33 @@ def _refuse_switched_off(config: RunConfig, arguments: Sequence[str]) -> None:
 
 
 def _spelt_out(kind: type[Any], arguments: Sequence[str]) -> list[str]:
-    """Return the arguments with SHORT options written out, for commands that take a whole configuration."""
+    """Return the arguments with SHORT options written out, for commands that take a whole configuration.
+
+    For the others, the values of several `--set` are those of one, as the parser would keep the last one alone.
+    """
     if "settings" not in get_type_hints(kind):
-        return list(arguments)
+        return _with_one_set(arguments)
     words = [word.partition("=") for word in arguments]
     return [
         f"{SHORT[name]}{equals}{value}" if name in SHORT else name + equals + value for name, equals, value in words
     ]
+
+
+def _with_one_set(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with the values of all `--set` behind the first one."""
+    others: list[str] = []
+    values: list[str] = []
+    at, inside = 0, False
+    for word in arguments:
+        if word == "--set" or word.startswith("--set="):
+            at, inside = at if values else len(others), True
+            values += [word.removeprefix("--set=")] if "=" in word else []
+        elif inside and not word.startswith("--"):
+            values.append(word)
+        else:
+            inside = False
+            others.append(word)
+    return [*others[:at], "--set", *values, *others[at:]] if values else list(arguments)
 
 
 def _sentence(box: str) -> str:

@@ -43,6 +43,21 @@ def test_json_is_printed_and_nothing_else(capsys):
     assert printed["farms"] == [5, 6]
 
 
+def test_values_of_several_sets_all_count(capsys):
+    """Whether they stand behind one `--set` or behind one each, before or after other options."""
+    first, *rest = SMALL
+    printed = []
+    for words in (
+        ["--set", *SMALL, "--farms", "5:6"],
+        [f"--set={first}", "--farms", "5:6", *(word for value in rest for word in ("--set", value))],
+    ):
+        assert command(["--policy", "random", "--json", *words]) == 0
+        printed.append(json.loads(capsys.readouterr().out))
+    assert printed[0] == printed[1]
+    with pytest.raises(ConfigError, match="nonsense"):
+        command(["--policy", "random", "--farms", "5:6", "--set", "farm.nonsense=1", "--set", first])
+
+
 def test_a_table_is_printed_for_people(capsys):
     """Without --json a table names the policy."""
     assert command(["--policy", "static", "--farms", "5:6", "--set", *SMALL]) == 0
