@@ -191,10 +191,6 @@ def main() -> None:
         parser.error(f"there is no condition {unknown[0]!r}; they are {', '.join(CONDITIONS)}")
     torch.set_num_threads(1)
     results = kept(arguments.write)
-    for name in arguments.name:
-        earlier = results.pop(name, None)
-        if arguments.heuristics and earlier:
-            results[name] = with_new_bar(earlier)
     data: dict[str, Any] = {**provenance("experiments.conditions"), "farms": list(arguments.farms)}
     # The command for all farms, whichever were measured last.
     data["command"] = (
@@ -204,7 +200,10 @@ def main() -> None:
     data |= {"episodes": arguments.episodes, "advised": arguments.advised, "seed": arguments.seed, "results": results}
     for name in arguments.name or CONDITIONS:
         episodes = arguments.episodes, 0 if arguments.no_advice else arguments.advised
-        results[name] = compare(name, results.get(name, {}), episodes, arguments.seed, arguments.farms)
+        found = results.get(name, {})
+        if name in arguments.name:
+            found = with_new_bar(found) if found and arguments.heuristics else {}
+        results[name] = compare(name, found, episodes, arguments.seed, arguments.farms)
         data["results"] = {key: results[key] for key in CONDITIONS if key in results}
         write_results(data, page, arguments.write)
 

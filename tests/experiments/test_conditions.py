@@ -68,11 +68,14 @@ def test_what_was_measured_is_kept(tiny, monkeypatch, tmp_path, capsys):
         main()
     alone, advised = ["learned True", "learned False"], ["farm True", "farm False"]
     assert measured == [*alone, *advised, "learned True", "farm True"]
-    monkeypatch.setattr(sys, "argv", ["conditions", "--heuristics", "--no-advice", "tiny", "--write", str(tmp_path)])
+    monkeypatch.setattr(
+        sys, "argv", ["conditions", "--heuristics", "--no-advice", *conditions.CONDITIONS, "--write", str(tmp_path)]
+    )
     main()
     assert len(measured) == 6
-    assert "advised" not in kept(tmp_path)["tiny"]
-    assert kept(tmp_path)["tiny"]["commit"].count("heuristics") == 1
+    for found in kept(tmp_path).values():
+        assert "advised" not in found
+        assert found["commit"].count("heuristics") == 1
     assert list(kept(tmp_path)) == ["tiny", "other"]
     assert json.loads((tmp_path / "results.json").read_text())["seed"] == 0
     monkeypatch.setattr(sys, "argv", ["conditions", "nothing"])
