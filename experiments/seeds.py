@@ -31,8 +31,6 @@ SHARES: Final = (0.5, 0.75, 0.9, 1.0)
 """Shares of the lawnmower's reward."""
 WINDOW: Final = 64
 """Episodes whose mean counts."""
-SCORED: Final = ("aoi", "vdf")
-"""Metrics whose means are reported beside the reward."""
 SCRIPT: Final = "lawnmower+search"
 """A heuristic with the relays that are flown in place of a policy's own."""
 
@@ -68,7 +66,7 @@ def reached(records: list[dict[str, Any]], goal: float) -> float | None:
 
 
 def summary(path: Path, commit: str, goal: float) -> dict[str, Any]:
-    """Return what a run came to, with its policy's scores on every farm."""
+    """Return what a run came to."""
     directory = RunDirectory(path)
     config, records = directory.configuration(), read_metrics(path / METRICS)
     outcome = json.loads((path / "evaluation.json").read_text(encoding="utf-8"))
@@ -78,8 +76,6 @@ def summary(path: Path, commit: str, goal: float) -> dict[str, Any]:
     scripted = evaluate(config.farm, scripted_relays(policy, config.farm), farms, 1, name=SCRIPT)
     last = [record for record in records if record["kind"] == "status"][-1]
     plain = found.to_dict()
-    scores = {"reward": [score.reward for score in found.per_farm]}
-    scores |= {name: [score.metrics[name] for score in found.per_farm] for name in SCORED}
     return {
         "seed": config.seed,
         "commit": commit,
@@ -90,7 +86,6 @@ def summary(path: Path, commit: str, goal: float) -> dict[str, Any]:
         "seconds": outcome["seconds"],
         "environment_steps": last["environment_steps"],
         "reached": {f"{share:g}": reached(records, share * goal) for share in SHARES},
-        "scores": {name: [round(value, 4) for value in values] for name, values in scores.items()},
     }
 
 
@@ -101,8 +96,10 @@ def merged(earlier: list[dict[str, Any]], runs: list[dict[str, Any]]) -> list[di
 
 
 def intervals(runs: list[dict[str, Any]]) -> dict[str, list[float]]:
-    """Return the mean of each score over all farms and runs, with its interval."""
-    return {name: list(interval(np.array([run["scores"][name] for run in runs]), mean)) for name in ("reward", *SCORED)}
+    """Return the mean over all runs of reward, AoI and VDF, each with its interval."""
+    scores = {"reward": [run["reward"]["mean"] for run in runs]}
+    scores |= {name: [run[name] for run in runs] for name in ("aoi", "vdf")}
+    return {name: list(interval(np.array(values)[:, None], mean)) for name, values in scores.items()}
 
 
 def main() -> None:
