@@ -44,7 +44,9 @@ const takers = {
     drawLegend();
   },
   frames(packet) {
-    if (view.scene) past.add(packet);
+    if (!view.scene) return;
+    if (!past.frames.length && !view.losses.sentence) say("watching", "good");
+    past.add(packet);
   },
   state(packet) {
     view.losses = packet;

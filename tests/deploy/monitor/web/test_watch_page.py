@@ -75,6 +75,7 @@ def test_the_page_shows_what_the_worker_flies():
         page.click("#newest")
         until(lambda: page.evaluate("watching.view.head") != step, "playing again")
         assert "run watched, worker w" in page.inner_text("#who")
+        assert page.inner_text("#sentence") == "watching"
         assert view_service.watchers == 1
         assert complaints == []
 
