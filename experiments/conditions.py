@@ -118,7 +118,6 @@ def compare(name: str, found: Scores, episodes: tuple[int, int], seed: int, farm
         farms: seeds of the farms to score on.
     """
     found, config = dict(found), configuration(name, episodes[0], seed)
-    found.setdefault("commit", provenance("")["commit"])
     if "heuristics" not in found:
         found["heuristics"] = best_heuristics(config.farm, farms)
     if "learned" not in found:
@@ -129,10 +128,10 @@ def compare(name: str, found: Scores, episodes: tuple[int, int], seed: int, farm
     return found
 
 
-def with_new_bar(found: Scores) -> Scores:
+def with_new_bar(found: Scores, measuring: str) -> Scores:
     """Return what holds of a condition's results when the heuristics have changed: the policy that had no advice."""
     commit = found["commit"].partition(",")[0]
-    return {"learned": found["learned"], "commit": f"{commit}, heuristics {provenance('')['commit']}"}
+    return {"learned": found["learned"], "commit": f"{commit}, heuristics {measuring}"}
 
 
 def page(data: dict[str, Any]) -> str:
@@ -202,7 +201,8 @@ def main() -> None:
         episodes = arguments.episodes, 0 if arguments.no_advice else arguments.advised
         found = results.get(name, {})
         if name in arguments.name:
-            found = with_new_bar(found) if found and arguments.heuristics else {}
+            found = with_new_bar(found, data["commit"]) if found and arguments.heuristics else {}
+        found = {"commit": data["commit"], **found}
         results[name] = compare(name, found, episodes, arguments.seed, arguments.farms)
         data["results"] = {key: results[key] for key in CONDITIONS if key in results}
         write_results(data, page, arguments.write)

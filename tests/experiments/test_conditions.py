@@ -40,7 +40,7 @@ def tiny(monkeypatch):
 
 def test_a_condition_is_trained_and_compared(tiny):
     """Both sides have rewards, and the page says who won."""
-    found = compare("tiny", {}, (4, 4), 0, range(1000, 1002))
+    found = compare("tiny", {"commit": "d"}, (4, 4), 0, range(1000, 1002))
     assert found["learned"]["steps"] == found["advised"]["steps"] == 160
     assert found["advised"]["policy"] == "advised by greedy"
     assert [scores["policy"] for scores in found["heuristics"]] == ["greedy"]
