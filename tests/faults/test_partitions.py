@@ -42,6 +42,8 @@ def partitions(directory: Path, doses: list[tuple[str, float]]) -> dict[str, Any
             worker = fleet.worker()
             fleet.coordinator()
             until(fleet.taken, "chunks", 120.0)
+            # Parted before it has joined, it would give up, as it should.
+            fleet.until_led("")
             rows = []
             for way, seconds in doses:
                 before = memory(worker)

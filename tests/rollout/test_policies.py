@@ -149,7 +149,7 @@ def test_other_combinations_are_refused(name):
 def test_a_policy_steers_by_the_lattice_of_the_farm_that_it_flies_over():
     """Actors of one field fly over a wider one by its own lattice; those that command velocities are another kind."""
     farm = preset("eia-sec").farm
-    wide = replace(farm, world=replace(farm.world, field_x=500.0, field_y=300.0))
+    wide = replace(farm, world=replace(farm.world, field_x=500.0, field_y=300.0, plots_x=25, plots_y=15))
     policy = ActorPolicy(TeamActors.initial(farm_team(farm), 16, 3))
     farms = begin(wide, policy)
     lattice = farms.team.groups[1].adapters[0]
