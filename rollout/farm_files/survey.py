@@ -96,7 +96,7 @@ class GivenFarm:
     def on(self, farm: FarmConfig) -> FarmConfig:
         """Return a farm with these sensors on this field. Its plots are at most as large as the farm's.
 
-        More than 256 along an axis it cannot have; then they are larger.
+        There are at most 256 along an axis; on a field that is too long for that they are larger.
         No-fly zones of the file replace those of the configuration, and so do its areas.
 
         Raises:

@@ -97,9 +97,9 @@ class CoverageRelays:
     it.
 
     With a base station, relays also keep their chain to it together; the others are taken to stay where they are. In
-    each of these steps, a place costs the worth of the links whose relay would not be joined. It also
-    costs what the hop to the base station, or to the nearest relay that is joined without this one, would cost as a
-    link that is worth as much as those of the relay together, and 1 at least. So a relay that is not joined finds back.
+    each of these steps, a place costs the worth of the links whose relay would not be joined. It also costs what the
+    hop to the base station, or to the nearest relay that is joined without this one, would cost as a link that is worth
+    as much as those of the relay together, and 1 at least. So a relay that is not joined finds back.
 
     Args:
         state: state at the start of the episode.

@@ -192,7 +192,7 @@ def sensor_grid(config: FarmConfig, xy: Array) -> SearchGrid:
 
 
 def _places(config: FarmConfig) -> tuple[Array, int]:
-    """Return the smallest even grid with neighbours one step apart, [K, 2] m, and its number of places along y."""
+    """Return the points of the farm's lattice, [K, 2] m, and its number of places along y."""
     lattice = lattice_of(config.world)
     size, counts = (config.world.field_x, config.world.field_y), (lattice.columns, lattice.rows)
     x, y = ((np.arange(count) + 0.5) * width / count for count, width in zip(counts, size, strict=True))

@@ -18,15 +18,21 @@ FARM = preset("connected").farm
 NEAR = replace(FARM, relay=replace(FARM.relay, link_range=70.0), world=replace(FARM.world, steps=150))
 
 
-def linked_share(config, relays):
-    """Return the share of links that are up, over an episode of the tour."""
+def tour_flown(config, relays):
+    """Fly an episode of the tour on two farms; yield the batch after every step."""
     batch, policy = FarmBatch(config, 2), policy_of(f"tour+{relays}", config)
     for index in range(2):
         batch.reset(index, 1000 + index, 7)
         policy.reset(batch, index)
-    up = []
     while not batch.ended.all():
         batch.step(policy.act(batch))
+        yield batch
+
+
+def linked_share(config, relays):
+    """Return the share of links that are up, over an episode of the tour."""
+    up = []
+    for batch in tour_flown(config, relays):
         offset = batch.position[:, 4:] - np.take_along_axis(batch.position, batch.assignment[..., None], axis=1)
         up.append(np.hypot(*np.moveaxis(offset, -1, 0)) <= config.relay.link_range)
     return np.mean(up)
@@ -65,14 +71,7 @@ CHAINED = replace(NEAR, relay=replace(NEAR.relay, link_range=150.0, base="south"
 
 def joined_share(config):
     """Return the share of relays that are joined in the second half of an episode of the tour."""
-    batch, policy = FarmBatch(config, 2), policy_of("tour+coverage", config)
-    for index in range(2):
-        batch.reset(index, 1000 + index, 7)
-        policy.reset(batch, index)
-    joined = []
-    while not batch.ended.all():
-        batch.step(policy.act(batch))
-        joined.append(joined_relays(CHAINED, batch.position[:, :4]))
+    joined = [joined_relays(CHAINED, batch.position[:, :4]) for batch in tour_flown(config, "coverage")]
     return np.mean(joined[len(joined) // 2 :])
 
 

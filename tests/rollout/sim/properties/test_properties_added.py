@@ -15,13 +15,13 @@ from rollout.envs.spaces import row_box
 from rollout.sim.batch import FarmBatch
 from rollout.sim.kernel.views.constants import image_bounds
 from rollout.sim.layout import make_layout
-from rollout.sim.reference.farm import ReferenceFarm
 from rollout.sim.sweep_routes import assigned_routes, sweep_routes
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.properties.test_properties_reference import (
     agree_on_directions,
     assert_equal,
+    reference_of,
 )
 
 ALL = {
@@ -57,12 +57,8 @@ def moves(config: FarmConfig, batch: FarmBatch, random: np.random.Generator) -> 
 @given(flights(farm_configs(SMALL).map(everything)), st.booleans())
 def test_all_added_observations_equal_the_reference(flight: Flight, on_lattice: bool):
     """Every number after every step, for flights between lattice points and anywhere."""
-    batch, layout, random = begin(flight), flight.layout(), np.random.default_rng(flight.episode)
-    box = row_box(flight.config)
-    with placed(layout, flight.positions()):
-        reference = ReferenceFarm(flight.config, layout, flight.episode)
-    reference._assign(batch.assignment[0])
-    reference._look()
+    batch, random = begin(flight), np.random.default_rng(flight.episode)
+    box, reference = row_box(flight.config), reference_of(flight, batch)
     for action in flight.actions()[:12]:
         chosen = moves(flight.config, batch, random) if on_lattice else action
         batch.step(chosen[None])

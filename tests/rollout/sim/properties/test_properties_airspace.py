@@ -1,7 +1,6 @@
 """Wind and no-fly zones on any farm, and everything at once: against the reference, and what flight never does."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +10,12 @@ from hypothesis import strategies as st
 from common.config import BatteryConfig, FarmConfig, StressConfig, WindConfig, WorldConfig, ZoneConfig
 from common.config.farm.polygons import inside_any
 from common.farm import farm_environment
-from rollout.envs.spaces import row_box
 from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_positions
 from rollout.sim.layout import Layout
-from rollout.sim.reference.farm import ReferenceFarm, flight_power, other_power
+from rollout.sim.reference.farm import flight_power, other_power
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.properties.test_properties_battery import batteries
-from tests.rollout.sim.properties.test_properties_reference import agree_on_directions, assert_equal
+from tests.rollout.sim.properties.test_properties_reference import flown_beside, reference_of
 from tests.rollout.sim.properties.test_properties_stress import stresses
 
 BOUNDARY = REWARD_PARTS.index("boundary")
@@ -71,30 +69,13 @@ def started(flight: Flight) -> tuple[FarmBatch, Layout, np.ndarray]:
     return batch, layout, positions
 
 
-def flown_beside(flight: Flight) -> Iterator[tuple[FarmBatch, ReferenceFarm]]:
-    """Fly on both farms, and check after every step that they are equal and the observation is within its bounds."""
-    batch, layout, positions = started(flight)
-    box = row_box(flight.config)
-    with placed(layout, positions):
-        reference = ReferenceFarm(flight.config, layout, flight.episode)
-    reference._assign(batch.assignment[0])
-    reference._look()
-    agree_on_directions(batch, reference)
-    assert_equal(batch, reference)
-    for action in flight.actions()[:20]:
-        batch.step(action[None])
-        reference.step(action, batch.assignment[0])
-        agree_on_directions(batch, reference)
-        assert_equal(batch, reference)
-        assert box.contains(batch.observation[0])
-        yield batch, reference
-
-
 @dose(40)
 @given(FLIGHTS)
 def test_any_flight_in_wind_and_around_zones_equals_the_reference(flight: Flight):
     """Every quantity after every step, within the bounds of the observation."""
-    assert sum(1 for _ in flown_beside(flight)) == min(20, flight.config.world.steps)
+    batch, _, positions = started(flight)
+    reference = reference_of(flight, batch, positions)
+    assert sum(1 for _ in flown_beside(flight, batch, reference)) == min(20, flight.config.world.steps)
 
 
 def angles(points: np.ndarray, zone: np.ndarray) -> np.ndarray:
@@ -224,7 +205,9 @@ def test_any_flight_with_everything_equals_the_reference(flight: Flight, stress:
         observation=replace(config.observation, stress=True, charge=True, wind=True, zones=True),
     )
     flight = replace(flight, config=config)
-    for batch, reference in flown_beside(flight):
+    batch, _, positions = started(flight)
+    reference = reference_of(flight, batch, positions)
+    for _ in flown_beside(flight, batch, reference):
         np.testing.assert_array_equal(batch.gone[0], reference.gone)
         np.testing.assert_array_equal(batch.patch_known[0], reference.known)
         np.testing.assert_allclose(batch.charge[0], reference.charge, rtol=1e-9, atol=1e-6)

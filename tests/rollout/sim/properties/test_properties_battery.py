@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 
 from common.config import BatteryConfig, FarmConfig
 from rollout.sim.batch import FarmBatch
-from rollout.sim.reference.farm import ReferenceFarm
 from rollout.sim.stations import station_places
 from tests.rollout.sim.course import begin
-from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
+from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
+from tests.rollout.sim.properties.test_properties_reference import reference_of
 from tests.rollout.sim.tolerances import named_columns
 
 SMALL = worlds(st.integers(1, 5), 90)
@@ -38,11 +38,8 @@ def charged(config: FarmConfig, battery: BatteryConfig) -> FarmConfig:
 def test_kernel_and_reference_agree(flight: Flight, battery: BatteryConfig):
     """Charge, energy, who is gone and what is seen are the reference farm's."""
     flight = replace(flight, config=charged(flight.config, battery))
-    batch, layout = begin(flight), flight.layout()
-    with placed(layout, flight.positions()):
-        farm = ReferenceFarm(flight.config, layout, flight.episode)
-    farm._assign(batch.assignment[0])
-    farm._look()
+    batch = begin(flight)
+    farm = reference_of(flight, batch)
     columns = named_columns(flight.config, "charge", "station")
     for action in flight.actions()[:16]:
         batch.step(action[None])

@@ -8,13 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.config import FailureConfig, FarmConfig
-from rollout.envs.spaces import row_box
 from rollout.sim.base_station import MIDDLES, joined_relays
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
 from rollout.sim.reference.farm import ReferenceFarm
 from tests.rollout.sim.course import begin
-from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
-from tests.rollout.sim.properties.test_properties_reference import agree_on_directions, assert_equal
+from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
+from tests.rollout.sim.properties.test_properties_reference import flown_beside, reference_of
 
 UTILITY, IDLE, RELAYED = (REWARD_PARTS.index(name) for name in ("utility", "idle", "relayed"))
 SMALL = worlds(st.integers(1, 5), 90)
@@ -67,11 +66,8 @@ def failing(config: FarmConfig) -> FarmConfig:
 def test_a_relay_is_paid_the_difference_that_its_links_make(flight: Flight, reach: float, weight: float, base: str):
     """Its part is the team's task reward less that of the same step, simulated again, in which its links are down."""
     flight = replace(flight, config=linked(flight.config, reach, weight, base))
-    batch, layout, relays = begin(flight), flight.layout(), flight.config.world.communication_uavs
-    with placed(layout, flight.positions()):
-        farm = CutFarm(flight.config, layout, flight.episode)
-    farm._assign(batch.assignment[0])
-    farm._look()
+    batch, relays = begin(flight), flight.config.world.communication_uavs
+    farm = reference_of(flight, batch, kind=CutFarm)
     for action in flight.actions()[:8]:
         before = copy.deepcopy(farm)
         batch.step(action[None])
@@ -106,17 +102,8 @@ def test_hindsight_counts_only_what_was_delivered(flight: Flight, reach: float):
 def test_any_flight_with_a_base_station_equals_the_reference(flight: Flight, reach: float, base: str):
     """Every quantity after every step, with a relay that fails, within the bounds of the observation."""
     flight = replace(flight, config=failing(linked(flight.config, reach, 0.5, base)))
-    batch, layout, box = begin(flight), flight.layout(), row_box(flight.config)
-    with placed(layout, flight.positions()):
-        farm = ReferenceFarm(flight.config, layout, flight.episode)
-    farm._assign(batch.assignment[0])
-    farm._look()
-    for action in flight.actions()[:12]:
-        batch.step(action[None])
-        farm.step(action, batch.assignment[0])
-        agree_on_directions(batch, farm)
-        assert_equal(batch, farm)
-        assert box.contains(batch.observation[0])
-        relays = flight.config.world.communication_uavs
+    batch, relays = begin(flight), flight.config.world.communication_uavs
+    farm = reference_of(flight, batch)
+    for _ in flown_beside(flight, batch, farm, 12):
         joined = joined_relays(flight.config, batch.position[0, :relays], batch.gone[0, :relays])
         np.testing.assert_array_equal(joined, farm.joined)

@@ -1,10 +1,13 @@
 """The compiled farm against the reference farm, on any farm and any flight, with every switch drawn."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from common.config import FarmConfig, WorldConfig
+from rollout.envs.spaces import row_box
 from rollout.sim.batch import FarmBatch
 from rollout.sim.reference.farm import DIRECTIONS, ReferenceFarm
 from rollout.sim.reference.views import observe
@@ -74,23 +77,40 @@ def agree_on_directions(batch: FarmBatch, reference: ReferenceFarm) -> None:
     reference.observation = observe(reference)
 
 
+def reference_of(
+    flight: Flight, batch: FarmBatch, positions: np.ndarray | None = None, kind: type[ReferenceFarm] = ReferenceFarm
+) -> ReferenceFarm:
+    """Return the reference farm at the start of a flight, with the assignment of a batch that has begun it."""
+    layout = flight.layout()
+    with placed(layout, flight.positions() if positions is None else positions):
+        reference = kind(flight.config, layout, flight.episode)
+    reference._assign(batch.assignment[0])
+    reference._look()
+    return reference
+
+
+def flown_beside(flight: Flight, batch: FarmBatch, reference: ReferenceFarm, steps: int = 20) -> Iterator[None]:
+    """Fly on both farms; check at the start and after every step that all is equal and the observation in bounds."""
+    box = row_box(flight.config)
+    agree_on_directions(batch, reference)
+    assert_equal(batch, reference)
+    for action in flight.actions()[:steps]:
+        batch.step(action[None])
+        reference.step(action, batch.assignment[0])
+        agree_on_directions(batch, reference)
+        assert_equal(batch, reference)
+        assert box.contains(batch.observation[0])
+        yield
+
+
 @dose(40)
 @given(flights(farm_configs(SMALL)))
 @example(TOGETHER)
 def test_any_flight_equals_the_reference(flight: Flight):
     """Every quantity after every step; where several assignments cost the same, the reference flies on with ours."""
-    batch, layout = begin(flight), flight.layout()
-    with placed(layout, flight.positions()):
-        reference = ReferenceFarm(flight.config, layout, flight.episode)
+    batch = begin(flight)
+    reference = reference_of(flight, batch)
     np.testing.assert_array_equal(batch.position[0], reference.position)
     assert_least_cost(batch, reference)
-    reference._assign(batch.assignment[0])
-    reference._look()
-    agree_on_directions(batch, reference)
-    assert_equal(batch, reference)
-    for action in flight.actions()[:20]:
-        batch.step(action[None])
-        reference.step(action, batch.assignment[0])
+    for _ in flown_beside(flight, batch, reference):
         assert_least_cost(batch, reference)
-        agree_on_directions(batch, reference)
-        assert_equal(batch, reference)

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from common.config import FarmConfig, StressConfig
 from common.config.farm.polygons import Polygon
 from rollout.sim.batch import FarmBatch
-from rollout.sim.reference.farm import ReferenceFarm
 from rollout.sim.stress import known_cycles, patches
 from tests.rollout.sim.course import begin
-from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
+from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
+from tests.rollout.sim.properties.test_properties_reference import reference_of
 from tests.rollout.sim.tolerances import named_columns
 
 SMALL = worlds(st.integers(1, 5), 90)
@@ -50,11 +50,8 @@ def stressed(config: FarmConfig, stress: StressConfig) -> FarmConfig:
 def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
     """Counters, rewards and observations are the reference farm's."""
     flight = replace(flight, config=stressed(flight.config, stress))
-    batch, layout = begin(flight), flight.layout()
-    with placed(layout, flight.positions()):
-        farm = ReferenceFarm(flight.config, layout, flight.episode)
-    farm._assign(batch.assignment[0])
-    farm._look()
+    batch = begin(flight)
+    farm = reference_of(flight, batch)
     for action in flight.actions()[:16]:
         batch.step(action[None])
         farm.step(action, batch.assignment[0])
