@@ -1,10 +1,11 @@
 """Where learning pays: a policy trained for each of several farms, beside the best heuristic there.
 
-    python -m experiments.conditions [NAME ...] [--episodes 1600] [--advised 600] [--no-advice] [--seed 0]
+    python -m experiments.conditions [NAME ...] [--episodes 1600] [--advised 600] [--no-advice] [--longer] [--seed 0]
         [--write docs/results/conditions]
 
 A second policy sees the advice of the best heuristic and begins with following it (`farm.observation.advice`);
-`--no-advice` leaves it out. What stands in the results already stays as it is, unless its farm is named.
+`--no-advice` leaves it out. `--longer` trains one for all of the preset's episodes. What stands in the results already
+stays as it is, unless its farm is named; with `--longer` or `--heuristics`, only that part is measured anew.
 """
 
 import argparse
@@ -12,7 +13,7 @@ import json
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import torch
 
@@ -57,7 +58,23 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
 """Each farm by its name: a preset, and what differs from it."""
 ADVISED: Final = "[algorithm]\nactor_rate = 3e-4\nentropy_start = 0.003\nentropy_end = 0.0003"
 """Settings with advice: a policy that begins as the heuristic needs small steps and little noise."""
+POLICIES: Final = ("learned", "longer", "advised")
+"""Policies of a condition as far as they were trained, in the page's order."""
 Scores = dict[str, Any]
+
+
+class Episodes(NamedTuple):
+    """Episodes of each of a condition's policies; 0 for one that is not trained.
+
+    Attributes:
+        learned: of the policy that learns from nothing.
+        longer: of the same, for as long as the preset says.
+        advised: of the one that learns from a heuristic on.
+    """
+
+    learned: int
+    longer: int
+    advised: int
 
 
 def configuration(name: str, episodes: int, seed: int) -> RunConfig:
@@ -106,59 +123,72 @@ def with_advice(config: RunConfig, heuristic: str, episodes: int) -> RunConfig:
     return replace(run, farm=replace(run.farm, observation=observation), episodes=episodes)
 
 
-def compare(name: str, found: Scores, episodes: tuple[int, int], seed: int, farms: range) -> Scores:
+def compare(name: str, found: Scores, episodes: Episodes, seed: int, farms: range) -> Scores:
     """Return what was found for a condition, with what is missing measured.
 
     Args:
         name: the condition.
-        found: "learned" and "advised", scores of policies, "heuristics", scores of all heuristics, the best first, and
-            "commit", which measured them; as far as they are known.
-        episodes: those of the policy that learns from nothing, and of the one that learns from a heuristic on.
+        found: scores of POLICIES by their names, "heuristics", scores of all heuristics, the best first, and "commit",
+            which measured them; as far as they are known.
+        episodes: of each policy.
         seed: of the runs.
         farms: seeds of the farms to score on.
     """
-    found, config = dict(found), configuration(name, episodes[0], seed)
+    found, config = dict(found), configuration(name, episodes.learned, seed)
     if "heuristics" not in found:
         found["heuristics"] = best_heuristics(config.farm, farms)
     if "learned" not in found:
         found["learned"] = trained(config, farms, "learned")
-    if "advised" not in found and episodes[1] > 0:
+    if "longer" not in found and episodes.longer > 0:
+        found["longer"] = trained(replace(config, episodes=episodes.longer), farms, "longer")
+    if "advised" not in found and episodes.advised > 0:
         advice = found["heuristics"][0]["policy"]
-        found["advised"] = trained(with_advice(config, advice, episodes[1]), farms, f"advised by {advice}")
+        found["advised"] = trained(with_advice(config, advice, episodes.advised), farms, f"advised by {advice}")
     return found
 
 
 def with_new_bar(found: Scores, measuring: str) -> Scores:
-    """Return what holds of a condition's results when the heuristics have changed: the policy that had no advice."""
-    commit = found["commit"].partition(",")[0]
-    return {"learned": found["learned"], "commit": f"{commit}, heuristics {measuring}"}
+    """Return what holds of a condition's results when the heuristics have changed: the policies that had no advice."""
+    commits = [part for part in found["commit"].split(", ") if not part.startswith("heuristics")]
+    alone = {policy: found[policy] for policy in POLICIES if policy in found and policy != "advised"}
+    return {**alone, "commit": ", ".join([*commits, f"heuristics {measuring}"])}
+
+
+def without_longer(found: Scores, measuring: str) -> Scores:
+    """Return a condition's results but for the policy that learns longer, which is to be trained anew."""
+    commits = [part for part in found["commit"].split(", ") if not part.startswith("longer")]
+    others = {name: scores for name, scores in found.items() if name != "longer"}
+    return {**others, "commit": ", ".join([*commits, f"longer {measuring}"])}
+
+
+def renewed(found: Scores, measuring: str, bar: bool, longer: bool) -> Scores:
+    """Return what stays of a condition's results when it is measured anew.
+
+    Args:
+        found: the results.
+        measuring: the commit that measures.
+        bar: whether only heuristics are.
+        longer: whether only the policy that learns longer is.
+    """
+    if not found or not (bar or longer):
+        return {}
+    found = with_new_bar(found, measuring) if bar else found
+    return without_longer(found, measuring) if longer else found
 
 
 def page(data: dict[str, Any]) -> str:
     """Return the results as a page."""
-    head = (
-        "farm",
-        "best heuristic",
-        "",
-        "learned",
-        "ratio",
-        "advised",
-        "ratio",
-        "c, m, d: heuristic",
-        "learned",
-        "advised",
-        "commit",
-    )
-    rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * 7 + "---|"]
+    ratios = [word for policy in POLICIES for word in (policy, "ratio")]
+    head = ("farm", "best heuristic", "", *ratios, "c, m, d: heuristic", "best policy", "commit")
+    rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * (len(ratios) + 2) + "---|"]
     for name, found in data["results"].items():
-        bar = found["heuristics"][0]
+        bar, known = found["heuristics"][0], [found[policy] for policy in POLICIES if policy in found]
         cells = [name, shown(bar["reward"]), bar["policy"]]
-        for policy in ("learned", "advised"):
-            known = policy in found
-            cells += [shown(found[policy]["reward"]) if known else "-"]
-            cells += [f"{found[policy]['reward'][0] / bar['reward'][0]:.3f}" if known else "-"]
-        for scores in (bar, found["learned"], found.get("advised")):
-            cells.append(", ".join(f"{value:.0f}" for value in scores["types"].values()) if scores else "-")
+        for policy in POLICIES:
+            cells += [shown(found[policy]["reward"]) if policy in found else "-"]
+            cells += [f"{found[policy]['reward'][0] / bar['reward'][0]:.3f}" if policy in found else "-"]
+        for scores in (bar, max(known, key=lambda scores: float(scores["reward"][0]))):
+            cells.append(", ".join(f"{value:.0f}" for value in scores["types"].values()))
         rows.append("| " + " | ".join([*cells, found["commit"]]) + " |")
     numbers = {name: data[name] for name in ("episodes", "advised", "seed")}
     return filled(TEMPLATE, data, tables="\n".join([*rows, ""]), **numbers)
@@ -181,6 +211,7 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=1600)
     parser.add_argument("--advised", type=int, default=600, help="episodes of the policy with advice")
     parser.add_argument("--no-advice", action="store_true", help="leave the policy with advice out")
+    parser.add_argument("--longer", action="store_true", help="train one for all of the preset's episodes")
     parser.add_argument("--heuristics", action="store_true", help="fly heuristics anew beside policies that are known")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--farms", type=farm_range, default="1020:1100", help="farm seeds A:B, from A to B - 1")
@@ -198,12 +229,15 @@ def main() -> None:
     )
     data |= {"episodes": arguments.episodes, "advised": arguments.advised, "seed": arguments.seed, "results": results}
     for name in arguments.name or CONDITIONS:
-        episodes = arguments.episodes, 0 if arguments.no_advice else arguments.advised
+        longer = preset(CONDITIONS[name][0]).episodes if arguments.longer else 0
+        episodes = Episodes(arguments.episodes, longer, 0 if arguments.no_advice else arguments.advised)
         found = results.get(name, {})
         if name in arguments.name:
-            found = with_new_bar(found, data["commit"]) if found and arguments.heuristics else {}
+            found = renewed(found, data["commit"], arguments.heuristics, arguments.longer)
         found = {"commit": data["commit"], **found}
-        results[name] = compare(name, found, episodes, arguments.seed, arguments.farms)
+        measured = compare(name, found, episodes, arguments.seed, arguments.farms)
+        # Another call may have written other conditions meanwhile.
+        results = {**results, **kept(arguments.write), name: measured}
         data["results"] = {key: results[key] for key in CONDITIONS if key in results}
         write_results(data, page, arguments.write)
 

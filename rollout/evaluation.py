@@ -16,7 +16,7 @@ from common.team import TeamSpec
 from common.transitions import EpisodeSummary
 from rollout.envs.base import Environments
 from rollout.envs.registry import make_environments
-from rollout.heuristics.advised import make_farms
+from rollout.heuristics.farms import make_farms
 from rollout.policies import BatchPolicy, Policy
 from rollout.sim.batch import FarmBatch
 

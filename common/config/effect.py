@@ -11,6 +11,7 @@ SWITCHES: Final = (
     ("algorithm.ensemble_", "algorithm.ensemble", False),
     ("elite.", "elite.enabled", False),
     ("algorithm.sequence_", "algorithm.memory", "none"),
+    ("farm.battery.failsafe", "farm.battery.capacity", 0.0),
     ("farm.relay.base", "farm.relay.require_link", False),
     ("farm.relay.hop_range", "farm.relay.base", ""),
 )

@@ -39,6 +39,7 @@ LATER: Final[Mapping[str, Value]] = {
     "algorithm.objective": "ppo",
     "algorithm.sequence_steps": 50,
     "farm.battery.capacity": 0.0,
+    "farm.battery.failsafe": 0.0,
     "farm.battery.landing": 5.0,
     "farm.battery.power": 400.0,
     "farm.battery.stations": 4,

@@ -54,10 +54,11 @@ stress = true
 BATTERY: Final = """
 [farm.battery]
 capacity = 8000.0
+failsafe = 0.2
 [farm.observation]
 charge = true
 """
-"""A farm whose UAVs fly for about three minutes, and then have to charge for about twenty seconds."""
+"""A farm whose UAVs fly for about three minutes; then autopilots take them to stations, for about twenty seconds."""
 
 FIELD: Final = """
 [farm.relay]
@@ -69,6 +70,7 @@ per_hour = 1.0
 patches = 6
 [farm.battery]
 capacity = 8000.0
+failsafe = 0.2
 [farm.wind]
 speed = 2.0
 gusts = 1.0

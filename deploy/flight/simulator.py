@@ -16,7 +16,7 @@ from common.team import Float32, TeamSpec
 from common.transitions import EpisodeSummary
 from deploy.flight.vehicle import VehicleLink
 from rollout.evaluation import episode_seed
-from rollout.heuristics.advised import make_farms
+from rollout.heuristics.farms import make_farms
 
 RESEND_SECONDS: Final = 0.5
 """Time without an answer after which a vehicle publishes its observation again: messages may be lost."""

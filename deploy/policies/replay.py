@@ -10,7 +10,7 @@ from common.errors import UsageError
 from deploy.reports.film import Film
 from deploy.reports.plots import save_comparison
 from rollout.evaluation import episode_seed, record
-from rollout.heuristics.advised import make_farms
+from rollout.heuristics.farms import make_farms
 from rollout.policies import policy_of
 from rollout.rendering.scene import Observer, Scene
 from rollout.rendering.side_by_side import SideBySidePicture

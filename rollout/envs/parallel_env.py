@@ -26,7 +26,7 @@ from common.errors import SimulationError
 from common.team import Float32
 from rollout.envs.episodes import TRAINING_FARMS, EpisodeStream
 from rollout.envs.spaces import action_box, observation_box, row_box
-from rollout.heuristics.advised import make_farms
+from rollout.heuristics.farms import make_farms
 from rollout.rendering.render import FRAMES_PER_SECOND, RENDER_MODES, Renderer, require_mode
 from rollout.sim.batch import REWARD_PARTS
 

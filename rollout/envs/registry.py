@@ -17,7 +17,7 @@ from common.errors import ConfigError
 from common.protocol.message_sizes import require_frames
 from common.team import TeamSpec
 from rollout.envs.base import Environments
-from rollout.heuristics.advised import make_farms
+from rollout.heuristics.farms import make_farms
 
 Factory = Callable[[RunConfig, int, bool], Environments]
 """Makes the given number of environments for a run; True asks for `Environments.hindsight`, where there is any."""

@@ -19,7 +19,7 @@ from common.errors import ConfigError, SimulationError
 from common.team import Float32, TeamSpec
 from rollout.envs.episodes import TRAINING_FARMS, EpisodeStream, whole
 from rollout.envs.spaces import action_box, observation_box
-from rollout.heuristics.advised import make_farms
+from rollout.heuristics.farms import make_farms
 from rollout.rendering.render import FRAMES_PER_SECOND, RENDER_MODES, Renderer, require_mode
 
 Observations = dict[str, Float32]

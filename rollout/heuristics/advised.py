@@ -13,22 +13,12 @@ from common.errors import ConfigError
 from common.farm import advice_columns
 from common.team import Float32, GroupSpec
 from rollout.heuristics.composite import CompositePolicy
+from rollout.heuristics.failsafe import FailsafeFarms
 from rollout.heuristics.registry import RELAYS, TASKS, heuristic
-from rollout.sim.batch import FarmBatch
 from rollout.sim.boxes import Array
 
 
-def make_farms(config: FarmConfig, environments: int, threads: int = 1, hindsight: bool = False) -> FarmBatch:
-    """Return farms with what their configuration lets UAVs see; the arguments and errors are those of `FarmBatch`.
-
-    Raises:
-        ConfigError: there is no such heuristic to advise, or it has no goals.
-    """
-    kind = AdvisedFarms if config.observation.advice else FarmBatch
-    return kind(config, environments, threads, hindsight)
-
-
-class AdvisedFarms(FarmBatch):
+class AdvisedFarms(FailsafeFarms):
     """Farms that write the advice of a heuristic into the observations after each step.
 
     The heuristic flies along with the UAVs, wherever they go. After the last step nothing is advised. Options are

@@ -5,8 +5,7 @@ environment has its own group policies, so an episode does not depend on the res
 
 Where UAVs have batteries, they leave for a station in time, whatever their group policies want (`charging`).
 
-Around no-fly zones, UAVs fly to waypoints on the way to their goals, and none makes a move that a zone would refuse. In
-wind, they command what their top airspeed allows, as if the wind of the last step went on.
+UAVs fly around no-fly zones (`navigation`), and none makes a move that a zone would refuse.
 
 When UAVs fail (`farm.failures`), the others begin anew: they get new group policies for a farm that has only them. So
 routes are divided among the living, and nobody reckons with a UAV that is gone.
@@ -23,10 +22,10 @@ from numpy.typing import NDArray
 from common.config import BatteryConfig, FailureConfig, FarmConfig
 from common.team import Float32
 from rollout.heuristics.charging import Charging
-from rollout.heuristics.steering import keep_apart, loiter, loiter_speed, towards
+from rollout.heuristics.navigation import Navigation
+from rollout.heuristics.steering import keep_apart, loiter, loiter_speed
 from rollout.sim.batch import FarmBatch
-from rollout.sim.boxes import Array, reach
-from rollout.sim.detours import Airspace, airspace_of
+from rollout.sim.boxes import Array
 from rollout.sim.layout import Layout
 from rollout.sim.stress import known_cycles
 
@@ -130,19 +129,18 @@ class CompositePolicy:
         self._loiter = loiter_speed(config) * config.world.step_seconds
         self._make = relays, monitors, collectors
         self._layouts: dict[int, Layout] = {}
-        self._airspaces: dict[int, Airspace] = {}
         self._seeds: dict[int, tuple[int, int]] = {}
         self._groups: dict[int, list[GroupPolicy]] = {}
         self._gone: dict[int, NDArray[np.bool_]] = {}
-        self._charging: dict[int, Charging] = {}
+        self._navigation, self._charging = Navigation(config), Charging(config)
 
     def reset(self, farms: FarmBatch, index: int) -> None:
         """Make new group policies for one environment."""
         episode = farms.summary(index)
         self._layouts[index] = farms.layout(index)
-        self._airspaces[index] = airspace_of(self._config, self._layouts[index])
+        self._navigation.reset(farms, index)
         self._seeds[index] = episode.farm, episode.episode
-        self._charging[index] = Charging(self._config, self._layouts[index])
+        self._charging.reset(farms, index)
         self._begin(farms, index)
 
     def act(self, farms: FarmBatch) -> Float32:
@@ -155,34 +153,15 @@ class CompositePolicy:
 
         Call it once a step: group policies remember what they did.
         """
-        world = self._config.world
         goals = np.stack([self._goals(farms, index) for index in indices.tolist()])
+        if self._config.battery.some:
+            self._charging.redirect(farms, indices, goals)
         position = np.where(farms.gone[indices, :, None], AWAY, farms.position[indices])
         waiting = loiter(position, goals, farms.time[indices], self._loiter)
-        wind: Array | None = None
-        if self._config.wind.some:
-            wind = farms.wind[indices, None] / (world.speed_x_max, world.speed_y_max)
-        action = towards(position, self._waypoints(farms, indices, position, waiting), world, wind)
+        action = self._navigation.towards(farms, indices, position, waiting)
+        world, wind = self._config.world, self._navigation.wind(farms, indices)
         parts = [keep_apart(position[:, rows], action[:, rows], world, wind) for rows in farms.team.agent_slices()]
-        return self._stopped(farms, indices, position, np.concatenate(parts, axis=1))
-
-    def _waypoints(self, farms: FarmBatch, indices: NDArray[np.int64], position: Array, goals: Array) -> Array:
-        """Return where the UAVs of some environments fly first on their ways around zones, [k, n, 2] m."""
-        if not self._config.zones.some:
-            return goals
-        ways = goals.copy()
-        for row, index in enumerate(indices.tolist()):
-            left = ~farms.gone[index]
-            ways[row, left] = self._airspaces[index].waypoints(position[row, left], goals[row, left])
-        return ways
-
-    def _stopped(self, farms: FarmBatch, indices: NDArray[np.int64], position: Array, action: Array) -> Array:
-        """Return the actions, 0 where a zone would refuse the move."""
-        for row, index in enumerate(indices.tolist() if self._config.zones.some else ()):
-            goal = position[row] + action[row].astype(np.float32) * reach(self._config.world)
-            refused = self._airspaces[index].refused(position[row], goal)
-            action[row, refused & ~farms.gone[index]] = 0.0
-        return action
+        return self._navigation.stopped(farms, indices, position, np.concatenate(parts, axis=1))
 
     def _goals(self, farms: FarmBatch, index: int) -> Array:
         if (farms.gone[index] != self._gone[index]).any():
@@ -190,8 +169,6 @@ class CompositePolicy:
         state = self._farm_state(farms, index)
         goals: Array = np.full(farms.position[index].shape, AWAY)
         goals[~farms.gone[index]] = np.concatenate([group.goals(state) for group in self._groups[index]])
-        if self._config.battery.some:
-            self._charging[index].redirect(farms, index, goals)
         return goals
 
     def _begin(self, farms: FarmBatch, index: int) -> None:

@@ -88,11 +88,14 @@ class FarmBatch:
 
     advised: ClassVar[bool] = False
     """Whether the class writes `farm.observation.advice`."""
+    failsafe: ClassVar[bool] = False
+    """Whether the class heeds `farm.battery.failsafe`."""
 
     def __init__(self, config: FarmConfig, environments: int, threads: int = 1, hindsight: bool = False) -> None:
-        if config.observation.advice and not self.advised:
+        if (config.observation.advice and not self.advised) or (config.battery.watched and not self.failsafe):
             raise SimulationError(
-                "farms with farm.observation.advice are made by rollout.heuristics.advised.make_farms."
+                "farms with farm.observation.advice or farm.battery.failsafe are made by "
+                "rollout.heuristics.farms.make_farms."
             )
         if environments < 1 or threads < 1:
             raise SimulationError(f"got {environments} environments and {threads} threads; both must be at least 1.")

@@ -7,7 +7,7 @@ import pytest
 
 from common.config.presets import preset
 from experiments import conditions
-from experiments.conditions import CONDITIONS, compare, configuration, flown, kept, main, own_reward, page
+from experiments.conditions import CONDITIONS, Episodes, compare, configuration, flown, kept, main, own_reward, page
 from rollout.policies import policy_of
 
 TINY = "[farm.world]\nsteps = 40\n[rollout]\nenvironments = 2\nchunk_steps = 40\n[algorithm]\niteration_steps = 80"
@@ -40,13 +40,14 @@ def tiny(monkeypatch):
 
 def test_a_condition_is_trained_and_compared(tiny):
     """Both sides have rewards, and the page says who won."""
-    found = compare("tiny", {"commit": "d"}, (4, 4), 0, range(1000, 1002))
+    found = compare("tiny", {"commit": "d"}, Episodes(4, 8, 4), 0, range(1000, 1002))
     assert found["learned"]["steps"] == found["advised"]["steps"] == 160
+    assert found["longer"]["steps"] == 320
     assert found["advised"]["policy"] == "advised by greedy"
     assert [scores["policy"] for scores in found["heuristics"]] == ["greedy"]
     origin = {"command": "c", "commit": "d", "farms": [1000, 1001], "episodes": 4, "advised": 4, "seed": 0}
     text = page({**origin, "results": {"tiny": found}})
-    for policy in ("learned", "advised"):
+    for policy in ("learned", "longer", "advised"):
         assert f"| {found[policy]['reward'][0] / found['heuristics'][0]['reward'][0]:.3f} |" in text
     del found["advised"]
     assert "| - |" in page({**origin, "results": {"tiny": found}})
@@ -76,6 +77,13 @@ def test_what_was_measured_is_kept(tiny, monkeypatch, tmp_path, capsys):
     for found in kept(tmp_path).values():
         assert "advised" not in found
         assert found["commit"].count("heuristics") == 1
+    monkeypatch.setattr(sys, "argv", ["conditions", "--longer", "--no-advice", "tiny", "--write", str(tmp_path)])
+    main()
+    main()
+    assert measured[6:] == ["longer True", "longer True"]
+    parts = kept(tmp_path)["tiny"]["commit"].split(", ")
+    assert [part.partition(" ")[0] for part in parts[1:]] == ["heuristics", "longer"]
+    assert "longer" not in kept(tmp_path)["other"]
     assert list(kept(tmp_path)) == ["tiny", "other"]
     assert json.loads((tmp_path / "results.json").read_text())["seed"] == 0
     monkeypatch.setattr(sys, "argv", ["conditions", "nothing"])

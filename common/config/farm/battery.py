@@ -7,6 +7,8 @@ from common.config.checks import not_negative, positive, within
 
 MOST_STATIONS: Final = 64
 """Most charging stations of a farm."""
+MOST_RESERVE: Final = 0.8
+"""Most that may be left at the station. With nearly full batteries, UAVs leave it, so more would keep them there."""
 
 
 @dataclass(frozen=True)
@@ -21,14 +23,22 @@ class BatteryConfig:
     """Power with which a station charges each UAV that has landed, W (ours)."""
     landing: float = 5.0
     """Distance from a station within which a UAV that flies at most 1 m/s has landed, m (ours)."""
+    failsafe: float = 0.0
+    """Share of the capacity at the station for which an autopilot flies its UAV there; 0 for no autopilots (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse batteries that are none."""
         not_negative(capacity=self.capacity)
         within(1, MOST_STATIONS, stations=self.stations)
         positive(power=self.power, landing=self.landing)
+        within(0.0, MOST_RESERVE, failsafe=self.failsafe)
 
     @property
     def some(self) -> bool:
         """Whether there are batteries."""
         return self.capacity > 0.0
+
+    @property
+    def watched(self) -> bool:
+        """Whether autopilots watch the batteries."""
+        return self.some and self.failsafe > 0.0

@@ -180,7 +180,7 @@ def test_digests_of_earlier_versions_count(name):
     config = with_values(preset(name), {"farm.observation.route": False})
     events = (
         '[farm.failures]\nper_hour = 0.0\nat = ""\nmissing = 0.0\n\n',
-        "[farm.battery]\ncapacity = 0.0\nstations = 4\npower = 400.0\nlanding = 5.0\n\n",
+        "[farm.battery]\ncapacity = 0.0\nstations = 4\npower = 400.0\nlanding = 5.0\nfailsafe = 0.0\n\n",
         "[farm.wind]\nspeed = 0.0\ndirection = -1.0\ngusts = 0.0\ngust_seconds = 10.0\n\n",
         "[farm.zones]\npolygons = []\nrandom = 0\n\n",
         "[farm.stress]\npatches = 0\nradius = 60.0\ngrowth = 3\nseconds = 200.0\nareas = []\n\n",

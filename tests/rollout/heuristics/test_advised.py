@@ -12,7 +12,8 @@ from common.config.presets import preset
 from common.errors import ConfigError, SimulationError
 from common.farm import HEADING_SPEEDS, advice_columns, farm_environment, farm_team
 from learner.trainers import make_trainer
-from rollout.heuristics.advised import make_farms, nearest_heading, nearest_move
+from rollout.heuristics.advised import nearest_heading, nearest_move
+from rollout.heuristics.farms import make_farms
 from rollout.heuristics.registry import heuristic
 from rollout.policies import ActorPolicy
 from rollout.sim.batch import FarmBatch

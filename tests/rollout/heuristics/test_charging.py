@@ -15,6 +15,21 @@ from rollout.sim.stations import station_places
 from rollout.sim.zones import make_zones
 
 FARM = preset("battery").farm
+FIRST = np.array([0])
+
+
+def begun(farms):
+    """Return the charging of a batch with one environment, in which nobody charges yet."""
+    charging = Charging(farms.config)
+    charging.reset(farms, 0)
+    return charging
+
+
+def redirected(charging, farms, goal):
+    """Return the goals [n, 2] of all UAVs, who wanted to fly to (goal, goal)."""
+    goals = np.full((1, 12, 2), goal)
+    charging.redirect(farms, FIRST, goals)
+    return goals[0]
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -39,15 +54,13 @@ def test_uavs_of_a_type_take_different_stations_and_leave_when_full():
     farms.reset(0, 1, 1)
     farms.position[0, 4:6] = 110.0, 100.0
     farms.charge[0, 4:6] = 900.0
-    charging, stations = Charging(FARM, farms.layout(0)), station_places(FARM)
-    goals = np.full((12, 2), 7.0)
-    charging.redirect(farms, 0, goals)
+    charging, stations = begun(farms), station_places(FARM)
+    goals = redirected(charging, farms, 7.0)
     taken = [int(np.flatnonzero((stations == goal).all(axis=1))[0]) for goal in goals[4:6]]
     assert len(set(taken)) == 2
     assert (goals[[0, 1, 6, 11]] == 7.0).all()
     farms.charge[0, 4:6] = FULL * FARM.battery.capacity - 1.0, FULL * FARM.battery.capacity
-    goals = np.full((12, 2), 7.0)
-    charging.redirect(farms, 0, goals)
+    goals = redirected(charging, farms, 7.0)
     assert (goals[4] == stations[taken[0]]).all()
     assert (goals[5] == 7.0).all()
 
@@ -58,13 +71,12 @@ def test_a_uav_that_is_gone_holds_no_station():
     farms.reset(0, 1, 1)
     farms.charge[0, 4:6] = 100.0
     farms.position[0, 4:6] = 110.0, 100.0
-    charging, stations = Charging(FARM, farms.layout(0)), station_places(FARM)
-    charging.redirect(farms, 0, np.zeros((12, 2)))
+    charging, stations = begun(farms), station_places(FARM)
+    redirected(charging, farms, 0.0)
     farms.step(np.zeros((1, 24), np.float32))
     farms.charge[0, 6] = 100.0
     farms.position[0, 6] = stations[0]
-    goals = np.zeros((12, 2))
-    charging.redirect(farms, 0, goals)
+    goals = redirected(charging, farms, 0.0)
     assert (goals[4] == 0.0).all()
     assert goals[6].any()
 
@@ -90,8 +102,7 @@ def test_a_station_in_a_zone_is_left_out():
         farms.reset(0, 1, 1)
         farms.position[0, 4] = 85.0, 85.0
         farms.charge[0, 4] = 100.0
-        goals = np.zeros((12, 2))
-        Charging(farms.config, farms.layout(0)).redirect(farms, 0, goals)
+        goals = redirected(begun(farms), farms, 0.0)
         free = station_places(FARM)[len(zones) :]
         assert any((goals[4] == place).all() for place in free) == (len(free) > 0)
         assert goals[4].any() == (len(free) > 0)

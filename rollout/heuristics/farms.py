@@ -1,0 +1,18 @@
+"""Farms as their configuration wants them: alone, with autopilots, or with a heuristic's advice."""
+
+from common.config import FarmConfig
+from rollout.heuristics.advised import AdvisedFarms
+from rollout.heuristics.failsafe import FailsafeFarms
+from rollout.sim.batch import FarmBatch
+
+
+def make_farms(config: FarmConfig, environments: int, threads: int = 1, hindsight: bool = False) -> FarmBatch:
+    """Return farms with all that their configuration asks for; the arguments and errors are those of `FarmBatch`.
+
+    Raises:
+        ConfigError: there is no such heuristic to advise, or it has no goals.
+    """
+    if config.observation.advice:
+        return AdvisedFarms(config, environments, threads, hindsight)
+    kind = FailsafeFarms if config.battery.watched else FarmBatch
+    return kind(config, environments, threads, hindsight)

@@ -1,0 +1,63 @@
+"""Ways to goals: around no-fly zones, and against the wind."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig
+from rollout.heuristics.steering import towards
+from rollout.sim.batch import FarmBatch
+from rollout.sim.boxes import Array, reach
+from rollout.sim.detours import Airspace, airspace_of
+
+
+class Navigation:
+    """Flies the UAVs of a batch of farms to goals.
+
+    In wind, UAVs command what their top airspeed allows, as if the wind of the last step went on.
+
+    Args:
+        config: the farm.
+    """
+
+    def __init__(self, config: FarmConfig) -> None:
+        self._config = config
+        self._airspaces: dict[int, Airspace] = {}
+
+    def reset(self, farms: FarmBatch, index: int) -> None:
+        """Look at the zones of an environment whose episode begins."""
+        self._airspaces[index] = airspace_of(self._config, farms.layout(index))
+
+    def wind(self, farms: FarmBatch, indices: NDArray[np.int64]) -> Array | None:
+        """Return the wind in some environments over top speed, [k, 1, 2]; None if there is none."""
+        world = self._config.world
+        return farms.wind[indices, None] / (world.speed_x_max, world.speed_y_max) if self._config.wind.some else None
+
+    def towards(self, farms: FarmBatch, indices: NDArray[np.int64], position: Array, goals: Array) -> Array:
+        """Return the velocities that fly to goals, [k, n, 2] as shares of full speed.
+
+        Args:
+            farms: the batch.
+            indices: the environments, [k].
+            position: of their UAVs, [k, n, 2] m.
+            goals: [k, n, 2] m.
+        """
+        ways = self._waypoints(farms, indices, position, goals)
+        return towards(position, ways, self._config.world, self.wind(farms, indices))
+
+    def _waypoints(self, farms: FarmBatch, indices: NDArray[np.int64], position: Array, goals: Array) -> Array:
+        """Return where the UAVs of some environments fly first on their ways around zones, [k, n, 2] m."""
+        if not self._config.zones.some:
+            return goals
+        ways = goals.copy()
+        for row, index in enumerate(indices.tolist()):
+            left = ~farms.gone[index]
+            ways[row, left] = self._airspaces[index].waypoints(position[row, left], goals[row, left])
+        return ways
+
+    def stopped(self, farms: FarmBatch, indices: NDArray[np.int64], position: Array, action: Array) -> Array:
+        """Return the velocities, 0 where a zone would refuse the move."""
+        for row, index in enumerate(indices.tolist() if self._config.zones.some else ()):
+            goal = position[row] + action[row].astype(np.float32) * reach(self._config.world)
+            refused = self._airspaces[index].refused(position[row], goal)
+            action[row, refused & ~farms.gone[index]] = 0.0
+        return action

@@ -1,0 +1,169 @@
+"""Farms with autopilots that watch the batteries."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from common.config import WindConfig, ZoneConfig
+from common.config.presets import preset
+from common.errors import SimulationError
+from rollout.heuristics.advised import AdvisedFarms
+from rollout.heuristics.charging import FULL
+from rollout.heuristics.failsafe import FailsafeFarms
+from rollout.heuristics.farms import make_farms
+from rollout.sim.batch import REWARD_PARTS, FarmBatch
+from rollout.sim.stations import station_places
+
+PLAIN = replace(preset("battery").farm, battery=replace(preset("battery").farm.battery, failsafe=0.0))
+WATCHED = replace(PLAIN, battery=replace(PLAIN.battery, failsafe=0.2))
+WINDY = replace(WATCHED, wind=WindConfig(speed=2.0, gusts=1.0), zones=ZoneConfig(random=3))
+
+
+def begun(config, environments=2):
+    """Return farms at the start of an episode."""
+    farms = make_farms(config, environments)
+    for e in range(environments):
+        farms.reset(e, 500 + e, e)
+    return farms
+
+
+def drift(rng, environments=2):
+    """Return random actions, which stay alike for a while."""
+    return np.clip(rng.normal(0.0, 1.0, (environments, 24)), -1.0, 1.0).astype(np.float32)
+
+
+def from_station(farms, e, u):
+    """Return how far a UAV is from the nearest station, m."""
+    return np.linalg.norm(station_places(farms.config) - farms.position[e, u], axis=1).min()
+
+
+@pytest.mark.parametrize("config", [WATCHED, WINDY], ids=["calm", "wind and zones"])
+def test_nobody_runs_empty_whatever_the_policy_does(config):
+    """UAVs that fly at random, and those that stand still, live to the end; without autopilots they do not."""
+    ends = {}
+    for watched in (True, False):
+        farms, rng = begun(config if watched else replace(config, battery=PLAIN.battery)), np.random.default_rng(3)
+        while not farms.ended.any():
+            if farms.time[0] % 10 == 0:
+                action = drift(rng)
+                action[:, ::6] = action[:, 1::6] = 0.0
+            farms.step(action)
+        ends[watched] = farms.gone.sum()
+    assert ends == {True: 0, False: 24}
+
+
+def test_with_charge_left_uavs_fly_as_commanded():
+    """Until somebody is due, positions and observations are those of farms without autopilots, bit for bit."""
+    watched, plain, rng = begun(WATCHED), FarmBatch(PLAIN, 2), np.random.default_rng(5)
+    for e in range(2):
+        plain.reset(e, 500 + e, e)
+    for _ in range(60):
+        action = drift(rng)
+        watched.step(action)
+        plain.step(action)
+        np.testing.assert_array_equal(watched.position, plain.position)
+        np.testing.assert_array_equal(watched.observation, plain.observation)
+    farms = watched
+    farms.charge[0, 5] = 0.2 * WATCHED.battery.capacity
+    before = farms.position.copy()
+    action = drift(rng)
+    farms.step(action)
+    plain.step(action)
+    moved = (farms.position != plain.position).any(axis=-1)
+    assert moved[0, 5]
+    assert moved.sum() == 1
+    goals = station_places(farms.config)
+    ways = [np.linalg.norm(goals - place, axis=1).min() for place in (before[0, 5], farms.position[0, 5])]
+    assert ways[1] < ways[0] - 5.0
+
+
+def test_a_uav_charges_until_it_is_nearly_full():
+    """It lands, its charge rises in every step, and then the policy's commands count again."""
+    farms = begun(WATCHED, 1)
+    farms.charge[0, 9] = 0.15 * WATCHED.battery.capacity
+    away = np.ones((1, 24), np.float32)
+    for _ in range(40):
+        farms.step(away)
+        if from_station(farms, 0, 9) < 1e-3:
+            break
+    full = FULL * WATCHED.battery.capacity
+    steps = 0
+    while farms.charge[0, 9] < full:
+        before, place = farms.charge[0, 9], farms.position[0, 9].copy()
+        farms.step(away)
+        assert farms.charge[0, 9] > before
+        assert np.linalg.norm(farms.position[0, 9] - place) < 1e-3
+        steps += 1
+    assert 10 < steps < 30
+    place = farms.position[0, 9].copy()
+    farms.step(-away)
+    assert (farms.position[0, 9] < place - 1.0).all()
+
+
+def test_autopilots_fly_around_zones():
+    """A UAV behind a zone reaches its station without a refused move."""
+    start = begun(WATCHED, 1).position[0, 6]
+    stations = station_places(WATCHED)
+    station = stations[np.linalg.norm(stations - start, axis=1).argmin()]
+    x, y = (start + station) / 2.0
+    wall = ((x - 8.0, y - 8.0), (x + 8.0, y - 8.0), (x + 8.0, y + 8.0), (x - 8.0, y + 8.0))
+    farms = begun(replace(WATCHED, zones=ZoneConfig((wall,))), 1)
+    assert np.linalg.norm(station - start) > 30.0
+    farms.charge[0, 6] = 0.1 * WATCHED.battery.capacity
+    straight = True
+    for _ in range(40):
+        farms.step(np.zeros((1, 24), np.float32))
+        assert farms.parts[0, 6, REWARD_PARTS.index("boundary")] == 0.0
+        way = farms.position[0, 6] - start
+        straight &= abs((station - start)[0] * way[1] - (station - start)[1] * way[0]) < 1.0
+        if np.linalg.norm(farms.position[0, 6] - station) < 1e-3:
+            break
+    np.testing.assert_allclose(farms.position[0, 6], station, atol=1e-3)
+    assert not straight
+
+
+def test_environments_are_independent():
+    """One environment of a batch flies as it does alone, after another one was begun anew."""
+    rng = np.random.default_rng(9)
+    both, alone = begun(WATCHED), make_farms(WATCHED, 1)
+    alone.reset(0, 501, 1)
+    for step in range(300):
+        if step == 150:
+            both.reset(0, 7, 7)
+        action = drift(rng)
+        both.step(action)
+        alone.step(action[1:])
+        np.testing.assert_array_equal(both.position[1], alone.position[0])
+    assert (both.charge[1] > 0.0).all()
+
+
+def test_advised_farms_have_autopilots_too():
+    """Advice does not switch them off; who advises does not matter."""
+    config = replace(WATCHED, observation=replace(WATCHED.observation, advice="lawnmower"))
+    farms = begun(config, 1)
+    assert isinstance(farms, AdvisedFarms)
+    while not farms.ended.any():
+        farms.step(np.zeros((1, 24), np.float32))
+    assert not farms.gone.any()
+
+
+def test_who_makes_which_farms():
+    """Autopilots fly where they are asked for, and the simulator alone refuses."""
+    assert type(make_farms(WATCHED, 1)) is FailsafeFarms
+    assert type(make_farms(PLAIN, 1)) is FarmBatch
+    without = replace(WATCHED, battery=replace(WATCHED.battery, capacity=0.0))
+    assert type(make_farms(without, 1)) is FarmBatch
+    with pytest.raises(SimulationError, match=r"farm\.battery\.failsafe are made by"):
+        FarmBatch(WATCHED, 1)
+
+
+def test_malformed_actions_are_refused_as_ever():
+    """A wrong shape, a number that is not finite, and a step before the first reset."""
+    farms = begun(WATCHED, 1)
+    with pytest.raises(SimulationError, match="actions are"):
+        farms.step(np.zeros((1, 23), np.float32))
+    with pytest.raises(SimulationError, match="not finite"):
+        farms.step(np.full((1, 24), np.nan, np.float32))
+    with pytest.raises(SimulationError, match="before its reset"):
+        make_farms(WATCHED, 1).step(np.zeros((1, 24), np.float32))
