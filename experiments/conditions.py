@@ -1,7 +1,7 @@
 """Where learning pays: a policy trained for each of several farms, beside the best heuristic there.
 
     python -m experiments.conditions [NAME ...] [--episodes 1600] [--advised 600] [--no-advice] [--longer] [--seed 0]
-        [--write docs/results/conditions]
+        [--write docs/results/conditions] [--keep FOLDER]
 
 A second policy sees the advice of the best heuristic and begins with following it (`farm.observation.advice`);
 `--no-advice` leaves it out. `--longer` trains one for all of the preset's episodes. What stands in the results already
@@ -20,6 +20,7 @@ import torch
 from common.config import FarmConfig, RunConfig
 from common.config.files import from_toml
 from common.config.presets import preset
+from common.policy_file import save_policy
 from deploy.local.in_process import train_in_process
 from deploy.reports.provenance import provenance
 from experiments.heuristics import interval
@@ -101,12 +102,25 @@ def flown(farm: FarmConfig, policy: Policy, name: str, farms: range) -> Scores:
     }
 
 
-def trained(config: RunConfig, farms: range, name: str) -> Scores:
-    """Train; return the scores of the policy, and what it took."""
+def trained(config: RunConfig, farms: range, name: str, keep: Path | None = None) -> Scores:
+    """Train; return the scores of the policy, and what it took.
+
+    Args:
+        config: the run.
+        farms: seeds of the farms to score on.
+        name: of the policy.
+        keep: where to write the policy as it would ship, with 16-bit numbers, or None.
+    """
     began = time.monotonic()
     trainer = train_in_process(config)
     seconds = round(time.monotonic() - began, 1)
-    scores = flown(config.farm, ActorPolicy(trainer.actors().noise_free()), name, farms)
+    actors = trainer.actors().noise_free()
+    if keep:
+        keep.parent.mkdir(parents=True, exist_ok=True)
+        origin = {"seed": config.seed, "episodes": config.episodes, **provenance("experiments.conditions")}
+        metadata = {key: str(origin[key]) for key in ("command", "commit", "seed", "episodes")}
+        save_policy(keep, actors, metadata, half=True)
+    scores = flown(config.farm, ActorPolicy(actors), name, farms)
     return {**scores, "seconds": seconds, "steps": trainer.environment_steps}
 
 
@@ -123,7 +137,7 @@ def with_advice(config: RunConfig, heuristic: str, episodes: int) -> RunConfig:
     return replace(run, farm=replace(run.farm, observation=observation), episodes=episodes)
 
 
-def compare(name: str, found: Scores, episodes: Episodes, seed: int, farms: range) -> Scores:
+def compare(name: str, found: Scores, episodes: Episodes, seed: int, farms: range, keep: Path | None = None) -> Scores:
     """Return what was found for a condition, with what is missing measured.
 
     Args:
@@ -133,17 +147,20 @@ def compare(name: str, found: Scores, episodes: Episodes, seed: int, farms: rang
         episodes: of each policy.
         seed: of the runs.
         farms: seeds of the farms to score on.
+        keep: folder for the policies, or None.
     """
+    files = {policy: keep / f"{name.replace(' ', '-')}-{policy}.safetensors" if keep else None for policy in POLICIES}
     found, config = dict(found), configuration(name, episodes.learned, seed)
     if "heuristics" not in found:
         found["heuristics"] = best_heuristics(config.farm, farms)
     if "learned" not in found:
-        found["learned"] = trained(config, farms, "learned")
+        found["learned"] = trained(config, farms, "learned", files["learned"])
     if "longer" not in found and episodes.longer > 0:
-        found["longer"] = trained(replace(config, episodes=episodes.longer), farms, "longer")
+        found["longer"] = trained(replace(config, episodes=episodes.longer), farms, "longer", files["longer"])
     if "advised" not in found and episodes.advised > 0:
         advice = found["heuristics"][0]["policy"]
-        found["advised"] = trained(with_advice(config, advice, episodes.advised), farms, f"advised by {advice}")
+        run = with_advice(config, advice, episodes.advised)
+        found["advised"] = trained(run, farms, f"advised by {advice}", files["advised"])
     return found
 
 
@@ -216,6 +233,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--farms", type=farm_range, default="1020:1100", help="farm seeds A:B, from A to B - 1")
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
+    parser.add_argument("--keep", type=Path, help="folder for the policies")
     arguments = parser.parse_args()
     if unknown := [name for name in arguments.name if name not in CONDITIONS]:
         parser.error(f"there is no condition {unknown[0]!r}; they are {', '.join(CONDITIONS)}")
@@ -235,7 +253,7 @@ def main() -> None:
         if name in arguments.name:
             found = renewed(found, data["commit"], arguments.heuristics, arguments.longer)
         found = {"commit": data["commit"], **found}
-        measured = compare(name, found, episodes, arguments.seed, arguments.farms)
+        measured = compare(name, found, episodes, arguments.seed, arguments.farms, arguments.keep)
         # Another call may have written other conditions meanwhile.
         results = {**results, **kept(arguments.write), name: measured}
         data["results"] = {key: results[key] for key in CONDITIONS if key in results}

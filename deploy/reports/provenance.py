@@ -1,6 +1,7 @@
 """The provenance of a result: command, commit and package versions."""
 
 import platform
+import shlex
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -8,7 +9,7 @@ from importlib.metadata import version
 from typing import Any, Final
 
 PACKAGES: Final = ("eclipse-zenoh", "torch", "numpy", "numba")
-LOCAL: Final = ("--venvs", "--pip-args", "--records")
+LOCAL: Final = ("--venvs", "--pip-args", "--records", "--keep")
 """Options that concern only one machine, such as paths."""
 
 
@@ -18,7 +19,7 @@ def command(program: str, arguments: Sequence[str]) -> str:
     for place, argument in enumerate(arguments):
         value_of = arguments[place - 1] if place else ""
         if argument.partition("=")[0] not in LOCAL and value_of not in LOCAL:
-            words.append(argument)
+            words.append(shlex.quote(argument))
     return " ".join(words)
 
 

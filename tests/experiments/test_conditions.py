@@ -6,9 +6,10 @@ import sys
 import pytest
 
 from common.config.presets import preset
+from common.policy_file import load_policy
 from experiments import conditions
 from experiments.conditions import CONDITIONS, Episodes, compare, configuration, flown, kept, main, own_reward, page
-from rollout.policies import policy_of
+from rollout.policies import ActorPolicy, policy_of
 
 TINY = "[farm.world]\nsteps = 40\n[rollout]\nenvironments = 2\nchunk_steps = 40\n[algorithm]\niteration_steps = 80"
 
@@ -38,11 +39,16 @@ def tiny(monkeypatch):
     monkeypatch.setattr(conditions, "TASKS", ("greedy",))
 
 
-def test_a_condition_is_trained_and_compared(tiny):
+def test_a_condition_is_trained_and_compared(tiny, tmp_path):
     """Both sides have rewards, and the page says who won."""
-    found = compare("tiny", {"commit": "d"}, Episodes(4, 8, 4), 0, range(1000, 1002))
+    found = compare("tiny", {"commit": "d"}, Episodes(4, 8, 4), 0, range(1000, 1002), tmp_path / "policies")
     assert found["learned"]["steps"] == found["advised"]["steps"] == 160
     assert found["longer"]["steps"] == 320
+    longer = load_policy(tmp_path / "policies" / "tiny-longer.safetensors")
+    assert longer[1]["episodes"] == "8"
+    farm = configuration("tiny", 8, 0).farm
+    again = flown(farm, ActorPolicy(longer[0]), "longer", range(1000, 1002))
+    assert again["reward"][0] == pytest.approx(found["longer"]["reward"][0], rel=0.05, abs=20.0)
     assert found["advised"]["policy"] == "advised by greedy"
     assert [scores["policy"] for scores in found["heuristics"]] == ["greedy"]
     origin = {"command": "c", "commit": "d", "farms": [1000, 1001], "episodes": 4, "advised": 4, "seed": 0}
@@ -58,7 +64,7 @@ def test_what_was_measured_is_kept(tiny, monkeypatch, tmp_path, capsys):
     measured = []
     score = {"policy": "greedy", "reward": [1.0, 1.0, 1.0], "types": {"c": 1.0}, "aoi": 1.0, "vdf": 1.0}
 
-    def once(config, farms, name):
+    def once(config, farms, name, keep):
         measured.append(f"{config.env.name if 'advised' in name else name} {config.farm.relay.require_link}")
         return {**score, "seconds": 1.0, "steps": 1}
 
