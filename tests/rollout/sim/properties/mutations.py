@@ -203,6 +203,18 @@ MUTATIONS = (
         "hindsight[earlier - 1, visit[item, AGENT]]",
         "hindsight[step - 1, agent]",
     ),
+    one(
+        "a patch hides that its area rises faster",
+        "sim/kernel/stress.py",
+        "(max(area, patch) if covered else area)",
+        "(patch if covered else area)",
+    ),
+    one(
+        "landed UAVs are charged twice",
+        "sim/kernel/flight/battery.py",
+        "- energy[u] + charged",
+        "- energy[u] + 2.0 * charged",
+    ),
     one("sums of the last episode stay after a reset", "sim/batch.py", "state.returns, state.sums)", "state.returns)"),
 )
 
