@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import torch
 
-from common.config import FarmConfig, RunConfig
+from common.config import FailureConfig, FarmConfig, RunConfig, WorldConfig
 from common.config.files import from_toml
 from common.config.presets import preset
 from deploy.local.in_process import train_in_process
@@ -22,8 +22,18 @@ from rollout.farm_files import read_farm
 from rollout.policies import ActorPolicy
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")
-ANY_TEAM: Final = '[farm.world]\ndensity = "mixed"\n[farm.observation]\nidentity = false'
-"""What the policy trains on, over the default preset."""
+ANY_TEAM: Final = """
+[farm.world]
+density = "mixed"
+communication_uavs = 8
+monitoring_uavs = 8
+collection_uavs = 8
+[farm.failures]
+missing = 0.5
+[farm.observation]
+identity = false
+"""
+"""What the policy trains on, over the default preset: teams of random sizes, from 1 to 8 UAVs of each type."""
 EXAMPLES: Final = Path(__file__).resolve().parents[1] / "docs" / "examples"
 FIELDS: Final = ("orchard", "vineyard", "arable")
 """Files in docs/examples."""
@@ -37,16 +47,22 @@ def configuration(episodes: int, seed: int) -> RunConfig:
 
 
 def places(farm: FarmConfig) -> dict[str, FarmConfig]:
-    """Return the farms to fly on by their names."""
-    found = {}
+    """Return the farms to fly on by their names; nobody is missing there, and fields from files have the usual team."""
+    usual = preset("default").farm.world.counts
+    farm, found = replace(farm, failures=FailureConfig(), world=with_team(farm.world, usual)), {}
     for name in FIELDS:
         given = read_farm(EXAMPLES / f"{name}.geojson").on(farm)
         size = f"{given.world.field_x:.0f} m x {given.world.field_y:.0f} m, {given.world.sensors} sensors"
         found[f"{name}, {size}"] = given
-    for relays, monitors, collectors in TEAMS:
-        world = replace(farm.world, communication_uavs=relays, monitoring_uavs=monitors, collection_uavs=collectors)
-        found[f"team {relays} + {monitors} + {collectors}"] = replace(farm, world=world)
+    for sizes in TEAMS:
+        found[f"team {' + '.join(map(str, sizes))}"] = replace(farm, world=with_team(farm.world, sizes))
     return found
+
+
+def with_team(world: WorldConfig, sizes: tuple[int, int, int]) -> WorldConfig:
+    """Return the world with other numbers of relays, monitors and collectors."""
+    relays, monitors, collectors = sizes
+    return replace(world, communication_uavs=relays, monitoring_uavs=monitors, collection_uavs=collectors)
 
 
 def page(data: dict[str, Any]) -> str:

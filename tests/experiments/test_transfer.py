@@ -15,6 +15,9 @@ def test_places_are_the_files_fields_and_the_teams():
     assert len({place.world.sensors for place in found.values()}) == 1 + len(FIELDS)
     assert [place.world.counts for place in found.values()][-len(TEAMS) :] == list(TEAMS)
     assert not farm.observation.identity
+    assert farm.failures.missing
+    assert not any(place.failures.some for place in found.values())
+    assert {place.world.counts for place in list(found.values())[: len(FIELDS)]} == {(4, 4, 4)}
 
 
 def test_one_policy_flies_everywhere(monkeypatch, tmp_path, capsys):

@@ -14,7 +14,8 @@ from rollout.sim.batch import FarmBatch
 from rollout.sim.stations import station_places
 from rollout.sim.zones import make_zones
 
-FARM = preset("battery").farm
+PRESET = preset("battery").farm
+FARM = replace(PRESET, battery=replace(PRESET.battery, failsafe=0.0))
 FIRST = np.array([0])
 
 
