@@ -10,6 +10,7 @@ stays as it is, unless its farm is named; with `--longer` or `--heuristics`, onl
 
 import argparse
 import json
+import re
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -126,8 +127,14 @@ def trained(config: RunConfig, farms: range, name: str, keep: Path | None = None
     return {**scores, "seconds": seconds, "steps": trainer.environment_steps}
 
 
+def policy_file(condition: str, policy: str) -> str:
+    """Return the name of the file of one of a condition's policies."""
+    return f"{re.sub(r'[^a-z0-9]+', '-', condition)}-{policy}.safetensors"
+
+
 def best_heuristics(farm: FarmConfig, farms: range) -> list[Scores]:
-    """Return the scores of all heuristics, the best first."""
+    """Return the scores of all heuristics, the best first. They charge by themselves, without autopilots."""
+    farm = replace(farm, battery=replace(farm.battery, failsafe=0.0))
     scores = [flown(farm, policy_of(task, farm), task, farms) for task in TASKS]
     return sorted(scores, key=lambda found: -float(found["reward"][0]))
 
@@ -151,7 +158,7 @@ def compare(name: str, found: Scores, episodes: Episodes, seed: int, farms: rang
         farms: seeds of the farms to score on.
         keep: folder for the policies, or None.
     """
-    files = {policy: keep / f"{name.replace(' ', '-')}-{policy}.safetensors" if keep else None for policy in POLICIES}
+    files = {policy: keep / policy_file(name, policy) if keep else None for policy in POLICIES}
     found, config = dict(found), configuration(name, episodes.learned, seed)
     if "heuristics" not in found:
         found["heuristics"] = best_heuristics(config.farm, farms)
@@ -173,11 +180,11 @@ def with_new_bar(found: Scores, measuring: str) -> Scores:
     return {**alone, "commit": ", ".join([*commits, f"heuristics {measuring}"])}
 
 
-def without_longer(found: Scores, measuring: str) -> Scores:
+def without_longer(found: Scores) -> Scores:
     """Return a condition's results but for the policy that learns longer, which is to be trained anew."""
     commits = [part for part in found["commit"].split(", ") if not part.startswith("longer")]
     others = {name: scores for name, scores in found.items() if name != "longer"}
-    return {**others, "commit": ", ".join([*commits, f"longer {measuring}"])}
+    return {**others, "commit": ", ".join(commits)}
 
 
 def renewed(found: Scores, measuring: str, bar: bool, longer: bool) -> Scores:
@@ -192,7 +199,7 @@ def renewed(found: Scores, measuring: str, bar: bool, longer: bool) -> Scores:
     if not found or not (bar or longer):
         return {}
     found = with_new_bar(found, measuring) if bar else found
-    return without_longer(found, measuring) if longer else found
+    return without_longer(found) if longer else found
 
 
 def page(data: dict[str, Any]) -> str:
@@ -209,6 +216,8 @@ def page(data: dict[str, Any]) -> str:
         for scores in (bar, max(known, key=lambda scores: float(scores["reward"][0]))):
             cells.append(", ".join(f"{value:.0f}" for value in scores["types"].values()))
         rows.append("| " + " | ".join([*cells, found["commit"]]) + " |")
+    longer = " --longer" if any("longer" in found for found in data["results"].values()) else ""
+    data = {**data, "command": data["command"] + longer}
     numbers = {name: data[name] for name in ("episodes", "advised", "seed")}
     return filled(TEMPLATE, data, tables="\n".join([*rows, ""]), **numbers)
 
@@ -256,6 +265,8 @@ def main() -> None:
             found = renewed(found, data["commit"], arguments.heuristics, arguments.longer)
         found = {"commit": data["commit"], **found}
         measured = compare(name, found, episodes, arguments.seed, arguments.farms, arguments.keep)
+        if "longer" in measured and "longer" not in found and found["commit"] != data["commit"]:
+            measured["commit"] = f"{found['commit']}, longer {data['commit']}"
         # Another call may have written other conditions meanwhile.
         results = {**results, **kept(arguments.write), name: measured}
         data["results"] = {key: results[key] for key in CONDITIONS if key in results}

@@ -58,7 +58,7 @@ failsafe = 0.2
 [farm.observation]
 charge = true
 """
-"""A farm whose UAVs fly for about three minutes; then autopilots take them to stations, for about twenty seconds."""
+"""A farm whose batteries last about three minutes; autopilots fly UAVs to stations, where they charge for some 20 s."""
 
 FIELD: Final = """
 [farm.relay]

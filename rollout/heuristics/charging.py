@@ -1,6 +1,6 @@
 """UAVs with batteries leave for a charging station in time, and stay until the battery is nearly full.
 
-A station in a no-fly zone is none for them. UAVs of a type do not share a station.
+They do not use stations in no-fly zones, and UAVs of a type do not share a station.
 """
 
 from typing import Final

@@ -1,7 +1,8 @@
-"""Farms whose autopilots fly UAVs to a charging station in time, whatever the policy commands.
+"""Farms whose autopilots fly UAVs to a charging station before their batteries are empty.
 
-Autopilots call it the battery failsafe, or return to launch (PX4 `COM_LOW_BAT_ACT`, ArduPilot `BATT_FS_LOW_ACT`). The
+PX4 and ArduPilot call this the battery failsafe (`COM_LOW_BAT_ACT`, `BATT_FS_LOW_ACT`); theirs returns to launch. The
 policy gets its UAV back when the battery is nearly full. Stations are chosen as heuristics choose them (`charging`).
+Actions are recorded as the policy gave them: to a learner, the autopilot is part of the environment.
 """
 
 from typing import ClassVar
@@ -41,21 +42,24 @@ class FailsafeFarms(FarmBatch):
 
     def step(self, action: Float32) -> None:
         """Step every environment; see `FarmBatch.step`. Autopilots replace the actions of UAVs that have to charge."""
-        possible = action.shape == (len(self.time), self.position[0].size)
-        super().step(self._corrected(action) if self._watched and possible else action)
+        super().step(self._corrected(action) if self._watched and self._possible(action) else action)
+
+    def _possible(self, action: Float32) -> bool:
+        """Return whether the farms will take a step with these actions; one that they refuse must change nothing."""
+        under_way = (self.time >= 0) & ~self.ended
+        shape = len(self.time), self.position[0].size
+        well_formed = action.shape == shape and action.dtype == np.float32
+        return well_formed and bool(under_way.all() and np.isfinite(action).all())
 
     def _corrected(self, action: Float32) -> Float32:
-        """Return the actions, with autopilots' own in place of those of UAVs that charge or are on the way to it."""
-        under_way = np.flatnonzero((self.time >= 0) & ~self.ended)
-        position = self.position[under_way]
-        goals = np.full(position.shape, np.nan)
-        self._charging.redirect(self, under_way, goals)
-        charging = ~np.isnan(goals[..., 0])
-        rows = np.flatnonzero(charging.any(axis=1))
-        if len(rows) == 0:
+        """Return the actions, with autopilots' own in place of those of UAVs that charge or fly to a station."""
+        goals = np.full(self.position.shape, np.nan)
+        self._charging.redirect(self, np.arange(len(goals)), goals)
+        some = np.flatnonzero(~np.isnan(goals[..., 0]).all(axis=1))
+        if len(some) == 0:
             return action
-        some, position, charging = under_way[rows], position[rows], charging[rows]
-        goals = np.where(charging[..., None], goals[rows], position)
+        position, charging = self.position[some], ~np.isnan(goals[some, :, 0])
+        goals = np.where(charging[..., None], goals[some], position)
         velocity = self._navigation.towards(self, some, position, goals)
         velocity = self._navigation.stopped(self, some, position, velocity)
         corrected = action.reshape(self.position.shape).copy()

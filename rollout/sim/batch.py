@@ -83,7 +83,8 @@ class FarmBatch:
 
     Raises:
         ConfigError: the field is too small for the link budget, or visits are to be tracked in expected delivery.
-        SimulationError: there is no environment, or no thread.
+        SimulationError: there is no environment, or no thread; or the configuration wants advice or autopilots, which
+            `rollout.heuristics.farms.make_farms` adds.
     """
 
     advised: ClassVar[bool] = False

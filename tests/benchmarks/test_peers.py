@@ -312,6 +312,8 @@ def test_the_reported_command_names_no_machine():
         "--json",
     ]
     assert command("python -m benchmarks.peers", asked) == "python -m benchmarks.peers both --only mpe2 --json"
+    asked = ["links 50 m", "--keep", "some/where"]
+    assert command("python -m experiments.conditions", asked) == "python -m experiments.conditions 'links 50 m'"
 
 
 class Ticking:

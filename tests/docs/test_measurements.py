@@ -108,7 +108,7 @@ def test_the_readme_orders_policies_by_reward_and_names_those_ahead() -> None:
     assert {row[0].partition(",")[0] for row in rows if row[1] == "learned"} >= set(study["methods"])
     rewards = [float(row[2].partition(" ")[0]) for row in rows]
     assert rewards == sorted(rewards, reverse=True)
-    assert "**1 of 2 heuristics score higher than the default preset: high.**" in text
+    assert "**Of 2 heuristics, high scores higher than the default preset.**" in text
     assert "Level with it: level." in " ".join(text.split())
 
 

@@ -1,17 +1,49 @@
 """Where learning pays."""
 
 import json
+import re
 import sys
 
+import numpy as np
 import pytest
 
 from common.config.presets import preset
 from common.policy_file import load_policy
+from deploy.local.in_process import train_in_process
 from experiments import conditions
-from experiments.conditions import CONDITIONS, Episodes, compare, configuration, flown, kept, main, own_reward, page
-from rollout.policies import ActorPolicy, policy_of
+from experiments.conditions import (
+    CONDITIONS,
+    POLICIES,
+    Episodes,
+    best_heuristics,
+    compare,
+    configuration,
+    flown,
+    kept,
+    main,
+    own_reward,
+    page,
+    policy_file,
+)
+from rollout.policies import policy_of
 
 TINY = "[farm.world]\nsteps = 40\n[rollout]\nenvironments = 2\nchunk_steps = 40\n[algorithm]\niteration_steps = 80"
+
+
+def test_every_policy_has_a_file_of_its_own():
+    """Names of conditions with spaces, commas and slashes give plain file names."""
+    names = {policy_file(name, policy) for name in CONDITIONS for policy in POLICIES}
+    assert len(names) == len(CONDITIONS) * len(POLICIES)
+    assert all(re.fullmatch(r"[a-z0-9-]+\.safetensors", name) for name in names)
+
+
+def test_heuristics_charge_by_themselves(monkeypatch):
+    """Autopilots do not interfere with the bar."""
+    flew = []
+    monkeypatch.setattr(conditions, "TASKS", ("greedy",))
+    monkeypatch.setattr(conditions, "flown", lambda farm, *_: flew.append(farm.battery) or {"reward": [1.0]})
+    best_heuristics(preset("battery").farm, range(1))
+    assert (flew[0].some, flew[0].watched) == (True, False)
 
 
 def test_every_condition_is_a_run():
@@ -46,9 +78,9 @@ def test_a_condition_is_trained_and_compared(tiny, tmp_path):
     assert found["longer"]["steps"] == 320
     longer = load_policy(tmp_path / "policies" / "tiny-longer.safetensors")
     assert longer[1]["episodes"] == "8"
-    farm = configuration("tiny", 8, 0).farm
-    again = flown(farm, ActorPolicy(longer[0]), "longer", range(1000, 1002))
-    assert again["reward"][0] == pytest.approx(found["longer"]["reward"][0], rel=0.05, abs=20.0)
+    own = train_in_process(configuration("tiny", 8, 0)).actors()
+    for kept_flat, flat in zip(longer[0].flat, own.flat, strict=True):
+        np.testing.assert_allclose(kept_flat, flat, rtol=2e-3, atol=1e-4)
     assert found["advised"]["policy"] == "advised by greedy"
     assert [scores["policy"] for scores in found["heuristics"]] == ["greedy"]
     origin = {"command": "c", "commit": "d", "farms": [1000, 1001], "episodes": 4, "advised": 4, "seed": 0}

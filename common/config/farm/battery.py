@@ -8,7 +8,7 @@ from common.config.checks import not_negative, positive, within
 MOST_STATIONS: Final = 64
 """Most charging stations of a farm."""
 MOST_RESERVE: Final = 0.8
-"""Most that may be left at the station. With nearly full batteries, UAVs leave it, so more would keep them there."""
+"""Largest `failsafe`. UAVs leave a station at nine tenths; with a reserve near that, they would turn back at once."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,8 @@ class BatteryConfig:
     landing: float = 5.0
     """Distance from a station within which a UAV that flies at most 1 m/s has landed, m (ours)."""
     failsafe: float = 0.0
-    """Share of the capacity at the station for which an autopilot flies its UAV there; 0 for no autopilots (ours)."""
+    """Share of the capacity; when less would be left at the nearest free station, an autopilot flies the UAV there. 0
+    for no autopilots (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse batteries that are none."""

@@ -27,8 +27,8 @@ class FlyArguments:
     """Fly vehicles with trained actors: observations in, velocity set-points out (docs/how-to/vehicles.md)."""
 
     policy: str | None = None
-    """Policy file, "trained" for the one that ships, or "trained:eia-sec" for that of the preset eia-sec. Default: the
-    policy of --run-dir."""
+    """Policy file, "trained" for the one that ships, or "trained:battery" for that of the preset battery, for instance.
+    Default: the policy of --run-dir."""
     run_dir: Path | None = None
     """Run directory: its configuration, and its policy unless --policy names another."""
     config: Path | None = None

@@ -33,8 +33,8 @@ class ReplayArguments:
     policy: str | None = None
     """Policy name or file, as in eia-sec evaluate; replaces the run's policy."""
     against: str = "lawnmower"
-    """The other policy: static, random, lawnmower, greedy, tour, hungarian, horizon, trained, trained:eia-sec, or a
-    policy file. Both fly one farm, so a policy must match its observations: "trained" fits the default preset."""
+    """The other policy: any name of eia-sec evaluate, or a policy file. Both fly one farm, so a policy must match its
+    observations: "trained" fits the default preset."""
     farm: int = 1000
     """Farm seed; training uses 0 to 19, evaluation 1000 and above."""
     episode: int = 0

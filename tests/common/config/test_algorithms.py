@@ -113,6 +113,10 @@ LINES = [
         [*EIA_SEC, "--algorithm.memory", "gru"],
         "algorithm.memory has no effect with eia-sec; it is an option of ippo, mappo, eia-ppo.",
     ),
+    (
+        ["--farm.battery.failsafe", "0.2"],
+        "farm.battery.failsafe has no effect while farm.battery.capacity is 0.0.",
+    ),
     (["--farm.relay.base", "south"], "farm.relay.base has no effect while farm.relay.require_link is false."),
     (
         ["--farm.relay.require-link", "--farm.relay.hop-range", "100"],

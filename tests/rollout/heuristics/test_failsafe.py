@@ -1,13 +1,14 @@
 """Farms with autopilots that watch the batteries."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from common.config import WindConfig, ZoneConfig
+from common.config import BatteryConfig, WindConfig, ZoneConfig
 from common.config.presets import preset
-from common.errors import SimulationError
+from common.errors import ConfigError, SimulationError
 from rollout.heuristics.advised import AdvisedFarms
 from rollout.heuristics.charging import FULL
 from rollout.heuristics.failsafe import FailsafeFarms
@@ -29,7 +30,7 @@ def begun(config, environments=2):
 
 
 def drift(rng, environments=2):
-    """Return random actions, which stay alike for a while."""
+    """Return random actions."""
     return np.clip(rng.normal(0.0, 1.0, (environments, 24)), -1.0, 1.0).astype(np.float32)
 
 
@@ -109,6 +110,7 @@ def test_autopilots_fly_around_zones():
     x, y = (start + station) / 2.0
     wall = ((x - 8.0, y - 8.0), (x + 8.0, y - 8.0), (x + 8.0, y + 8.0), (x - 8.0, y + 8.0))
     farms = begun(replace(WATCHED, zones=ZoneConfig((wall,))), 1)
+    np.testing.assert_array_equal(farms.position[0, 6], start)
     assert np.linalg.norm(station - start) > 30.0
     farms.charge[0, 6] = 0.1 * WATCHED.battery.capacity
     straight = True
@@ -139,7 +141,7 @@ def test_environments_are_independent():
 
 
 def test_advised_farms_have_autopilots_too():
-    """Advice does not switch them off; who advises does not matter."""
+    """Advice does not switch them off."""
     config = replace(WATCHED, observation=replace(WATCHED.observation, advice="lawnmower"))
     farms = begun(config, 1)
     assert isinstance(farms, AdvisedFarms)
@@ -167,3 +169,60 @@ def test_malformed_actions_are_refused_as_ever():
         farms.step(np.full((1, 24), np.nan, np.float32))
     with pytest.raises(SimulationError, match="before its reset"):
         make_farms(WATCHED, 1).step(np.zeros((1, 24), np.float32))
+
+
+def test_a_refused_step_changes_nothing():
+    """Not even who is on the way to a station, or where; a charging UAV's number counts as anybody's."""
+    farms, twin = begun(WATCHED, 1), begun(WATCHED, 1)
+    for batch in (farms, twin):
+        batch.charge[0, 5] = 0.15 * WATCHED.battery.capacity
+    for column in (10, 0):  # of the charging UAV, and of another
+        bad = np.zeros((1, 24), np.float32)
+        bad[0, column] = np.nan
+        with pytest.raises(SimulationError, match="not finite"):
+            farms.step(bad)
+    # Elsewhere and nearly full: whoever had taken a station then would go on to it.
+    for batch in (farms, twin):
+        batch.charge[0, 5] = 0.6 * WATCHED.battery.capacity
+        batch.step(np.ones((1, 24), np.float32))
+    np.testing.assert_array_equal(farms.position, twin.position)
+
+
+def test_without_a_free_station_the_policy_flies_on():
+    """Of five monitors that are due only four are redirected; where zones cover every station, nobody is."""
+    many = replace(WATCHED, world=replace(WATCHED.world, monitoring_uavs=5))
+    around = tuple(
+        ((x - 9.0, y - 9.0), (x + 9.0, y - 9.0), (x + 9.0, y + 9.0), (x - 9.0, y + 9.0))
+        for x, y in station_places(WATCHED)
+    )
+    for config, redirected in ((many, 4), (replace(many, zones=ZoneConfig(around)), 0)):
+        farms = begun(config, 1)
+        farms.charge[0, 4:9] = 0.1 * config.battery.capacity
+        before = farms.position.copy()
+        farms.step(np.zeros((1, 26), np.float32))
+        assert (farms.position != before).any(axis=-1)[0, 4:9].sum() == redirected
+
+
+def test_threads_and_copies_fly_alike():
+    """Two threads equal one, and a deep copy goes on as the original does."""
+    rng, one, two = np.random.default_rng(11), begun(WATCHED), make_farms(WATCHED, 2, threads=2)
+    for e in range(2):
+        two.reset(e, 500 + e, e)
+    for batch in (one, two):
+        batch.charge[:, 4:6] = 0.2 * WATCHED.battery.capacity
+    for step in range(30):
+        if step == 5:
+            copied = copy.deepcopy(one)
+        action = drift(rng)
+        for batch in (one, two, *([copied] if step >= 5 else [])):
+            batch.step(action)
+        np.testing.assert_array_equal(one.position, two.position)
+        if step >= 5:
+            np.testing.assert_array_equal(one.position, copied.position)
+
+
+@pytest.mark.parametrize("share", [-0.1, 0.81, float("nan")])
+def test_a_reserve_is_a_share(share):
+    """One that would keep UAVs at their stations is refused."""
+    with pytest.raises(ConfigError, match=r"failsafe must be between 0\.0 and 0\.8"):
+        BatteryConfig(capacity=8000.0, failsafe=share)
