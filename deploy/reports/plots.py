@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.colors import LinearSegmentedColormap
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from common.environment import EpisodeMetric
 from common.farm import farm_team
 from rollout.evaluation import Trajectory
-from rollout.rendering.airspace import WindArrow, draw_outlines
+from rollout.rendering.airspace import WindArrow, draw_outlines, outline_handles
 from rollout.rendering.palette import AGE_MAP, COLOURS, END_MARKERS, LABELS, SENSOR_MARKERS, STYLES, TYPES, LineStyle
 from rollout.sim.layout import make_layout
 from rollout.sim.wind import wind_series
@@ -306,9 +307,9 @@ def _fading() -> tuple[Line2D, ...]:
     return tuple(Line2D([], [], color="0.2", alpha=alpha, linewidth=2.0) for alpha in (OLDEST, 0.35, 0.9))
 
 
-def _legend(trajectory: Trajectory) -> list[Line2D]:
+def _legend(trajectory: Trajectory) -> list[Artist]:
     """Return the legend's entries."""
-    handles = [
+    handles: list[Artist] = [
         Line2D(
             [],
             [],
@@ -328,4 +329,4 @@ def _legend(trajectory: Trajectory) -> list[Line2D]:
     for kind, cycle in enumerate(trajectory.config.world.sensor_cycles):
         marker = SENSOR_MARKERS[kind % len(SENSOR_MARKERS)]
         handles.append(Line2D([], [], color="0.5", marker=marker, linestyle="", label=f"sensor, every {cycle} s"))
-    return handles
+    return [*handles, *outline_handles(trajectory.config)]

@@ -1,23 +1,29 @@
-"""No-fly zones, areas of stress and the wind in matplotlib pictures."""
+"""No-fly zones, areas of stress, charging stations and the wind in matplotlib pictures."""
 
 from typing import Any, Final
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.collections import PathCollection, PolyCollection
 from matplotlib.colors import to_rgba
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from rollout.rendering.palette import STRESS, ZONE
 from rollout.rendering.scene import wind_text
 from rollout.sim.layout import Layout
+from rollout.sim.stations import station_places
 
 Array = NDArray[np.float64]
 
 LONGEST: Final = 48.0
 """Length of the longest arrow, pixels."""
 INK: Final = "0.1"
+STATION: Final = "H"
+"""Matplotlib's marker of a charging station, a hexagon."""
 
 
 def make_zones(axes: Axes) -> PolyCollection:
@@ -35,14 +41,47 @@ def make_areas(axes: Axes, config: FarmConfig) -> PolyCollection:
     return areas
 
 
+def make_stations(axes: Axes, config: FarmConfig) -> PathCollection:
+    """Return the artist of the charging stations, which stay."""
+    x, y = station_places(config).T
+    return axes.scatter(x, y, marker=STATION, s=320, facecolors="none", edgecolors=INK, linewidths=1.4, zorder=2.2)
+
+
 def draw_outlines(axes: Axes, config: FarmConfig, layout: Layout) -> None:
-    """Draw the no-fly zones of a farm, and the areas in which counters rise faster; both have labels for a legend."""
+    """Draw what a farm has of no-fly zones, areas in which counters rise faster, and stations; with labels."""
     if layout.zones:
         zones = make_zones(axes)
         zones.set_verts([*layout.zones])
         zones.set_label("no-fly zone")
     if config.stress.faster:
         make_areas(axes, config).set_label("area of faster growth")
+    if config.battery.some:
+        make_stations(axes, config).set_label("charging station")
+
+
+def station_handle(label: str) -> Line2D:
+    """Return the symbol of a charging station for a legend."""
+    handle = Line2D([], [], marker=STATION, markersize=9, linestyle="", label=label)
+    handle.set(markerfacecolor="none", markeredgecolor=INK, markeredgewidth=1.4)
+    return handle
+
+
+def area_handle() -> Patch:
+    """Return the symbol of an area in which counters rise faster, for a legend."""
+    return Patch(facecolor="none", edgecolor=STRESS, linewidth=1.8, label="area of faster growth")
+
+
+def zone_handle() -> Patch:
+    """Return the symbol of a no-fly zone for a legend."""
+    return Patch(facecolor=to_rgba(ZONE, 0.16), edgecolor=ZONE, hatch="///", label="no-fly zone")
+
+
+def outline_handles(config: FarmConfig) -> list[Artist]:
+    """Return the symbols of what `draw_outlines` draws, for a legend."""
+    handles: list[Artist] = [station_handle("charging station")] if config.battery.some else []
+    handles += [area_handle()] if config.stress.faster else []
+    handles += [zone_handle()] if config.zones.some else []
+    return handles
 
 
 class WindArrow:

@@ -13,13 +13,20 @@ from matplotlib.collections import EllipseCollection, LineCollection, PathCollec
 from matplotlib.colors import LinearSegmentedColormap, Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.path import Path
 from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, farm_team
-from rollout.rendering.airspace import WindArrow, make_areas, make_zones
+from rollout.rendering.airspace import (
+    WindArrow,
+    area_handle,
+    make_areas,
+    make_stations,
+    make_zones,
+    station_handle,
+    zone_handle,
+)
 from rollout.rendering.chain import ChainLines, chain_handles
 from rollout.rendering.palette import (
     AGE_MAP,
@@ -30,11 +37,9 @@ from rollout.rendering.palette import (
     SOIL_STOPS,
     STRESS,
     TYPES,
-    ZONE,
     shade,
 )
 from rollout.rendering.scene import TRAIL_STEPS, Scene, camera_radius, radio_radius
-from rollout.sim.stations import station_places
 
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -80,7 +85,7 @@ class FarmMap:
         self._chain = ChainLines(axes, scene.config)
         self._stress = _make_ellipses(axes, scene.config.stress.radius, "none", STRESS, 1.8)
         self._batteries = _make_batteries(axes) if scene.config.battery.some else []
-        stations = [_make_stations(axes, scene)] if scene.config.battery.some else []
+        stations = [make_stations(axes, scene.config)] if scene.config.battery.some else []
         self._trails = LineCollection([], linewidths=2.0, capstyle="butt", joinstyle="round", zorder=3)
         axes.add_collection(self._links)
         axes.add_collection(self._trails)
@@ -184,12 +189,6 @@ def _make_ellipses(axes: Axes, radius: float, face: Any, edge: Any, width: float
     )
     axes.add_collection(circles)
     return circles
-
-
-def _make_stations(axes: Axes, scene: Scene) -> PathCollection:
-    """Make the symbols of the charging stations, which stay."""
-    x, y = station_places(scene.config).T
-    return axes.scatter(x, y, marker="H", s=320, facecolors="none", edgecolors=INK, linewidths=1.4, zorder=2.2)
 
 
 def _make_batteries(axes: Axes) -> list[LineCollection]:
@@ -322,17 +321,15 @@ def _events(scene: Scene) -> list[Artist]:
         handles.append(Line2D([], [], color=LINK_DOWN, linestyle=DOTTED, label=down))
     handles += chain_handles(scene.config)
     if scene.config.battery.some:
-        station = Line2D([], [], marker="H", markersize=9, linestyle="", label="charging station; bar: charge")
-        station.set(markerfacecolor="none", markeredgecolor=INK, markeredgewidth=1.4)
-        handles.append(station)
+        handles.append(station_handle("charging station; bar: charge"))
     if scene.config.stress.faster:
-        handles.append(Patch(facecolor="none", edgecolor=STRESS, linewidth=1.8, label="area of faster growth"))
+        handles.append(area_handle())
     if scene.config.stress.patches:
         patch = Line2D([], [], marker="o", markersize=9, linestyle="", label="patch of stress; faint: not known")
         patch.set(markerfacecolor="none", markeredgecolor=STRESS, markeredgewidth=1.8)
         handles.append(patch)
     if scene.config.zones.some:
-        handles.append(Patch(facecolor=to_rgba(ZONE, 0.16), edgecolor=ZONE, hatch="///", label="no-fly zone"))
+        handles.append(zone_handle())
     return handles
 
 

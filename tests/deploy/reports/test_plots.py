@@ -1,18 +1,28 @@
 import io
+from dataclasses import replace
 
 import matplotlib.image
 import numpy as np
 import pytest
 from rich.console import Console
 
-from common.config import FarmConfig, WorldConfig
+from common.config import BatteryConfig, FarmConfig, StressConfig, WorldConfig, ZoneConfig
 from common.environment import EnvironmentSpec
 from common.farm import EPISODE_METRICS, METRIC_NAMES, farm_environment
 from common.team import GroupSpec, TeamSpec
 from common.transitions import EpisodeSummary
 from deploy.reports.comparison_tables import comparison_markdown, comparison_table
-from deploy.reports.plots import COLOURS, curves, curves_figure, smooth, trajectories, trajectories_figure
+from deploy.reports.plots import (
+    COLOURS,
+    comparison_figure,
+    curves,
+    curves_figure,
+    smooth,
+    trajectories,
+    trajectories_figure,
+)
 from rollout.evaluation import Evaluation, Score, Trajectory
+from rollout.sim.stations import station_places
 
 COLUMNS = ("policy", "reward", "c", "m", "d", "AoI", "VDF", "collisions", "boundary", "energy, kJ")
 TYPES = ("communication", "monitoring", "collection")
@@ -134,6 +144,27 @@ def test_map_names_everything_it_shows(trajectory):
     assert len(labels(key)) == 8
     assert {"monitoring UAV, end", "start of a UAV", "relay link, end", "sensor, every 50 s"} < labels(key)
     assert [bar.get_xlabel() for bar in bars] == ["AoI of a sensor, end", "VDF of a plot, end"]
+
+
+def test_map_shows_stations_areas_and_zones(trajectory):
+    """Each is drawn where it is and has its symbol in the legend, of one map and of two side by side."""
+    square = ((10.0, 10.0), (60.0, 10.0), (60.0, 60.0), (10.0, 60.0))
+    config = replace(
+        trajectory.config,
+        battery=BatteryConfig(capacity=8000.0, stations=3),
+        stress=StressConfig(areas=((4, square),)),
+        zones=ZoneConfig((square,)),
+    )
+    with_all = replace(trajectory, config=config)
+    axes, key, *_ = trajectories_figure(with_all).axes
+    drawn = {collection.get_label(): collection for collection in axes.collections}
+    np.testing.assert_allclose(drawn["charging station"].get_offsets(), station_places(config))
+    for name in ("area of faster growth", "no-fly zone"):
+        assert {tuple(corner) for corner in drawn[name].get_paths()[0].vertices} == set(square)
+    wanted = {"charging station", "area of faster growth", "no-fly zone"}
+    assert wanted < labels(key)
+    (legend,) = comparison_figure({"a": with_all, "b": with_all}).legends
+    assert wanted < {text.get_text() for text in legend.get_texts()}
 
 
 def test_map_file_is_large_enough_to_read(trajectory, tmp_path):
