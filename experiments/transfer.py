@@ -1,6 +1,9 @@
 """Transfer: a policy of the default farm on fields from files and in teams of other sizes, beside the best heuristic.
 
-python -m experiments.transfer [--episodes 3200] [--seed 0] [--farms 1020:1040] [--write docs/results/transfer]
+    python -m experiments.transfer [--episodes 3200] [--seed 0] [--random-teams] [--farms 1020:1040]
+        [--write docs/results/transfer]
+
+With `--random-teams` it trains in teams of 1 to 8 UAVs of each type, and not of four.
 """
 
 import argparse
@@ -22,18 +25,17 @@ from rollout.farm_files import read_farm
 from rollout.policies import ActorPolicy
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")
-ANY_TEAM: Final = """
+ANY_TEAM: Final = '[farm.world]\ndensity = "mixed"\n[farm.observation]\nidentity = false'
+"""What the policy trains on, over the default preset."""
+RANDOM_TEAMS: Final = """
 [farm.world]
-density = "mixed"
 communication_uavs = 8
 monitoring_uavs = 8
 collection_uavs = 8
 [farm.failures]
 missing = 0.5
-[farm.observation]
-identity = false
 """
-"""What the policy trains on, over the default preset: teams of random sizes, from 1 to 8 UAVs of each type."""
+"""Teams of random sizes, from 1 to 8 UAVs of each type, over that."""
 EXAMPLES: Final = Path(__file__).resolve().parents[1] / "docs" / "examples"
 FIELDS: Final = ("orchard", "vineyard", "arable")
 """Files in docs/examples."""
@@ -41,9 +43,10 @@ TEAMS: Final = ((4, 4, 4), (2, 2, 2), (3, 4, 6), (8, 8, 8))
 """Relays, monitors and collectors on the farm of the training."""
 
 
-def configuration(episodes: int, seed: int) -> RunConfig:
+def configuration(episodes: int, seed: int, random_teams: bool = False) -> RunConfig:
     """Return the run of the policy."""
-    return replace(from_toml(ANY_TEAM, preset("default")), episodes=episodes, seed=seed)
+    run = from_toml(ANY_TEAM, preset("default"))
+    return replace(from_toml(RANDOM_TEAMS, run) if random_teams else run, episodes=episodes, seed=seed)
 
 
 def places(farm: FarmConfig) -> dict[str, FarmConfig]:
@@ -82,6 +85,7 @@ def page(data: dict[str, Any]) -> str:
         cells += [f"{scores['aoi']:.2f}, {scores['vdf']:.2f}" for scores in (bar, own)]
         rows.append("| " + " | ".join(cells) + " |")
     numbers = {name: data[name] for name in ("episodes", "seed")}
+    numbers["teams"] = "teams of random sizes, up to 8 + 8 + 8" if data["random_teams"] else "teams of 4 + 4 + 4"
     return filled(TEMPLATE, data, tables="\n".join([*rows, ""]), **numbers)
 
 
@@ -91,14 +95,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m experiments.transfer", description=about)
     parser.add_argument("--episodes", type=int, default=3200)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--random-teams", action="store_true", help="train in teams of random sizes")
     parser.add_argument("--farms", type=farm_range, default="1020:1040", help="farm seeds A:B, from A to B - 1")
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     results: dict[str, Scores] = {}
     data: dict[str, Any] = {**provenance("experiments.transfer"), "farms": list(arguments.farms)}
-    data |= {"episodes": arguments.episodes, "seed": arguments.seed, "results": results}
-    config = configuration(arguments.episodes, arguments.seed)
+    data |= {"episodes": arguments.episodes, "seed": arguments.seed, "random_teams": arguments.random_teams}
+    data["results"] = results
+    config = configuration(arguments.episodes, arguments.seed, arguments.random_teams)
     policy = ActorPolicy(train_in_process(config).actors().noise_free())
     for name, farm in places(config.farm).items():
         bar = best_heuristics(farm, arguments.farms)[0]

@@ -29,7 +29,11 @@ from rollout.sim.batch import FarmBatch
 _SHIPPED: Final = Path(__file__).parent / "trained"
 TRAINED: Final = _SHIPPED / "default.safetensors"
 """The policy of the default preset that ships with this package."""
-SHIPPED: Final = {"trained": ("default", TRAINED), "trained:eia-sec": ("eia-sec", _SHIPPED / "eia-sec.safetensors")}
+_OTHERS: Final = ("connected", "failing", "uneven", "battery", "field", "eia-sec")
+SHIPPED: Final = {
+    "trained": ("default", TRAINED),
+    **{f"trained:{preset}": (preset, _SHIPPED / f"{preset}.safetensors") for preset in _OTHERS},
+}
 """Every policy that ships: its preset and its file by its name."""
 
 

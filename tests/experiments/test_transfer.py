@@ -9,13 +9,15 @@ from experiments.transfer import FIELDS, TEAMS, configuration, main, places
 
 def test_places_are_the_files_fields_and_the_teams():
     """Every field and every team is there once, and differs from the others in what its name says."""
-    farm = configuration(1, 0).farm
+    farm = configuration(1, 0, random_teams=True).farm
     found = places(farm)
+    assert found == places(configuration(1, 0).farm)
     assert len(found) == len(FIELDS) + len(TEAMS)
     assert len({place.world.sensors for place in found.values()}) == 1 + len(FIELDS)
     assert [place.world.counts for place in found.values()][-len(TEAMS) :] == list(TEAMS)
     assert not farm.observation.identity
     assert farm.failures.missing
+    assert farm.world.counts == (8, 8, 8)
     assert not any(place.failures.some for place in found.values())
     assert {place.world.counts for place in list(found.values())[: len(FIELDS)]} == {(4, 4, 4)}
 

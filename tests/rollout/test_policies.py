@@ -13,6 +13,7 @@ from common.policy_file import save_policy
 from deploy.commands.policies.evaluate import EvaluateArguments
 from docs.tools.configuration_tables import field_docs
 from rollout import policies
+from rollout.evaluation import evaluate
 from rollout.heuristics.registry import HEURISTICS, RELAYS, TASKS, default_relays
 from rollout.policies import POLICIES, ActorPolicy, policy_of
 from rollout.sim.batch import FarmBatch
@@ -91,6 +92,17 @@ def test_the_trained_policy_is_that_of_the_package(tmp_path, monkeypatch):
     assert isinstance(policy_of("trained", SMALL), ActorPolicy)
     with pytest.raises(PolicyError, match="this environment has 4 communication agents"):
         policy_of("trained", FarmConfig())
+
+
+@pytest.mark.parametrize("name", [name for name in policies.SHIPPED if name != "trained:eia-sec"])
+def test_every_shipped_policy_flies_its_farm_better_than_greedy(name):
+    """On farms of its preset, which training never saw; the policy of `eia-sec` has a test of its own."""
+    farm = preset(policies.preset_of(name)).farm
+    found = [
+        evaluate(farm, policy_of(policy, farm), range(1500, 1502), 1, name=policy).total.reward
+        for policy in (name, "greedy")
+    ]
+    assert found[0] > found[1]
 
 
 def test_the_policy_of_eia_sec_ships_too():
