@@ -58,31 +58,41 @@ class Charging:
         """
         gone, charge, taken = farms.gone[indices], farms.charge[indices], self._taken[indices]
         taken[gone | (charge >= FULL * self._capacity)] = -1
-        left = charge - self._per_metre * self._away(farms, indices, taken).min(axis=-1)
-        due = np.isfinite(left) & (left < self._reserve * self._capacity) & (taken < 0) & ~gone
+        away = np.linalg.norm(self._stations - farms.position[indices][:, :, None], axis=-1)
+        away[np.broadcast_to(~self._usable[indices][:, None], away.shape)] = np.inf
+        due = self._due(charge, self._free(away, taken)) & (taken < 0) & ~gone
         for row, rows in ((row, rows) for row in np.flatnonzero(due.any(axis=1)) for rows in self._types):
             if due[row, rows].any():
-                self._choose(farms, int(indices[row]), rows, taken[row, rows])
+                able = rows.start + np.flatnonzero(~gone[row, rows] & (taken[row, rows] < 0))
+                order = np.argsort(charge[row, able], kind="stable")
+                self._choose(able[order], charge[row], away[row], taken[row])
         self._taken[indices] = taken
         charging = taken >= 0
         goals[charging] = self._stations[taken[charging]]
 
-    def _away(self, farms: FarmBatch, indices: NDArray[np.int64], taken: NDArray[np.int64]) -> Array:
-        """Return how far each UAV is from each station, [k, n, K] m; infinite where another of its type has it."""
-        away: Array = np.linalg.norm(self._stations - farms.position[indices][:, :, None], axis=-1)
-        away[np.broadcast_to(~self._usable[indices][:, None], away.shape)] = np.inf
+    def _free(self, away: Array, taken: NDArray[np.int64]) -> Array:
+        """Return the distances [k, n, K] m from the stations, infinite from those that UAVs of the type have."""
         held = taken[..., None] == np.arange(len(self._stations))
-        for rows in self._types:
-            away[:, rows][np.broadcast_to(held[:, rows].any(axis=1, keepdims=True), away[:, rows].shape)] = np.inf
-        return away
+        of_type = [held[:, rows].any(axis=1, keepdims=True) for rows in self._types]
+        counts = [rows.stop - rows.start for rows in self._types]
+        return np.where(np.repeat(np.concatenate(of_type, axis=1), counts, axis=1), np.inf, away)
 
-    def _choose(self, farms: FarmBatch, index: int, rows: slice, taken: NDArray[np.int64]) -> None:
-        """Let the UAVs of a type that are due choose stations, those with the least charge first; writes `taken`."""
-        charge, position, gone = farms.charge[index, rows], farms.position[index, rows], farms.gone[index, rows]
-        for u in np.argsort(charge).tolist():
-            if taken[u] < 0 and not gone[u]:
-                away = np.where(self._usable[index], np.linalg.norm(self._stations - position[u], axis=1), np.inf)
-                away[taken[taken >= 0]] = np.inf
-                left = charge[u] - self._per_metre[rows][u] * away.min()
-                if np.isfinite(left) and left < self._reserve * self._capacity:
-                    taken[u] = int(away.argmin())
+    def _due(self, charge: Array, free: Array) -> NDArray[np.bool_]:
+        """Return who has to leave for the nearest free station now, [k, n]; nobody for whom none is free."""
+        left = charge - self._per_metre * free.min(axis=-1)
+        due: NDArray[np.bool_] = np.isfinite(left) & (left < self._reserve * self._capacity)
+        return due
+
+    def _choose(self, uavs: NDArray[np.int64], charge: Array, away: Array, taken: NDArray[np.int64]) -> None:
+        """Let UAVs of a type that are due choose stations, one after the other.
+
+        Args:
+            uavs: those that fly and have no station, the ones with the least charge first.
+            charge: [n] J.
+            away: [n, K] distances from the stations, m; infinite from those of no use.
+            taken: [n] stations that UAVs have, -1 for none; those chosen are written into it.
+        """
+        for u in uavs.tolist():
+            free = self._free(away[None], taken[None])
+            if self._due(charge[None], free)[0, u]:
+                taken[u] = int(free[0, u].argmin())
