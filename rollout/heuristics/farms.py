@@ -1,8 +1,6 @@
 """Farms as their configuration wants them: alone, with autopilots, or with a heuristic's advice."""
 
 from common.config import FarmConfig
-from rollout.heuristics.advised import AdvisedFarms
-from rollout.heuristics.failsafe import FailsafeFarms
 from rollout.sim.batch import FarmBatch
 
 
@@ -13,6 +11,11 @@ def make_farms(config: FarmConfig, environments: int, threads: int = 1, hindsigh
         ConfigError: there is no such heuristic to advise, or it has no goals.
     """
     if config.observation.advice:
+        from rollout.heuristics.advised import AdvisedFarms  # noqa: PLC0415  (loads scipy, which plain farms do without)
+
         return AdvisedFarms(config, environments, threads, hindsight)
-    kind = FailsafeFarms if config.battery.watched else FarmBatch
-    return kind(config, environments, threads, hindsight)
+    if config.battery.watched:
+        from rollout.heuristics.failsafe import FailsafeFarms  # noqa: PLC0415  (the same)
+
+        return FailsafeFarms(config, environments, threads, hindsight)
+    return FarmBatch(config, environments, threads, hindsight)

@@ -1,5 +1,6 @@
 """No-fly zones, areas of stress, charging stations and the wind in matplotlib pictures."""
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -21,6 +22,8 @@ Array = NDArray[np.float64]
 
 LONGEST: Final = 48.0
 """Length of the longest arrow, pixels."""
+SHORTEST: Final = 20.0
+"""Length of the shortest arrow, pixels: its direction can still be seen."""
 INK: Final = "0.1"
 STATION: Final = "H"
 """Matplotlib's marker of a charging station, a hexagon."""
@@ -96,6 +99,7 @@ class WindArrow:
     """
 
     def __init__(self, axes: Axes, top: float) -> None:
+        self._top = top
         self._arrow = axes.quiver(
             [0.055],
             [0.945],
@@ -104,7 +108,7 @@ class WindArrow:
             transform=axes.transAxes,
             units="dots",
             scale_units="dots",
-            scale=top / LONGEST,
+            scale=1.0,
             width=4.0,
             pivot="middle",
             color=INK,
@@ -129,5 +133,8 @@ class WindArrow:
         """Show a wind, [2] m/s."""
         for artist in self.artists:
             artist.set_visible(bool(wind.any()))
-        self._arrow.set_UVC([wind[0]], [wind[1]])
+        speed = math.hypot(*wind)
+        pixels = SHORTEST + (LONGEST - SHORTEST) * min(speed / self._top, 1.0)
+        along = wind * (pixels / speed if speed else 0.0)
+        self._arrow.set_UVC([along[0]], [along[1]])
         self._text.set_text(wind_text(wind))

@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from common.config import FailureConfig, FarmConfig, WorldConfig
 from rollout.sim.boxes import Array, aim, steps_to
@@ -72,6 +71,8 @@ def assigned_routes(routes: Sequence[Array], position: Array, world: WorldConfig
         position: [n, 2] m.
         world: geometry and speeds.
     """
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415  (half a second that only sweep routes need)
+
     way = [steps_to(position[:, None], route[:, None], world) for route in routes]
     _, chosen = linear_sum_assignment(np.stack([steps.min(axis=1) for steps in way], axis=1))
     return np.array([(route, way[route][uav].argmin()) for uav, route in enumerate(chosen)], np.int64)

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from common.config import FarmConfig
 from common.config.farm.wind import SEEDED
@@ -26,6 +25,8 @@ def wind_series(config: FarmConfig, farm_seed: int, episode_seed: int) -> Array:
     world, wind = config.world, config.wind
     if not wind.some:
         return np.zeros((0, 2))
+    from scipy.signal import lfilter  # noqa: PLC0415  (half of a worker's start went into this import, and few farms have wind)
+
     random = stream(farm_seed, episode_seed, "wind")
     seeded = 360.0 * random.random()
     bearing = math.radians(seeded if wind.direction == SEEDED else wind.direction)

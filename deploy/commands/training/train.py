@@ -27,7 +27,6 @@ from deploy.monitor.live_view import render, summary
 from deploy.monitor.run_monitor import RunMonitor
 from deploy.options import base_configuration, parse
 from deploy.output import patient_output
-from deploy.reports.run_report import write_report
 from rollout.envs.registry import environment_spec
 
 REFRESH_SECONDS = 0.5
@@ -95,6 +94,8 @@ def command(arguments: Sequence[str]) -> int:
     _Training(options, directory, endpoint, console).run()
     finished = directory.finished()
     if finished and options.report:
+        from deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
+
         write_report(directory, options.settings, ["eia-sec", "train", *arguments], console)
     elif not finished:
         more = f" --workers {options.workers}" if options.workers != 1 else ""

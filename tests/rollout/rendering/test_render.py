@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.backend_bases import FigureCanvasBase
+from matplotlib.figure import Figure
 from pettingzoo.test import render_test
 from rich.console import Console
 from rich.text import Text
@@ -18,6 +19,7 @@ from common.errors import SimulationError
 from common.farm import LETTERS
 from rollout.envs.parallel_env import env, parallel_env
 from rollout.rendering import render
+from rollout.rendering.airspace import WindArrow
 from rollout.rendering.palette import AGE_STOPS, COLOURS, SOIL_STOPS, TYPES, rgb, shade
 from rollout.rendering.picture import SIZE, FarmPicture
 from rollout.rendering.render import Renderer, Terminal, Window
@@ -376,3 +378,13 @@ def test_zones_and_wind_are_shown():
     assert "wind 4.0 m/s from 270" in text
     assert "no-fly zone" in text
     assert "wind" not in terminal_text(plain.scene()).plain
+
+
+@pytest.mark.parametrize(("speed", "pixels"), [(0.5, 20.7), (20.0, 48.0), (40.0, 48.0)])
+def test_a_breeze_is_an_arrow_that_can_be_seen(speed, pixels):
+    """The arrow grows with the wind, from a length that shows where it blows."""
+    arrow = WindArrow(Figure().subplots(), top=20.0)
+    arrow.update(np.array([0.6, -0.8]) * speed)
+    drawn = arrow.artists[0]
+    assert [drawn.U[0], drawn.V[0]] == pytest.approx([0.6 * pixels, -0.8 * pixels])
+    assert drawn.scale == 1.0, "one unit is one pixel"

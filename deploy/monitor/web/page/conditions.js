@@ -41,7 +41,8 @@ export function drawWind(field, pen, frame) {
   const [x, y] = Past.row(frame, "wind");
   const speed = Math.hypot(x, y);
   if (speed < 0.05) return;
-  const [long, left, top] = [(44 * speed) / field.scene.top_speed, field.x(0) + 34, field.y(field.scene.field[1]) + 34];
+  const long = 18 + 26 * Math.min(speed / field.scene.top_speed, 1);
+  const [left, top] = [field.x(0) + 34, field.y(field.scene.field[1]) + 34];
   const bearing = (Math.round((Math.atan2(-x, -y) * 180) / Math.PI) + 360) % 360;
   const text = `wind ${speed.toFixed(1)} m/s from ${String(bearing).padStart(3, "0")}\u00b0`;
   pen.font = "12px system-ui, sans-serif";
