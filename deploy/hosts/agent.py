@@ -63,16 +63,16 @@ def up(
         write_json(folder / PLAN, plan)
     except OSError as error:
         raise HostError(f"{folder} cannot be written: {error.strerror}.") from error
-    _ensure_keeper(folder, start)
+    _ensure_keeper(folder, start, plan["issue"])
     deadline = time.monotonic() + START_SECONDS
-    while read_json(folder / STATE).get("issue") != plan["issue"]:
+    while not _taken_up(folder, plan["issue"]):
         if time.monotonic() > deadline:
             last = _tail(folder / LOG, 1)
             raise HostError(
                 f"the keeper of {folder} did not start within {START_SECONDS:.0f} s{': ' if last else ''}{last}"
             )
         # It may have ended between two checks, because the previous plan was empty.
-        _ensure_keeper(folder, start)
+        _ensure_keeper(folder, start, plan["issue"])
         time.sleep(0.1)
     return {**status(folder), "over": over}
 
@@ -137,7 +137,12 @@ def _is_over(folder: Path, processes: Mapping[str, dict[str, Any]]) -> bool:
     return wanted is not None and wanted == before and RunDirectory(folder / "run").finished()
 
 
-def _ensure_keeper(folder: Path, start: str) -> None:
+def _taken_up(folder: Path, issue: int) -> bool:
+    """Return whether a keeper has taken up the plan of that number; one with nothing to keep ends right after it."""
+    return bool(read_json(folder / STATE).get("issue") == issue)
+
+
+def _ensure_keeper(folder: Path, start: str, issue: int) -> None:
     """Start a keeper unless one holds the folder's lock; of two that start at once, one exits."""
     if _has_keeper(folder):
         return
@@ -151,7 +156,9 @@ def _ensure_keeper(folder: Path, start: str) -> None:
                 command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
             )
     deadline = time.monotonic() + START_SECONDS
-    while not _has_keeper(folder) and time.monotonic() < deadline and (process is None or process.poll() is None):
+    while not (_has_keeper(folder) or _taken_up(folder, issue)) and time.monotonic() < deadline:
+        if process is not None and process.poll() is not None:
+            return
         time.sleep(0.05)
 
 
