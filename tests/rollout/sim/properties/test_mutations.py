@@ -36,7 +36,7 @@ def test_every_property_file_is_run():
 @pytest.mark.nightly
 @pytest.mark.timeout(7200)
 def test_properties_hold_on_many_random_farms():
-    """Twelve times the examples of the default dose, other ones every night; the seed is printed to repeat them."""
+    """24 times the default examples, other ones every night; the seed is printed to repeat them."""
     seed = secrets.randbelow(2**32)
     repeat = f"EIA_SEC_PROPERTIES=many python -m pytest tests/rollout/sim/properties --hypothesis-seed={seed}"
     print(repeat)  # noqa: T201 - the seed belongs into the night's log

@@ -53,7 +53,7 @@ def moves(config: FarmConfig, batch: FarmBatch, random: np.random.Generator) -> 
     return lattice.velocity(place, random.integers(-1, 2, place.shape).astype(np.float32)).reshape(-1)
 
 
-@dose(30)
+@dose(15)
 @given(flights(farm_configs(SMALL).map(everything)), st.booleans())
 def test_all_added_observations_equal_the_reference(flight: Flight, on_lattice: bool):
     """Every number after every step, for flights between lattice points and anywhere."""
@@ -68,7 +68,7 @@ def test_all_added_observations_equal_the_reference(flight: Flight, on_lattice: 
         assert box.contains(batch.observation[0])
 
 
-@dose(15)
+@dose(7)
 @given(flights(farm_configs(SMALL)), st.sets(st.sampled_from(sorted(ALL))))
 def test_added_observations_change_nothing_else(flight: Flight, names: set[str]):
     """Without its added numbers a row is bit for bit that of a farm that has them off, and so is the rest."""
@@ -216,7 +216,7 @@ def test_no_velocity_outlives_a_reset():
         assert all(views(ONE, batch, group)["last_velocity_x"].any() for group in range(3))
 
 
-@dose(20)
+@dose(10)
 @given(farm_configs(SMALL))
 def test_distance_bounds_decide_images(config: FarmConfig):
     """Every image within the inner bound succeeds, and none beyond the outer one."""

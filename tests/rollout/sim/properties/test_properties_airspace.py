@@ -69,7 +69,7 @@ def started(flight: Flight) -> tuple[FarmBatch, Layout, np.ndarray]:
     return batch, layout, positions
 
 
-@dose(40)
+@dose(20)
 @given(FLIGHTS)
 def test_any_flight_in_wind_and_around_zones_equals_the_reference(flight: Flight):
     """Every quantity after every step, within the bounds of the observation."""
@@ -90,7 +90,7 @@ def angles(points: np.ndarray, zone: np.ndarray) -> np.ndarray:
     return np.where(gap > 1e-6, np.abs(turn) / (2.0 * math.pi), 0.0)
 
 
-@dose(40)
+@dose(20)
 @given(FLIGHTS)
 def test_no_uav_is_ever_inside_a_zone_nor_crosses_one(flight: Flight):
     """Along every way flown, no zone winds around any point; what is stopped stays and counts as a violation."""
@@ -104,7 +104,7 @@ def test_no_uav_is_ever_inside_a_zone_nor_crosses_one(flight: Flight):
             assert (angles(way, zone) < 0.5).all()
 
 
-@dose(40)
+@dose(20)
 @given(FLIGHTS)
 def test_ground_is_air_and_wind_and_the_power_is_that_of_the_airspeed(flight: Flight):
     """Where nothing stops a UAV: no airspeed exceeds the top speed, and what is possible of the command is flown."""
@@ -138,7 +138,7 @@ def test_ground_is_air_and_wind_and_the_power_is_that_of_the_airspeed(flight: Fl
             assert violated[stayed & moved].all()
 
 
-@dose(30)
+@dose(15)
 @given(FLIGHTS)
 def test_every_uav_sees_the_wind_along_its_own_axes(flight: Flight):
     """Turned back by the signs of a UAV's axes, what it sees is the wind."""
@@ -155,7 +155,7 @@ def test_every_uav_sees_the_wind_along_its_own_axes(flight: Flight):
                 np.testing.assert_allclose(wind, batch.wind[0, k], rtol=1e-6, atol=1e-6)
 
 
-@dose(20)
+@dose(10)
 @given(flights(farm_configs(SMALL)))
 def test_seeing_wind_and_zones_that_there_are_not_changes_nothing_else(flight: Flight):
     """Both observations are 0, and everything else is bit for bit that of a farm without them."""
@@ -174,7 +174,7 @@ def test_seeing_wind_and_zones_that_there_are_not_changes_nothing_else(flight: F
         np.testing.assert_array_equal(pair[1].energy, pair[0].energy)
 
 
-@dose(30)
+@dose(15)
 @given(airspaces(farm_configs(worlds(st.integers(1, 2), 30))), st.integers(0, 99), st.integers(0, 99))
 def test_uavs_start_outside_zones(config: FarmConfig, farm: int, episode: int):
     """Wherever the zones are, and drawn ones lie in the field."""
@@ -191,7 +191,7 @@ def test_uavs_start_outside_zones(config: FarmConfig, farm: int, episode: int):
         np.testing.assert_array_equal(batch.position[0], free)
 
 
-@dose(30)
+@dose(15)
 @given(flights(airspaces(farm_configs(SMALL))), stresses(), batteries())
 def test_any_flight_with_everything_equals_the_reference(flight: Flight, stress: StressConfig, battery: BatteryConfig):
     """Every quantity after every step, within the bounds of the observation."""

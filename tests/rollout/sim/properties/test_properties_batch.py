@@ -66,7 +66,7 @@ def programmes(draw: st.DrawFn) -> list[list[Flight]]:
     return [*distinct, distinct[0]] if draw(st.booleans()) else distinct
 
 
-@dose(25)
+@dose(12)
 @given(programmes(), st.randoms(use_true_random=False))
 def test_a_batch_equals_its_environments_alone(company, random):
     """Bit by bit after every step: each episode in a batch of its own, and any part of the batch in any order."""
@@ -78,7 +78,7 @@ def test_a_batch_equals_its_environments_alone(company, random):
         assert_same(episodes, together[index])
 
 
-@dose(15)
+@dose(7)
 @given(flights())
 def test_the_same_seeds_fly_the_same(flight):
     """The same flight twice gives the same course, and no configuration triggers a new compilation."""

@@ -33,7 +33,7 @@ def charged(config: FarmConfig, battery: BatteryConfig) -> FarmConfig:
     return replace(config, battery=battery, observation=replace(config.observation, charge=True))
 
 
-@dose(30)
+@dose(15)
 @given(flights(farm_configs(SMALL)), batteries())
 def test_kernel_and_reference_agree(flight: Flight, battery: BatteryConfig):
     """Charge, energy, who is gone and what is seen are the reference farm's."""
@@ -50,7 +50,7 @@ def test_kernel_and_reference_agree(flight: Flight, battery: BatteryConfig):
         np.testing.assert_allclose(batch.observation[0, columns], farm.observation[columns], rtol=0.0, atol=2e-6)
 
 
-@dose(20)
+@dose(10)
 @given(flights(farm_configs(SMALL)), batteries())
 def test_each_battery_balances(flight: Flight, battery: BatteryConfig):
     """Charge changes by the energy used and by whole steps of charging; an empty battery ends the flight."""

@@ -122,7 +122,7 @@ def whole(course: Course, tally: int) -> bool:
     return tally == 1 or course.flight.config.radio.delivery == "bernoulli"
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_counters_stay_between_nothing_and_their_cap(flight):
     """AoI and VDF lie in 0..max, and are whole numbers unless delivery is expected."""
@@ -133,7 +133,7 @@ def test_counters_stay_between_nothing_and_their_cap(flight):
         assert not whole(course, index) or (values == np.rint(values)).all()
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_counters_rise_by_one_when_due_and_else_only_fall(flight):
     """No counter exceeds its unserved value, and whole ones are either at that value or at 0."""
@@ -144,7 +144,7 @@ def test_counters_rise_by_one_when_due_and_else_only_fall(flight):
             assert ((tally.after == tally.raised) | (tally.after == 0.0)).all()
 
 
-@dose(40)
+@dose(20)
 @given(flights())
 def test_counters_fall_only_where_a_uav_could_serve_them(flight):
     """Served means: by the nearest UAV of the right kind, near enough, with its relay in range; then it also must."""
@@ -156,7 +156,7 @@ def test_counters_fall_only_where_a_uav_could_serve_them(flight):
         assert (tally.after[tally.certain.any(axis=1)] <= rest).all()
 
 
-@dose(40)
+@dose(20)
 @given(flights())
 def test_every_unit_is_credited_once_and_to_who_served_it(flight):
     """Per step, the credits sum to what fell, and each UAV has what it alone could serve, at most all it could."""
@@ -172,7 +172,7 @@ def test_every_unit_is_credited_once_and_to_who_served_it(flight):
     assert not course.utility[:, course.kinds == 0].any()
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_sensors_served_are_counted_once_and_for_who_served_them(flight):
     """`served_sensors` counts the shares delivered by sensors that held data."""
@@ -186,7 +186,7 @@ def test_sensors_served_are_counted_once_and_for_who_served_them(flight):
     assert (course.served_sensors <= most + 1e-9).all()
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_no_more_is_credited_and_held_than_was_supplied(flight):
     """Units held and credited grow by those that rise, less the rises that a cap or an image at that step takes."""

@@ -54,7 +54,7 @@ def assert_least_cost(batch: FarmBatch, reference: ReferenceFarm) -> None:
         np.testing.assert_allclose(cost, reference.assignment_cost, rtol=1e-9, atol=1e-9)
 
 
-@dose(40)
+@dose(20)
 @given(flights(FARMS), st.booleans())
 def test_any_flight_with_failures_equals_the_reference(flight: Flight, all_on: bool):
     """Every quantity after every step, within the bounds of the observation."""
@@ -68,7 +68,7 @@ def test_any_flight_with_failures_equals_the_reference(flight: Flight, all_on: b
         np.testing.assert_allclose(batch.link_quality[0], reference.link_quality, rtol=1e-9, atol=1e-9)
 
 
-@dose(40)
+@dose(20)
 @given(flights(FARMS), st.integers(0, 2**32))
 def test_a_uav_that_is_gone_does_nothing(flight: Flight, seed: int):
     """It stays where it failed, everything of it is exactly 0, and its actions change nothing, bit by bit."""
@@ -95,7 +95,7 @@ def test_a_uav_that_is_gone_does_nothing(flight: Flight, seed: int):
     assert batch.summary(0).metrics.get("failed", 0.0) == gone.sum()
 
 
-@dose(30)
+@dose(15)
 @given(flights(farm_configs(SMALL)), st.integers(0, 2**32))
 def test_a_farm_without_a_uav_equals_one_whose_uav_fails_at_once(flight: Flight, seed: int):
     """Bit by bit: the others fly, serve and earn as if it had never been; D_c still knows it at the start."""
@@ -127,7 +127,7 @@ def test_a_farm_without_a_uav_equals_one_whose_uav_fails_at_once(flight: Flight,
         np.testing.assert_array_equal(full.parts[0, kept][:, first:], less.parts[0][:, first:])
 
 
-@dose(20)
+@dose(10)
 @given(flights(farm_configs(SMALL)))
 def test_failures_that_do_not_happen_change_nothing(flight: Flight):
     """With a rate so low that nobody fails, every array is bit for bit that of a farm without the switch."""
@@ -147,7 +147,7 @@ def test_failures_that_do_not_happen_change_nothing(flight: Flight):
         assert (switched.observation[0, ~keep] == 1.0).all()
 
 
-@dose(15)
+@dose(7)
 @given(st.data())
 def test_a_batch_with_failures_equals_its_environments_alone(data: st.DataObject):
     """Bit by bit after every step; each episode has failures of its own."""
@@ -158,7 +158,7 @@ def test_a_batch_with_failures_equals_its_environments_alone(data: st.DataObject
             assert_same(perform([[flight]], len(track) - 1)[0], [(flight, track)])
 
 
-@dose(25)
+@dose(12)
 @given(flights(FARMS.map(countable)))
 def test_hindsight_knows_that_the_gone_make_no_visits(flight: Flight):
     """Corrections equal those of counters that go on, and there is none for a step in which the UAV was gone."""

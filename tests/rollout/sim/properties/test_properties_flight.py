@@ -24,7 +24,7 @@ def by_kind(course: Course, communication: float, monitoring: float, collection:
     return np.array([communication, monitoring, collection])[course.kinds]
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_uavs_go_where_they_are_sent_and_stay_in_the_field(flight):
     """The position is the commanded one, clipped to the field, and ACT is paid for exactly where it was clipped."""
@@ -37,7 +37,7 @@ def test_uavs_go_where_they_are_sent_and_stay_in_the_field(flight):
     assert course.summary.metrics["boundary"] == clipped.sum()
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_energy_is_the_power_at_the_commanded_speed(flight):
     """More than 0, and the flight power of the chosen model plus everything else that the type of UAV needs."""
@@ -63,7 +63,7 @@ def costs(course: Course, step: int) -> np.ndarray:
     return relay.cost_distance * distance / diagonal + relay.cost_link * loss
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_relays_serve_everyone_at_the_least_cost_within_their_capacity(flight):
     """Everyone has a relay, none has more than its capacity, and the costs sum to scipy's optimum."""
@@ -90,7 +90,7 @@ def service(course: Course, step: int) -> np.ndarray:
     return values
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_relays_are_paid_for_the_change_of_their_service(flight):
     """D_c is that of the positions and the assignment, and only relays are paid for its change."""
@@ -103,7 +103,7 @@ def test_relays_are_paid_for_the_change_of_their_service(flight):
     assert not part(course, "positioning")[:, ~relays].any()
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_risk_is_that_of_the_closest_pair(flight):
     """The change of the distance to a closest UAV, under d_safety; of several as close, any may count."""
@@ -124,7 +124,7 @@ def test_risk_is_that_of_the_closest_pair(flight):
     assert not risk[~far].any()
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_the_task_is_paid_by_what_was_credited_and_the_way_flown(flight):
     """Utility by the units credited, idle exactly where there are none, motivation where v . D > 0; none for relays."""
@@ -141,7 +141,7 @@ def test_the_task_is_paid_by_what_was_credited_and_the_way_flown(flight):
     np.testing.assert_allclose(part(course, "motivation")[judged], expected[judged], **EXACT)
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_the_reward_is_the_sum_of_its_parts(flight):
     """Bit by bit: the float64 parts are added in their order, and the sum is rounded once to float32."""
@@ -153,7 +153,7 @@ def test_the_reward_is_the_sum_of_its_parts(flight):
     np.testing.assert_allclose(course.summary.reward, course.reward.astype(np.float64).sum(axis=0), **EXACT)
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_the_summary_is_that_of_the_course(flight):
     """Mean AoI and VDF over the steps, and UAVs of one plane closer than the collision distance."""
@@ -169,7 +169,7 @@ def test_the_summary_is_that_of_the_course(flight):
     assert course.summary.steps == course.steps
 
 
-@dose(25)
+@dose(12)
 @given(flights())
 def test_observations_are_finite_and_bounded(flight):
     """Every number lies within the bounds of its space, and directions have length 1 or 0."""

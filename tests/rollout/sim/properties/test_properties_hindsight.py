@@ -45,7 +45,7 @@ def flown(flight: Flight) -> tuple[FarmBatch, LoggedFarm, np.ndarray, np.ndarray
     return batch, logged, np.stack(assignments), np.stack(utility)
 
 
-@dose(60)
+@dose(30)
 @given(flights(FARMS), st.integers(0, 2**32))
 @example(PLAY, 0)
 def test_a_visit_is_worth_what_the_team_earns_less_without_it(flight: Flight, seed: int):
@@ -61,7 +61,7 @@ def test_a_visit_is_worth_what_the_team_earns_less_without_it(flight: Flight, se
         assert logged.earned - without.earned == worth[step, agent]
 
 
-@dose(60)
+@dose(30)
 @given(flights(FARMS))
 @example(PLAY)
 def test_corrections_equal_those_of_counters_that_go_on(flight: Flight):
@@ -70,7 +70,7 @@ def test_corrections_equal_those_of_counters_that_go_on(flight: Flight):
     np.testing.assert_array_equal(batch.hindsight[0], logged.corrections())
 
 
-@dose(25)
+@dose(12)
 @given(flights(farm_configs(SMALL)))
 def test_tracking_changes_nothing_else(flight: Flight):
     """Every public array is bit-equal with and without it after every step, and so is the summary."""

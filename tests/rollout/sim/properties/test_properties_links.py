@@ -61,7 +61,7 @@ def failing(config: FarmConfig) -> FarmConfig:
     return replace(config, failures=FailureConfig(at=at), observation=replace(config.observation, link=True))
 
 
-@dose(20)
+@dose(10)
 @given(flights(farm_configs(SMALL)), REACHES, st.sampled_from([-1.0, 0.5, 2.0]), BASES)
 def test_a_relay_is_paid_the_difference_that_its_links_make(flight: Flight, reach: float, weight: float, base: str):
     """Its part is the team's task reward less that of the same step, simulated again, in which its links are down."""
@@ -81,7 +81,7 @@ def test_a_relay_is_paid_the_difference_that_its_links_make(flight: Flight, reac
         assert not batch.parts[0, relays:, RELAYED].any()
 
 
-@dose(20)
+@dose(10)
 @given(flights(farm_configs(SMALL)), REACHES)
 def test_hindsight_counts_only_what_was_delivered(flight: Flight, reach: float):
     """In a step without utility, as while its link is down, a UAV makes no visit, and nothing corrects that step."""
@@ -97,7 +97,7 @@ def test_hindsight_counts_only_what_was_delivered(flight: Flight, reach: float):
     assert not batch.hindsight[0, : len(idle)][np.array(idle)].any()
 
 
-@dose(30)
+@dose(15)
 @given(flights(farm_configs(SMALL)), REACHES, st.sampled_from(sorted(MIDDLES)))
 def test_any_flight_with_a_base_station_equals_the_reference(flight: Flight, reach: float, base: str):
     """Every quantity after every step, with a relay that fails, within the bounds of the observation."""

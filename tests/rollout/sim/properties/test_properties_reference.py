@@ -103,7 +103,7 @@ def flown_beside(flight: Flight, batch: FarmBatch, reference: ReferenceFarm, ste
         yield
 
 
-@dose(40)
+@dose(20)
 @given(flights(farm_configs(SMALL)))
 @example(TOGETHER)
 def test_any_flight_equals_the_reference(flight: Flight):

@@ -45,7 +45,7 @@ def stressed(config: FarmConfig, stress: StressConfig) -> FarmConfig:
     return replace(config, stress=stress, observation=replace(config.observation, stress=True))
 
 
-@dose(30)
+@dose(15)
 @given(flights(farm_configs(SMALL)), stresses())
 def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
     """Counters, rewards and observations are the reference farm's."""
@@ -63,7 +63,7 @@ def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
         np.testing.assert_allclose(batch.observation[0, columns], farm.observation[columns], rtol=0.0, atol=1e-6)
 
 
-@dose(20)
+@dose(10)
 @given(flights(farm_configs(SMALL)), stresses())
 def test_stress_of_no_growth_changes_nothing(flight: Flight, stress: StressConfig):
     """With growth 1, the episode is bit-equal to one without patches and areas."""
@@ -115,7 +115,7 @@ def test_a_patch_is_known_from_the_step_in_which_a_uav_with_a_task_is_over_it():
     assert known.any()
 
 
-@dose(20)
+@dose(10)
 @given(flights(farm_configs(SMALL)), stresses())
 def test_an_area_that_covers_the_field_is_a_patch_that_lasts(flight: Flight, stress: StressConfig):
     """Whatever patches come, the field grows as one with the larger growth, and the team knows it from the start."""

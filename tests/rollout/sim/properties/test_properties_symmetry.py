@@ -266,7 +266,7 @@ class Pair:
         return (np.diff(square, axis=1) == 0.0).any(axis=1)
 
 
-@dose(40)
+@dose(20)
 @given(lattice_flights(), SYMMETRIES)
 def test_images_of_a_farm_give_images_of_its_results(flight, symmetry):
     """Positions, counters, relays, energy, rewards, directions and observations after every step."""
@@ -285,7 +285,7 @@ def test_most_directions_have_images():
     """Ties excuse few directions: the default dose compares most of those of farms with something to do."""
     compared = []
 
-    @dose(20)
+    @dose(10)
     @given(lattice_flights())
     def collect(flight):
         pair = Pair.of(flight, Symmetry(True, True, False))
