@@ -26,7 +26,7 @@ def finish(processes: Processes) -> dict[str, int]:
 
 def test_any_order_and_a_clean_end(processes: Processes) -> None:
     """A worker that starts before the learner waits for it; when the run is done everybody ends with code 0."""
-    processes.lengthen(800)  # so that the coordinator has joined before it ends
+    processes.lengthen(300)  # so that the coordinator has joined before it ends
     processes.worker()
     processes.coordinator()
     processes.learner()
