@@ -1,19 +1,22 @@
 """Where learning pays: a policy trained for each of several farms, beside the best heuristic there.
 
     python -m experiments.conditions [NAME ...] [--episodes 1600] [--advised 600] [--no-advice] [--longer] [--seed 0]
-        [--write docs/results/conditions] [--keep FOLDER]
+        [--another SEED] [--write docs/results/conditions] [--keep FOLDER]
 
 A second policy sees the advice of the best heuristic and begins with following it (`farm.observation.advice`);
 `--no-advice` leaves it out. `--longer` trains one for all of the preset's episodes. What stands in the results already
 stays as it is, unless its farm is named; with `--longer` or `--heuristics`, only that part is measured anew.
+`--another SEED` adds a policy of another seed to those of the named farms: a longer one with `--longer`.
 """
 
 import argparse
 import json
 import re
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from statistics import fmean
 from typing import Any, Final, NamedTuple
 
 import torch
@@ -21,7 +24,9 @@ import torch
 from common.config import FarmConfig, RunConfig
 from common.config.files import from_toml
 from common.config.presets import preset
+from common.errors import UsageError
 from common.policy_file import save_policy
+from deploy.exit_codes import run_command
 from deploy.local.in_process import train_in_process
 from deploy.reports.provenance import provenance
 from experiments.heuristics import interval
@@ -62,6 +67,8 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
 """Each farm by its name: a preset, and what differs from it."""
 ADVISED: Final = "[algorithm]\nactor_rate = 3e-4\nentropy_start = 0.003\nentropy_end = 0.0003"
 """Settings with advice: a policy that begins as the heuristic needs small steps and little noise."""
+TAKING: Final = ("links", "failures", "batteries", "wind", "no-fly")
+"""Beginnings of the names of conditions that only take something away from the default farm."""
 POLICIES: Final = ("learned", "longer", "advised")
 """Policies of a condition as far as they were trained, in the page's order."""
 Scores = dict[str, Any]
@@ -124,7 +131,7 @@ def trained(config: RunConfig, farms: range, name: str, keep: Path | None = None
         metadata = {key: str(origin[key]) for key in ("command", "commit", "seed", "episodes")}
         save_policy(keep, actors, metadata, half=True)
     scores = flown(config.farm, ActorPolicy(actors), name, farms)
-    return {**scores, "seconds": seconds, "steps": trainer.environment_steps}
+    return {**scores, "seed": config.seed, "seconds": seconds, "steps": trainer.environment_steps}
 
 
 def policy_file(condition: str, policy: str) -> str:
@@ -202,20 +209,52 @@ def renewed(found: Scores, measuring: str, bar: bool, longer: bool) -> Scores:
     return without_longer(found) if longer else found
 
 
+def require_another(name: str, found: Scores, policy: str, seed: int) -> None:
+    """Raise UsageError unless a condition has a policy of that kind, and it is of another seed."""
+    if policy not in found:
+        raise UsageError(f"{name!r} has no policy yet that is {policy}; train that one first.")
+    if seed == found[policy].get("seed", 0):
+        raise UsageError(f"the policy of {name!r} that is {policy} is of seed {seed}.")
+
+
+def with_another(found: Scores, policy: str, scores: Scores) -> Scores:
+    """Return a condition's results with the scores of one more seed, in place of earlier ones of that seed."""
+    others = [other for other in found[policy].get("others", []) if other["seed"] != scores["seed"]]
+    others = sorted([*others, scores], key=lambda other: int(other["seed"]))
+    return {**found, policy: {**found[policy], "others": others}}
+
+
+def reward_of(scores: Scores) -> float:
+    """Return the mean reward of a policy's seeds."""
+    return fmean(each["reward"][0] for each in (scores, *scores.get("others", [])))
+
+
+def cells_of(found: Scores, policy: str) -> list[str]:
+    """Return the two cells about a kind of policy: its reward, further seeds after a comma, and its ratio."""
+    if policy not in found:
+        return ["-", "-"]
+    scores = found[policy]
+    rewards = [shown(scores["reward"]), *(f"{other['reward'][0]:.0f}" for other in scores.get("others", []))]
+    return [", ".join(rewards), f"{reward_of(scores) / found['heuristics'][0]['reward'][0]:.3f}"]
+
+
 def page(data: dict[str, Any]) -> str:
     """Return the results as a page."""
     ratios = [word for policy in POLICIES for word in (policy, "ratio")]
-    head = ("farm", "best heuristic", "", *ratios, "c, m, d: heuristic", "best policy", "commit")
-    rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * (len(ratios) + 2) + "---|"]
+    head = ("farm", "best heuristic", "", "free", *ratios, "c, m, d: heuristic", "best policy", "commit")
+    rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * (len(ratios) + 3) + "---|"]
+    plain = data["results"].get("default")
     for name, found in data["results"].items():
         bar, known = found["heuristics"][0], [found[policy] for policy in POLICIES if policy in found]
-        cells = [name, shown(bar["reward"]), bar["policy"]]
+        free = plain["heuristics"][0]["reward"][0] / bar["reward"][0] if plain and name.startswith(TAKING) else None
+        cells = [name, shown(bar["reward"]), bar["policy"], "" if free is None else f"{free:.3f}"]
         for policy in POLICIES:
-            cells += [shown(found[policy]["reward"]) if policy in found else "-"]
-            cells += [f"{found[policy]['reward'][0] / bar['reward'][0]:.3f}" if policy in found else "-"]
-        for scores in (bar, max(known, key=lambda scores: float(scores["reward"][0]))):
+            cells += cells_of(found, policy)
+        for scores in (bar, max(known, key=reward_of)):
             cells.append(", ".join(f"{value:.0f}" for value in scores["types"].values()))
-        rows.append("| " + " | ".join([*cells, found["commit"]]) + " |")
+        others = [other for scores in known for other in scores.get("others", [])]
+        commits = [found["commit"], *(f"seed {other['seed']} {other['commit']}" for other in others)]
+        rows.append("| " + " | ".join([*cells, ", ".join(commits)]) + " |")
     longer = " --longer" if any("longer" in found for found in data["results"].values()) else ""
     data = {**data, "command": data["command"] + longer}
     numbers = {name: data[name] for name in ("episodes", "advised", "seed")}
@@ -231,8 +270,8 @@ def kept(folder: Path | None) -> dict[str, Scores]:
     return found
 
 
-def main() -> None:
-    """Train and fly, print what came out, and write it where asked after each condition."""
+def options() -> argparse.Namespace:
+    """Return the command line."""
     about = (__doc__ or "").partition("\n")[0]
     parser = argparse.ArgumentParser(prog="python -m experiments.conditions", description=about)
     parser.add_argument("name", nargs="*", help="conditions; by default all that the results do not hold")
@@ -242,12 +281,41 @@ def main() -> None:
     parser.add_argument("--longer", action="store_true", help="train one for all of the preset's episodes")
     parser.add_argument("--heuristics", action="store_true", help="fly heuristics anew beside policies that are known")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--another", type=int, metavar="SEED", help="add a policy of this seed to the named conditions")
     parser.add_argument("--farms", type=farm_range, default="1020:1100", help="farm seeds A:B, from A to B - 1")
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
     parser.add_argument("--keep", type=Path, help="folder for the policies")
     arguments = parser.parse_args()
+    if arguments.another is not None and not arguments.name:
+        parser.error("--another needs the names of conditions")
     if unknown := [name for name in arguments.name if name not in CONDITIONS]:
         parser.error(f"there is no condition {unknown[0]!r}; they are {', '.join(CONDITIONS)}")
+    return arguments
+
+
+def measured(name: str, arguments: argparse.Namespace, commit: str) -> Scores:
+    """Return the results of a condition with all that the command line asks for."""
+    found = kept(arguments.write).get(name, {})
+    longer = preset(CONDITIONS[name][0]).episodes if arguments.longer else 0
+    if arguments.another is not None:
+        policy, episodes = ("longer", longer) if longer else ("learned", arguments.episodes)
+        require_another(name, found, policy, arguments.another)
+        config = configuration(name, episodes, arguments.another)
+        scores = {**trained(config, arguments.farms, policy), "commit": commit}
+        return with_another(kept(arguments.write)[name], policy, scores)
+    episodes = Episodes(arguments.episodes, longer, 0 if arguments.no_advice else arguments.advised)
+    if name in arguments.name:
+        found = renewed(found, commit, arguments.heuristics, arguments.longer)
+    found = {"commit": commit, **found}
+    result = compare(name, found, episodes, arguments.seed, arguments.farms, arguments.keep)
+    if "longer" in result and "longer" not in found and found["commit"] != commit:
+        result["commit"] = f"{found['commit']}, longer {commit}"
+    return result
+
+
+def main() -> int:
+    """Train and fly, print what came out, and write it where asked after each condition; return 0."""
+    arguments = options()
     torch.set_num_threads(1)
     results = kept(arguments.write)
     data: dict[str, Any] = {**provenance("experiments.conditions"), "farms": list(arguments.farms)}
@@ -258,20 +326,13 @@ def main() -> None:
     )
     data |= {"episodes": arguments.episodes, "advised": arguments.advised, "seed": arguments.seed, "results": results}
     for name in arguments.name or CONDITIONS:
-        longer = preset(CONDITIONS[name][0]).episodes if arguments.longer else 0
-        episodes = Episodes(arguments.episodes, longer, 0 if arguments.no_advice else arguments.advised)
-        found = results.get(name, {})
-        if name in arguments.name:
-            found = renewed(found, data["commit"], arguments.heuristics, arguments.longer)
-        found = {"commit": data["commit"], **found}
-        measured = compare(name, found, episodes, arguments.seed, arguments.farms, arguments.keep)
-        if "longer" in measured and "longer" not in found and found["commit"] != data["commit"]:
-            measured["commit"] = f"{found['commit']}, longer {data['commit']}"
+        result = measured(name, arguments, data["commit"])
         # Another call may have written other conditions meanwhile.
-        results = {**results, **kept(arguments.write), name: measured}
+        results = {**results, **kept(arguments.write), name: result}
         data["results"] = {key: results[key] for key in CONDITIONS if key in results}
         write_results(data, page, arguments.write)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run_command(main))

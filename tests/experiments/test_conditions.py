@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from common.config.presets import preset
+from common.errors import UsageError
 from common.policy_file import load_policy
 from deploy.local.in_process import train_in_process
 from experiments import conditions
@@ -127,3 +128,48 @@ def test_what_was_measured_is_kept(tiny, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(sys, "argv", ["conditions", "nothing"])
     with pytest.raises(SystemExit):
         main()
+
+
+def test_policies_of_other_seeds_are_added(tiny, monkeypatch, tmp_path, capsys):
+    """Their mean makes the ratio; a seed that is there is replaced, and the first one's own is refused."""
+    score = {"policy": "greedy", "types": {"c": 1.0}, "aoi": 1.0, "vdf": 1.0, "seconds": 1.0, "steps": 1}
+
+    def of_seed(config, farms, name, keep=None):
+        return {**score, "reward": [100.0 + 10.0 * config.seed] * 3, "seed": config.seed}
+
+    monkeypatch.setattr(conditions, "trained", of_seed)
+    monkeypatch.setattr(conditions, "best_heuristics", lambda farm, farms: [{**score, "reward": [100.0] * 3}])
+
+    def call(*words):
+        monkeypatch.setattr(sys, "argv", ["conditions", *words, "--no-advice", "--write", str(tmp_path)])
+        return main()
+
+    with pytest.raises(UsageError, match="has no policy yet that is learned"):
+        call("tiny", "--another", "1")
+    call("--longer")
+    for seed in ("2", "1", "2"):
+        call("tiny", "--longer", "--another", seed)
+    call("tiny", "--another", "3")
+    found = kept(tmp_path)
+    assert [other["seed"] for other in found["tiny"]["longer"]["others"]] == [1, 2]
+    assert [other["seed"] for other in found["tiny"]["learned"]["others"]] == [3]
+    assert "others" not in found["other"]["longer"]
+    text = (tmp_path / "README.md").read_text()
+    assert "| 100, 130 | 1.150 | 100, 110, 120 | 1.100 |" in text
+    with pytest.raises(UsageError, match="is of seed 0"):
+        call("tiny", "--another", "0")
+    with pytest.raises(SystemExit):
+        call("--another", "1")
+
+
+def test_what_a_condition_cost_is_told():
+    """Farms that only take away tell how the default farm's best heuristic compares, others do not."""
+    score = {"policy": "greedy", "types": {"c": 1.0}}
+    found = {
+        name: {"heuristics": [{**score, "reward": [bar] * 3}], "learned": {**score, "reward": [bar] * 3}, "commit": "d"}
+        for name, bar in (("default", 150.0), ("links 100 m", 100.0), ("team 2 + 2 + 2", 100.0))
+    }
+    origin = {"command": "c", "commit": "d", "farms": [1000, 1001], "episodes": 4, "advised": 4, "seed": 0}
+    lines = page({**origin, "results": found}).splitlines()
+    free = {line.split("|")[1].strip(): line.split("|")[4].strip() for line in lines if line.startswith("| ")}
+    assert free == {"farm": "free", "default": "", "links 100 m": "1.500", "team 2 + 2 + 2": ""}
