@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rollout.sim.kernel.arrays import Farm
-from rollout.sim.kernel.compiler.decorators import allocation_free
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, Int32
 from rollout.sim.kernel.views.maps import BLOCK, BLOCKS, block_ends
 
@@ -61,7 +61,7 @@ def _changes(time: Int32, step: int) -> bool:
     return changes
 
 
-@allocation_free
+@inlined
 def change_cycles(c: Constants, farm: Farm) -> None:
     """Give counters the cycles that patches which begin or end in this step leave them.
 
@@ -113,7 +113,7 @@ def _change_sensors(
     return soonest
 
 
-@allocation_free
+@inlined
 def find_stress(c: Constants, farm: Farm) -> None:
     """Note the patches that UAVs with tasks have found, and draw the map of those that live, and of the areas.
 

@@ -25,7 +25,7 @@ NUMBERS: Final = 4
 """Numbers that a UAV sees of its battery."""
 
 
-@allocation_free
+@inlined
 def use_charge(c: Constants, farm: Farm, s: Scratch) -> None:
     """Take the step's energy from the batteries, and charge those of UAVs that have landed.
 
