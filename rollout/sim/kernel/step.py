@@ -9,8 +9,8 @@ Inside step k, at t = k t_step, the order is:
 6. All UAVs observe.
 
 Inside a stage every function takes the same three records: `Constants` from the configuration, `Farm` with the state of
-one environment, and `Scratch`, which every step overwrites. A stage takes the workspace's address and is compiled alone.
-All stages in one function took the compiler 1.7 times as long.
+one environment, and `Scratch`, which every step overwrites. A stage takes the workspace's address and is compiled by
+itself. All stages in one function took the compiler 1.7 times as long.
 """
 
 from typing import Final
