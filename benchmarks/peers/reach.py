@@ -59,7 +59,9 @@ PEERS: Final = (
 PEER_SETTINGS: Final = {"environments": 8, "iteration": 4000, "epochs": 10, "minibatch": 500}
 """What peers have instead of the default preset's environments, iteration, epochs and minibatches."""
 LOOK_SECONDS: Final = 2.0
-"""Time between two looks at ours; looking costs it nothing."""
+"""Least time between two looks at ours; looking costs it nothing."""
+LOOK_SHARE: Final = 0.03
+"""Time between two looks at ours, as a share of the time since the command."""
 SHARES: Final = (0.5, 0.75, 0.9, 1.0)
 """Parts of the bar's reward for which times are given."""
 JOIN_SECONDS: Final = 120.0
@@ -103,14 +105,14 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 
 def _published(endpoint: Endpoint, began: float, limit: float) -> list[tuple[float, ParametersMessage]]:
-    """Return the parameters that are published, the newest every LOOK_SECONDS, with the seconds since the start."""
+    """Return the parameters that are published, the newest at each look, with the seconds since the start."""
     kept: list[tuple[float, Sample]] = []
     with Bus.connect(endpoint, "control", wait=JOIN_SECONDS) as bus:
         state = bus.subscribe_state(keys.PARAMETERS.key(RUN))
         while (seconds := time.time() - began) < limit:
             if (sample := state.poll()) is not None:
                 kept.append((seconds, sample))
-            time.sleep(LOOK_SECONDS)
+            time.sleep(max(LOOK_SECONDS, LOOK_SHARE * seconds))
     return [(seconds, ParametersMessage.decode(sample.payload)) for seconds, sample in kept]
 
 
