@@ -1,6 +1,7 @@
 """Where a step's time goes: the simulator's own step, compiled with the processor's clock read after every stage."""
 
 import ast
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,9 @@ from common.config import FarmConfig
 from rollout.sim.batch import FarmBatch
 from rollout.sim.kernel.compiler.decorators import ALLOCATION_FREE
 
-STAGED = ("_update_geometry", "_serve_tasks", "_observe", "_step")
-"""Functions whose calls are stages, unless they call one of these themselves."""
-STAGES = 32
+STAGED = ("_move", "_serve", "_observe")
+"""Functions whose calls are the stages, in the order in which a step calls them."""
+STAGES = 40
 PLACE = np.zeros(STAGES + 1, np.int64)
 """Cycles spent in each stage, and the clock when the last stage ended."""
 ADDRESS: int = PLACE.ctypes.data
@@ -68,27 +69,47 @@ def _called(statement: ast.stmt) -> str:
     return calls[0] if calls else ""
 
 
-def _instrumented() -> tuple[Any, list[str]]:
-    """Return the entrance of the instrumented simulator, and its stages."""
+def _ticking(statements: Sequence[ast.stmt], stages: list[str]) -> list[ast.stmt]:
+    """Return statements with a tick after each that calls a function; the stages' names are appended."""
+    body = list[ast.stmt]()
+    for statement in statements:
+        body.append(statement)
+        if isinstance(statement, ast.If):
+            statement.body = _ticking(statement.body, stages)
+            statement.orelse = _ticking(statement.orelse, stages)
+        elif name := _called(statement):
+            body += ast.parse(f"_tick({len(stages)})").body
+            stages.append(name.strip("_"))
+    return body
+
+
+def instrumented() -> tuple[str, list[str]]:
+    """Return the source of the instrumented simulator, and the stage that each tick ends.
+
+    Raises:
+        LookupError: the simulator's own step has no function of a name in STAGED any more.
+    """
     module, stages = ast.parse(Path(kernel.__file__).read_text()), list[str]()
-    for function in [node for node in module.body if isinstance(node, ast.FunctionDef) and node.name in STAGED]:
-        body = list[ast.stmt]()
-        for statement in function.body:
-            body.append(statement)
-            name = _called(statement)
-            if name and name != "range" and name not in STAGED:
-                body += ast.parse(f"_tick({len(stages)})").body
-                stages.append(name.strip("_"))
-        function.body = body if function.name != "_step" else [*ast.parse("_tick(-1)").body, *body]
-    source = ast.unparse(ast.fix_missing_locations(module)).replace("@allocation_free_entry", "@allocation_free")
+    functions = {node.name: node for node in module.body if isinstance(node, ast.FunctionDef)}
+    if missing := [name for name in STAGED if name not in functions]:
+        raise LookupError(f"the simulator's step has no {', '.join(missing)}; name its stages in STAGED.")
+    for name in STAGED:
+        functions[name].body = _ticking(functions[name].body, stages)
+    functions[STAGED[0]].body.insert(0, ast.parse("_tick(-1)").body[0])
+    return ast.unparse(ast.fix_missing_locations(module)).replace("@allocation_free_entry", "@allocation_free"), stages
+
+
+def _compiled(source: str) -> Any:
+    """Return the entrance of an instrumented simulator."""
     names: dict[str, Any] = {"_tick": _tick, "__name__": "instrumented"}
     exec(compile(source, "instrumented step", "exec"), names)  # our own source, read from beside this file
-    return names["step_range"], stages
+    return names["step_range"]
 
 
 def stage_shares(config: FarmConfig, environments: int) -> dict[str, float]:
     """Return each stage's share of a step, over an episode of a batch."""
-    step_range, stages = _instrumented()
+    source, stages = instrumented()
+    step_range = _compiled(source)
     batch = FarmBatch(config, environments)
     random = np.random.default_rng(0)
     for _ in range(2):

@@ -6,7 +6,8 @@
 A second policy sees the advice of the best heuristic and begins with following it (`farm.observation.advice`);
 `--no-advice` leaves it out. `--longer` trains one for all of the preset's episodes. What stands in the results already
 stays as it is, unless its farm is named; with `--longer` or `--heuristics`, only that part is measured anew.
-`--another SEED` adds a policy of another seed to those of the named farms: a longer one with `--longer`.
+`--another SEED` adds a policy of another seed to those of the named farms: a longer one with `--longer`. Policies of
+other seeds go with the first one when that is trained anew.
 """
 
 import argparse
@@ -212,9 +213,10 @@ def renewed(found: Scores, measuring: str, bar: bool, longer: bool) -> Scores:
 def require_another(name: str, found: Scores, policy: str, seed: int) -> None:
     """Raise UsageError unless a condition has a policy of that kind, and it is of another seed."""
     if policy not in found:
-        raise UsageError(f"{name!r} has no policy yet that is {policy}; train that one first.")
+        raise UsageError(f"the results hold no policy {policy!r} of {name!r}; train it first, without --another.")
+    # Older results do not name the seed, which was 0.
     if seed == found[policy].get("seed", 0):
-        raise UsageError(f"the policy of {name!r} that is {policy} is of seed {seed}.")
+        raise UsageError(f"the policy {policy!r} of {name!r} has seed {seed} already.")
 
 
 def with_another(found: Scores, policy: str, scores: Scores) -> Scores:
@@ -227,6 +229,12 @@ def with_another(found: Scores, policy: str, scores: Scores) -> Scores:
 def reward_of(scores: Scores) -> float:
     """Return the mean reward of a policy's seeds."""
     return fmean(each["reward"][0] for each in (scores, *scores.get("others", [])))
+
+
+def types_of(scores: Scores) -> str:
+    """Return the mean rewards of the types, over a policy's seeds."""
+    seeds = [each["types"].values() for each in (scores, *scores.get("others", []))]
+    return ", ".join(f"{fmean(values):.0f}" for values in zip(*seeds, strict=True))
 
 
 def cells_of(found: Scores, policy: str) -> list[str]:
@@ -251,9 +259,9 @@ def page(data: dict[str, Any]) -> str:
         for policy in POLICIES:
             cells += cells_of(found, policy)
         for scores in (bar, max(known, key=reward_of)):
-            cells.append(", ".join(f"{value:.0f}" for value in scores["types"].values()))
-        others = [other for scores in known for other in scores.get("others", [])]
-        commits = [found["commit"], *(f"seed {other['seed']} {other['commit']}" for other in others)]
+            cells.append(types_of(scores))
+        others = [(policy, other) for policy in POLICIES for other in found.get(policy, {}).get("others", [])]
+        commits = [found["commit"], *(f"{policy} {other['seed']} {other['commit']}" for policy, other in others)]
         rows.append("| " + " | ".join([*cells, ", ".join(commits)]) + " |")
     longer = " --longer" if any("longer" in found for found in data["results"].values()) else ""
     data = {**data, "command": data["command"] + longer}
@@ -286,23 +294,31 @@ def options() -> argparse.Namespace:
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
     parser.add_argument("--keep", type=Path, help="folder for the policies")
     arguments = parser.parse_args()
-    if arguments.another is not None and not arguments.name:
-        parser.error("--another needs the names of conditions")
+    if arguments.another is not None and (not arguments.name or not arguments.write):
+        parser.error("--another needs the names of conditions, and --write with their results")
+    if arguments.another is not None and (arguments.keep or arguments.heuristics):
+        parser.error("--another trains and adds a policy; --keep and --heuristics do not go with it")
     if unknown := [name for name in arguments.name if name not in CONDITIONS]:
         parser.error(f"there is no condition {unknown[0]!r}; they are {', '.join(CONDITIONS)}")
     return arguments
 
 
+def another(name: str, arguments: argparse.Namespace, commit: str) -> Scores:
+    """Return the results of a condition with a policy of one more seed."""
+    policy = "longer" if arguments.longer else "learned"
+    require_another(name, kept(arguments.write).get(name, {}), policy, arguments.another)
+    episodes = preset(CONDITIONS[name][0]).episodes if arguments.longer else arguments.episodes
+    scores = trained(configuration(name, episodes, arguments.another), arguments.farms, policy)
+    # Another call may have written more about the condition meanwhile.
+    return with_another(kept(arguments.write)[name], policy, {**scores, "commit": commit})
+
+
 def measured(name: str, arguments: argparse.Namespace, commit: str) -> Scores:
     """Return the results of a condition with all that the command line asks for."""
+    if arguments.another is not None:
+        return another(name, arguments, commit)
     found = kept(arguments.write).get(name, {})
     longer = preset(CONDITIONS[name][0]).episodes if arguments.longer else 0
-    if arguments.another is not None:
-        policy, episodes = ("longer", longer) if longer else ("learned", arguments.episodes)
-        require_another(name, found, policy, arguments.another)
-        config = configuration(name, episodes, arguments.another)
-        scores = {**trained(config, arguments.farms, policy), "commit": commit}
-        return with_another(kept(arguments.write)[name], policy, scores)
     episodes = Episodes(arguments.episodes, longer, 0 if arguments.no_advice else arguments.advised)
     if name in arguments.name:
         found = renewed(found, commit, arguments.heuristics, arguments.longer)

@@ -139,7 +139,9 @@ def _is_over(folder: Path, processes: Mapping[str, dict[str, Any]]) -> bool:
 
 def _taken_up(folder: Path, issue: int) -> bool:
     """Return whether a keeper has taken up the plan of that number; one with nothing to keep ends right after it."""
-    return bool(read_json(folder / STATE).get("issue") == issue)
+    with suppress(HostError):  # a torn file of an earlier keeper is replaced by the next one
+        return bool(read_json(folder / STATE).get("issue") == issue)
+    return False
 
 
 def _ensure_keeper(folder: Path, start: str, issue: int) -> None:

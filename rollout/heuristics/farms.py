@@ -15,7 +15,7 @@ def make_farms(config: FarmConfig, environments: int, threads: int = 1, hindsigh
 
         return AdvisedFarms(config, environments, threads, hindsight)
     if config.battery.watched:
-        from rollout.heuristics.failsafe import FailsafeFarms  # noqa: PLC0415  (the same)
+        from rollout.heuristics.failsafe import FailsafeFarms  # noqa: PLC0415  (loads scipy, too)
 
         return FailsafeFarms(config, environments, threads, hindsight)
     return FarmBatch(config, environments, threads, hindsight)

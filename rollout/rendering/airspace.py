@@ -20,6 +20,8 @@ from rollout.sim.stations import station_places
 
 Array = NDArray[np.float64]
 
+CALM: Final = 0.05
+"""Wind speed below which none is shown, m/s; it would read as 0.0."""
 LONGEST: Final = 48.0
 """Length of the longest arrow, pixels."""
 SHORTEST: Final = 20.0
@@ -131,9 +133,9 @@ class WindArrow:
 
     def update(self, wind: Array) -> None:
         """Show a wind, [2] m/s."""
-        for artist in self.artists:
-            artist.set_visible(bool(wind.any()))
         speed = math.hypot(*wind)
+        for artist in self.artists:
+            artist.set_visible(speed >= CALM)
         pixels = SHORTEST + (LONGEST - SHORTEST) * min(speed / self._top, 1.0)
         along = wind * (pixels / speed if speed else 0.0)
         self._arrow.set_UVC([along[0]], [along[1]])

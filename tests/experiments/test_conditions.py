@@ -144,7 +144,7 @@ def test_policies_of_other_seeds_are_added(tiny, monkeypatch, tmp_path, capsys):
         monkeypatch.setattr(sys, "argv", ["conditions", *words, "--no-advice", "--write", str(tmp_path)])
         return main()
 
-    with pytest.raises(UsageError, match="has no policy yet that is learned"):
+    with pytest.raises(UsageError, match="hold no policy 'learned' of 'tiny'"):
         call("tiny", "--another", "1")
     call("--longer")
     for seed in ("2", "1", "2"):
@@ -156,10 +156,12 @@ def test_policies_of_other_seeds_are_added(tiny, monkeypatch, tmp_path, capsys):
     assert "others" not in found["other"]["longer"]
     text = (tmp_path / "README.md").read_text()
     assert "| 100, 130 | 1.150 | 100, 110, 120 | 1.100 |" in text
-    with pytest.raises(UsageError, match="is of seed 0"):
+    assert text.count("learned 3 ") == text.count("longer 2 ") == 1
+    with pytest.raises(UsageError, match="has seed 0 already"):
         call("tiny", "--another", "0")
-    with pytest.raises(SystemExit):
-        call("--another", "1")
+    for words in (["--another", "1"], ["tiny", "--another", "1", "--heuristics"]):
+        with pytest.raises(SystemExit):
+            call(*words)
 
 
 def test_what_a_condition_cost_is_told():

@@ -117,7 +117,7 @@ def _start(c: Constants, farm: Farm, s: Scratch) -> None:
 
 @allocation_free
 def _move(address: int, e: int, fresh: bool) -> None:
-    """Fail, fly and empty batteries, and measure distances; a fresh episode only counts up its levels."""
+    """Fail, fly, use charge and assign relays; in a fresh episode nobody fails, flies or uses charge."""
     c, state, s, action = unpack(address)
     farm = _farm(state, e)
     lost = False

@@ -4,6 +4,8 @@ import { HOP_DASH, LINK, UAV, css, mark, rgb } from "./marks.js";
 import { Past } from "./past.js";
 
 const STATION = 15; // half the size of a station's mark, pixels: more than a UAV's, which may stand on it
+const [SHORTEST, LONGEST] = [18, 44]; // the wind's arrow, pixels: that of a breeze can still be seen
+const CALM = 0.05; // wind that is not shown, m/s: it would read as 0.0
 const BAR = { width: 24, height: 5, below: UAV + 5 }; // of a UAV's charge, pixels
 
 function polygon(field, pen, corners) {
@@ -40,8 +42,8 @@ export function drawWind(field, pen, frame) {
   if (!frame.packet.arrays.wind) return;
   const [x, y] = Past.row(frame, "wind");
   const speed = Math.hypot(x, y);
-  if (speed < 0.05) return;
-  const long = 18 + 26 * Math.min(speed / field.scene.top_speed, 1);
+  if (speed < CALM) return;
+  const long = SHORTEST + (LONGEST - SHORTEST) * Math.min(speed / field.scene.top_speed, 1);
   const [left, top] = [field.x(0) + 34, field.y(field.scene.field[1]) + 34];
   const bearing = (Math.round((Math.atan2(-x, -y) * 180) / Math.PI) + 360) % 360;
   const text = `wind ${speed.toFixed(1)} m/s from ${String(bearing).padStart(3, "0")}\u00b0`;

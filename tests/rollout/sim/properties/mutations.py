@@ -23,7 +23,7 @@ PROPERTIES = [f"test_properties_{name}.py" for name in NAMES]
 TESTS = "tests/rollout/sim"
 
 ABOUT_FARMS = ("-k", "not drawn")
-"""Leaves out the tests about what is drawn, which no error changes."""
+"""Leaves out the tests about what is drawn: they say nothing about the simulator."""
 
 HEAD = """# What the property tests notice
 
