@@ -164,8 +164,8 @@ def test_policies_of_other_seeds_are_added(tiny, monkeypatch, tmp_path, capsys):
             call(*words)
 
 
-def test_what_a_condition_cost_is_told():
-    """Farms that only take away tell how the default farm's best heuristic compares, others do not."""
+def test_the_ratio_without_a_condition_is_shown():
+    """It is there for conditions that a policy might not feel, and for no others."""
     score = {"policy": "greedy", "types": {"c": 1.0}}
     found = {
         name: {"heuristics": [{**score, "reward": [bar] * 3}], "learned": {**score, "reward": [bar] * 3}, "commit": "d"}
