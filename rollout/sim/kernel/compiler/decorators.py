@@ -19,9 +19,16 @@ from typing import Any, Final, TypeVar, cast
 
 import numba
 
+from rollout.sim.kernel.compiler.copies import Compiler
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-STRICT: Final[dict[str, Any]] = {"nogil": True, "fastmath": False, "error_model": "numpy"}
+STRICT: Final[dict[str, Any]] = {
+    "nogil": True,
+    "fastmath": False,
+    "error_model": "numpy",
+    "pipeline_class": Compiler,
+}
 """Strict arithmetic, so that results are bit-equal everywhere."""
 ALLOCATION_FREE: Final[dict[str, Any]] = {**STRICT, "_nrt": False}
 """Compile without Numba's runtime, so that the compiler refuses code that allocates memory or counts references."""
