@@ -306,7 +306,6 @@ def options() -> argparse.Namespace:
 def another(name: str, arguments: argparse.Namespace, commit: str) -> Scores:
     """Return the results of a condition with a policy of one more seed."""
     policy = "longer" if arguments.longer else "learned"
-    require_another(name, kept(arguments.write).get(name, {}), policy, arguments.another)
     episodes = preset(CONDITIONS[name][0]).episodes if arguments.longer else arguments.episodes
     scores = trained(configuration(name, episodes, arguments.another), arguments.farms, policy)
     # Another call may have written more about the condition meanwhile.
@@ -334,6 +333,9 @@ def main() -> int:
     arguments = options()
     torch.set_num_threads(1)
     results = kept(arguments.write)
+    if arguments.another is not None:
+        for name in arguments.name:
+            require_another(name, results.get(name, {}), "longer" if arguments.longer else "learned", arguments.another)
     data: dict[str, Any] = {**provenance("experiments.conditions"), "farms": list(arguments.farms)}
     # The command for all farms, whichever were measured last.
     data["command"] = (

@@ -110,12 +110,12 @@ def _published(endpoint: Endpoint, began: float, limit: float) -> list[tuple[flo
     kept: list[tuple[float, Sample]] = []
     with Bus.connect(endpoint, "control", wait=JOIN_SECONDS) as bus:
         state = bus.subscribe_state(keys.PARAMETERS.key(RUN))
-        while (seconds := time.time() - began) < limit:
+        seconds = 0.0
+        while seconds < limit:
+            time.sleep(min(max(LOOK_SECONDS, LOOK_SHARE * seconds), limit - seconds))
+            seconds = time.time() - began
             if (sample := state.poll()) is not None:
                 kept.append((seconds, sample))
-            time.sleep(min(max(LOOK_SECONDS, LOOK_SHARE * seconds), limit - seconds))
-        if (sample := state.poll()) is not None:
-            kept.append((time.time() - began, sample))
     return [(seconds, ParametersMessage.decode(sample.payload)) for seconds, sample in kept]
 
 

@@ -146,19 +146,23 @@ def test_policies_of_other_seeds_are_added(tiny, monkeypatch, tmp_path, capsys):
 
     with pytest.raises(UsageError, match="hold no policy 'learned' of 'tiny'"):
         call("tiny", "--another", "1")
-    call("--longer")
+    call("tiny", "--longer")
+    call("other")
     for seed in ("2", "1", "2"):
         call("tiny", "--longer", "--another", seed)
     call("tiny", "--another", "3")
     found = kept(tmp_path)
     assert [other["seed"] for other in found["tiny"]["longer"]["others"]] == [1, 2]
     assert [other["seed"] for other in found["tiny"]["learned"]["others"]] == [3]
-    assert "others" not in found["other"]["longer"]
+    assert "others" not in found["other"]["learned"]
     text = (tmp_path / "README.md").read_text()
     assert "| 100, 130 | 1.150 | 100, 110, 120 | 1.100 |" in text
     assert text.count("learned 3 ") == text.count("longer 2 ") == 1
     with pytest.raises(UsageError, match="has seed 0 already"):
         call("tiny", "--another", "0")
+    with pytest.raises(UsageError, match="hold no policy 'longer' of 'other'"):
+        call("tiny", "other", "--longer", "--another", "4")
+    assert [other["seed"] for other in kept(tmp_path)["tiny"]["longer"]["others"]] == [1, 2]
     for words in (["--another", "1"], ["tiny", "--another", "1", "--heuristics"]):
         with pytest.raises(SystemExit):
             call(*words)

@@ -3,9 +3,7 @@
 import numba
 import pytest
 from numba.core import ir
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import FunctionPass, register_pass
-from numba.core.untyped_passes import ReconstructSSA
 
 from rollout.sim.kernel.compiler.copies import Compiler, RemoveCopies
 
@@ -29,22 +27,13 @@ class CountCopies(FunctionPass):
         return False
 
 
-class Plain(CompilerBase):
+class Plain(Compiler):
     """Numba's own compiler, which notes the copies that are left."""
 
     added = (CountCopies,)
 
-    def define_pipelines(self):
-        """Return the passes."""
-        passes, last = DefaultPassBuilder.define_nopython_pipeline(self.state), ReconstructSSA
-        for each in self.added:
-            passes.add_pass_after(each, last)
-            last = each
-        passes.finalize()
-        return [passes]
 
-
-class Watching(Plain):
+class Watching(Compiler):
     """The simulator's compiler, which notes the copies that are left."""
 
     added = (RemoveCopies, CountCopies)

@@ -67,11 +67,14 @@ def _origin(name: str, copied: dict[str, Any]) -> Any:
 
 
 class Compiler(CompilerBase):
-    """Numba's own compiler with the pass above."""
+    """Numba's own compiler with passes of ours after the reconstruction of static single assignments."""
+
+    added: tuple[type[FunctionPass], ...] = (RemoveCopies,)
 
     def define_pipelines(self) -> list[Any]:
         """Return the passes of compilation without Python objects."""
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.add_pass_after(RemoveCopies, ReconstructSSA)
+        for each in reversed(self.added):
+            passes.add_pass_after(each, ReconstructSSA)
         passes.finalize()
         return [passes]
