@@ -22,10 +22,10 @@ Array = NDArray[np.float64]
 
 CALM: Final = 0.05
 """Wind speed below which none is shown, m/s; it would read as 0.0."""
-LONGEST: Final = 48.0
-"""Length of the longest arrow, pixels."""
-SHORTEST: Final = 20.0
-"""Length of the shortest arrow, pixels: its direction can still be seen."""
+LONGEST: Final = 0.48
+"""Length of the longest arrow, inches: as long in a picture of many pixels as in one of few."""
+SHORTEST: Final = 0.24
+"""Length of the shortest arrow, inches: its direction can still be seen."""
 INK: Final = "0.1"
 STATION: Final = "H"
 """Matplotlib's marker of a charging station, a hexagon."""
@@ -108,10 +108,10 @@ class WindArrow:
             [0.0],
             [0.0],
             transform=axes.transAxes,
-            units="dots",
-            scale_units="dots",
+            units="inches",
+            scale_units="inches",
             scale=1.0,
-            width=4.0,
+            width=0.04,
             pivot="middle",
             color=INK,
             edgecolor="white",
@@ -136,7 +136,7 @@ class WindArrow:
         speed = math.hypot(*wind)
         for artist in self.artists:
             artist.set_visible(speed >= CALM)
-        pixels = SHORTEST + (LONGEST - SHORTEST) * min(speed / self._top, 1.0)
-        along = wind * (pixels / speed if speed else 0.0)
+        length = SHORTEST + (LONGEST - SHORTEST) * min(speed / self._top, 1.0)
+        along = wind * (length / speed if speed else 0.0)
         self._arrow.set_UVC([along[0]], [along[1]])
         self._text.set_text(wind_text(wind))

@@ -380,11 +380,11 @@ def test_zones_and_wind_are_shown():
     assert "wind" not in terminal_text(plain.scene()).plain
 
 
-@pytest.mark.parametrize(("speed", "pixels"), [(0.5, 20.7), (20.0, 48.0), (40.0, 48.0)])
-def test_a_breeze_is_an_arrow_that_can_be_seen(speed, pixels):
+@pytest.mark.parametrize(("speed", "inches"), [(0.5, 0.246), (20.0, 0.48), (40.0, 0.48)])
+def test_a_breeze_is_an_arrow_that_can_be_seen(speed, inches):
     """The arrow grows with the wind, from a length that shows where it blows."""
     arrow = WindArrow(Figure().subplots(), top=20.0)
     arrow.update(np.array([0.6, -0.8]) * speed)
     drawn = arrow.artists[0]
-    assert [drawn.U[0], drawn.V[0]] == pytest.approx([0.6 * pixels, -0.8 * pixels])
-    assert drawn.scale == 1.0, "one unit is one pixel"
+    assert [drawn.U[0], drawn.V[0]] == pytest.approx([0.6 * inches, -0.8 * inches])
+    assert (drawn.scale, drawn.scale_units) == (1.0, "inches")
