@@ -3,6 +3,7 @@
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import islice
 
@@ -138,10 +139,14 @@ class Sender:
         """Return the environment steps that are neither accepted nor rejected yet."""
         return max(self.flown, self.produced) - self.accepted - self.rejected
 
-    def wait_empty(self, timeout: float) -> bool:
+    def wait_empty(self, timeout: float, meanwhile: Callable[[], None] = lambda: None) -> bool:
         """Wait until the spool is empty; return whether it is.
 
         Gives up after `timeout` seconds, when the learner takes no more chunks, or after MOST_UNTAKEN untaken requests.
+
+        Args:
+            timeout: seconds to wait at most.
+            meanwhile: called again and again while this waits.
         """
         self.resend_fast()
         deadline, before = time.monotonic() + timeout, self.untaken
@@ -149,6 +154,7 @@ class Sender:
             before = min(before, self.untaken)
             if self.untaken - before >= MOST_UNTAKEN:
                 break
+            meanwhile()
             time.sleep(0.01)
         return not self._held
 

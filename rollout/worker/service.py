@@ -130,7 +130,7 @@ class Worker:
         try:
             while not self._stop and self._learner.state != "finished":
                 self._turn()
-            if not self._sender.wait_empty(DRAIN_SECONDS):
+            if not self._sender.wait_empty(DRAIN_SECONDS, self._serve_coordinator):
                 log(f"worker {self._options.name}: {self._sender.in_flight} steps were not delivered.")
             self._report()
         finally:
@@ -141,9 +141,8 @@ class Worker:
 
     def _turn(self) -> None:
         self._end_if_replaced()
-        self._learner.poll()
+        self._serve_coordinator()
         self._sender.resend_fast(self._learner.state == "draining")
-        self._evaluations.poll()
         self._view_service.poll(self._learner.store.version, *self._exploration())
         actors = self._gate.actors()
         if actors is not None:
@@ -152,6 +151,11 @@ class Worker:
             self._wait()
         if time.monotonic() - self._times.reported >= REPORT_SECONDS:
             self._report()
+
+    def _serve_coordinator(self) -> None:
+        """Evaluate what the coordinator has ordered; a learner that waits for its event takes no chunks."""
+        self._learner.poll()
+        self._evaluations.poll()
 
     def _end_if_replaced(self) -> None:
         if self._sender.replaced:

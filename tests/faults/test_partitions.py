@@ -50,7 +50,7 @@ def partitions(directory: Path, doses: list[tuple[str, float]]) -> dict[str, Any
                 with pair.parted(way):
                     time.sleep(seconds)
                     grown = memory(worker) - before
-                recovery = fleet.until_more(seconds=120.0)
+                recovery = fleet.until_answered("0", seconds=120.0)
                 rows.append(
                     {
                         "way": way,

@@ -1,8 +1,9 @@
 """AgileRL: when its IPPO flies the farm well enough. Runs in the environment of requirements/agilerl.txt.
 
 Several farms step side by side in this process and its actors decide for all of them at once, which is quicker for
-AgileRL than its own vector of processes on two cores. AgileRL groups agents whose names differ in a number after "_"
-only, so the UAVs of a type share an actor and a critic.
+AgileRL than its own vector of processes on two cores. AgileRL sees each type as one agent in as many environments as
+there are UAVs of it. Given the UAVs as a group of agents, AgileRL 2.58 learns from observations of one and rewards of
+another (experiments/LOG.md).
 """
 
 import argparse
@@ -26,16 +27,17 @@ FIELDS = ("states", "actions", "log_probs", "rewards", "dones", "values")
 def make(options: argparse.Namespace, env: FarmOfChoices) -> Any:
     """Return the algorithm; everything that is not named here are AgileRL's defaults.
 
-    Its minibatches count the samples of all agents of a group.
+    Its minibatches count the samples of all UAVs of a type.
     """
     layer = {"hidden_size": [options.width], "layer_norm": False}
-    agents = len(env.possible_agents) // len(env.batch.team.groups)
+    groups = env.batch.team.groups
+    firsts = [f"{group.name}_0" for group in groups]
     return IPPO(
-        [env.observation_space(name) for name in env.possible_agents],
-        [env.action_space(name) for name in env.possible_agents],
-        agent_ids=list(env.possible_agents),
+        [env.observation_space(name) for name in firsts],
+        [env.action_space(name) for name in firsts],
+        agent_ids=[group.name for group in groups],
         net_config={"encoder_config": layer, "head_config": dict(layer), "latent_dim": options.width},
-        batch_size=options.minibatch * agents,
+        batch_size=options.minibatch * groups[0].count,
         lr=options.rate,
         learn_step=options.iteration,
         gamma=options.discount,
@@ -47,9 +49,27 @@ def make(options: argparse.Namespace, env: FarmOfChoices) -> Any:
     )
 
 
-def stacked(each: list[dict[str, Any]]) -> Values:
-    """Return the values of all farms, [farms, ...] float32."""
-    return {name: np.stack([np.asarray(values[name], np.float32) for values in each]) for name in each[0]}
+def by_type(each: list[dict[str, Any]], env: FarmOfChoices) -> Values:
+    """Return what the agents of each type have in all farms, [farms * n_v, ...] float32."""
+    return {
+        group.name: np.stack([np.asarray(values[name], np.float32) for values in each for name in names])
+        for group, names in zip(env.batch.team.groups, names_by_type(env), strict=True)
+    }
+
+
+def by_agent(values: Values, env: FarmOfChoices, farms: int) -> list[dict[str, Any]]:
+    """Return the values of each farm's agents by their names: `by_type` undone."""
+    rows = {group.name: values[group.name].reshape(farms, group.count) for group in env.batch.team.groups}
+    named = list(zip(env.batch.team.groups, names_by_type(env), strict=True))
+    return [
+        {name: rows[group.name][farm, k] for group, names in named for k, name in enumerate(names)}
+        for farm in range(farms)
+    ]
+
+
+def names_by_type(env: FarmOfChoices) -> list[tuple[str, ...]]:
+    """Return the names of each type's agents."""
+    return [env.batch.team.agent_names[part] for part in env.batch.team.agent_slices()]
 
 
 class Learnt:
@@ -76,27 +96,29 @@ class Learnt:
 
 def collect(agent: Any, envs: list[FarmOfChoices], seen: Values, steps: int) -> tuple[tuple[Any, ...], Values]:
     """Return the experience of so many steps of every farm, and what is observed after it."""
-    names = envs[0].possible_agents
+    first = envs[0]
     kept: dict[str, dict[str, list[Any]]] = {field: defaultdict(list) for field in FIELDS}
-    done = {name: np.zeros(len(envs)) for name in names}
+    done = {name: np.zeros(len(values)) for name, values in seen.items()}
     for _ in range(steps):
         action, log_prob, _, value = agent.get_action(obs=seen)
-        after = [env.step({name: action[name][k] for name in names}) for k, env in enumerate(envs)]
-        rewards = stacked([step[1] for step in after])
-        for name in names:
+        chosen = by_agent(action, first, len(envs))
+        after = [env.step(choice) for env, choice in zip(envs, chosen, strict=True)]
+        rewards = by_type([step[1] for step in after], first)
+        for name in seen:
             row = seen[name], action[name], log_prob[name], rewards[name], done[name], value[name]
             for field, number in zip(FIELDS, row, strict=True):
                 kept[field][name].append(number)
         ended = np.array([float(not env.agents) for env in envs])
-        done = {name: ended for name in names}
-        seen = stacked([step[0] if env.agents else env.reset()[0] for env, step in zip(envs, after, strict=True)])
+        done = {group.name: np.repeat(ended, group.count) for group in first.batch.team.groups}
+        each = [step[0] if env.agents else env.reset()[0] for env, step in zip(envs, after, strict=True)]
+        seen = by_type(each, first)
     return (*(dict(kept[field]) for field in FIELDS), seen, done), seen
 
 
 def train(options: argparse.Namespace, envs: list[FarmOfChoices], agent: Any) -> Course:
     """Train until what is wanted is reached or the time is up."""
     course, learnt = Course(options), Learnt(agent)
-    seen = stacked([env.reset(seed=options.seed * len(envs) + k)[0] for k, env in enumerate(envs)])
+    seen = by_type([env.reset(seed=options.seed * len(envs) + k)[0] for k, env in enumerate(envs)], envs[0])
     each = options.iteration // options.environments
     steps = updates = 0
     while not course.over(learnt, steps, updates):

@@ -105,6 +105,15 @@ class FaultRun(Processes):
         until(lambda: self.taken(worker) > before, f"another chunk {worker}", seconds)
         return time.monotonic() - started
 
+    def until_answered(self, worker: str, seconds: float = 90.0) -> float:
+        """Wait until a worker knows of another chunk that the learner has taken; return the seconds.
+
+        After a partition TCP sends what waits in each direction at times of its own, seconds apart.
+        """
+        before, started = self.steps_of("acknowledged", worker), time.monotonic()
+        until(lambda: self.steps_of("acknowledged", worker) > before, f"another answer to {worker}", seconds)
+        return time.monotonic() - started
+
     def until_led(self, since: str) -> None:
         """Wait until a coordinator has taken the lead that had not written so much into the log yet."""
         until(lambda: "coordinator coordinator leads." in self.log("elite")[len(since) :], "a coordinator that leads")

@@ -161,6 +161,14 @@ def test_who_ends_waits_for_a_learner_that_comes_back(monkeypatch):
         assert sender.wait_empty(3600.0)
 
 
+def test_who_waits_goes_on_with_its_other_work(monkeypatch):
+    """What makes the learner take the chunk is done while the sender waits for that."""
+    with sending(monkeypatch) as (sender, wire, offer):
+        offer(1)
+        turns = iter(range(100))
+        assert sender.wait_empty(3600.0, lambda: wire.answer("accepted") if next(turns) == 3 else None)
+
+
 @pytest.mark.parametrize("ending", [True, False])
 def test_who_hurries_asks_again_when_an_answer_was_lost(monkeypatch, ending):
     """A request whose answer was lost waits while the worker collects, and is resent fast when run or worker end.
