@@ -7,6 +7,7 @@ deciding    the actors' forward passes and the sampled actions
 collecting  the whole of a worker's chunk: flying, deciding, random numbers, rows
 wire        encoding a chunk, and decoding and checking it
 updates     all updates of an iteration, per environment step
+at_once     the same as a learner does them, with networks side by side on `learner.update_threads` cores; elapsed time
 limit       the updates' multiplications and additions at the speed of a large matrix product of the same precision,
             measured in the same run on one thread
 step_bytes  bytes of a step's rows in a chunk
@@ -21,6 +22,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +42,7 @@ from common.protocol.messages import ChunkMessage
 from common.team import TeamSpec
 from common.transitions import Chunk
 from deploy.exit_codes import run_command
+from deploy.local.memory import keep_freed_memory
 from deploy.reports.provenance import provenance
 from learner.on_policy.policies import HEAD
 from learner.on_policy.trainer import OnPolicyTrainer
@@ -78,10 +81,15 @@ def operations(config: OnPolicyConfig, team: TeamSpec) -> float:
     return 2.0 * config.epochs * total
 
 
+def with_threads(config: RunConfig, threads: int) -> RunConfig:
+    """Return a run whose updates are divided among so many threads."""
+    return replace(config, learner=replace(config.learner, update_threads=threads))
+
+
 def measure(config: RunConfig, repeats: int) -> dict[str, Any]:
     """Return the microseconds of every part, for one environment step."""
     collector = Collector(config, "0", 0)
-    trainer = OnPolicyTrainer(config, collector.team)
+    trainer = OnPolicyTrainer(with_threads(config, 1), collector.team)
     actors, environments = trainer.actors(), collector.environments
     chunks: list[Chunk] = []
     collecting = least(lambda: chunks.append(collector.collect(actors, 0.0, uniform=False)), repeats)
@@ -93,6 +101,7 @@ def measure(config: RunConfig, repeats: int) -> dict[str, Any]:
         "collecting": 1e6 * collecting / steps,
         "wire": 1e6 * least(lambda: _through_the_wire(chunks[0], collector), repeats) / steps,
         **_learning(trainer, collector, chunks, repeats),
+        "at_once": measure_updates(config, repeats)["updates"],
         "step_bytes": len(_encoded(chunks[0], collector.team)) / steps,
     }
 
@@ -157,6 +166,7 @@ def main() -> int:
     parser.add_argument("--write", type=Path, metavar="FILE", help="where the result and its origin go as JSON")
     asked = parser.parse_args()
     torch.set_num_threads(1)
+    keep_freed_memory()  # as every process of `eia-sec` does
     config = preset(asked.preset)
     found = measure(config, asked.repeats)
     if asked.write:

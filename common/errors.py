@@ -73,6 +73,10 @@ class SimulationError(EiaSecError):
     """A simulated farm used against its contract: stepped beyond its end, or with impossible actions."""
 
 
+class CancelledError(EiaSecError):
+    """Work that was given up because its process ends."""
+
+
 class HostError(EiaSecError):
     """A host of a fleet that cannot be reached, or on which a command failed."""
 

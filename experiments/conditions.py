@@ -58,6 +58,14 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
         "default",
         "[farm.world]\ncommunication_uavs = 8\nmonitoring_uavs = 8\ncollection_uavs = 8",
     ),
+    "280 m by 280 m": (
+        "default",
+        "[farm.world]\nfield_x = 280.0\nfield_y = 280.0\nplots_x = 14\nplots_y = 14\nsensors = 200",
+    ),
+    "560 m by 560 m": (
+        "default",
+        "[farm.world]\nfield_x = 560.0\nfield_y = 560.0\nplots_x = 28\nplots_y = 28\nsensors = 800",
+    ),
     "patches of stress": ("uneven", ""),
     "batteries": ("battery", ""),
     "wind 3 m/s": ("default", "[farm.wind]\nspeed = 3.0\ngusts = 1.5\n[farm.observation]\nwind = true"),

@@ -67,6 +67,7 @@ LATER: Final[Mapping[str, Value]] = {
     "farm.wind.speed": 0.0,
     "farm.zones.polygons": (),
     "farm.zones.random": 0,
+    "learner.update_threads": 2,
 }
 """Options that earlier versions did not have, with the values under which a run is what it was before."""
 

@@ -58,6 +58,8 @@ class LearnerConfig:
 
     threads: int = 1
     """Compute threads of the learner."""
+    update_threads: int = 2
+    """Networks that learning on policy updates side by side on a processor, each with `threads` (1 to 6)."""
     device: str = "cpu"
     """Device of the networks: cpu, cuda, or cuda:1 for the second GPU."""
     publish_seconds: float = 0.5
@@ -69,7 +71,7 @@ class LearnerConfig:
 
     def __post_init__(self) -> None:
         """Refuse impossible times and devices."""
-        within(1, 256, threads=self.threads)
+        within(1, 256, threads=self.threads, update_threads=self.update_threads)
         if not _DEVICE.fullmatch(self.device):
             raise ConfigError(f"device must be cpu, cuda or cuda:NUMBER, not {self.device!r}.")
         within(1, 1000, keep_checkpoints=self.keep_checkpoints)

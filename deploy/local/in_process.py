@@ -5,6 +5,7 @@ bit-equal to those of a distributed lockstep run.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from common.config import RunConfig
 from common.imitation import ImitationSchedule
@@ -22,7 +23,7 @@ WORKER = "0"
 def train_in_process(
     config: RunConfig, watch: Callable[[Trainer, Chunk], None] = lambda trainer, chunk: None
 ) -> Trainer:
-    """Train until the run's episodes are done.
+    """Train until the run's episodes are done, on one core.
 
     Args:
         config: the run.
@@ -31,6 +32,7 @@ def train_in_process(
     Returns:
         The trainer with its final actors.
     """
+    config = replace(config, learner=replace(config.learner, update_threads=1))
     collector = Collector(config, WORKER, 0)
     trainer = make_trainer(config, collector.team)
     schedule = ImitationSchedule.of(config)

@@ -13,7 +13,7 @@
 All but the first iteration report means over the updates of the last whole iteration, so that numbers do not jump.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from torch import Tensor
@@ -21,7 +21,6 @@ from torch import Tensor
 from common.errors import CheckpointError
 from common.team import Float32, TeamSpec
 from learner.checkpoint.trainer_state import counter, finite
-from learner.on_policy.policies import ActorLoss
 
 NAMES: Final = (
     "actor_loss",
@@ -83,27 +82,13 @@ class IterationDiagnostics:
             means["explained_variance"] = Mean(1.0 - float(error.var()) / variance if variance > 0.0 else 0.0, 1)
             means["return_mean"] = Mean(float(own.mean()), 1)
 
-    def add(
-        self,
-        actors: Sequence[ActorLoss | None],
-        values: Sequence[Tensor],
-        norms: Sequence[tuple[float, float]],
-    ) -> None:
-        """Add an update: each type's losses, None for stopped actors, and gradient norms."""
-        for kind, means in enumerate(self._means):
-            measured = {"value_loss": float(values[kind].detach()), "value_gradient": norms[kind][1]}
-            if (part := actors[kind]) is not None:
-                kl = float(part.kl)
-                measured |= {
-                    "actor_loss": float(part.loss.detach()),
-                    "entropy": float(part.entropy),
-                    "kl": kl,
-                    "clipped_share": float(part.clipped),
-                    "actor_gradient": norms[kind][0],
-                }
-                self._epoch[kind].add(kl)
-            for name, number in measured.items():
-                means.setdefault(name, Mean()).add(number)
+    def add(self, measured: Sequence[Mapping[str, Tensor]]) -> None:
+        """Add an update: what was measured of each type, by NAMES; nothing about actors that have stopped."""
+        for means, epoch, found in zip(self._means, self._epoch, measured, strict=True):
+            for name, number in found.items():
+                means.setdefault(name, Mean()).add(float(number))
+            if "kl" in found:
+                epoch.add(float(found["kl"]))
 
     def epoch_kl(self) -> list[float]:
         """Return each type's mean KL divergence over the epoch, and begin another epoch; 0 for stopped actors."""

@@ -55,7 +55,7 @@ class OnPolicyTrainer(Trainer):
     def __init__(self, config: RunConfig, team: TeamSpec) -> None:
         super().__init__(config, team)
         algorithm = self._algorithm = config.on_policy
-        self._updates = Updates(algorithm, team, config.seed, config.learner.device)
+        self._updates = Updates(algorithm, team, config.seed, config.learner)
         self.random = stream(config.seed, "minibatches")
         self.experience, self.following = Experience(team), Experience(team)
         self.iterations = 0

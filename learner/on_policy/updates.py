@@ -2,7 +2,7 @@
 
     values, advantages, returns of all rows           at the iteration's start
     for each epoch: shuffle the steps, or with memory the sequences of steps
-        for each minibatch: one Adam step of L_actor and of L_value of every type
+        for each minibatch: one Adam step of L_actor and of L_value of every type; their gradients side by side
         a type whose KL divergence exceeds `target_kl` keeps its actors for the rest of the iteration
 
 A chunk's behaviour policy may be some versions older than the actors (`max_lag_versions`). Values and advantages are
@@ -15,6 +15,7 @@ those of the present value functions. `objective` says what the ratio's denomina
 """
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from common.config import OnPolicyConfig
+from common.config import LearnerConfig, OnPolicyConfig
 from common.team import Float32, TeamSpec
 from common.transitions import Rows
 from learner.networks.device import has_bfloat16
@@ -30,8 +31,9 @@ from learner.on_policy.advantages import advantages
 from learner.on_policy.diagnostics import IterationDiagnostics
 from learner.on_policy.experience import split, split_actions, step_rows
 from learner.on_policy.iteration_states import IterationStates
-from learner.on_policy.policies import ActorLoss, Policies
+from learner.on_policy.policies import Policies
 from learner.on_policy.sequences import Sequences
+from learner.on_policy.side_by_side import SideBySide
 from learner.on_policy.values import make_values
 
 VALUE_BATCH = 4096
@@ -39,6 +41,8 @@ VALUE_BATCH = 4096
 EPSILON = 1e-8
 MOST_WEIGHT = 2.0
 """Largest weight of a step in the decoupled objective; rare actions of an older policy would else drown the others."""
+Minibatch = list[tuple[Sequences, Sequences]]
+"""For each type how its actors and its value functions go through a minibatch, with memory."""
 COMPUTED = ("returns", "advantage")
 """Tensors of an iteration's rows, [R, agents], that are computed at its start."""
 
@@ -50,7 +54,7 @@ class Updates:
         config: the algorithm's configuration.
         team: the layout of the team.
         seed: seed of the run.
-        device: torch device of networks and rows.
+        learner: the torch device of networks and rows, and threads.
 
     Attributes:
         policies: the actors.
@@ -59,8 +63,10 @@ class Updates:
         diagnostics: what the newest iteration's updates measured.
     """
 
-    def __init__(self, config: OnPolicyConfig, team: TeamSpec, seed: int, device: str) -> None:
-        self._config, self._team, self._device = config, team, device
+    def __init__(self, config: OnPolicyConfig, team: TeamSpec, seed: int, learner: LearnerConfig) -> None:
+        self._config, self._team, self._device = config, team, (device := learner.device)
+        most = min(learner.update_threads, 2 * len(team.groups))
+        self._side_by_side = SideBySide(most if device == "cpu" else 1)
         self._rates = config.actor_rate, config.critic_rate
         self._dtype = torch.bfloat16 if config.precision == "bfloat16" and has_bfloat16(device) else torch.float32
         # The last layers' narrow products have float32 results; rounding their factors makes them several times faster.
@@ -120,7 +126,7 @@ class Updates:
         self._rows["log_probability"] = newest
         self._rows["advantage"] = self._rows["advantage"] * weight
 
-    def _gathered(self, samples: NDArray[np.int64]) -> tuple[Tensor, list[tuple[Sequences, Sequences]] | None]:
+    def _gathered(self, samples: NDArray[np.int64]) -> tuple[Tensor, Minibatch | None]:
         """Return the rows of some samples, and for networks with memory how they follow one another."""
         places, sequences = (samples, None) if self._states is None else self._states.minibatch(samples)
         return torch.from_numpy(places).to(self._device), sequences
@@ -141,15 +147,17 @@ class Updates:
             found[:, agents] = (gain[:, agents] - own.mean()) / (own.std() + EPSILON)
         return found
 
-    @torch.no_grad()
     def _all_values(self) -> Float32:
         """Return V of every row, [R, agents]."""
-        parts = []
-        for team in torch.split(self._rows["observation"], VALUE_BATCH):
-            own = split(self._team, team)
-            parts.append(torch.cat([v.value(team, o) for v, o in zip(self.values, own, strict=True)], dim=1))
-        found: Float32 = torch.cat(parts).float().cpu().numpy()
+        parts = self._side_by_side.run([partial(self._values_of, kind) for kind in range(len(self._groups))])
+        found: Float32 = torch.cat(parts, dim=1).float().cpu().numpy()
         return found
+
+    @torch.no_grad()
+    def _values_of(self, kind: int) -> Tensor:
+        """Return V of every row for a type's agents, [R, n]."""
+        batches, value = torch.split(self._rows["observation"], VALUE_BATCH), self.values[kind].value
+        return torch.cat([value(team, split(self._team, team)[kind]) for team in batches])
 
     def samples(self, rows: Rows) -> NDArray[np.int64]:
         """Return what minibatches are made of: the rows from which steps follow, or with memory sequences' numbers."""
@@ -168,33 +176,44 @@ class Updates:
         weight = config.entropy_start + (config.entropy_end - config.entropy_start) * progress
         here, sequences = self._gathered(samples)
         batch = {name: tensor.index_select(0, here) for name, tensor in self._rows.items()}
-        actor_losses, value_losses = self._losses(batch, sequences, weight)
         self.optimiser.zero_grad(set_to_none=True)
-        live = [part.loss for part in actor_losses if part is not None]
-        torch.autograd.backward(torch.stack([*live, *value_losses]).sum())
-        norms = self._clip()
+        kinds = range(len(self._groups))
+        own = split(self._team, batch["observation"])
+        acting = [partial(self._actor_gradient, kind, batch, own[kind], sequences, weight) for kind in kinds]
+        valuing = [partial(self._value_gradient, kind, batch, own[kind], sequences) for kind in kinds]
+        found = self._side_by_side.run([*acting, *valuing])
         self.optimiser.step()
-        self.diagnostics.add(actor_losses, value_losses, norms)
+        self.diagnostics.add([found[kind] | found[len(kinds) + kind] for kind in kinds])
 
-    def _losses(
-        self, batch: dict[str, Tensor], sequences: list[tuple[Sequences, Sequences]] | None, weight: float
-    ) -> tuple[list[ActorLoss | None], list[Tensor]]:
-        """Return the losses of each type's actors, None for those that have stopped, and of its value functions."""
-        own, actions = split(self._team, batch["observation"]), split_actions(self._team, batch["action"])
-        actor_losses: list[ActorLoss | None] = []
-        value_losses: list[Tensor] = []
-        for kind, (_, agents) in enumerate(self._groups):
-            sampled = batch["log_probability"][:, agents], batch["advantage"][:, agents]
-            acting, valuing = (None, None) if sequences is None else sequences[kind]
-            entropy_weight = weight * self._entropy_scales[kind]
-            actor_losses.append(
-                None
-                if self.stopped[kind]
-                else self.policies.loss(kind, own[kind], actions[kind], *sampled, entropy_weight, acting)
-            )
-            returns = batch["returns"][:, agents]
-            value_losses.append(self.values[kind].loss(batch["observation"], own[kind], returns, valuing))
-        return actor_losses, value_losses
+    def _actor_gradient(
+        self, kind: int, batch: dict[str, Tensor], own: Tensor, sequences: Minibatch | None, weight: float
+    ) -> dict[str, Tensor]:
+        """Compute the clipped gradient of a type's actors; return what was measured, nothing if they have stopped."""
+        if self.stopped[kind]:
+            return {}
+        agents = self._team.agent_slices()[kind]
+        sampled = batch["log_probability"][:, agents], batch["advantage"][:, agents]
+        actions = split_actions(self._team, batch["action"])[kind]
+        order = None if sequences is None else sequences[kind][0]
+        part = self.policies.loss(kind, own, actions, *sampled, weight * self._entropy_scales[kind], order)
+        torch.autograd.backward(part.loss)
+        return {
+            "actor_loss": part.loss.detach(),
+            "entropy": part.entropy,
+            "kl": part.kl,
+            "clipped_share": part.clipped,
+            "actor_gradient": self._clipped(self.policies.stacks[kind]),
+        }
+
+    def _value_gradient(
+        self, kind: int, batch: dict[str, Tensor], own: Tensor, sequences: Minibatch | None
+    ) -> dict[str, Tensor]:
+        """Compute the clipped gradient of a type's value functions; return what was measured."""
+        returns = batch["returns"][:, self._team.agent_slices()[kind]]
+        order = None if sequences is None else sequences[kind][1]
+        loss = self.values[kind].loss(batch["observation"], own, returns, order)
+        torch.autograd.backward(loss)
+        return {"value_loss": loss.detach(), "value_gradient": self._clipped(self.values[kind])}
 
     def end_epoch(self) -> None:
         """Stop the actors of types that have moved too far from the behaviour policy."""
@@ -206,14 +225,10 @@ class Updates:
         for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
             group["lr"] = rate * share
 
-    def _clip(self) -> list[tuple[float, float]]:
-        """Limit each type's gradients; return the norms before, of its actors and of its value functions."""
+    def _clipped(self, networks: nn.Module) -> Tensor:
+        """Limit the gradient of some networks; return its norm before."""
         limit = self._config.gradient_clip or float("inf")
-        norms = []
-        for stack, value in zip(self.policies.stacks, self.values, strict=True):
-            found = [nn.utils.clip_grad_norm_(list(part.parameters()), limit) for part in (stack, value)]
-            norms.append((float(found[0]), float(found[1])))
-        return norms
+        return nn.utils.clip_grad_norm_(list(networks.parameters()), limit)
 
     def network_tensors(self) -> Iterator[tuple[str, Tensor]]:
         """Yield all parameters and Adam's moments by name; moments are zeros before the first step."""

@@ -1,6 +1,6 @@
 """Collection of experience: a batch of environments stepped with the newest actors and exploration noise."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from typing import Protocol
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from common.actors import TeamActors
 from common.config import RunConfig
+from common.errors import CancelledError
 from common.seeds import derive, stream
 from common.team import Float32, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
@@ -184,7 +185,11 @@ class _ChunkRows:
 
 
 def run_noise_free_episodes(
-    config: RunConfig, actors: TeamActors, farms: Sequence[int], episodes: Sequence[int]
+    config: RunConfig,
+    actors: TeamActors,
+    farms: Sequence[int],
+    episodes: Sequence[int],
+    cancelled: Callable[[], bool] = lambda: False,
 ) -> tuple[Float32, NDArray[np.int64]]:
     """Run one noise-free episode on each farm.
 
@@ -193,9 +198,13 @@ def run_noise_free_episodes(
         actors: the actors.
         farms: farm seeds.
         episodes: episode seeds, one for each farm.
+        cancelled: asked before each step whether to give up.
 
     Returns:
         [F, T, agents] step rewards, zeros after the end of a shorter episode, and [F] the steps of each episode.
+
+    Raises:
+        CancelledError: it was given up.
     """
     with closing(make_environments(config, len(farms))) as batch:
         for index, (farm, episode) in enumerate(zip(farms, episodes, strict=True)):
@@ -203,6 +212,8 @@ def run_noise_free_episodes(
         rewards: list[Float32] = []
         state = actors.initial_state(len(farms))
         while not batch.ended.all():
+            if cancelled():
+                raise CancelledError("the evaluation was given up, because its process ends.")
             batch.step(actors.environment_actions(batch.observation, state))
             rewards.append(batch.reward.copy())
         return np.stack(rewards, axis=1), batch.time.copy()

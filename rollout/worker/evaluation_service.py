@@ -1,7 +1,9 @@
 """Noise-free episodes that the elite coordinator requests from a worker."""
 
+from collections.abc import Callable
+
 from common.config import RunConfig
-from common.errors import ProtocolError
+from common.errors import CancelledError, ProtocolError
 from common.policy_store import PolicyStore
 from common.protocol import keys
 from common.protocol.messages import EvaluationOrder, EvaluationResult
@@ -23,13 +25,22 @@ class EvaluationService:
         run: the run's name.
         worker: the worker's name.
         store: the worker's actors.
+        cancelled: asked again and again during an evaluation whether to give it up.
 
     Attributes:
         episodes: noise-free episodes run so far.
     """
 
-    def __init__(self, control: Bus, config: RunConfig, run: str, worker: str, store: PolicyStore) -> None:
-        self._config, self._store = config, store
+    def __init__(
+        self,
+        control: Bus,
+        config: RunConfig,
+        run: str,
+        worker: str,
+        store: PolicyStore,
+        cancelled: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._config, self._store, self._cancelled = config, store, cancelled
         self._orders = control.serve(keys.EVALUATION.key(run, worker=worker), CAPACITY)
         self._waiting: Incoming | None = None
         self.episodes = 0
@@ -60,6 +71,12 @@ class EvaluationService:
         if store.actors is None or (store.epoch, store.version) < (order.epoch, order.version):
             self._waiting = incoming
             return
-        reward, steps = run_noise_free_episodes(self._config, store.actors, order.farms, order.episodes)
+        try:
+            reward, steps = run_noise_free_episodes(
+                self._config, store.actors, order.farms, order.episodes, self._cancelled
+            )
+        except CancelledError as error:
+            incoming.refuse(str(error))
+            return
         self.episodes += len(order.farms)
         incoming.reply(EvaluationResult(order.event, store.version, reward, steps).encode())

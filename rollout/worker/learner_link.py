@@ -96,6 +96,9 @@ class LearnerLink:
             return
         if 0 < before != message.epoch:
             answer = fetch_configuration(self._control, self._run, self._worker, lambda: not self._stop, 5.0)
+            if answer is None and self._stop:
+                # Evaluations must not be those of another configuration.
+                return
             if answer is not None and answer.toml != self._toml:
                 raise UsageError(f"run {self._run} has a new learner with another configuration.")
         self.epoch, self.state, self.newest_version = message.epoch, message.state, message.version

@@ -9,6 +9,7 @@ When something goes wrong:
 - A newer start of the same worker delivers: it ends (`ReplacedError`).
 """
 
+import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -75,6 +76,7 @@ class _Times:
     paused: float = 0.0
     reported: float = field(default_factory=time.monotonic)
     denied: float = 0.0
+    ending: float = 0.0
 
 
 class Worker:
@@ -115,7 +117,9 @@ class Worker:
         self._sender = Sender(bulk, run, name, start, team, spool, patience, self._history)
         self._learner = LearnerLink(control, run, name, answer.toml, team, stop)
         self._gate = CollectionGate(config.rollout, self._learner, self._sender, answer.lockstep)
-        self._evaluations = EvaluationService(control, config, run, name, self._learner.store)
+        self._evaluations = EvaluationService(
+            control, config, run, name, self._learner.store, lambda: self._seconds_left() <= 0
+        )
         self._view_service = ViewService(control, run, name, start, self._collector, answer.toml)
         self._presence = Presence(control, run, "rollout", name, start)
         self._times = _Times()
@@ -130,7 +134,7 @@ class Worker:
         try:
             while not self._stop and self._learner.state != "finished":
                 self._turn()
-            if not self._sender.wait_empty(DRAIN_SECONDS, self._serve_coordinator):
+            if not self._sender.wait_empty(self._seconds_left(), self._serve_while_ending):
                 log(f"worker {self._options.name}: {self._sender.in_flight} steps were not delivered.")
             self._report()
         finally:
@@ -141,7 +145,8 @@ class Worker:
 
     def _turn(self) -> None:
         self._end_if_replaced()
-        self._serve_coordinator()
+        self._learner.poll()
+        self._evaluations.poll()
         self._sender.resend_fast(self._learner.state == "draining")
         self._view_service.poll(self._learner.store.version, *self._exploration())
         actors = self._gate.actors()
@@ -152,10 +157,19 @@ class Worker:
         if time.monotonic() - self._times.reported >= REPORT_SECONDS:
             self._report()
 
-    def _serve_coordinator(self) -> None:
-        """Evaluate what the coordinator has ordered; a learner that waits for its event takes no chunks."""
-        self._learner.poll()
-        self._evaluations.poll()
+    def _serve_while_ending(self) -> None:
+        """Go on with evaluations while the learner trains: one that waits for an imitation event takes no chunks."""
+        if self._learner.state == "training":
+            self._learner.poll()
+            self._evaluations.poll()
+
+    def _seconds_left(self) -> float:
+        """Return how long a worker that ends may still deliver; without limit before it ends."""
+        if not self._stop and self._learner.state != "finished":
+            return math.inf
+        now = time.monotonic()
+        self._times.ending = self._times.ending or now
+        return self._times.ending + DRAIN_SECONDS - now
 
     def _end_if_replaced(self) -> None:
         if self._sender.replaced:

@@ -204,6 +204,7 @@ def test_digests_of_earlier_versions_count(name):
         "relayed = ",
         "base = ",
         "hop_range = ",
+        "update_threads = ",
     )
     kept = [line for line in lines if not line.startswith(later)]
     assert digest(config) == hashlib.sha256("\n".join([*kept, ""]).encode()).hexdigest()[:16]

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from common.config import LearnerConfig
 from common.transitions import TRANSITION, TRUNCATED
 from learner.on_policy.experience import split
 from learner.on_policy.iteration_states import IterationStates
@@ -98,7 +99,7 @@ def test_groups_of_environments_are_all_environments(monkeypatch):
     found = []
     for most in (4096, 2 * LENGTH):
         monkeypatch.setattr("learner.on_policy.sequences.LARGEST_BATCH", most)
-        updates = Updates(trainer.config.on_policy, TEAM, 5, "cpu")
+        updates = Updates(trainer.config.on_policy, TEAM, 5, LearnerConfig())
         states = IterationStates(trainer.config.on_policy, TEAM, rows, updates.values, "cpu")
         assert len(list(states.layout.in_order())) == (1 if most == 4096 else 3)
         value = states.begin(updates.policies, torch.from_numpy(rows.observation))
@@ -112,7 +113,7 @@ def test_groups_of_environments_are_all_environments(monkeypatch):
 def test_the_learner_finds_the_states_of_the_workers(name, parameters):
     """States before all sequences, and log-probabilities of all steps, are those of the actors that acted."""
     config = with_memory(name, parameters=parameters)
-    updates = Updates(config.on_policy, TEAM, 5, "cpu")
+    updates = Updates(config.on_policy, TEAM, 5, LearnerConfig())
     actors = updates.policies.actors()
     rows = remembered_chunk(actors, 2).rows
     states = IterationStates(config.on_policy, TEAM, rows, updates.values, "cpu")
@@ -139,7 +140,7 @@ def test_the_learner_finds_the_states_of_the_workers(name, parameters):
 def test_values_begin_each_chunk_with_nothing():
     """V in a chunk that begins inside an episode is that of an episode that begins there; a last row has one, too."""
     config = with_memory()
-    updates = Updates(config.on_policy, TEAM, 5, "cpu")
+    updates = Updates(config.on_policy, TEAM, 5, LearnerConfig())
     rows = remembered_chunk(updates.policies.actors(), 3, (((20, TRUNCATED),),)).rows
     states = IterationStates(config.on_policy, TEAM, rows, updates.values, "cpu")
     value = states.begin(updates.policies, torch.from_numpy(rows.observation))

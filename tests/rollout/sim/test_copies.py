@@ -1,6 +1,7 @@
 """The compiler's pass that removes copies of variables."""
 
 import numba
+import numpy as np
 import pytest
 from numba.core import ir
 from numba.core.compiler_machinery import FunctionPass, register_pass
@@ -86,9 +87,28 @@ def changed(turns):
     return 100 * copy + first
 
 
-@pytest.mark.parametrize("function", [swap, before_the_last, chosen, fibonacci, changed])
+def overwritten(turns):
+    """Return a sum of arrays one of which changes afterwards."""
+    a, b = np.arange(3.0), np.full(3, float(turns))
+    both, _ = a + b, a - b
+    b[0] = 100.0
+    return (both * 2.0).sum()
+
+
+def read_twice(turns):
+    """Return two uses of a sum of arrays."""
+    a, b = np.arange(3.0), np.full(3, float(turns))
+    both, _ = a + b, a - b
+    double = both * 2.0
+    return double[0] + both[1]
+
+
+RESULTS = [swap, before_the_last, chosen, fibonacci, changed, overwritten, read_twice]
+
+
+@pytest.mark.parametrize("function", RESULTS)
 def test_results_stay(function):
-    """Loops that hand values on give what Python gives."""
+    """Loops that hand values on, and arrays, give what Python gives."""
     compiled = numba.njit(pipeline_class=Compiler)(function)
     for turns in range(1, 9):
         assert compiled(turns) == function(turns)

@@ -1,5 +1,24 @@
 """What a worker does from its stop to its end."""
 
+import math
+import time
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
+
+import pytest
+
+from common.actors import TeamActors
+from common.config import FarmConfig, RunConfig
+from common.config.farm import WorldConfig
+from common.errors import BusError
+from common.farm import farm_team
+from common.policy_store import PolicyStore
+from common.protocol import keys
+from common.protocol.messages import EvaluationOrder, EvaluationResult, ParametersMessage
+from common.transport.bus import Bus
+from common.transport.endpoint import free_endpoint
+from rollout.worker import service
+from rollout.worker.evaluation_service import EvaluationService
 from rollout.worker.service import Worker, WorkerOptions
 
 
@@ -8,10 +27,11 @@ class Recorded:
 
     def __init__(self, name: str, calls: list[str]) -> None:
         self._name, self._calls = name, calls
-        self.state, self.in_flight = "running", 12
+        self.in_flight = 12
 
     def wait_empty(self, timeout, meanwhile):
         """Two turns of waiting in which nothing is delivered."""
+        self._calls.append(f"wait {timeout:.0f}")
         meanwhile()
         meanwhile()
         return False
@@ -20,16 +40,72 @@ class Recorded:
         return lambda *_: self._calls.append(f"{self._name}.{method}")
 
 
-def test_a_worker_that_ends_still_serves_the_coordinator(monkeypatch, capsys):
-    """A learner that waits for an imitation event takes no chunks, so the worker's last ones would wait for itself."""
+def an_ending_worker(monkeypatch, state, stop):
+    """Return a worker in the state of its run, and the calls of its parts."""
     calls: list[str] = []
     worker = Worker.__new__(Worker)
-    worker._options = WorkerOptions("run", "3", None)
-    worker._stop = True
+    worker._options, worker._stop, worker._times = WorkerOptions("run", "3", None), stop, service._Times()
     for part in ("learner", "evaluations", "sender", "history"):
         setattr(worker, f"_{part}", Recorded(part, calls))
+    worker._learner.state = state
     monkeypatch.setattr(worker, "_report", lambda: calls.append("report"))
+    return worker, calls
+
+
+@pytest.mark.parametrize(("state", "stop"), [("training", True), ("draining", True), ("finished", False)])
+def test_a_worker_that_ends_serves_the_coordinator_while_the_learner_trains(monkeypatch, capsys, state, stop):
+    """A learner that waits for an imitation event takes no chunks, so the worker's last ones would wait for itself."""
+    worker, calls = an_ending_worker(monkeypatch, state, stop)
     worker.run()
-    served = ["learner.poll", "evaluations.poll"]
-    assert calls == [*served, *served, "report", "sender.close", "history.close"]
+    served = ["learner.poll", "evaluations.poll"] * 2 if state == "training" else []
+    assert calls == ["wait 5", *served, "report", "sender.close", "history.close"]
     assert "worker 3: 12 steps were not delivered." in "".join(capsys.readouterr())
+
+
+def test_the_time_to_end_counts_from_the_stop(monkeypatch):
+    """An evaluation that goes on when the stop comes takes its time from the deliveries'."""
+    clock = SimpleNamespace(now=100.0)
+    monkeypatch.setattr(service.time, "monotonic", lambda: clock.now)
+    worker, _ = an_ending_worker(monkeypatch, "training", False)
+    assert worker._seconds_left() == math.inf
+    worker._stop = True
+    assert worker._seconds_left() == service.DRAIN_SECONDS
+    clock.now += 3.0
+    assert worker._seconds_left() == service.DRAIN_SECONDS - 3.0
+
+
+def answered(bus, evaluations, order):
+    """Return the answer to an order, with the service polled meanwhile."""
+    with ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(bus.ask, keys.EVALUATION.key("r", worker="0"), order.encode(), 60.0)
+        while not asked.done():
+            evaluations.poll()
+            time.sleep(0.01)
+        return asked.result()
+
+
+def test_an_evaluation_is_given_up_when_the_time_is_over():
+    """The coordinator is refused at once, and asks another worker."""
+    farm = FarmConfig(world=WorldConfig(1, 1, 1, sensors=12, plots_x=4, plots_y=4, steps=6))
+    config, team = RunConfig(farm=farm), farm_team(farm)
+    store = PolicyStore(team)
+    actors = TeamActors.initial(team, 4, 0)
+    store.offer_parameters(ParametersMessage(1, 1, 0, 1, 0.0, team.digest, 4, actors.head, actors.flat))
+    asked: list[int] = []
+    cancelled = SimpleNamespace(after=100)
+
+    def over():
+        asked.append(1)
+        return len(asked) > cancelled.after
+
+    endpoint = free_endpoint()
+    with Bus.listen(endpoint, "control") as here, Bus.connect(endpoint, "control", 10.0) as there:
+        evaluations = EvaluationService(here, config, "r", "0", store, over)
+        order = EvaluationOrder(1, 1, 1, (3,), (4,))
+        result = answered(there, evaluations, order)
+        assert EvaluationResult.decode(result).reward.shape == (1, 6, 3)
+        assert len(asked) == 6
+        cancelled.after = 8
+        with pytest.raises(BusError, match="given up"):
+            answered(there, evaluations, order)
+        assert len(asked) == 9

@@ -16,7 +16,10 @@ from rollout.worker.learner_link import LearnerLink
 
 
 def test_a_worker_stops_that_waits_for_a_new_learners_configuration():
-    """A learner that said that it is new and then answers nobody does not keep its workers from ending."""
+    """A learner that said that it is new and then answers nobody does not keep its workers from ending.
+
+    They do not follow it either: its configuration may be another one.
+    """
     endpoint, stop = free_endpoint(), StopSignal()
     with Bus.listen(endpoint, "control"), Bus.connect(endpoint, "control", 10.0) as bus:
         learner = LearnerLink(bus, "r", "0", "", TeamSpec((GroupSpec("one", 2, 3, 2),)), stop)
@@ -28,7 +31,7 @@ def test_a_worker_stops_that_waits_for_a_new_learners_configuration():
         stop.event.set()
         thread.join(60.0)
         assert not thread.is_alive()
-        assert (learner.epoch, learner.state) == (2, "training")
+        assert (learner.epoch, learner.state) == (1, "starting")
 
 
 class States:

@@ -23,6 +23,9 @@ class RemoveCopies(FunctionPass):
     Both must be assigned once, so that the other one has its value wherever the copy does. Copies of phis stay, and
     copies that phis take. A phi becomes assignments at the ends of the blocks before it, one after another. They would
     change what a copy still holds: one variable of a swap, or the value before the last turn of a loop.
+
+    Copies of temporary results stay, too: Numba reads each of those once, and joins the arithmetic of arrays so. The
+    pass does not see names in `print(*names)`, and `locals=` of a function would lose the type that it gives a copy.
     """
 
     _name = "remove_copies"
@@ -47,14 +50,15 @@ def _copies(assignments: Sequence[Any]) -> dict[str, Any]:
     assigned = Counter(statement.target.name for statement in assignments)
     phis = [s for s in assignments if isinstance(s.value, ir.Expr) and s.value.op == "phi"]
     kept = {value.name for phi in phis for value in phi.value.incoming_values if isinstance(value, ir.Var)}
-    chosen = {phi.target.name for phi in phis}
+    fixed = {phi.target.name for phi in phis}
+    fixed |= {s.target.name for s in assignments if s.target.is_temp and isinstance(s.value, ir.Expr)}
     return {
         statement.target.name: statement.value
         for statement in assignments
         if isinstance(statement.value, ir.Var)
         and assigned[statement.target.name] == assigned[statement.value.name] == 1
         and statement.target.name not in kept
-        and statement.value.name not in chosen
+        and statement.value.name not in fixed
     }
 
 
