@@ -65,6 +65,8 @@ LOOK_SHARE: Final = 0.03
 times are late by that share at most."""
 SHARES: Final = (0.5, 0.75, 0.9, 1.0)
 """Parts of the bar's reward for which times are given."""
+LEAST_SHARE: Final = -0.2
+"""Where the picture ends below, as a part of the bar's reward."""
 JOIN_SECONDS: Final = 120.0
 Line = dict[str, Any]
 
@@ -218,9 +220,11 @@ def page(data: Line) -> str:
         "PettingZoo environment, with the same observations, discrete moves, widths, rate, discount and clip range;\n"
         f"their iterations are shorter ({PEER_SETTINGS['iteration']:,} steps, {PEER_SETTINGS['epochs']} epochs), "
         "because their environments are slower. Fresh actors\n"
-        "of ours follow the route that monitors observe; those of the peers have to learn that. Ours is ended\n"
-        f"after {data['seconds']:.0f} s, a peer after {data['limit']:.0f} s of training; it is looked at every\n"
-        f"{data['every']:g} s at most.\n"
+        "of ours follow the route that monitors observe; those of the peers have to learn that.\n"
+        "AgileRL sees each type as one agent in as many environments as there are UAVs of it, because it learns\n"
+        "nothing from groups of agents (`experiments/LOG.md`). Ours is ended after "
+        f"{data['seconds']:.0f} s, a peer after {data['limit']:.0f} s\n"
+        f"of training; it is looked at every {data['every']:g} s at most.\n"
     )
     rates = ", ".join(f"{software} {rate:,.0f}" for software, rate in steps_per_second(data).items())
     seen = ", ".join(f"{software} {reward:.0f}" for software, reward in best.items())
@@ -242,7 +246,13 @@ def picture(data: Line) -> Figure:
             axes.plot(seconds, reward, color=colour, marker=".", linewidth=1.6, label=label)
     axes.axhline(data["bar"], color="0.4", linewidth=1.0, linestyle="--")
     axes.annotate(BAR, (1.0, data["bar"]), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=9)
-    axes.set(xscale="log", xlabel="seconds since the command", ylabel="reward per agent")
+    # Fresh policies of some peers fly out of the field and would take most of the picture.
+    axes.set(
+        xscale="log",
+        ylim=(LEAST_SHARE * data["bar"], 1.06 * data["bar"]),
+        xlabel="seconds since the command",
+        ylabel="reward per agent",
+    )
     axes.grid(True, color="0.9")
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=9, loc="lower right")
