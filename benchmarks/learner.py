@@ -322,7 +322,7 @@ def learned_on_policy(repeats: int) -> dict[str, Any]:
     To be called last: it sets torch's precision of float32 products for the process.
     """
     config = preset("default")
-    found = on_policy.measure_updates(config, repeats)
+    found = on_policy.measure_updates(on_policy.with_threads(config, 1), repeats)
     sizes = {"algorithm": config.algorithm.name, "width": config.on_policy.hidden, "threads": torch.get_num_threads()}
     times = {"updates_us": round(found["updates"], 2), "limit_us": round(found["limit"], 2)}
     return {"preset": "default", **sizes, **times, "gflops": round(found["gflops"], 1)}

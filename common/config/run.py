@@ -59,7 +59,7 @@ class LearnerConfig:
     threads: int = 1
     """Compute threads of the learner."""
     update_threads: int = 2
-    """Networks that learning on policy updates side by side on a processor, each with `threads` (1 to 6)."""
+    """Networks that learning on policy updates side by side on a processor, at most two for each type of agent."""
     device: str = "cpu"
     """Device of the networks: cpu, cuda, or cuda:1 for the second GPU."""
     publish_seconds: float = 0.5

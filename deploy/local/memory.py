@@ -5,8 +5,8 @@ from typing import Final
 
 MMAP_BYTES: Final = 32 * 1024 * 1024
 """Larger blocks are mapped directly; the C library accepts no larger threshold."""
-TRIM_BYTES: Final = 64 * 1024 * 1024
-"""Free memory at the end of each heap that is kept: what a minibatch needs. Threads have their own heaps."""
+TRIM_BYTES: Final = 48 * 1024 * 1024
+"""Free memory at the end of each heap that is kept: what a minibatch needs. Threads have heaps of at most 64 MiB."""
 _M_TRIM_THRESHOLD: Final = -1
 _M_MMAP_THRESHOLD: Final = -3
 

@@ -1,12 +1,12 @@
-"""Tasks that compute side by side, each on one thread.
+"""Tasks that compute side by side, each in one thread.
 
 The networks of an on-policy learner are small: one product divided among cores takes longer than on one. But the six
-networks of three types do not depend on each other. Each keeps its arithmetic on one thread, so that results are the
-same on any number of threads. Threads that wait sleep, so that workers get the core.
+networks of three types do not depend on each other. Each keeps its arithmetic in one thread, so that results are the
+same with any number of threads. Threads that wait sleep, so that workers get the core.
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TypeVar
 
 import torch
@@ -25,10 +25,15 @@ class SideBySide:
         self._pool = None if threads == 1 else ThreadPoolExecutor(threads, "updates", _prepare)
 
     def run(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
-        """Return the results of all tasks, in their order; the first ones begin first."""
+        """Return the results of all tasks, in their order; the first ones begin first.
+
+        When a task raises, the others still end before that reaches the caller.
+        """
         if self._pool is None:
             return [task() for task in tasks]
-        return [future.result() for future in [self._pool.submit(task) for task in tasks]]
+        futures = [self._pool.submit(task) for task in tasks]
+        wait(futures)
+        return [future.result() for future in futures]
 
 
 def _prepare() -> None:

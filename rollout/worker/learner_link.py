@@ -36,7 +36,8 @@ class LearnerLink:
 
     Attributes:
         store: the actors.
-        state: state of the run: starting, training, draining or finished.
+        state: state of the run: starting, training, draining or finished; unknown when a new learner has taken over
+            whose configuration a worker that ends did not wait for.
         epoch: the learner's fencing epoch, 0 before the first progress.
         newest_version: newest parameter version that the learner has published.
         window: environment steps that a worker may have under way, as the learner last published.
@@ -97,7 +98,7 @@ class LearnerLink:
         if 0 < before != message.epoch:
             answer = fetch_configuration(self._control, self._run, self._worker, lambda: not self._stop, 5.0)
             if answer is None and self._stop:
-                # Evaluations must not be those of another configuration.
+                self.state = "unknown"
                 return
             if answer is not None and answer.toml != self._toml:
                 raise UsageError(f"run {self._run} has a new learner with another configuration.")

@@ -34,6 +34,9 @@ from rollout.worker.view_service import ViewService
 
 REPORT_SECONDS = 1.0
 DRAIN_SECONDS = 5.0
+"""How long a worker evaluates and delivers after it has noticed that it should end."""
+DELIVER_SECONDS = 2.0
+"""How long it delivers at least, when an evaluation took all of that; a supervisor kills it after 8 s."""
 IDLE_SECONDS = 0.002
 UNTAKEN = 20
 """Requests in a row that nobody took before the worker checks whether it is denied."""
@@ -118,7 +121,7 @@ class Worker:
         self._learner = LearnerLink(control, run, name, answer.toml, team, stop)
         self._gate = CollectionGate(config.rollout, self._learner, self._sender, answer.lockstep)
         self._evaluations = EvaluationService(
-            control, config, run, name, self._learner.store, lambda: self._seconds_left() <= 0
+            control, config, run, name, self._learner.store, self._late_for_evaluations
         )
         self._view_service = ViewService(control, run, name, start, self._collector, answer.toml)
         self._presence = Presence(control, run, "rollout", name, start)
@@ -134,7 +137,8 @@ class Worker:
         try:
             while not self._stop and self._learner.state != "finished":
                 self._turn()
-            if not self._sender.wait_empty(self._seconds_left(), self._serve_while_ending):
+            left = max(DELIVER_SECONDS, self._seconds_left())
+            if not self._sender.wait_empty(left, self._serve_while_ending):
                 log(f"worker {self._options.name}: {self._sender.in_flight} steps were not delivered.")
             self._report()
         finally:
@@ -163,8 +167,12 @@ class Worker:
             self._learner.poll()
             self._evaluations.poll()
 
+    def _late_for_evaluations(self) -> bool:
+        """Return whether a worker that ends has no time left for an evaluation."""
+        return self._seconds_left() <= 0.0
+
     def _seconds_left(self) -> float:
-        """Return how long a worker that ends may still deliver; without limit before it ends."""
+        """Return how long a worker that ends goes on; without limit before it ends."""
         if not self._stop and self._learner.state != "finished":
             return math.inf
         now = time.monotonic()

@@ -1,6 +1,7 @@
 """Networks that are updated side by side get the weights that they get one after another."""
 
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -61,11 +62,17 @@ def test_tasks_compute_at_once_and_flush_small_numbers():
 
 
 def test_an_error_of_a_task_reaches_the_caller():
-    """A task that fails is not lost in its thread."""
+    """A task that fails is not lost in its thread, and nothing computes any more when the caller hears of it."""
+    ended = []
 
     def fails():
         raise ValueError("no")
 
-    for threads in (1, 2):
+    def goes_on():
+        time.sleep(0.2)
+        ended.append(True)
+
+    for threads, others in ((1, 0), (2, 1)):
         with pytest.raises(ValueError, match="no"):
-            SideBySide(threads).run([fails])
+            SideBySide(threads).run([fails, goes_on])
+        assert len(ended) == others

@@ -62,16 +62,27 @@ def test_a_worker_that_ends_serves_the_coordinator_while_the_learner_trains(monk
     assert "worker 3: 12 steps were not delivered." in "".join(capsys.readouterr())
 
 
-def test_the_time_to_end_counts_from_the_stop(monkeypatch):
-    """An evaluation that goes on when the stop comes takes its time from the deliveries'."""
+def test_the_time_to_end_counts_from_when_the_stop_is_noticed(monkeypatch):
+    """An evaluation that goes on then takes its time from the deliveries', and leaves some for them."""
     clock = SimpleNamespace(now=100.0)
     monkeypatch.setattr(service.time, "monotonic", lambda: clock.now)
-    worker, _ = an_ending_worker(monkeypatch, "training", False)
+    worker, calls = an_ending_worker(monkeypatch, "training", False)
     assert worker._seconds_left() == math.inf
     worker._stop = True
     assert worker._seconds_left() == service.DRAIN_SECONDS
+    assert not worker._late_for_evaluations()
     clock.now += 3.0
     assert worker._seconds_left() == service.DRAIN_SECONDS - 3.0
+    calls.clear()
+    worker.run()
+    assert calls[0] == "wait 2"
+    clock.now += 1.5
+    assert not worker._late_for_evaluations()
+    clock.now += 1.0
+    assert worker._late_for_evaluations()
+    calls.clear()
+    worker.run()
+    assert calls[0] == f"wait {service.DELIVER_SECONDS:.0f}"
 
 
 def answered(bus, evaluations, order):

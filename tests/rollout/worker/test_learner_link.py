@@ -31,7 +31,7 @@ def test_a_worker_stops_that_waits_for_a_new_learners_configuration():
         stop.event.set()
         thread.join(60.0)
         assert not thread.is_alive()
-        assert (learner.epoch, learner.state) == (1, "starting")
+        assert (learner.epoch, learner.state) == (1, "unknown")
 
 
 class States:
