@@ -42,6 +42,7 @@ from common.config import (  # noqa: E402  (as above)
     ReplayConfig,
 )
 from common.config.algorithms import switched  # noqa: E402  (as above)
+from common.config.files import with_values  # noqa: E402  (as above)
 from common.config.presets import preset  # noqa: E402  (as above)
 from common.errors import UsageError  # noqa: E402  (as above)
 from common.farm import farm_team  # noqa: E402  (as above)
@@ -322,7 +323,7 @@ def learned_on_policy(repeats: int) -> dict[str, Any]:
     To be called last: it sets torch's precision of float32 products for the process.
     """
     config = preset("default")
-    found = on_policy.measure_updates(on_policy.with_threads(config, 1), repeats)
+    found = on_policy.measure_updates(with_values(config, on_policy.ONE_CORE), repeats)
     sizes = {"algorithm": config.algorithm.name, "width": config.on_policy.hidden, "threads": torch.get_num_threads()}
     times = {"updates_us": round(found["updates"], 2), "limit_us": round(found["limit"], 2)}
     return {"preset": "default", **sizes, **times, "gflops": round(found["gflops"], 1)}

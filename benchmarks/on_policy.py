@@ -22,7 +22,6 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +34,7 @@ import torch
 
 from common.actors import actor_outputs
 from common.config import OnPolicyConfig, RunConfig
+from common.config.files import with_values
 from common.config.presets import preset
 from common.farm import farm_team
 from common.protocol.chunk_messages import from_message, to_message
@@ -48,6 +48,7 @@ from learner.on_policy.policies import HEAD
 from learner.on_policy.trainer import OnPolicyTrainer
 from rollout.worker.collector import Collector
 
+ONE_CORE = {"learner.update_threads": 1}
 SQUARE = 1024
 """Rows of the matrices whose product gives the speed of arithmetic."""
 
@@ -81,15 +82,10 @@ def operations(config: OnPolicyConfig, team: TeamSpec) -> float:
     return 2.0 * config.epochs * total
 
 
-def with_threads(config: RunConfig, threads: int) -> RunConfig:
-    """Return a run whose updates are divided among so many threads."""
-    return replace(config, learner=replace(config.learner, update_threads=threads))
-
-
 def measure(config: RunConfig, repeats: int) -> dict[str, Any]:
     """Return the microseconds of every part, for one environment step."""
     collector = Collector(config, "0", 0)
-    trainer = OnPolicyTrainer(with_threads(config, 1), collector.team)
+    trainer = OnPolicyTrainer(with_values(config, ONE_CORE), collector.team)
     actors, environments = trainer.actors(), collector.environments
     chunks: list[Chunk] = []
     collecting = least(lambda: chunks.append(collector.collect(actors, 0.0, uniform=False)), repeats)

@@ -25,7 +25,7 @@ class Metric:
 
 
 _STEPS: Final = "environment steps"
-_STATE: Final = Metric("state", "", "starting, training, draining or finished")
+_STATE: Final = Metric("state", "", "starting, training, draining or finished; of an ending worker also unknown")
 _ADMISSION: Final = (
     Metric("descriptors", "", "open file descriptors, of a process that listens; half of the limit raises an alarm"),
     Metric(

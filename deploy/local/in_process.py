@@ -5,9 +5,9 @@ bit-equal to those of a distributed lockstep run.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from common.config import RunConfig
+from common.config.files import with_values
 from common.imitation import ImitationSchedule
 from common.transitions import Chunk
 from elite.evaluation_plan import evaluation_plan
@@ -32,7 +32,7 @@ def train_in_process(
     Returns:
         The trainer with its final actors.
     """
-    config = replace(config, learner=replace(config.learner, update_threads=1))
+    config = with_values(config, {"learner.update_threads": 1})
     collector = Collector(config, WORKER, 0)
     trainer = make_trainer(config, collector.team)
     schedule = ImitationSchedule.of(config)

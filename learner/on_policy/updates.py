@@ -191,7 +191,7 @@ class Updates:
         """Compute the clipped gradient of a type's actors; return what was measured, nothing if they have stopped."""
         if self.stopped[kind]:
             return {}
-        agents = self._team.agent_slices()[kind]
+        agents = self._groups[kind][1]
         sampled = batch["log_probability"][:, agents], batch["advantage"][:, agents]
         actions = split_actions(self._team, batch["action"])[kind]
         order = None if sequences is None else sequences[kind][0]
@@ -209,7 +209,7 @@ class Updates:
         self, kind: int, batch: dict[str, Tensor], own: Tensor, sequences: Minibatch | None
     ) -> dict[str, Tensor]:
         """Compute the clipped gradient of a type's value functions; return what was measured."""
-        returns = batch["returns"][:, self._team.agent_slices()[kind]]
+        returns = batch["returns"][:, self._groups[kind][1]]
         order = None if sequences is None else sequences[kind][1]
         loss = self.values[kind].loss(batch["observation"], own, returns, order)
         torch.autograd.backward(loss)

@@ -38,7 +38,7 @@ class EvaluationService:
         run: str,
         worker: str,
         store: PolicyStore,
-        cancelled: Callable[[], bool] = lambda: False,
+        cancelled: Callable[[], bool],
     ) -> None:
         self._config, self._store, self._cancelled = config, store, cancelled
         self._orders = control.serve(keys.EVALUATION.key(run, worker=worker), CAPACITY)

@@ -150,8 +150,8 @@ class Worker:
     def _turn(self) -> None:
         self._end_if_replaced()
         self._learner.poll()
-        self._evaluations.poll()
         self._sender.resend_fast(self._learner.state == "draining")
+        self._evaluations.poll()
         self._view_service.poll(self._learner.store.version, *self._exploration())
         actors = self._gate.actors()
         if actors is not None:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from itertools import count
 
 import pytest
 
@@ -165,7 +166,7 @@ def test_who_waits_goes_on_with_its_other_work(monkeypatch):
     """What makes the learner take the chunk is done while the sender waits for that."""
     with sending(monkeypatch) as (sender, wire, offer):
         offer(1)
-        turns = iter(range(100))
+        turns = count()
         assert sender.wait_empty(3600.0, lambda: wire.answer("accepted") if next(turns) == 3 else None)
 
 
