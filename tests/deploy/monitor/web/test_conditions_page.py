@@ -118,10 +118,17 @@ def count(page, colour, most=12):
 
 
 def links_are_red(page):
-    """Return whether there is red on the map, until all links are within range."""
-    before = count(page, LINK_DOWN, 30)
-    redraw(page, "watching.past.at(Math.floor(watching.view.head)).packet.arrays.linked.fill(1)")
-    return before > 50 and count(page, LINK_DOWN, 30) < before / 5
+    """Return whether there is more red than without links, until all links are within range.
+
+    Trails within patches are red, too, where both are drawn over each other.
+    """
+    frame = "watching.past.at(Math.floor(watching.view.head)).packet.arrays"
+    out_of_range = count(page, LINK_DOWN, 30)
+    redraw(page, f"{frame}.linked.fill(1)")
+    within_range = count(page, LINK_DOWN, 30)
+    redraw(page, f"{frame}.assignment.fill(255)")
+    without = count(page, LINK_DOWN, 30)
+    return out_of_range > without + 50 and within_range < without + 20
 
 
 def stations_are_drawn(page):
