@@ -52,6 +52,7 @@ class FarmState:
         vdf: [n_px n_py] VDF, plots in row-major order.
         assignment: [n_m + n_d] relay of each served UAV; -1 without relays.
         cycles: cycles of the counters as far as known, VDF [n_px n_py] and AoI [S], steps.
+        wind: of the last step along x and y, [2] over top speed; None where there is none.
     """
 
     config: FarmConfig
@@ -64,6 +65,7 @@ class FarmState:
     vdf: Array
     assignment: NDArray[np.int64]
     cycles: tuple[NDArray[np.int64], NDArray[np.int64]]
+    wind: Array | None = None
 
     def of(self, kind: int) -> Array:
         """Return the positions of the UAVs of a type, [n_v, 2] m."""
@@ -183,6 +185,7 @@ class CompositePolicy:
         relays, monitors, collectors = (int(left[rows].sum()) for rows in farms.team.agent_slices())
         served = farms.assignment[index][left[-farms.assignment.shape[1] :]]
         number = np.cumsum(left) - 1  # of each relay among those that are left
+        wind = self._navigation.wind(farms, np.array([index]))
         return FarmState(
             config=left_over(self._config, (relays, monitors, collectors)),
             layout=self._layouts[index],
@@ -198,4 +201,5 @@ class CompositePolicy:
             vdf=farms.vdf[index].reshape(-1),
             assignment=np.where(served >= 0, number[served], -1),
             cycles=known_cycles(farms, index),
+            wind=None if wind is None else wind[0, 0],
         )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig, WorldConfig
-from rollout.sim.boxes import reach
+from rollout.sim.boxes import SLOWEST, possible, reach
 from rollout.sim.kernel.constants import constants
 from rollout.sim.kernel.flight.motion import flight_power
 from rollout.sim.layout import cell_counts
@@ -21,15 +21,8 @@ STANDOFF: Final = 1e-9
 """Least divisor when a direction is normalised, m."""
 EDGE: Final = 1e-3
 """Least distance from the field's edge, m. It keeps rounding from putting a UAV outside."""
-SLOWEST: Final = 0.05
-"""Least speed against a wind to which a straight way slows a UAV down, over top speed; a faster one drifts."""
 LOITER_MAX: Final = 1.0
 """Top speed of a waiting UAV, m/s."""
-
-
-def possible(wind: Array) -> tuple[Array, Array]:
-    """Return the least and the largest action along each axis that the top airspeed allows in a wind over top speed."""
-    return np.maximum(-1.0, wind - 1.0), np.minimum(1.0, wind + 1.0)
 
 
 def towards(position: Array, target: Array, world: WorldConfig, wind: Array | None = None) -> Array:

@@ -45,14 +45,14 @@ class GreedyGroupPolicy:
         """Return a place in each UAV's target, or the UAV's own position if no target has value: [n_v, 2] m."""
         position, world, box = state.of(self._kind), state.config.world, self._targets.box
         value = self._targets.value(state)
-        steps = steps_to(position[:, None], box[:, None], world)
+        steps = steps_to(position[:, None], box[:, None], world, state.wind)
         self._chosen = best_targets(value, steps, self._targets.centre, self._chosen, OFFSET, SEPARATION)
         goals = position.copy()
         for uav, target in enumerate(self._chosen):
             if target >= 0:
-                onward = value / (steps_to(self._targets.centre[target], box, world) + OFFSET)
+                onward = value / (steps_to(self._targets.centre[target], box, world, state.wind) + OFFSET)
                 onward[target] = 0.0
-                goals[uav] = aim(position[uav], box[:, target], box[:, onward.argmax()], world)
+                goals[uav] = aim(position[uav], box[:, target], box[:, onward.argmax()], world, state.wind)
         return goals
 
 

@@ -59,12 +59,12 @@ class HungarianGroupPolicy:
         position, box = state.of(self._kind), self._targets.box
         value = self._targets.value(state)
         if ((self.chosen < 0) | (value[self.chosen] <= 0.0)).any():
-            steps = steps_to(position[:, None], box[:, None], state.config.world)
+            steps = steps_to(position[:, None], box[:, None], state.config.world, state.wind)
             self.chosen, self._second = self._assign(value, steps)
         goals = position.copy()
         for uav in np.flatnonzero(self.chosen >= 0):
             after = box[:, self._second[uav]]
-            goals[uav] = aim(position[uav], box[:, self.chosen[uav]], after, state.config.world)
+            goals[uav] = aim(position[uav], box[:, self.chosen[uav]], after, state.config.world, state.wind)
         return goals
 
     def _between(self, at: Indices) -> Array:

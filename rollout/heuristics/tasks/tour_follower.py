@@ -52,7 +52,7 @@ class TourFollower:
             if inside(position[uav], route[:, at]) or self._waited[uav] >= PATIENCE:
                 at = self._next[uav] = (at + 1) % length
                 self._nearest[uav], self._waited[uav] = np.inf, 0
-            places[uav] = aim(position[uav], route[:, at], route[:, (at + 1) % length], world)
+            places[uav] = aim(position[uav], route[:, at], route[:, (at + 1) % length], world, state.wind)
             if self._moves(uav, position[uav]) and self._airspace.detours(position[uav], places[uav]):
                 self._nearest[uav], self._waited[uav] = np.inf, 0
         self._before = position.copy()

@@ -8,9 +8,10 @@ import pytest
 from common.config import FarmConfig, WindConfig, WorldConfig, ZoneConfig
 from common.config.presets import preset
 from rollout.heuristics.registry import TASKS
-from rollout.heuristics.steering import possible, towards
+from rollout.heuristics.steering import towards
 from rollout.policies import policy_of
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
+from rollout.sim.boxes import possible
 from rollout.sim.detours import MARGIN, Airspace
 
 BOUNDARY = REWARD_PARTS.index("boundary")

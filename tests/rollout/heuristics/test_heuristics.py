@@ -156,17 +156,19 @@ def test_aim_takes_the_fewest_steps_and_then_the_side_of_the_next_box():
     assert not inside(place + 10.0, box)
 
 
-def test_aim_never_costs_a_step():
-    """From random places the box is reached after as many steps at full speed as `steps_to` says."""
+@pytest.mark.parametrize("wind", [None, np.array([0.4, -0.25])], ids=["calm", "wind"])
+def test_aim_never_costs_a_step(wind):
+    """From random places the box is reached after as many steps as `steps_to` says, and no sooner."""
     generator = np.random.default_rng(3)
     for _ in range(50):
         corner = generator.uniform(0.0, 180.0, (2, 2))
         box, onward = (np.stack([low, low + 12.0]) for low in corner)
         position = generator.uniform(0.0, 200.0, 2)
-        wanted = int(steps_to(position, box, WORLD))
-        place = aim(position, box, onward, WORLD)
-        for _ in range(wanted):
-            position = position + towards(position, place, WORLD) * reach(WORLD)
+        wanted = int(steps_to(position, box, WORLD, wind))
+        place = aim(position, box, onward, WORLD, wind)
+        for step in range(wanted):
+            assert step == 0 or not inside(position, box)
+            position = position + towards(position, place, WORLD, wind) * reach(WORLD)
         assert inside(position, box)
 
 
