@@ -13,6 +13,7 @@ import math
 import sys
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
+from functools import lru_cache
 from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
@@ -137,20 +138,18 @@ class Lattice:
         Returns:
             [..., 2] float32 in [-1, 1].
         """
-        count = np.array([self.columns, self.rows], np.float32)
-        reach = np.array([self.reach_x, self.reach_y], np.float32)
-        share = (position + np.float32(1)) * np.float32(0.5)
-        step = np.clip(np.rint(np.float32(GAIN) * action), -1, 1)
-        goal = (np.clip(self.cell(position) + step, 0, count - np.float32(1)) + np.float32(0.5)) / count
-        velocity: Float32 = np.clip((goal - share) / reach, np.float32(-1), np.float32(1))
-        return velocity
+        count, one = _pair(self.columns, self.rows), np.float32(1)
+        share = (position + one) * np.float32(0.5)
+        step = _clipped(np.rint(np.float32(GAIN) * action), -one, one)
+        cell = _clipped(self.cell(position) + step, np.float32(0), count - one)
+        goal = np.divide(cell + np.float32(0.5), count)
+        return _clipped(np.divide(goal - share, _pair(self.reach_x, self.reach_y)), -one, one)
 
     def cell(self, position: Float32) -> Float32:
         """Return the column and the row of the cells, [..., 2] whole numbers, that hold positions [..., 2] float32."""
-        count = np.array([self.columns, self.rows], np.float32)
+        count = _pair(self.columns, self.rows)
         share = (position + np.float32(1)) * np.float32(0.5)
-        cell: Float32 = np.clip(np.floor(share * count + np.float32(EDGE)), 0, count - np.float32(1))
-        return cell
+        return _clipped(np.floor(share * count + np.float32(EDGE)), np.float32(0), count - np.float32(1))
 
     def complaint(self, observation: Float32) -> str:
         """Return an empty string: every position has a cell."""
@@ -296,17 +295,14 @@ class Headings:
         cell = np.floor(x / way)
         odd = cell - np.float32(2) * np.floor(np.float32(0.5) * cell) > np.float32(0.5)
         back = (odd | (x > np.float32(1) - way)) & ~(x < way - np.float32(1))
-        idle = np.where(back, np.float32(-self.idle), np.float32(self.idle)) * np.array([1, 0], np.float32)
+        idle = np.where(back, np.float32(-self.idle), np.float32(self.idle)) * _pair(1, 0)
         index = np.rint(action[..., 0]).astype(np.int64)
         velocity: Float32 = np.where(action < np.float32(1), idle, self.velocities()[np.maximum(index - 1, 0)])
         return velocity
 
     def velocities(self) -> Float32:
-        """Return the velocities [24, 2] of the options after idle."""
-        angle = np.arange(8) * (math.pi / 4)
-        heading = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        speeds = (self.slow, self.medium, self.fast)
-        return np.concatenate([speed * heading for speed in speeds]).astype(np.float32)
+        """Return the velocities [24, 2] of the options after idle, which cannot be written to."""
+        return _on_headings((self.slow, self.medium, self.fast))
 
     def complaint(self, observation: Float32) -> str:
         """Return an empty string: there is a velocity for every position."""
@@ -315,6 +311,30 @@ class Headings:
     def constants(self) -> dict[str, Any]:
         """Return idle, way and speeds."""
         return {"idle": self.idle, "way": float(self.way), "speeds": [self.slow, self.medium, self.fast]}
+
+
+@lru_cache(maxsize=256)
+def _pair(x: float, y: float) -> Float32:
+    """Return two numbers as an array that cannot be written to; making it takes longer than an operation on it."""
+    pair = np.array([x, y], np.float32)
+    pair.flags.writeable = False
+    return pair
+
+
+@lru_cache(maxsize=64)
+def _on_headings(speeds: tuple[float, ...]) -> Float32:
+    """Return the velocities on eight headings at each speed, [8 K, 2], as an array that cannot be written to."""
+    angle = np.arange(8) * (math.pi / 4)
+    heading = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    velocities = np.concatenate([speed * heading for speed in speeds]).astype(np.float32)
+    velocities.flags.writeable = False
+    return velocities
+
+
+def _clipped(values: Float32, low: Float32 | np.float32, high: Float32 | np.float32) -> Float32:
+    """Return values between bounds; `np.clip` takes several times as long for the few numbers of a step."""
+    clipped: Float32 = np.minimum(np.maximum(values, low), high)
+    return clipped
 
 
 ADAPTERS: Final[dict[str, type[Lattice] | type[MirroredAxes] | type[NineMoves] | type[Headings]]] = {

@@ -68,9 +68,11 @@ def sample_options(
         cumulated = np.cumsum(weight, axis=-1)
         total = cumulated[..., -1]
         # An option of zero weight is never chosen: the threshold is met first by an option that adds to the sum.
-        option = (cumulated <= (uniform[..., index] * total)[..., None]).sum(axis=-1)
-        option = np.minimum(option, last_possible(weight))
-        log_probability += np.log(np.take_along_axis(weight, option[..., None], axis=-1)[..., 0] / total)
+        option = np.count_nonzero(cumulated <= (uniform[..., index] * total)[..., None], axis=-1)
+        if option.max(initial=0) == part.shape[-1]:
+            option = np.minimum(option, last_possible(weight))
+        flat = np.arange(0, weight.size, part.shape[-1]).reshape(option.shape) + option
+        log_probability += np.log(weight.reshape(-1)[flat] / total)
         chosen.append(option)
     return np.stack(chosen, axis=-1).astype(np.float32), log_probability
 

@@ -17,8 +17,6 @@ PRESET: Final = "docs/results/reproduce/default/results.json"
 HEURISTICS: Final = "docs/results/heuristics/results.json"
 SEEDS: Final = "docs/results/default/seeds.json"
 DISTRIBUTION: Final = "docs/results/distribution/results.json"
-SHOWN_WORKERS: Final = 16
-"""Number of workers that the README names."""
 NOT_MEASURED: Final = "Not measured yet.\n"
 """A block whose data is not there."""
 PAUSE_AIM: Final = 50.0
@@ -43,10 +41,19 @@ def paper_block(run: dict[str, Any]) -> str:
 
 def distribution_block(data: dict[str, Any]) -> str:
     """Return the block of README.md on what more workers bring where a step takes time."""
-    line = next(line for line in summary(data["runs"]) if line["workers"] == SHOWN_WORKERS)
-    return wrapped(
-        f"""With steps of {1000 * data["task"]["period"]:.0f} ms, {SHOWN_WORKERS} workers reach a fixed reward
-        [{line["speedup"]:.0f} times as fast](docs/results/distribution/README.md) as one."""
+    lines, seeds = summary(data["runs"]), len({run["seed"] for run in data["runs"]})
+    return "\n".join(
+        [
+            f"Speed-up where steps take {1000 * data['task']['period']:.0f} ms"
+            f" ({'one seed' if seeds == 1 else f'{seeds} seeds'}, [details](docs/results/distribution/README.md)):",
+            "",
+            "| workers | " + " | ".join(str(line["workers"]) for line in lines) + " |",
+            "|---" + "|---:" * len(lines) + "|",
+            "| speed-up | " + " | ".join(f"{line['speedup']:.1f}" for line in lines) + " |",
+            "",
+            "![Speed-up by workers, and reward against time](docs/results/distribution/speedup.png)",
+            "",
+        ]
     )
 
 

@@ -41,10 +41,11 @@ def _categorical(group: GroupSpec, observation: Tensor, logits: Tensor, action: 
         logits = torch.where(observation[..., -group.options :] > 0.5, logits, ILLEGAL)
     log_probability = entropy = logits.new_zeros(logits.shape[:-1])
     for index, part in enumerate(torch.split(logits, list(group.choices), dim=-1)):
-        log_share = torch.log_softmax(part, dim=-1)
-        taken = action[..., index : index + 1].long()
-        log_probability = log_probability + log_share.gather(-1, taken).squeeze(-1)
-        entropy = entropy - (log_share.exp() * log_share).sum(dim=-1)
+        # Along the first axis torch works on many samples at once, along a short last one on one after another.
+        log_share = torch.log_softmax(part.flatten(0, -2).t().contiguous(), dim=0)
+        taken = action[..., index].long().reshape(1, -1)
+        log_probability = log_probability + log_share.gather(0, taken).view_as(log_probability)
+        entropy = entropy - (log_share.exp() * log_share).sum(dim=0).view_as(entropy)
     return Evaluated(log_probability, entropy)
 
 

@@ -1,6 +1,7 @@
 """The rows of one iteration, and how they are split by type of agent."""
 
-from typing import Any, Final
+from functools import partial
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -10,6 +11,7 @@ from common.config import OnPolicyConfig
 from common.errors import CheckpointError, SchemaError
 from common.team import TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
+from learner.on_policy.side_by_side import SideBySide
 
 FIELDS: Final = ("observation", "action", "reward", "flag", "log_probability")
 STATE: Final = "state"
@@ -86,6 +88,39 @@ class Experience:
             raise CheckpointError(f"the checkpoint's {prefix} has another number of steps than it states.")
         found._chunks, found.steps, found.lag = [rows], steps, lag
         return found
+
+
+class Observations(NamedTuple):
+    """The observations of some rows.
+
+    Attributes:
+        own: those of each type, [R, n_v, o_v], contiguous: rows are drawn for every minibatch, and every network would
+            copy what is strided.
+        team: those of all agents, [R, O], or [R, 0] where no network sees them.
+    """
+
+    own: tuple[Tensor, ...]
+    team: Tensor
+
+    @classmethod
+    def of(cls, team: TeamSpec, rows: Tensor, dtype: torch.dtype, pool: SideBySide, *, whole: bool) -> "Observations":
+        """Return those of rows [R, O].
+
+        Args:
+            team: the layout of the team.
+            rows: [R, O].
+            dtype: what they become.
+            pool: does it for the types side by side.
+            whole: whether a network sees those of all agents.
+        """
+        parts = split(team, rows)
+        own = pool.run([partial(part.to, dtype, memory_format=torch.contiguous_format) for part in parts])
+        return cls(tuple(own), rows.to(dtype) if whole else rows.new_empty(len(rows), 0))
+
+    def drawn(self, here: Tensor, pool: SideBySide) -> "Observations":
+        """Return those of some rows by their numbers [B]."""
+        own = pool.run([partial(part.index_select, 0, here) for part in self.own])
+        return Observations(tuple(own), self.team.index_select(0, here))
 
 
 def _array(tensors: dict[str, Tensor], name: str) -> Any:

@@ -29,7 +29,7 @@ from common.transitions import Rows
 from learner.networks.device import has_bfloat16
 from learner.on_policy.advantages import advantages
 from learner.on_policy.diagnostics import IterationDiagnostics
-from learner.on_policy.experience import split, split_actions, step_rows
+from learner.on_policy.experience import Observations, split_actions, step_rows
 from learner.on_policy.iteration_states import IterationStates
 from learner.on_policy.policies import Policies
 from learner.on_policy.sequences import Sequences
@@ -43,6 +43,7 @@ MOST_WEIGHT = 2.0
 """Largest weight of a step in the decoupled objective; rare actions of an older policy would else drown the others."""
 Minibatch = list[tuple[Sequences, Sequences]]
 """For each type how its actors and its value functions go through a minibatch, with memory."""
+NOTHING_SEEN = Observations((), torch.zeros(0, 0))
 COMPUTED = ("returns", "advantage")
 """Tensors of an iteration's rows, [R, agents], that are computed at its start."""
 
@@ -90,6 +91,7 @@ class Updates:
             [np.full(group.count, gamma.get(group.name, config.discount), np.float32) for group in team.groups]
         )
         self._rows: dict[str, Tensor] = {}
+        self._seen = NOTHING_SEEN
         self._states: IterationStates | None = None
         self.stopped = [False] * len(team.groups)
 
@@ -98,8 +100,8 @@ class Updates:
         config, device = self._config, self._device
         self.stopped = [False] * len(self._team.groups)
         self._load(rows)
-        observation = self._rows["observation"]
-        value = self._all_values() if self._states is None else self._states.begin(self.policies, observation)
+        states, team = self._states, self._seen.team
+        value = self._all_values() if states is None else states.begin(self.policies, team)
         reward = credited(self._team, rows.reward, config.credit) * np.float32(config.reward_scale)
         ends = config.time_limit == "terminal"
         gain = advantages(reward, value, rows.flag, self._discount, config.gae_lambda, time_limit_ends=ends)
@@ -117,7 +119,7 @@ class Updates:
         samples = self.samples(rows)
         for part in np.array_split(samples, -(-rows.steps // VALUE_BATCH)):
             here, sequences = self._gathered(part)
-            own = split(self._team, self._rows["observation"][here])
+            own = self._seen.drawn(here, self._side_by_side).own
             actions = split_actions(self._team, self._rows["action"][here])
             for kind, (_, agents) in enumerate(self._groups):
                 acting = None if sequences is None else sequences[kind][0]
@@ -133,9 +135,11 @@ class Updates:
 
     def _load(self, rows: Rows) -> None:
         assert rows.log_probability is not None
-        arrays = {"observation": rows.observation, "action": rows.action, "log_probability": rows.log_probability}
+        arrays = {"action": rows.action, "log_probability": rows.log_probability}
         self._rows = {name: torch.from_numpy(array).to(self._device) for name, array in arrays.items()}
-        self._rows["observation"] = self._rows["observation"].to(self._dtype)
+        whole, observation = self._config.sees_team or self._config.memory != "none", torch.from_numpy(rows.observation)
+        seen = observation.to(self._device)
+        self._seen = Observations.of(self._team, seen, self._dtype, self._side_by_side, whole=whole)
         if self._config.memory != "none":
             self._states = IterationStates(self._config, self._team, rows, self.values, self._device)
 
@@ -156,8 +160,8 @@ class Updates:
     @torch.no_grad()
     def _values_of(self, kind: int) -> Tensor:
         """Return V of every row for a type's agents, [R, n]."""
-        batches, value = torch.split(self._rows["observation"], VALUE_BATCH), self.values[kind].value
-        return torch.cat([value(team, split(self._team, team)[kind]) for team in batches])
+        batches = (torch.split(part, VALUE_BATCH) for part in (self._seen.team, self._seen.own[kind]))
+        return torch.cat([self.values[kind].value(team, own) for team, own in zip(*batches, strict=True)])
 
     def samples(self, rows: Rows) -> NDArray[np.int64]:
         """Return what minibatches are made of: the rows from which steps follow, or with memory sequences' numbers."""
@@ -176,11 +180,11 @@ class Updates:
         weight = config.entropy_start + (config.entropy_end - config.entropy_start) * progress
         here, sequences = self._gathered(samples)
         batch = {name: tensor.index_select(0, here) for name, tensor in self._rows.items()}
+        seen = self._seen.drawn(here, self._side_by_side)
         self.optimiser.zero_grad(set_to_none=True)
         kinds = range(len(self._groups))
-        own = split(self._team, batch["observation"])
-        acting = [partial(self._actor_gradient, kind, batch, own[kind], sequences, weight) for kind in kinds]
-        valuing = [partial(self._value_gradient, kind, batch, own[kind], sequences) for kind in kinds]
+        acting = [partial(self._actor_gradient, kind, batch, seen.own[kind], sequences, weight) for kind in kinds]
+        valuing = [partial(self._value_gradient, kind, batch, seen, sequences) for kind in kinds]
         found = self._side_by_side.run([*acting, *valuing])
         self.optimiser.step()
         self.diagnostics.add([found[kind] | found[len(kinds) + kind] for kind in kinds])
@@ -206,12 +210,12 @@ class Updates:
         }
 
     def _value_gradient(
-        self, kind: int, batch: dict[str, Tensor], own: Tensor, sequences: Minibatch | None
+        self, kind: int, batch: dict[str, Tensor], seen: Observations, sequences: Minibatch | None
     ) -> dict[str, Tensor]:
         """Compute the clipped gradient of a type's value functions; return what was measured."""
         returns = batch["returns"][:, self._groups[kind][1]]
         order = None if sequences is None else sequences[kind][1]
-        loss = self.values[kind].loss(batch["observation"], own, returns, order)
+        loss = self.values[kind].loss(seen.team, seen.own[kind], returns, order)
         torch.autograd.backward(loss)
         return {"value_loss": loss.detach(), "value_gradient": self._clipped(self.values[kind])}
 
@@ -279,7 +283,7 @@ class Updates:
 
     def end(self) -> None:
         """Forget the iteration's rows, and which actors have stopped in it."""
-        self._rows, self._states = {}, None
+        self._rows, self._seen, self._states = {}, NOTHING_SEEN, None
         self.stopped = [False] * len(self._team.groups)
 
 

@@ -64,6 +64,7 @@ class Collector:
         self.probe: StepObserver | None = None
         self._episode: NDArray[np.int64] = np.full(count, -1, np.int64)
         self._noise = RandomRows((*self._identity, "noise"), count, self.team.action_size)
+        self._all_choices = all(group.choices for group in self.team.groups)
         self._uniform = RandomRows((*self._identity, "uniform"), count, self.team.action_size)
         self._state: Float32 | None = None
         if config.memory_size:
@@ -116,8 +117,9 @@ class Collector:
     def _sample(self, actors: TeamActors) -> tuple[Float32, Float32]:
         """Return actions sampled from the actors' distributions, and their log-probabilities."""
         environments = self.environments
-        normal = self._noise.at(self._episode, environments.time, normal=True)
         uniform = self._uniform.at(self._episode, environments.time, normal=False)
+        # Choices take no normal numbers, so that drawing them would be for nothing.
+        normal = uniform if self._all_choices else self._noise.at(self._episode, environments.time, normal=True)
         return actors.sample(environments.observation, normal, uniform, self._state)
 
     def _explore(self, actors: TeamActors, noise_std: float, uniform: bool) -> Float32:

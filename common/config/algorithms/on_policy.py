@@ -17,7 +17,7 @@ class OnPolicyConfig(AlgorithmConfig):
 
     discrete_actions: ClassVar[bool] = True
 
-    hidden: int = 128
+    hidden: int = 64
     """Width of both hidden layers of every network, and of its state where it has memory (ours)."""
     discount: float = 0.99
     """Discount factor gamma of the return."""
@@ -48,7 +48,7 @@ class OnPolicyConfig(AlgorithmConfig):
     target_kl: float = 0.03
     """KL divergence from the behaviour policy beyond which an iteration's remaining updates of a type's actors are
     skipped; 0 for no limit."""
-    objective: Literal["ppo", "decoupled"] = "ppo"
+    objective: Literal["ppo", "decoupled"] = "decoupled"
     """Whether ratios are taken and clipped against the policy that acted, or against the newest one, with older steps
     weighted by how likely it is to act as they did (decoupled PPO). The latter learns as well from older chunks."""
     max_lag_versions: int = 1

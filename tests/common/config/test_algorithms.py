@@ -181,7 +181,8 @@ def test_a_run_may_have_memory():
 @pytest.mark.parametrize("name", ["default", "eia-sec"])
 def test_digests_of_earlier_versions_count(name):
     """A run without the options of later versions has the digest that it had; one with them has another."""
-    config = with_values(preset(name), {"farm.observation.route": False})
+    former = {"algorithm.objective": "ppo"} if name == "default" else {}
+    config = with_values(preset(name), {"farm.observation.route": False, **former})
     events = (
         '[farm.failures]\nper_hour = 0.0\nat = ""\nmissing = 0.0\n\n',
         "[farm.battery]\ncapacity = 0.0\nstations = 4\npower = 400.0\nlanding = 5.0\nfailsafe = 0.0\n\n",
@@ -212,6 +213,7 @@ def test_digests_of_earlier_versions_count(name):
     assert digest(with_values(config, {"farm.failures.per_hour": 1.0})) != digest(config)
     if name == "default":
         assert digest(with_values(config, {"algorithm.memory": "gru"})) != digest(config)
+        assert digest(with_values(config, {"algorithm.objective": "decoupled"})) != digest(config)
         assert digest(with_values(config, {"algorithm.sequence_steps": 25})) != digest(config)
 
 

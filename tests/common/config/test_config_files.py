@@ -235,7 +235,7 @@ WORDS = (
 )
 WORDS += ("expected", "ghz", "cuda", "mpe2:simple_spread_v3", "agent=runner", "banded", "maddpg")
 WORDS += ("lattice", "velocity", "policy", "separate", "team", "bootstrap", "float32", "monitoring=0.5", "gru")
-WORDS += ("collection 0 at 9", "decoupled", "south")
+WORDS += ("collection 0 at 9", "decoupled", "ppo", "south")
 BASES = "eia-sec", "default"
 """Presets that have between them every option of a preset."""
 OTHER_VALUES = {

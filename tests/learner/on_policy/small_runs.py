@@ -16,6 +16,7 @@ OPTIONS = 5
 ALGORITHMS: dict[str, type[OnPolicyConfig]] = {"ippo": IppoConfig, "mappo": MappoConfig, "eia-ppo": EiaPpoConfig}
 TINY: dict[str, Any] = {
     "hidden": 8,
+    "objective": "ppo",
     "iteration_steps": 40,
     "minibatch_steps": 10,
     "precision": "float32",
