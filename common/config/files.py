@@ -118,13 +118,45 @@ def from_toml(source: str | Path, base: RunConfig) -> RunConfig:
         ConfigError: the file cannot be read, is not TOML, names a key that is unknown or has no effect with the
             algorithm, or gives a key a value of the wrong type or out of range.
     """
+    return _merged(base, _table(source))
+
+
+def from_saved(source: str | Path, base: RunConfig) -> RunConfig:
+    """Return the complete configuration that this version or an earlier one saved.
+
+    Options of LATER that it leaves out have the values under which a run is what it was, whatever the defaults are now.
+
+    Args:
+        source: TOML text, or the path of a file that holds it.
+        base: the values of other keys that the source leaves out.
+
+    Raises:
+        ConfigError: see `from_toml`.
+    """
+    table = _table(source)
+    found = _merged(base, table)
+    flat = flatten(found)
+    left_out = {key: value for key, value in LATER.items() if key in flat and not _holds(table, key)}
+    changed = {key: value for key, value in left_out.items() if flat[key] != value}
+    return with_values(found, changed) if changed else found
+
+
+def _holds(table: Mapping[str, Any], key: str) -> bool:
+    """Return whether a TOML table has a value at a dotted key."""
+    name, _, rest = key.partition(".")
+    held = table.get(name)
+    return _holds(held, rest) if rest and isinstance(held, dict) else not rest and held is not None
+
+
+def _table(source: str | Path) -> dict[str, Any]:
+    """Return the table of a TOML text or file, with names of earlier versions replaced by present ones."""
     text = _read(source) if isinstance(source, Path) else source
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         where = f"{source} is" if isinstance(source, Path) else "this is"
         raise ConfigError(f"{where} not valid TOML: {str(error).lower().rstrip('.')}.") from error
-    return _merged(base, upgraded(table))
+    return upgraded(table)
 
 
 def with_setting(config: RunConfig, setting: str) -> RunConfig:

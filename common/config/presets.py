@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from common.config.ablations import ABLATIONS
-from common.config.files import from_toml, with_values
+from common.config.files import from_saved, from_toml, with_values
 from common.config.run import RunConfig
 from common.errors import ConfigError
 
@@ -224,4 +224,4 @@ def read_saved(source: str | Path) -> RunConfig:
     Raises:
         ConfigError: see `common.config.files.from_toml`.
     """
-    return from_toml(source, PRESETS[SAVED])
+    return from_saved(source, PRESETS[SAVED])

@@ -49,7 +49,7 @@ def distribution_block(data: dict[str, Any]) -> str:
             "",
             "| workers | " + " | ".join(str(line["workers"]) for line in lines) + " |",
             "|---" + "|---:" * len(lines) + "|",
-            "| speed-up | " + " | ".join(f"{line['speedup']:.1f}" for line in lines) + " |",
+            "| speed-up | " + " | ".join(f"{s:.1f}" if s else "-" for s in (line["speedup"] for line in lines)) + " |",
             "",
             "![Speed-up by workers, and reward against time](docs/results/distribution/speedup.png)",
             "",

@@ -49,6 +49,8 @@ _PLAIN_PPO: Final[Mapping[str, Value]] = {
     "algorithm.discounts": "",
     "algorithm.entropy_scales": "",
     "algorithm.potential_discount": 0.0,
+    "algorithm.objective": "ppo",
+    "algorithm.hidden": 128,
     "algorithm.iteration_steps": 8000,
     "rollout.environments": 16,
     "rollout.chunk_steps": 500,

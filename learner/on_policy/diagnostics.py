@@ -3,7 +3,7 @@
     actor_loss           PPO's surrogate loss with the entropy bonus
     value_loss           sum over the type's value functions of mean((V - R)^2)
     entropy              mean entropy of the policies, nats
-    kl                   KL divergence from the behaviour policy to the actors
+    kl                   KL divergence from the policy that `objective` names to the actors
     clipped_share        share of samples whose ratio was clipped
     explained_variance   1 - Var(R - V) / Var(R) with the values at the iteration's start
     return_mean          mean R

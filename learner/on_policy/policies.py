@@ -1,6 +1,6 @@
 """The actors of all types, and PPO's loss for them (Schulman et al. 2017).
 
-ratio   = pi(a | o) / pi_behaviour(a | o)          see `learner.on_policy.updates` for the decoupled objective
+ratio   = pi(a | o) / pi_old(a | o)                pi_old by the objective, see `learner.on_policy.updates`
 L_actor = -mean(min(ratio A, clip(ratio, 1 - c, 1 + c) A)) - w_H mean(H(pi(. | o)))
 """
 
@@ -35,7 +35,7 @@ class ActorLoss(NamedTuple):
     Attributes:
         loss: L_actor.
         entropy: mean entropy, nats.
-        kl: estimate of KL(pi_behaviour || pi), mean(ratio - 1 - ln ratio).
+        kl: estimate of KL(pi_old || pi), mean(ratio - 1 - ln ratio).
         clipped: share of samples whose ratio is clipped.
     """
 

@@ -117,7 +117,7 @@ class Updates:
         """Replace the behaviour policy by the present actors, and weight the advantages."""
         newest = self._rows["log_probability"].clone()
         samples = self.samples(rows)
-        for part in np.array_split(samples, -(-rows.steps // VALUE_BATCH)):
+        for part in np.array_split(samples, min(len(samples), -(-rows.steps // VALUE_BATCH))):
             here, sequences = self._gathered(part)
             own = self._seen.drawn(here, self._side_by_side).own
             actions = split_actions(self._team, self._rows["action"][here])
@@ -220,7 +220,7 @@ class Updates:
         return {"value_loss": loss.detach(), "value_gradient": self._clipped(self.values[kind])}
 
     def end_epoch(self) -> None:
-        """Stop the actors of types that have moved too far from the behaviour policy."""
+        """Stop the actors of types that have moved too far from the policy under the ratio."""
         for kind, kl in enumerate(self.diagnostics.epoch_kl()):
             if 0.0 < self._config.target_kl < kl:
                 self.stopped[kind] = True

@@ -91,7 +91,7 @@ def test_json_is_as_promised():
     assert (learned["preset"], learned["algorithm"], learned["width"], learned["threads"]) == (
         "default",
         "ippo",
-        128,
+        64,
         1,
     )
     assert 0.0 < learned["limit_us"] < learned["updates_us"]

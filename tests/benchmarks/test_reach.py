@@ -151,7 +151,7 @@ def test_peers_use_our_settings():
     }
     others = [text for name, value in asked.items() for text in (f"--{name}", str(value))]
     parsed = flights.farm_options("a peer").parse_args([*others, *words])
-    assert (parsed.width, parsed.rate, parsed.discount, parsed.reward_scale) == (128, 1e-3, 0.99, 0.1)
+    assert (parsed.width, parsed.rate, parsed.discount, parsed.reward_scale) == (64, 1e-3, 0.99, 0.1)
     assert parsed.iteration == reach.PEER_SETTINGS["iteration"]
     assert all(program.name.endswith(f" {program.algorithm.upper()}") for program in reach.PEERS)
     assert {program.algorithm for program in reach.PEERS} == {"ippo", "mappo"}

@@ -32,7 +32,7 @@ class OnPolicyConfig(AlgorithmConfig):
     minibatch_steps: int = 1000
     """Environment steps in a minibatch; each holds a sample of every agent."""
     clip: float = 0.2
-    """Clip range of the ratio between the new and the behaviour policy."""
+    """Clip range of the ratio between the policy that learns and the one that `objective` names."""
     gae_lambda: float = 0.95
     """Decay lambda of generalised advantage estimation."""
     discounts: str = "communication=1.0"
@@ -46,8 +46,8 @@ class OnPolicyConfig(AlgorithmConfig):
     rate_end: float = 0.05
     """Share of the learning rates that is left at the last episode; in between they fall linearly."""
     target_kl: float = 0.03
-    """KL divergence from the behaviour policy beyond which an iteration's remaining updates of a type's actors are
-    skipped; 0 for no limit."""
+    """KL divergence from the policy that `objective` names beyond which an iteration's remaining updates of a type's
+    actors are skipped; 0 for no limit."""
     objective: Literal["ppo", "decoupled"] = "decoupled"
     """Whether ratios are taken and clipped against the policy that acted, or against the newest one, with older steps
     weighted by how likely it is to act as they did (decoupled PPO). The latter learns as well from older chunks."""

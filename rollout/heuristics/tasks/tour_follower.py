@@ -46,7 +46,7 @@ class TourFollower:
         places = np.empty_like(position)
         for uav, route in enumerate(self._routes):
             at, length = self._next[uav], route.shape[1]
-            steps = float(steps_to(position[uav], route[:, at], world))
+            steps = float(steps_to(position[uav], route[:, at], world))  # in gusts it would rise, as if blocked
             self._waited[uav] = 0 if steps < self._nearest[uav] else self._waited[uav] + 1
             self._nearest[uav] = min(steps, self._nearest[uav])
             if inside(position[uav], route[:, at]) or self._waited[uav] >= PATIENCE:

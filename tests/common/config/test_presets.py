@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from common.config import RunConfig
-from common.config.files import differences, flatten, to_toml
+from common.config.files import differences, digest, flatten, to_toml, with_values
 from common.config.presets import PRESETS, preset, read_saved
 from common.errors import ConfigError
 
@@ -138,6 +138,16 @@ def test_a_saved_file_keeps_the_meaning_it_had():
     lines = to_toml(replace(preset("study"), seed=5)).splitlines()
     older = "\n".join(line for line in lines if not line.startswith(("mirrored", "potential_discount")))
     assert read_saved(older) == replace(preset("study"), seed=5)
+
+
+def test_a_saved_run_on_policy_keeps_its_objective():
+    """A file of before the option `objective` has the one of that time, and one that states it has that."""
+    former = with_values(preset("default"), {"algorithm.objective": "ppo"})
+    older = "\n".join(line for line in to_toml(former).splitlines() if not line.startswith("objective"))
+    assert read_saved(older) == former
+    assert (digest(read_saved(older)), differences(read_saved(older), former)) == (digest(former), [])
+    assert read_saved(to_toml(preset("default"))) == preset("default")
+    assert preset("default").on_policy.objective == "decoupled"
 
 
 def test_quick_preset_exercises_everything():

@@ -19,6 +19,7 @@ CASES = {
     "ippo stops": ("ippo", {"actor_rate": 0.02, "target_kl": 0.02, "epochs": 4}),
     "ippo decoupled": ("ippo", {"objective": "decoupled", "target_kl": 0.0}),
     "mappo": ("mappo", {"target_kl": 0.0}),
+    "mappo decoupled": ("mappo", {"objective": "decoupled", "target_kl": 0.0}),
     "mappo separate": ("mappo", {"parameters": "separate", "credit": "team", "gae_lambda": 0.5}),
     "eia-ppo": ("eia-ppo", {"target_kl": 0.0}),
     "eia-ppo shared": ("eia-ppo", {"parameters": "shared", "ensemble_members": 3, "mixture_epsilon": 0.4}),
