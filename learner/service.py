@@ -17,7 +17,7 @@ from common.protocol import keys
 from common.protocol.codec import NO_LIMIT
 from common.protocol.messages import ConfigurationMessage
 from common.team import TeamSpec
-from common.transport.admission import admission
+from common.transport.admission import AdmissionSource
 from common.transport.bus import Bus
 from learner.checkpoint.compaction import HistoryCompaction
 from learner.checkpoint.recovery import last_epoch, recover_losses
@@ -84,8 +84,8 @@ class Learner:
         self._reporter.add(lambda: {"checkpoints": self._storage.statistics()}, self._storage.alarms)
         self._reporter.add(alarms=lambda: [self._history.failure])
         if options.listen:
-            endpoint = options.endpoint
-            self._reporter.add(lambda: admission(endpoint).metrics(), lambda: admission(endpoint).alarms())
+            crowding = AdmissionSource(options.endpoint)
+            self._reporter.add(crowding.metrics, crowding.alarms)
         self._reporter.add(alarms=lambda: [self._schedule.event_alarm(self.trainer, time.monotonic())])
         if options.resume:
             self._reporter.log_resume()

@@ -58,6 +58,27 @@ class Admission:
         return found
 
 
+class AdmissionSource:
+    """What a listener reports of itself. It looks once a report, because Linux takes milliseconds to print its tables.
+
+    Args:
+        endpoint: where it listens.
+    """
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self._newest: Admission | None = None
+
+    def metrics(self) -> dict[str, Any]:
+        """Look how crowded it is; return the metrics to report."""
+        self._newest = admission(self._endpoint)
+        return self._newest.metrics()
+
+    def alarms(self) -> list[str]:
+        """Return the alarms of what `metrics` found last."""
+        return [] if self._newest is None else self._newest.alarms()
+
+
 def admission(endpoint: Endpoint) -> Admission:
     """Return how crowded this process's listener is, over both ports; zeros where /proc is missing."""
     ports = {f"{port:04X}" for port in (endpoint.port, endpoint.port + 1)}

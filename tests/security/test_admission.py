@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from common.protocol import keys
-from common.transport.admission import MOST_WAITING, Admission, admission
+from common.transport.admission import MOST_WAITING, Admission, AdmissionSource, admission
 from common.transport.bus import Bus
 from common.transport.credentials import load
 from common.transport.endpoint import Endpoint, free_endpoint
@@ -95,6 +95,18 @@ def test_what_hung_up_is_seen_and_named(keys_folder):
     assert gone.waiting > MOST_WAITING
     assert f"{gone.waiting} connections were closed by their peers" in gone.alarms()[0]
     assert held.alarms() == []
+
+
+def test_a_report_looks_once(monkeypatch):
+    """The alarms of a report are of the same look as its metrics, and before the first there are none."""
+    looks = iter([Admission(900, 1000, 3), Admission(1, 1000, 0)])
+    monkeypatch.setattr("common.transport.admission.admission", lambda endpoint: next(looks))
+    source = AdmissionSource(free_endpoint())
+    assert source.alarms() == []
+    assert source.metrics() == {"descriptors": 900, "waiting_connections": 3}
+    assert len(source.alarms()) == len(source.alarms()) == 1
+    assert source.metrics()["descriptors"] == 1
+    assert source.alarms() == []
 
 
 @pytest.mark.parametrize(("descriptors", "alarms"), [(500, 0), (513, 1)])
