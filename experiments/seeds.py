@@ -69,7 +69,6 @@ def summary(path: Path, commit: str, goal: float) -> dict[str, Any]:
     """Return what a run came to."""
     directory = RunDirectory(path)
     config, records = directory.configuration(), read_metrics(path / METRICS)
-    outcome = json.loads((path / "evaluation.json").read_text(encoding="utf-8"))
     policy = policy_of(str(path / POLICY), config.farm)
     farms = range(FIRST_REPORTED, FIRST_REPORTED + FARMS)
     found = evaluate(config.farm, policy, farms, 1, name=f"seed {config.seed}")
@@ -83,7 +82,7 @@ def summary(path: Path, commit: str, goal: float) -> dict[str, Any]:
         "script": scripted.total.types[COMMUNICATION],
         "aoi": plain["aoi"],
         "vdf": plain["vdf"],
-        "seconds": outcome["seconds"],
+        "seconds": records[-1]["time"],
         "environment_steps": last["environment_steps"],
         "reached": {f"{share:g}": reached(records, share * goal) for share in SHARES},
     }
