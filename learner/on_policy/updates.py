@@ -137,9 +137,9 @@ class Updates:
         assert rows.log_probability is not None
         arrays = {"action": rows.action, "log_probability": rows.log_probability}
         self._rows = {name: torch.from_numpy(array).to(self._device) for name, array in arrays.items()}
-        whole, observation = self._config.sees_team or self._config.memory != "none", torch.from_numpy(rows.observation)
-        seen = observation.to(self._device)
-        self._seen = Observations.of(self._team, seen, self._dtype, self._side_by_side, whole=whole)
+        whole = self._config.sees_team or self._config.memory != "none"
+        observation = torch.from_numpy(rows.observation).to(self._device)
+        self._seen = Observations.of(self._team, observation, self._dtype, self._side_by_side, whole=whole)
         if self._config.memory != "none":
             self._states = IterationStates(self._config, self._team, rows, self.values, self._device)
 

@@ -65,7 +65,7 @@ class FarmState:
     vdf: Array
     assignment: NDArray[np.int64]
     cycles: tuple[NDArray[np.int64], NDArray[np.int64]]
-    wind: Array | None = None
+    wind: Array | None
 
     def of(self, kind: int) -> Array:
         """Return the positions of the UAVs of a type, [n_v, 2] m."""
