@@ -15,18 +15,21 @@ from common.protocol import keys
 from common.transport.bus import Bus
 
 SETTLE_SECONDS: Final = 10.0
-"""Time for which a run trains before it is measured."""
+"""Time for which a run trains before it is measured, unless told otherwise."""
 REPORT_SECONDS: Final = 1.5
 """Longest time between two of the learner's reports, with a margin."""
 
 
-def learn(workers: int, seconds: float, config: RunConfig | None = None) -> dict[str, Any]:
+def learn(
+    workers: int, seconds: float, config: RunConfig | None = None, settle: float = SETTLE_SECONDS
+) -> dict[str, Any]:
     """Train with so many workers for a while; return rates and where the time went.
 
     Args:
         workers: number of workers.
         seconds: measuring time.
         config: the run; the default preset.
+        settle: seconds for which it trains before it is measured.
 
     Raises:
         EiaSecError: when a process ends, nothing is accepted in time, or steps are unexplained.
@@ -44,7 +47,7 @@ def learn(workers: int, seconds: float, config: RunConfig | None = None) -> dict
                     reports.read(metrics)
                     records += tail.new()
                     if not begin and any(record.get("environment_steps", 0) for record in records):
-                        begin = records[-1]["time"] + SETTLE_SECONDS
+                        begin = records[-1]["time"] + settle
                         deadline = time.monotonic() + 10.0 * seconds + JOIN_SECONDS
                     if time.monotonic() > deadline:
                         raise EiaSecError("the learner reported nothing in time.")

@@ -16,6 +16,7 @@ All but the first iteration report means over the updates of the last whole iter
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+import torch
 from torch import Tensor
 
 from common.errors import CheckpointError
@@ -70,12 +71,14 @@ class IterationDiagnostics:
         self._groups = list(zip(team.groups, team.agent_slices(), strict=True))
         self._means: list[dict[str, Mean]] = [{} for _ in self._groups]
         self._epoch = [Mean() for _ in self._groups]
+        self._unread: list[list[dict[str, Tensor]]] = []
         self.newest: dict[str, float] = {}
 
     def begin(self, value: Float32, returns: Float32) -> None:
         """Start an iteration with the values and returns [steps, agents] of its steps."""
         self._means = [{} for _ in self._groups]
         self._epoch = [Mean() for _ in self._groups]
+        self._unread = []
         for means, (_, agents) in zip(self._means, self._groups, strict=True):
             own, error = returns[:, agents], returns[:, agents] - value[:, agents]
             variance = float(own.var())
@@ -84,20 +87,30 @@ class IterationDiagnostics:
 
     def add(self, measured: Sequence[Mapping[str, Tensor]]) -> None:
         """Add an update: what was measured of each type, by NAMES; nothing about actors that have stopped."""
-        for means, epoch, found in zip(self._means, self._epoch, measured, strict=True):
-            for name, number in found.items():
-                means.setdefault(name, Mean()).add(float(number))
-            if "kl" in found:
-                epoch.add(float(found["kl"]))
+        self._unread.append([dict(found) for found in measured])
+
+    def _read(self) -> None:
+        """Count what was added; a GPU's numbers come at once, because each reading waits for its updates."""
+        numbers = [number for update in self._unread for found in update for number in found.values()]
+        values = iter(torch.stack(numbers).tolist() if numbers else [])
+        for update in self._unread:
+            for means, epoch, found in zip(self._means, self._epoch, update, strict=True):
+                for name in found:
+                    means.setdefault(name, Mean()).add(value := next(values))
+                    if name == "kl":
+                        epoch.add(value)
+        self._unread = []
 
     def epoch_kl(self) -> list[float]:
         """Return each type's mean KL divergence over the epoch, and begin another epoch; 0 for stopped actors."""
+        self._read()
         found = [mean.value for mean in self._epoch]
         self._epoch = [Mean() for _ in self._groups]
         return found
 
     def end(self) -> None:
         """Finish the iteration: its means are reported from now on."""
+        self._read()
         self.newest = {
             f"{name}/{group.name}": means[name].value
             for name in NAMES
@@ -107,6 +120,7 @@ class IterationDiagnostics:
 
     def state(self) -> dict[str, Any]:
         """Return everything as plain values, from which `restore` continues."""
+        self._read()
         return {
             "means": [{name: [mean.total, mean.count] for name, mean in means.items()} for means in self._means],
             "epoch": [[mean.total, mean.count] for mean in self._epoch],
@@ -123,7 +137,7 @@ class IterationDiagnostics:
             raise CheckpointError(f"the checkpoint's diagnostics are not readable: {error}.") from error
         if len(means) != len(self._groups) or len(epoch) != len(self._groups):
             raise CheckpointError("the checkpoint's diagnostics are of another team.")
-        self._means, self._epoch, self.newest = means, epoch, newest
+        self._means, self._epoch, self._unread, self.newest = means, epoch, [], newest
 
 
 def _known(name: str) -> str:
