@@ -44,7 +44,7 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
     "links 100 m": ("connected", ""),
     "links 70 m": ("connected", "[farm.relay]\nlink_range = 70.0"),
     "links 50 m": ("connected", "[farm.relay]\nlink_range = 50.0"),
-    "failures, 2 an hour": ("default", "[farm.failures]\nper_hour = 2.0"),
+    "failures, 2 an hour": ("failing", "[farm.failures]\nper_hour = 2.0"),
     "failures, 6 an hour": ("failing", ""),
     "links 70 m, failures, 2 an hour": (
         "connected",

@@ -40,13 +40,16 @@ entropy_scales = ""
 FAILING: Final = """
 [farm.failures]
 per_hour = 6.0
+[farm.observation]
+route = false
 """
-"""A farm on which more than half of the UAVs fail during an episode."""
+"""A farm on which more than half of the UAVs fail during an episode; those that are left learn more without a route."""
 
 UNEVEN: Final = """
 [farm.stress]
 patches = 6
 [farm.observation]
+route = false
 stress = true
 """
 """A farm on which patches of stress come and go, where plots and sensors need three times as many visits."""
@@ -77,6 +80,7 @@ gusts = 1.0
 [farm.zones]
 random = 2
 [farm.observation]
+route = false
 link = true
 stress = true
 charge = true
