@@ -78,14 +78,23 @@ def _plan(cls: type[Message]) -> tuple[tuple[str, Reader], ...]:
     return tuple((name, _reader(name, hints[name])) for name in names)
 
 
+def _resolved(kind: Any) -> Any:
+    """Return what an alias of a `type` statement stands for, as NDArray is one from numpy 2.5 on; else the type."""
+    alias = get_origin(kind) or kind
+    if (value := getattr(alias, "__value__", None)) is None:
+        return kind
+    return _resolved(value[get_args(kind)] if get_args(kind) else value)
+
+
 def _reader(name: str, kind: Any) -> Reader:
+    kind = _resolved(kind)
     if isinstance(kind, UnionType):
         (inner,) = (part for part in get_args(kind) if part is not NoneType)
         return functools.partial(_read_optional, name, _reader(name, inner))
     if get_origin(kind) is np.ndarray:
         return functools.partial(_read_array, name, _dtype(kind))
-    if get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is np.ndarray:
-        return functools.partial(_read_arrays, name, _dtype(get_args(kind)[0]))
+    if get_origin(kind) is tuple and get_origin(part := _resolved(get_args(kind)[0])) is np.ndarray:
+        return functools.partial(_read_arrays, name, _dtype(part))
     return functools.partial(_read_scalar, name, kind)
 
 
