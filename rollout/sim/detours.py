@@ -10,8 +10,9 @@ import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
 from common.config import FarmConfig
-from common.config.farm.polygons import Flags, inside_any, refused
+from common.config.farm.polygons import Flags
 from rollout.sim.boxes import Array, reach
+from rollout.sim.kernel.flight.airspace import find_inside, refuse_moves, zone_sides
 from rollout.sim.layout import Layout
 
 MARGIN: Final = 1.0
@@ -32,11 +33,13 @@ class Airspace:
 
     def __init__(self, config: FarmConfig, zones: tuple[Array, ...]) -> None:
         self._zones, self._reach = zones, reach(config.world)
+        self._first = np.cumsum([0, *(len(zone) for zone in zones)], dtype=np.int64)
+        self._sides, self._boxes = zone_sides(zones)
         self._size = np.array([config.world.field_x, config.world.field_y])
         around = [_around(zone) for zone in zones]
         points = np.concatenate([np.zeros((0, 2)), *around])
         inside = ((points >= 0.0) & (points <= self._size)).all(axis=1)
-        self._nodes = points[inside & ~inside_any(points, zones)]
+        self._nodes = points[inside & ~self.inside(points)]
         apart = np.array([self._lengths(node, self._nodes) for node in self._nodes])
         self._ways = shortest_path(np.where(np.isfinite(apart), apart + 1e-12, 0.0)) if len(apart) else apart
 
@@ -47,11 +50,16 @@ class Airspace:
 
     def inside(self, points: Array) -> Flags:
         """Return whether places [..., 2] m lie in a zone."""
-        return inside_any(points, self._zones)
+        found = np.empty(points.shape[:-1], np.bool_)
+        find_inside(self._first, self._sides, _rows(points), found.reshape(-1))
+        return found
 
     def refused(self, start: Array, end: Array) -> Flags:
         """Return whether moves between places [..., 2] m end in a zone or cross one."""
-        return refused(start, end, self._zones)
+        start, end = np.broadcast_arrays(start, end)
+        found = np.empty(start.shape[:-1], np.bool_)
+        refuse_moves(self._first, self._sides, self._boxes, _rows(start), _rows(end), found.reshape(-1))
+        return found
 
     def waypoints(self, position: Array, goal: Array) -> Array:
         """Return where UAVs must fly first on their shortest ways, [n, 2] m.
@@ -101,6 +109,11 @@ class Airspace:
         )
         lengths: Array = np.where(self.refused(start, end), np.inf, steps)
         return lengths
+
+
+def _rows(places: Array) -> Array:
+    """Return places [..., 2] as [n, 2]."""
+    return np.ascontiguousarray(places, np.float64).reshape(-1, 2)
 
 
 def _around(zone: Array) -> Array:

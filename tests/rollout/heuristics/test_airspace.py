@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from common.config import FarmConfig, WindConfig, WorldConfig, ZoneConfig
+from common.config.farm import polygons
 from common.config.presets import preset
 from rollout.heuristics.registry import TASKS
 from rollout.heuristics.steering import towards
@@ -112,3 +113,22 @@ def test_heuristics_earn_in_gusts(name):
     batch, violations = flown(name, config, 60)
     assert violations < 0.02
     assert batch.summary(0).reward[4] > 0.0
+
+
+@pytest.mark.parametrize("step", [0.0, 10.0])
+def test_places_and_moves_are_judged_as_by_the_plain_geometry(step):
+    """Compiled answers are those of `polygons`, on a grid whose places lie on borders and corners, too."""
+    zones = (np.array(POCKET), np.array([(10.0, 10.0), (60.0, 20.0), (50.0, 70.0), (30.0, 40.0)]))
+    airspace, draw = Airspace(SHORT, zones), np.random.default_rng(0)
+    start, end = draw.uniform(0.0, 400.0, (2, 20_000, 2))
+    if step:
+        start, end = np.round(start / step) * step, np.round(end / step) * step
+    end[::7] = start[::7]
+    inside, refused = polygons.inside_any(start, zones), polygons.refused(start, end, zones)
+    np.testing.assert_array_equal(airspace.inside(start), inside)
+    np.testing.assert_array_equal(airspace.refused(start, end), refused)
+    assert 500 < inside.sum() < 19_500
+    assert 500 < refused.sum() < 19_500
+    crossed = airspace.refused(start[:9, None], end[None, :8])
+    np.testing.assert_array_equal(crossed, polygons.refused(start[:9, None], end[None, :8], zones))
+    assert airspace.inside(start[0]).shape == ()

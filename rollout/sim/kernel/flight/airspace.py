@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
-from rollout.sim.kernel.compiler.decorators import allocation_free
+from rollout.sim.kernel.compiler.decorators import allocation_free, allocation_free_entry
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 
@@ -91,13 +92,37 @@ def refused(first: Indices, side: Array, box: Array, x: float, y: float, to_x: f
             continue
         if max(y, to_y) < box[zone, 1] or min(y, to_y) > box[zone, 3]:
             continue
-        inside = False
-        for k in range(first[zone], first[zone + 1]):
-            if _meets(x, y, to_x, to_y, side[k]):
-                return True
-            ax, ay, bx, by = side[k, 0], side[k, 1], side[k, 2], side[k, 3]
-            if (ay > to_y) != (by > to_y) and to_x < ax + (to_y - ay) * (bx - ax) / (by - ay):
-                inside = not inside
-        if inside:
+        if _in_or_across(first[zone], first[zone + 1], side, x, y, to_x, to_y):
             return True
     return False
+
+
+@allocation_free
+def _in_or_across(start: int, stop: int, side: Array, x: float, y: float, to_x: float, to_y: float) -> bool:
+    """Return whether a way meets the border of the zone with these sides, or ends inside it."""
+    inside = False
+    for k in range(start, stop):
+        if _meets(x, y, to_x, to_y, side[k]):
+            return True
+        ax, ay, bx, by = side[k, 0], side[k, 1], side[k, 2], side[k, 3]
+        if (ay > to_y) != (by > to_y) and to_x < ax + (to_y - ay) * (bx - ax) / (by - ay):
+            inside = not inside
+    return inside
+
+
+@allocation_free_entry
+def refuse_moves(first: Indices, side: Array, box: Array, start: Array, end: Array, found: Flags) -> None:
+    """Find out which moves from `start` to `end`, [n, 2] m each, are refused; other arguments as for `refused`."""
+    for n in range(len(start)):
+        found[n] = refused(first, side, box, start[n, 0], start[n, 1], end[n, 0], end[n, 1])
+
+
+@allocation_free_entry
+def find_inside(first: Indices, side: Array, place: Array, found: Flags) -> None:
+    """Find out which places [n, 2] m lie in a zone, its border included; other arguments as for `refused`."""
+    for n in range(len(place)):
+        x, y = place[n, 0], place[n, 1]
+        found[n] = False
+        for zone in range(len(first) - 1):
+            if _in_or_across(first[zone], first[zone + 1], side, x, y, x, y):
+                found[n] = True
