@@ -1,12 +1,13 @@
 """What a harder search gives: the best heuristic, `horizon`, as it flies and with many times its effort.
 
-    python -m experiments.search [--farms 1000:1008] [--write docs/results/search]
+    python -m experiments.search [--preset study] [--farms 1000:1008] [--write docs/results/search]
 
 It plans with the farm's own dynamics and sees all of it. How much it gains by planning harder says how far above it a
 policy may be hoped to get; a bound, which is further off, is counted by `experiments.bound`.
 """
 
 import argparse
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -14,10 +15,11 @@ from typing import Any, Final
 from common.config import FarmConfig
 from common.config.presets import preset
 from deploy.reports.provenance import provenance
+from experiments.conditions import own_reward
 from experiments.reporting import farm_range, filled, write_results
 from rollout.evaluation import evaluate
 from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
-from rollout.heuristics.relays import SearchRelays
+from rollout.heuristics.registry import RELAYS, default_relays
 from rollout.heuristics.tasks import horizon
 from rollout.heuristics.tasks.horizon import Effort, HorizonGroupPolicy
 from rollout.policies import policy_of
@@ -42,7 +44,7 @@ def fly(config: FarmConfig, form: str, farms: range) -> dict[str, Any]:
         sweep = (
             partial(HorizonGroupPolicy, kind=MONITORS, effort=efforts["monitors"]) if "monitors" in efforts else None
         )
-        policy = CompositePolicy(config, SearchRelays, sweep or horizon.monitors, collectors)
+        policy = CompositePolicy(config, RELAYS[default_relays(config)], sweep or horizon.monitors, collectors)
     total = evaluate(config, policy, farms, 1, name=form).total
     means = {"reward": total.reward, **total.types, **total.metrics}
     return {"form": form, **{name: round(value, 4) for name, value in means.items()}}
@@ -56,19 +58,21 @@ def page(data: dict[str, Any]) -> str:
         for found in data["results"]
     ]
     first, most = data["results"][0]["reward"], max(found["reward"] for found in data["results"])
-    return filled(TEMPLATE, data, rows="\n".join(rows), ratio=most / first)
+    return filled(TEMPLATE, data, preset=data["preset"], rows="\n".join(rows), ratio=most / first)
 
 
 def main() -> None:
     """Fly every form, print what came out, and write it where asked."""
     about = (__doc__ or "").partition("\n")[0]
     parser = argparse.ArgumentParser(prog="python -m experiments.search", description=about)
+    parser.add_argument("--preset", default="study", help="whose farms they are")
     parser.add_argument("--farms", type=farm_range, default="1000:1008", help="farm seeds A:B, from A to B - 1")
     parser.add_argument("--write", type=Path, help="folder for results.json and README.md")
     arguments = parser.parse_args()
-    farms = arguments.farms
-    origin = provenance("experiments.search")
-    data = {**origin, "farms": list(farms), "results": [fly(preset("study").farm, form, farms) for form in FORMS]}
+    farms, farm = arguments.farms, own_reward(preset(arguments.preset).farm)
+    farm = replace(farm, battery=replace(farm.battery, failsafe=0.0))  # heuristics charge by themselves
+    data = {**provenance("experiments.search"), "preset": arguments.preset, "farms": list(farms)}
+    data["results"] = [fly(farm, form, farms) for form in FORMS]
     write_results(data, page, arguments.write)
 
 

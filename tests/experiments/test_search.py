@@ -16,7 +16,8 @@ def test_a_harder_search_flies_otherwise(monkeypatch):
     assert [equal[part] for part in parts] == [plain[part] for part in parts]
     assert wide["collection"] != plain["collection"]
     assert (whole["monitoring"] != plain["monitoring"], whole["collection"] == plain["collection"]) == (True, True)
-    data = {"command": "python -m experiments.search", "commit": "abc", "farms": [0, 1]}
+    data = {"command": "python -m experiments.search", "commit": "abc", "preset": "uneven", "farms": [0, 1]}
     text = page({**data, "results": [{**plain, "reward": 100.0}, {**wide, "reward": 103.0}]})
     assert "1.030 times" in text
+    assert "farms 0..1 of the preset `uneven`" in text
     assert text.count("\n| ") == 3
