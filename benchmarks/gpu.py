@@ -125,6 +125,8 @@ def main() -> int:
     data["updates"] = updates(asked.widths, asked.repeats)
     runs = [*(("cpu", workers) for workers in ON_PROCESSOR), *(("cuda", workers) for workers in asked.workers)]
     data["runs"] = []
+    if asked.write:
+        write(data, asked.write)
     for device, workers in runs:
         data["runs"].append(run(device, workers, asked.seconds))
         if asked.write:

@@ -7,6 +7,7 @@ policy may be hoped to get; a bound, which is further off, is counted by `experi
 """
 
 import argparse
+import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any, Final
 
 from common.config import FarmConfig
 from common.config.presets import preset
+from deploy.exit_codes import run_command
 from deploy.reports.provenance import provenance
 from experiments.conditions import own_reward
 from experiments.reporting import farm_range, filled, write_results
@@ -61,8 +63,8 @@ def page(data: dict[str, Any]) -> str:
     return filled(TEMPLATE, data, preset=data["preset"], rows="\n".join(rows), ratio=most / first)
 
 
-def main() -> None:
-    """Fly every form, print what came out, and write it where asked."""
+def main() -> int:
+    """Fly every form, print what came out, and write it where asked; return 0."""
     about = (__doc__ or "").partition("\n")[0]
     parser = argparse.ArgumentParser(prog="python -m experiments.search", description=about)
     parser.add_argument("--preset", default="study", help="whose farms they are")
@@ -74,7 +76,8 @@ def main() -> None:
     data = {**provenance("experiments.search"), "preset": arguments.preset, "farms": list(farms)}
     data["results"] = [fly(farm, form, farms) for form in FORMS]
     write_results(data, page, arguments.write)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run_command(main))

@@ -43,7 +43,7 @@ per_hour = 6.0
 [farm.observation]
 route = false
 """
-"""A farm on which more than half of the UAVs fail during an episode; those that are left learn more without a route."""
+"""A farm on which more than half of the UAVs fail during an episode; monitors learn more without a route there."""
 
 UNEVEN: Final = """
 [farm.stress]

@@ -28,7 +28,7 @@ def field_docs(section: type[Any]) -> dict[str, str]:
     """Return the docstring that stands under each field of a dataclass, by field name, on one line."""
     docs: dict[str, str] = {}
     for base in reversed(section.__mro__):
-        if vars(base).get("__annotations__"):
+        if inspect.get_annotations(base):
             docs |= _own_field_docs(base)
     return docs
 
@@ -95,7 +95,7 @@ def _algorithm_tables() -> Iterator[str]:
     for owner in _declaring_classes():
         users = [name for name, kind in ALGORITHM_CONFIGS.items() if issubclass(kind, owner)]
         options = {field.name for field in dataclasses.fields(owner)}  # class variables are none
-        fields = [field for field in vars(owner)["__annotations__"] if field in options]
+        fields = [field for field in inspect.get_annotations(owner) if field in options]
         if owner is not AlgorithmConfig:
             fields = [field for field in fields if field != "name"]
         presets = {name: config for name, config in SHOWN.items() if isinstance(config.algorithm, owner)}

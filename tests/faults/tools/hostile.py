@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Final, get_origin, get_type_hints
+from typing import Any, Final
 
 import numpy as np
 
@@ -84,11 +84,9 @@ def kinds(team: TeamSpec, rules: ChunkRules) -> list[Kind]:
 
 
 def _kinds_of(message: Message) -> Iterator[Kind]:
-    hints, name = get_type_hints(type(message)), type(message).__name__
-    whole = _parts(message)
+    name, whole = type(message).__name__, _parts(message)
     for item in fields(message):  # type: ignore[arg-type]  # every message is a dataclass
-        is_array = get_origin(hints[item.name]) is np.ndarray
-        spoilt = _arrays(whole[1][item.name]) if is_array else _scalars(whole[0][item.name])
+        spoilt = _arrays(whole[1][item.name]) if item.name in whole[1] else _scalars(whole[0][item.name])
         for what, value in spoilt:
             yield Kind(f"{name}.{item.name} {what}", type(message), _with(whole, item.name, value))
         for other in fields(message):  # type: ignore[arg-type]  # every message is a dataclass

@@ -126,3 +126,4 @@ def find_inside(first: Indices, side: Array, place: Array, found: Flags) -> None
         for zone in range(len(first) - 1):
             if _in_or_across(first[zone], first[zone + 1], side, x, y, x, y):
                 found[n] = True
+                break
