@@ -15,7 +15,7 @@ from common.protocol import keys
 from common.transport.bus import Bus
 
 SETTLE_SECONDS: Final = 10.0
-"""Time for which a run trains before it is measured, unless told otherwise."""
+"""Time for which a run trains before it is measured, by default."""
 REPORT_SECONDS: Final = 1.5
 """Longest time between two of the learner's reports, with a margin."""
 

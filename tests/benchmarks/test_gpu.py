@@ -40,7 +40,7 @@ def test_chunks_of_all_workers_fit_into_two_iterations(workers, each):
 
 
 def test_without_a_gpu_it_says_so(monkeypatch):
-    """A machine without a GPU is told in one sentence."""
+    """Without one the user gets one sentence."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(UsageError, match="needs a CUDA device"):
         gpu.machine()
