@@ -242,7 +242,7 @@ def reward_of(scores: Scores) -> float:
 def types_of(scores: Scores) -> str:
     """Return the mean rewards of the types, over a policy's seeds."""
     seeds = [each["types"].values() for each in (scores, *scores.get("others", []))]
-    return ", ".join(f"{fmean(values):.0f}" for values in zip(*seeds, strict=True))
+    return ", ".join(str(round(fmean(values))) for values in zip(*seeds, strict=True))
 
 
 def cells_of(found: Scores, policy: str) -> list[str]:

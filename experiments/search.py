@@ -55,7 +55,7 @@ def fly(config: FarmConfig, form: str, farms: range) -> dict[str, Any]:
 def page(data: dict[str, Any]) -> str:
     """Return the results as a page."""
     rows = [
-        f"| {found['form']} | {found['reward']:.0f} | {found['communication']:.0f} | {found['monitoring']:.0f} | "
+        f"| {found['form']} | {found['reward']:.0f} | {round(found['communication'])} | {found['monitoring']:.0f} | "
         f"{found['collection']:.0f} | {found['aoi']:.2f} | {found['vdf']:.2f} |"
         for found in data["results"]
     ]
