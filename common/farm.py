@@ -27,6 +27,7 @@ HEADING_SPEEDS: Final = (0.041, 0.12, 0.35, 0.9)
 least power at the idle speed, 0.41 m/s at a full speed of 10 m/s."""
 
 ADVICE: Final = "advice"
+PLAN: Final = "plan"
 ROUTE: Final = "route"
 ROUTE_PLOTS: Final = 4
 """Plots on its sweep route that a monitoring UAV sees (ours)."""
@@ -108,7 +109,7 @@ def _group(farm: FarmConfig, name: str, count: int, observation_size: int, contr
     if control in ("lattice", "moves"):
         adapters = (lattice_of(farm.world), *adapters)
     if control == "moves":
-        marks = (_nine(ADVICE), _nine(ROUTE))
+        marks = (_nine(ADVICE), _nine(ROUTE), _nine(PLAN))
         moves = NineMoves(_suggestion(farm, name, count, observation_size, marks))
         return GroupSpec(name, count, observation_size, 1, (moves, *adapters), (NineMoves.options,))
     if control == "headings":
@@ -160,6 +161,7 @@ def _added(farm: FarmConfig, name: str) -> list[str]:
     if task:
         added += [*_nine("risk_any"), *_nine("risk_same")] if seen.closing else []
         added += [unit for moves in range(1, seen.units + 1) for unit in _nine(f"units_{moves}")]
+        added += [*_nine(PLAN), "plan_best"] if seen.plan else []
         added += [part for far in ("near", "far") for part in (*_nine(far), f"{far}_here")] if seen.fields else []
         added += _maps(name) if seen.coarse else []
     if seen.phases:

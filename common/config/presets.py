@@ -23,6 +23,20 @@ farms = 4
 """
 """A short run that uses every process and ends within a minute or two on two cores."""
 
+PLANNING: Final = """
+[farm.observation]
+plan = 12
+plan_paths = 54
+[algorithm]
+value_steps = 96000
+entropy_start = 0.005
+entropy_end = 0.0005
+"""
+"""Monitors and collectors see how much their next moves are worth twelve steps ahead, and begin with following that."""
+
+LONG: Final = "episodes = 4500"
+"""UAVs that plan ahead: over `PLANNING`. A step takes several times as long to simulate."""
+
 CONNECTED: Final = """
 [farm.relay]
 require_link = true
@@ -43,7 +57,8 @@ per_hour = 6.0
 [farm.observation]
 route = false
 """
-"""A farm on which more than half of the UAVs fail during an episode; monitors learn more without a route there."""
+"""A farm on which more than half of the UAVs fail during an episode, over `PLANNING`; monitors learn more without a
+route there."""
 
 UNEVEN: Final = """
 [farm.stress]
@@ -194,11 +209,13 @@ training never saw (W26). Values that the paper does not give (marked "(ours)" i
 
 _EIA_SEC: Final = from_toml(EIA_SEC, RunConfig())
 
+_PLANNING: Final = from_toml(PLANNING, RunConfig())
 PRESETS: Final[dict[str, RunConfig]] = {
     "default": RunConfig(),
     "quick": from_toml(QUICK, RunConfig()),
+    "long": from_toml(LONG, _PLANNING),
     "connected": from_toml(CONNECTED, RunConfig()),
-    "failing": from_toml(FAILING, RunConfig()),
+    "failing": from_toml(FAILING, _PLANNING),
     "uneven": from_toml(UNEVEN, RunConfig()),
     "battery": from_toml(BATTERY, RunConfig()),
     "field": from_toml(FIELD, RunConfig()),

@@ -3,12 +3,14 @@
 from typing import Any, Final
 
 from docs.tools.blocks import wrapped
+from experiments.conditions import PLANNING
 from experiments.studies.analysis.verdicts import shown
 from experiments.studies.methods import EIA_SEC, TUNED_PRESET
 from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
 
 RUN: Final = "this run"
 DEFAULT: Final = "IPPO, default preset"
+LONG: Final = "IPPO, preset `long`"
 
 
 def policies_table(run: dict[str, Any], label: str) -> list[str]:
@@ -27,16 +29,20 @@ def policies_table(run: dict[str, Any], label: str) -> list[str]:
     return rows
 
 
-def results_block(study: dict[str, Any], seeds: dict[str, Any], default: dict[str, Any]) -> str:
+def results_block(
+    study: dict[str, Any], seeds: dict[str, Any], default: dict[str, Any], conditions: dict[str, Any]
+) -> str:
     """Return the block of README.md: learned methods and heuristics in one table, and one line on how they compare.
 
     Args:
         study: the results of the study `training`.
         seeds: the results of the study `default`.
         default: several seeds of the default preset, see `experiments.seeds`.
+        conditions: the results of `experiments.conditions`.
     """
     size, own = seeds["sizes"], seeds["methods"][TUNED_PRESET]
     learned = {"EIA-SEC, preset `eia-sec`": own, f"**{DEFAULT}**": _several(default)}
+    learned[f"**{LONG}**"] = _planning(conditions["results"][PLANNING]["longer"])
     learned |= {_compared(name): method for name, method in study["methods"].items()}
     rows = [(name, "learned", method["mean_reward"], method["metrics"]) for name, method in learned.items()]
     for name, policy in seeds["references"]["policies"].items():
@@ -49,21 +55,38 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any], default: dict[st
     for name, kind, reward, freshness in rows:
         score = shown(reward) if len(reward) > 1 else f"{reward[0]:.0f}"
         lines.append(f"| {name} | {kind} | {score} | {freshness['aoi'][0]:.2f} | {freshness['vdf'][0]:.2f} |")
-    _, low, high = (round(number) for number in learned[f"**{DEFAULT}**"]["mean_reward"])
     scores = [(name, round(reward[0])) for name, kind, reward, _ in rows if kind == "heuristic"]
-    ahead = [name for name, score in scores if score > high]
-    level = [name for name, score in scores if low <= score <= high]
-    higher = f"{', '.join(ahead) or 'none'} score{'' if len(ahead) > 1 else 's'} higher"
-    verdict = f"Of {len(scores)} heuristics, {higher} than the default preset."
+    ahead, level = _beside(scores, learned[f"**{DEFAULT}**"])
+    over, beside = _beside(scores, learned[f"**{LONG}**"])
+    verdict = f"Of {len(scores)} heuristics, {_higher(over)} than the preset `long`, {_higher(ahead)} than the default."
     counts = " or ".join(str(count) for count in sorted({len(own["runs"]), len(default["runs"])}))
     conditions = f"""Mean reward without noise over {size["farms"]} farms that training never saw; that of learned
-        methods over {counts} seeds, with a 95 % interval. All were tuned alike, but the presets `default` and `eia-sec`
-        [further](docs/explanation/method.md#the-default-preset). AoI is the mean age of
-        sensor data, VDF that of plot images; lower is better."""
-    tied = f"Level with it: {', '.join(level)}. " if level else ""
+        methods over {counts} seeds, with a 95 % interval (`long`: one seed, over farms). All were tuned alike, but our
+        presets [further](docs/explanation/method.md#the-default-preset). AoI is the mean age of sensor data, VDF that of
+        plot images; lower is better."""
+    tied = "".join(
+        f"Level with {what}: {', '.join(names)}. " for what, names in (("`long`", beside), ("it", level)) if names
+    )
     reading = f"""**{verdict}** {tied}Heuristics see the whole farm and plan with its dynamics; a trained UAV acts on
-        what it observes. The default preset's monitors observe a sweep route, and begin with following it."""
+        what it observes. Both presets' monitors observe a sweep route, and begin with following it. With `long`,
+        UAVs [plan twelve steps ahead](docs/reference/environment.md#added-observations), and begin with following
+        that."""
     return "\n".join([wrapped(conditions), "", *lines, "", wrapped(reading)])
+
+
+def _beside(scores: list[tuple[str, int]], method: dict[str, Any]) -> tuple[list[str], list[str]]:
+    """Return which heuristics score higher than a learned method, and which are level with it."""
+    _, low, high = (round(number) for number in method["mean_reward"])
+    return [name for name, score in scores if score > high], [name for name, score in scores if low <= score <= high]
+
+
+def _higher(names: list[str]) -> str:
+    return f"{', '.join(names) or 'none'} score{'' if len(names) > 1 else 's'} higher"
+
+
+def _planning(scores: dict[str, Any]) -> dict[str, Any]:
+    """Return a policy of `experiments.conditions` as the studies' methods are given."""
+    return {"mean_reward": scores["reward"], "metrics": {name: [scores[name]] for name in ("aoi", "vdf")}}
 
 
 def _several(default: dict[str, Any]) -> dict[str, Any]:

@@ -95,10 +95,10 @@ class Updates:
         self._states: IterationStates | None = None
         self.stopped = [False] * len(team.groups)
 
-    def begin(self, rows: Rows) -> None:
-        """Compute values, advantages and returns of an iteration's rows."""
+    def begin(self, rows: Rows, steps: int) -> None:
+        """Compute values, advantages and returns of an iteration's rows; `steps` came in before and with them."""
         config, device = self._config, self._device
-        self.stopped = [False] * len(self._team.groups)
+        self.stopped = [steps <= config.value_steps] * len(self._team.groups)
         self._load(rows)
         states, team = self._states, self._seen.team
         value = self._all_values() if states is None else states.begin(self.policies, team)

@@ -5,6 +5,7 @@ from typing import Final, NamedTuple
 
 from common.config import FarmConfig, WorldConfig
 from common.farm import COLLECTION, COMMUNICATION, MONITORING, ROUTE_PLOTS, advice_sizes
+from rollout.sim.kernel.plans.view import SHARE
 from rollout.sim.kernel.views.constants import field_range
 from rollout.sim.kernel.views.fields import SCALE
 from rollout.sim.kernel.views.maps import BLOCK, BLOCKS, CELLS
@@ -107,6 +108,10 @@ def _tasks(config: FarmConfig, name: str) -> list[Part]:
         parts.append(Part("units", 9, 0.0, MOST, f"{unit} that each of nine moves would bring, clipped"))
     if seen.units > 1:
         parts.append(Part("units of two", 9, 0.0, 2.0 * MOST, f"{unit} of each move and the best after it, clipped"))
+    if seen.plan:
+        plan = f"the best plan of {seen.plan} steps that begins with it"
+        parts.append(Part("plan", 9, 0.0, 1.0, f"e to the minus {1 / SHARE:g} times what {plan} loses, in full items"))
+        parts.append(Part("plan", 1, -1.0, 1.0, "worth of the best plan of all in full items for each step, clipped"))
     points = world.plots_x * world.plots_y if name == MONITORING else world.sensors
     grown = 1.0 + field_rounding(world)
     for reach in ("near", "far") if seen.fields else ():

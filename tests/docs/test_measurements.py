@@ -9,6 +9,7 @@ import pytest
 from common.config.presets import PRESETS, read_saved
 from docs.tools.measurements import HEURISTICS, MEASUREMENTS, NOT_MEASURED, measured, watch_block
 from docs.tools.readme_results import default_block, results_block
+from experiments.conditions import PLANNING
 from experiments.studies.methods import TUNED_PRESET
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -91,6 +92,11 @@ def test_seeds_of_the_default_preset_are_shown_with_their_slowest() -> None:
     assert "after 5 to 7 minutes each. The slowest needs 9, 20, 61, never seconds" in text
 
 
+def planning() -> dict[str, Any]:
+    """Return a run of the preset `long` that is level with one heuristic."""
+    return {"results": {PLANNING: {"longer": {"reward": [1320.6, 1319.0, 1322.0], "aoi": 0.4, "vdf": 1.7}}}}
+
+
 def rows_of(text: str) -> list[list[str]]:
     """Return the cells of a text's tables, heads and rules left out."""
     rows = [[cell.strip() for cell in row.split("|")[1:-1]] for row in text.splitlines() if row.startswith("|")]
@@ -100,16 +106,19 @@ def rows_of(text: str) -> list[list[str]]:
 def test_the_readme_orders_policies_by_reward_and_names_those_ahead() -> None:
     """Learned methods and heuristics share one table, best first; those ahead of the default preset are named."""
     _, study, _, seeds = results()
-    text = results_block(study, seeds, default_seeds())
+    text = results_block(study, seeds, default_seeds(), planning())
     rows = rows_of(text)
-    assert [row[0] for row in rows][:4] == ["high", "level", "**IPPO, default preset**", "EIA-SEC, preset `eia-sec`"]
-    assert rows[2][2] == "1312 (1303..1320)"
-    assert rows[3][2] == "1310 (1300..1320)"
+    assert [row[0] for row in rows][:3] == ["high", "**IPPO, preset `long`**", "level"]
+    assert [row[0] for row in rows][3:5] == ["**IPPO, default preset**", "EIA-SEC, preset `eia-sec`"]
+    assert [row[2] for row in rows[3:5]] == ["1312 (1303..1320)", "1310 (1300..1320)"]
     assert {row[0].partition(",")[0] for row in rows if row[1] == "learned"} >= set(study["methods"])
     rewards = [float(row[2].partition(" ")[0]) for row in rows]
     assert rewards == sorted(rewards, reverse=True)
-    assert "**Of 2 heuristics, high scores higher than the default preset.**" in text
-    assert "Level with it: level." in " ".join(text.split())
+    words = " ".join(text.split())
+    assert (
+        "**Of 2 heuristics, none scores higher than the preset `long`, high scores higher than the default.**" in words
+    )
+    assert "Level with `long`: high, level. Level with it: level." in words
 
 
 def test_methods_stand_in_the_order_of_their_rewards() -> None:

@@ -31,6 +31,9 @@ class OnPolicyConfig(AlgorithmConfig):
     """Passes over the steps of an iteration."""
     minibatch_steps: int = 1000
     """Environment steps in a minibatch; each holds a sample of every agent."""
+    value_steps: int = 0
+    """Environment steps at the start from which value functions alone learn, so that they know the fresh policy before
+    it changes (ours)."""
     clip: float = 0.2
     """Clip range of the ratio between the policy that learns and the one that `objective` names."""
     gae_lambda: float = 0.95
@@ -76,6 +79,7 @@ class OnPolicyConfig(AlgorithmConfig):
         super().__post_init__()
         within(1, 100_000_000, iteration_steps=self.iteration_steps)
         within(1, 1000, epochs=self.epochs)
+        within(0, 10**9, value_steps=self.value_steps)
         within(1, 10_000_000, minibatch_steps=self.minibatch_steps)
         within(0.0, 1.0, gae_lambda=self.gae_lambda, rate_end=self.rate_end)
         positive(clip=self.clip)

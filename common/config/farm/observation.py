@@ -36,6 +36,12 @@ class ObservationConfig:
     """Whether monitors and collectors see the risk SR that each of nine moves would bring near their peers (ours)."""
     units: int = 2
     """Moves for which monitors and collectors see the units that each of nine would bring: 0, 1 or 2 (ours)."""
+    plan: int = 0
+    """Steps that plans of monitors and collectors look ahead, 0 to 64. For each of nine moves they see what the best
+    plan that begins with it is worth. Monitors with a route see it in the last steps only, three times as many, and
+    their route's mark is then the best plan's. Fresh actors of moves begin with following it (ours)."""
+    plan_paths: int = 27
+    """Plans that the search for them keeps, 9 to 512 (ours)."""
     fields: bool = True
     """Whether monitors and collectors see where their own share of the task lies, near and far (ours)."""
     coarse: bool = True
@@ -81,7 +87,7 @@ class ObservationConfig:
             self.wind,
             self.zones,
         )
-        return self.peers > 0 or self.units > 0 or any(switches)
+        return self.peers > 0 or self.units > 0 or self.plan > 0 or any(switches)
 
     def __post_init__(self) -> None:
         """Refuse to observe no sensor, and a window without a centre."""
@@ -89,5 +95,7 @@ class ObservationConfig:
         within(1, 31, window=self.window)
         within(0, 63, peers=self.peers)
         within(0, 2, units=self.units)
+        within(0, 64, plan=self.plan)
+        within(9, 512, plan_paths=self.plan_paths)
         if self.window % 2 == 0:
             raise ConfigError(f"window must be odd, so that the UAV's own plot is in the middle, not {self.window}.")

@@ -7,13 +7,16 @@ from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.farm import farm_team
-from rollout.sim.kernel.assignment.exchanges import Exchanges, make_exchanges
+from rollout.sim.kernel.assignment.arrays import AssignmentScratch, make_assignment_scratch
 from rollout.sim.kernel.constants import Array, Constants, Indices, Int32
+from rollout.sim.kernel.plans.arrays import PlanScratch, make_plan_scratch
+from rollout.sim.kernel.plans.constants import PlanConstants
 from rollout.sim.kernel.views.arrays import ViewScratch, make_view_scratch
 from rollout.sim.layout import cell_counts
 
 Float32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]
+Site = NDArray[np.uint32]
 
 REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "idle", "motivation", "relayed")
 """The weighted parts of a reward in storage order; the reward is their sum."""
@@ -74,6 +77,9 @@ class State(NamedTuple):
         wind: [E, T + 1, 2] wind of each step, m/s; [E, 0, 2] without wind.
         zone_side: [E, K, 4] sides of the no-fly zones, see `flight.airspace`.
         zone_box: [E, Z, 4] boxes around them.
+        plan_first: [E, S + 1] where the lattice points of each sensor begin in `plan_point`.
+        plan_point: [E, M] lattice points at which a sensor is heard, see `plans.places`; [E, 0] without plans.
+        plan_chance: [E, M] probability that its packets arrive there.
         hindsight: [E, T, n] corrections of the episode's rewards; [E, 0, n] unless visits are tracked.
     """
 
@@ -125,6 +131,9 @@ class State(NamedTuple):
     wind: Array
     zone_side: Array
     zone_box: Array
+    plan_first: Int32
+    plan_point: Site
+    plan_chance: Float32
     hindsight: Float32
 
 
@@ -179,25 +188,10 @@ class Farm(NamedTuple):
     wind: Array
     zone_side: Array
     zone_box: Array
+    plan_first: Int32
+    plan_point: Site
+    plan_chance: Float32
     hindsight: Float32
-
-
-class AssignmentScratch(NamedTuple):
-    """Working memory of the assignment.
-
-    Attributes:
-        pair: [n_m + n_d, n_c] cost of each pair.
-        exchanges: working memory of the exchanges between relays.
-        cost: [n_m + n_d, L] cost of each UAV in each slot of a relay; L is the largest number of slots.
-        numbers: [3, L] scratch.
-        indices: [4, L] scratch.
-    """
-
-    pair: Array
-    exchanges: Exchanges
-    cost: Array
-    numbers: Array
-    indices: Indices
 
 
 class Scratch(NamedTuple):
@@ -232,6 +226,8 @@ class Scratch(NamedTuple):
         share: [S] shares delivered.
         assigning: working memory of the assignment.
         added: working memory of the added observations.
+        plot_plan: working memory of the monitoring UAVs' plans.
+        sensor_plan: working memory of the data collection UAVs' plans.
     """
 
     previous: Array
@@ -262,9 +258,11 @@ class Scratch(NamedTuple):
     share: Array
     assigning: AssignmentScratch
     added: ViewScratch
+    plot_plan: PlanScratch
+    sensor_plan: PlanScratch
 
 
-def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
+def make_state(config: FarmConfig, plans: PlanConstants, environments: int, hindsight: bool) -> State:
     """Allocate the environments, and what tracks visits if `hindsight` is set."""
     world, team = config.world, farm_team(config)
     count, uavs, sensors = environments, world.uavs, world.sensors
@@ -319,11 +317,14 @@ def make_state(config: FarmConfig, environments: int, hindsight: bool) -> State:
         wind=np.zeros((count, config.wind.some * (world.steps + 1), 2)),
         zone_side=np.zeros((count, sum(config.zones.corners), 4)),
         zone_box=np.zeros((count, len(config.zones.corners), 4)),
+        plan_first=np.zeros((count, sensors + 1), np.int32),
+        plan_point=np.zeros((count, plans.pairs), np.uint32),
+        plan_chance=np.zeros((count, plans.pairs), np.float32),
         hindsight=np.zeros((count, hindsight * world.steps, uavs), np.float32),
     )
 
 
-def make_scratch(config: FarmConfig) -> Scratch:
+def make_scratch(config: FarmConfig, plans: PlanConstants) -> Scratch:
     """Allocate the working memory of one environment's step."""
     world = config.world
     uavs, sensors, collectors = world.uavs, world.sensors, world.collection_uavs
@@ -359,14 +360,10 @@ def make_scratch(config: FarmConfig) -> Scratch:
         power=np.zeros(collectors),
         item=np.zeros(max(sensors, world.plots_x * world.plots_y), np.int64),
         share=np.zeros(sensors),
-        assigning=AssignmentScratch(
-            pair=np.zeros((served, relays)),
-            exchanges=make_exchanges(served, relays),
-            cost=np.zeros((served, places)),
-            numbers=np.zeros((3, places)),
-            indices=np.zeros((4, places), np.int64),
-        ),
+        assigning=make_assignment_scratch(served, relays, places),
         added=make_view_scratch(config),
+        plot_plan=make_plan_scratch(plans, world.plots_x * world.plots_y),
+        sensor_plan=make_plan_scratch(plans, sensors),
     )
 
 

@@ -19,6 +19,7 @@ from rollout.sim.kernel.event_constants import (
 )
 from rollout.sim.kernel.flight.airspace import AirspaceConstants, airspace
 from rollout.sim.kernel.link import RadioConstants, loss_at_one_metre, noise, radio_constants
+from rollout.sim.kernel.plans.constants import PlanConstants, plan_constants
 from rollout.sim.kernel.views.constants import ViewConstants, view_constants
 
 Array = NDArray[np.float64]
@@ -234,6 +235,7 @@ class Constants(NamedTuple):
     battery: BatteryConstants
     airspace: AirspaceConstants
     chain: ChainConstants
+    plans: PlanConstants
 
 
 def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
@@ -276,6 +278,7 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         battery_constants(config),
         airspace(config),
         chain_constants(config),
+        plan_constants(config, radio),
     )
     return Constants(*(_cast(part) for part in parts))
 

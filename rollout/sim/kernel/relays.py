@@ -3,7 +3,8 @@
 import math
 from typing import Final
 
-from rollout.sim.kernel.arrays import AssignmentScratch, Farm, Flags, Scratch
+from rollout.sim.kernel.arrays import Farm, Flags, Scratch
+from rollout.sim.kernel.assignment.arrays import AssignmentScratch
 from rollout.sim.kernel.assignment.exchanges import settle
 from rollout.sim.kernel.assignment.hungarian import assign
 from rollout.sim.kernel.chain import join_relays

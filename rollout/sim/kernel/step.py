@@ -28,6 +28,7 @@ from rollout.sim.kernel.flight.battery import use_charge
 from rollout.sim.kernel.flight.failures import lose_uavs, show_places
 from rollout.sim.kernel.flight.motion import find_nearest, fly
 from rollout.sim.kernel.observation import see_plots, see_relays, see_sensors
+from rollout.sim.kernel.plans.places import list_points
 from rollout.sim.kernel.radio import interfere, send, update_age
 from rollout.sim.kernel.relays import assign_relays, measure_service
 from rollout.sim.kernel.rewards import reward_step
@@ -99,6 +100,9 @@ def _farm(state: State, e: int) -> Farm:
         wind=state.wind[e],
         zone_side=state.zone_side[e],
         zone_box=state.zone_box[e],
+        plan_first=state.plan_first[e],
+        plan_point=state.plan_point[e],
+        plan_chance=state.plan_chance[e],
         hindsight=state.hindsight[e],
     )
 
@@ -108,6 +112,8 @@ def _start(c: Constants, farm: Farm, s: Scratch) -> None:
     """Count up the levels in the state, which begin an episode."""
     tally_plots(farm.level, farm.level_below, farm.level_above)
     tally_sensors(c.observation, farm.cell_start, farm.age, farm.age_below, farm.age_above, farm.waiting)
+    if c.plans.steps > 0:
+        list_points(c.fleet, c.plans, c.added, farm.sensor, farm.plan_first, farm.plan_point, farm.plan_chance)
     for k in range(len(farm.listed)):
         for rank in range(c.observation.sensors):
             farm.listed[k, rank] = rank

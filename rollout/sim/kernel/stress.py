@@ -41,13 +41,22 @@ def _covered(place: Array, time: Int32, square: float, step: int, x: float, y: f
 
 
 @allocation_free
-def _shortened(cycle: int, area: int, patch: int, covered: bool) -> int:
+def is_known(place: Array, time: Int32, known: Flags, square: float, step: int, x: float, y: float) -> bool:
+    """Return whether a living patch that the team knows covers a point."""
+    covered = False
+    for p in range(len(place)):
+        covered |= known[p] and _lives(time, p, step) and _near(place, p, square, x, y)
+    return covered
+
+
+@allocation_free
+def shortened(cycle: int, area: int, patch: int, covered: bool) -> int:
     """Return a cycle divided by the growth of areas, or of patches where one covers the counter and it is larger."""
     return max(1, cycle // (max(area, patch) if covered else area))
 
 
 @allocation_free
-def _next_due(step: int, phase: int, cycle: int) -> int:
+def next_due(step: int, phase: int, cycle: int) -> int:
     """Return the first step from this one on that equals the phase modulo the cycle."""
     return step + (phase - step) % cycle
 
@@ -76,10 +85,10 @@ def change_cycles(c: Constants, farm: Farm) -> None:
         for row in range(camera.plots_y):
             x, y = (column + 0.5) * camera.plot_width, (row + 0.5) * camera.plot_depth
             covered = _covered(place, time, square, step, x, y)
-            cycle = _shortened(camera.cycle, cycles[2, column, row], growth, covered)
+            cycle = shortened(camera.cycle, cycles[2, column, row], growth, covered)
             if cycles[0, column, row] != cycle:
                 cycles[0, column, row] = cycle
-                due[column, row] = _next_due(step, cycles[1, column, row], cycle)
+                due[column, row] = next_due(step, cycles[1, column, row], cycle)
             soonest = min(soonest, due[column, row])
     farm.rising[1] = soonest
     usual, due = farm.sensor_cycle, farm.age_due
@@ -105,10 +114,10 @@ def _change_sensors(
     soonest: int = step + usual[0, 0]
     for j in range(len(cycles)):
         covered = _covered(place, time, square, step, sensor[0, j], sensor[1, j])
-        cycle = _shortened(usual[0, j], usual[2, j], growth, covered)
+        cycle = shortened(usual[0, j], usual[2, j], growth, covered)
         if cycles[j] != cycle:
             cycles[j] = cycle
-            due[j] = _next_due(step, usual[1, j], cycle)
+            due[j] = next_due(step, usual[1, j], cycle)
         soonest = min(soonest, due[j])
     return soonest
 

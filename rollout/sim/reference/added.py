@@ -23,6 +23,7 @@ from rollout.sim.reference.airspace import airspace_view
 from rollout.sim.reference.axes import place_of, signs_of
 from rollout.sim.reference.battery import charge_view
 from rollout.sim.reference.links import link_view, links_view
+from rollout.sim.reference.plans import plan_view, plans, worths
 from rollout.sim.reference.routes import route_view
 from rollout.sim.reference.stress import stress_view
 
@@ -37,15 +38,19 @@ MOVES = NineMoves().adapt(np.zeros(0, np.float32), np.arange(9, dtype=np.float32
 def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     """Return the added observations of a UAV whose axes have these signs."""
     seen, kind = farm.config.observation, farm.kind[u]
+    worth = worths(farm, u, signs) if kind else np.zeros(9)
     parts = [_peers(farm, u, signs)]
     parts += [velocity(farm, u) * signs] if seen.last_move else []
     if kind > 0:
         parts += [_risk(farm, u)] if seen.closing else []
         parts += [_units(farm, u, signs)] if seen.units else []
+        parts += [plan_view(farm, u, worth)] if seen.plan else []
         parts += [_fields(farm, u)] if seen.fields else []
         parts += [_maps(farm, u, signs)] if seen.coarse else []
     parts += [_phases(farm, u)] if seen.phases else []
-    parts += [route_view(farm, u, signs, places(farm, u))] if seen.route and kind == 1 else []
+    if seen.route and kind == 1:
+        route = route_view(farm, u, signs, places(farm, u))
+        parts += [np.append(np.arange(9) == worth.argmax(), route[9:]) if plans(farm, u) else route]
     parts += [_service(farm, u, signs)] if seen.service and kind == 0 else []
     if seen.link:
         parts += [

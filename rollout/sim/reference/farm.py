@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.special import erfc
 
-from common.config import EnergyConfig, FarmConfig, RadioConfig, RewardConfig
+from common.config import FarmConfig, RadioConfig, RewardConfig
 from common.team import Float32
 from rollout.sim.batch import packet_key, start_levels, start_positions
 from rollout.sim.failures import failure_steps
@@ -20,6 +20,7 @@ from rollout.sim.layout import Layout
 from rollout.sim.reference.airspace import air_velocity, stopped
 from rollout.sim.reference.battery import use_charge
 from rollout.sim.reference.links import joined_to_base, relayed
+from rollout.sim.reference.power import dbm_to_mw, flight_power, other_power
 from rollout.sim.reference.routes import advance, divide_again, first_sweep
 from rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
 from rollout.sim.reference.views import observe
@@ -32,11 +33,6 @@ NEGLIGIBLE = 1e-12
 """A packet with a smaller probability of arrival is not sent, and a smaller utility counts as none (ours)."""
 DIRECTIONS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / math.sqrt(2.0)
 """The four diagonals in the order in which ties are broken (W25)."""
-
-
-def dbm_to_mw(dbm: Array | float) -> Array:
-    """Convert dBm to mW."""
-    return np.asarray(10.0 ** (np.asarray(dbm) / 10.0))
 
 
 def carrier(radio: RadioConfig) -> float:
@@ -71,35 +67,6 @@ def packet_loss(radio: RadioConfig, sinr: Array | float) -> Array:
     sinr = np.asarray(sinr)
     ber = 0.5 * erfc(np.sqrt(sinr)) if radio.q_function == "exact" else 0.5 * np.exp(-sinr)
     return np.asarray(1.0 - (1.0 - ber) ** (8 * radio.packet_bytes))
-
-
-def flight_power(energy: EnergyConfig, speed: float) -> float:
-    """P_fly, W: the printed cases, or induced power (Glauert) and body drag (W5)."""
-    disk = energy.propellers * math.pi * energy.propeller_radius**2
-    weight = energy.mass * energy.gravity
-    if energy.model == "physical":
-        hover_square = weight / (2.0 * energy.air_density * disk)
-        induced = math.sqrt((math.sqrt(speed**4 + 4.0 * hover_square**2) - speed**2) / 2.0)
-        drag = 0.5 * energy.air_density * energy.body_area * energy.drag_coefficient * speed**3
-        return weight * induced / energy.efficiency + drag
-    area = energy.body_area + disk
-    if speed < energy.hover_speed:
-        return (
-            energy.mass
-            * math.pow(energy.gravity, 1.5)
-            / (math.sqrt(2.0 * energy.air_density * area) * energy.efficiency)
-        )
-    c1 = 0.5 * energy.air_density * area * energy.drag_coefficient
-    c2 = energy.mass**2 / (energy.efficiency * energy.air_density * disk)
-    return c1 * speed**2 + c2 / speed + weight * speed
-
-
-def other_power(energy: EnergyConfig, kind: int) -> float:
-    """P_comm + P_cmp and, by type (0 c, 1 m, 2 d), P_cam or P_ec, W (W6)."""
-    communication = float(dbm_to_mw(energy.transmit_dbm) + dbm_to_mw(energy.receive_dbm)) / 1000.0
-    dynamic = energy.load_capacitance * energy.voltage**2 * energy.clock_hz * energy.activity_factor
-    extra = (0.0, energy.camera_power, float(dbm_to_mw(energy.collection_dbm)) / 1000.0)[kind]
-    return communication + energy.static_power + dynamic + extra
 
 
 def packet_draw(key: int, step: int, sensor: int) -> float:

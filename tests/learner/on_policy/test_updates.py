@@ -109,6 +109,22 @@ def test_stopped_actors_stay_while_values_learn():
     assert not any(same[name] for name in same if name.startswith("networks.values") and "layers.4" in name)
 
 
+def test_values_learn_first():
+    """Iterations within `value_steps` leave the actors as they were, and move the value functions."""
+    experience = chunk(OnPolicyTrainer(configured(), TEAM).actors(), 0, ENDS)
+    config = configured(value_steps=experience.rows.steps)
+    trainer = OnPolicyTrainer(config, TEAM)
+    states = []
+    for _ in range(3):
+        states.append(trainer.state()[0])
+        trainer.absorb(chunk(trainer.actors(), 0, ENDS))
+        trainer.train(trainer.updates_due())
+        trainer.next_version()
+    for before, after, moves in ((states[0], states[1], False), (states[1], states[2], True)):
+        for name in (name for name in after if "layers.0" in name and not name.endswith(("step", "exp_avg", "_sq"))):
+            assert torch.equal(before[name], after[name]) is not (moves or name.startswith("networks.values"))
+
+
 def test_statistics_are_those_of_the_last_iteration():
     """Every diagnostic of each type is reported after an iteration, and single numbers are right."""
     config = configured(target_kl=0.0, time_limit="bootstrap", discounts="", gae_lambda=1.0, discount=0.0)

@@ -10,7 +10,7 @@ from common.errors import ConfigError
 from common.farm import farm_environment
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
 from rollout.sim.layout import make_layout
-from rollout.sim.reference.farm import flight_power, other_power
+from rollout.sim.reference.power import flight_power, other_power
 from rollout.sim.wind import wind_series
 from tests.rollout.sim.properties.strategies import placed
 

@@ -8,15 +8,8 @@ from rollout.sim.kernel.constants import constants
 from rollout.sim.kernel.flight.motion import flight_power as compiled_flight_power
 from rollout.sim.kernel.radio import delivery, received_power
 from rollout.sim.layout import cell_counts
-from rollout.sim.reference.farm import (
-    flight_power,
-    free_space_loss,
-    noise_mw,
-    other_power,
-    packet_loss,
-    received_mw,
-    vegetation_loss,
-)
+from rollout.sim.reference.farm import free_space_loss, noise_mw, packet_loss, received_mw, vegetation_loss
+from rollout.sim.reference.power import flight_power, other_power
 
 PRINTED = EnergyConfig(model="printed")
 PHYSICAL = EnergyConfig(model="physical")

@@ -25,10 +25,11 @@ from rollout.sim.layout import cell_counts
 def make_workspace(config: FarmConfig, environments: int, hindsight: bool = False) -> Workspace:
     """Allocate a workspace, and what tracks visits if `hindsight` is set."""
     action = np.zeros((environments, farm_team(config).environment_action_size), np.float32)
+    numbers = constants(config, cell_counts(config.world))
     return Workspace(
-        constants(config, cell_counts(config.world)),
-        make_state(config, environments, hindsight),
-        make_scratch(config),
+        numbers,
+        make_state(config, numbers.plans, environments, hindsight),
+        make_scratch(config, numbers.plans),
         action,
     )
 

@@ -8,6 +8,14 @@ from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Constants
 from rollout.sim.kernel.flight.battery import put_charge
 from rollout.sim.kernel.flight.failures import see_nothing
+from rollout.sim.kernel.plans.view import (
+    NUMBERS,
+    mark_best,
+    prepare_plans,
+    put_collector_plan,
+    put_monitor_plan,
+    sees_plans,
+)
 from rollout.sim.kernel.spatial.neighbours import cell_of
 from rollout.sim.kernel.spatial.tallies import total
 from rollout.sim.kernel.stress import put_stress
@@ -18,6 +26,7 @@ from rollout.sim.kernel.views.links import put_chain, put_joined, put_link, put_
 from rollout.sim.kernel.views.maps import put_cells, put_plots
 from rollout.sim.kernel.views.peers import find_near, put_peers, put_risk
 from rollout.sim.kernel.views.places import find_places
+from rollout.sim.kernel.views.routes import NUMBERS as ROUTE_NUMBERS
 from rollout.sim.kernel.views.routes import put_route
 from rollout.sim.kernel.views.service import put_service
 from rollout.sim.kernel.views.units import plan_images, plan_packets, put_units
@@ -39,6 +48,8 @@ def prepare_views(c: Constants, farm: Farm, s: Scratch) -> None:
         share_points(s.x[first:second], s.y[first:second], plots)
         weigh_points(farm.age_above, 1.0 / c.radio.level_max, cells)
         share_points(s.x[second : fleet.uavs], s.y[second : fleet.uavs], cells)
+    if c.plans.steps > 0:
+        prepare_plans(c, farm, s)
 
 
 @inlined
@@ -152,6 +163,9 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
     if view.units > 0:
         plan_images(fleet, camera, view, v, position, farm.level, u)
         at = put_units(view, v, 1.0 / camera.level_max, seen, at)
+    planned = sees_plans(view.route, c.plans.steps, fleet.steps - farm.step)
+    if c.plans.steps > 0:
+        at = put_monitor_plan(c, farm, s, u, at) if planned else see_nothing(NUMBERS, seen, at)
     if view.fields:
         x, y = position[u, 0], position[u, 1]
         per_reach = 1.0 / (view.step_x + view.step_y)
@@ -191,6 +205,8 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
             seen,
             at,
         )
+        if planned:
+            mark_best(s.plot_plan.best, seen, at - ROUTE_NUMBERS)
     if view.link:
         relay = farm.assignment[u - fleet.relays]
         at = put_link(fleet, view, position, relay, u, sx, sy, v.go_x[u], v.go_y[u], seen, at)
@@ -219,6 +235,8 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.units > 0:
         plan_packets(fleet, what, view, v, position, farm.sensor, farm.cell_start, farm.age, s.around, s.square, u)
         at = put_units(view, v, 0.5 / c.radio.level_max, seen, at)
+    if c.plans.steps > 0:
+        at = put_collector_plan(c, farm, s, u, at)
     if view.fields:
         per_reach = 1.0 / (view.step_x + view.step_y)
         at = put_field(

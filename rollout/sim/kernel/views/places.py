@@ -36,6 +36,13 @@ def _point(share: np.float32, count: int) -> np.float32:
 
 
 @allocation_free
+def own_point(x: float, sign: float, side: float, per_side: float, count: int) -> int:
+    """Return the lattice point of a UAV along an axis of the field, chosen along its own axis."""
+    point = int(_point(_share(x, sign, side, per_side), count))
+    return point if sign > 0.0 else count - 1 - point
+
+
+@allocation_free
 def _go(
     x: float,
     sign: float,

@@ -26,6 +26,8 @@ PER_OFFSET: Final = 0.05
 """1 / offset to a plot that is observed as 1, 1/m (ours)."""
 MOST_OFFSET: Final = 2.0
 """Largest offset that is observed (ours)."""
+NUMBERS: Final = 9 + 2 * ROUTE_PLOTS
+"""Numbers that say where the route leads."""
 
 
 @allocation_free

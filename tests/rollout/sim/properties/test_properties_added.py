@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 
 from common.config import FarmConfig, ObservationConfig, RunConfig, WorldConfig
 from common.config.presets import preset
+from common.errors import ConfigError
 from common.farm import farm_environment, farm_team, lattice_of
 from common.team import Float32
 from rollout.envs.spaces import row_box
 from rollout.sim.batch import FarmBatch
+from rollout.sim.kernel.constants import constants
 from rollout.sim.kernel.views.constants import image_bounds
-from rollout.sim.layout import make_layout
+from rollout.sim.layout import cell_counts, make_layout
 from rollout.sim.sweep_routes import assigned_routes, sweep_routes
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
@@ -29,6 +31,8 @@ ALL = {
     "last_move": True,
     "closing": True,
     "units": 2,
+    "plan": 3,
+    "plan_paths": 14,
     "fields": True,
     "coarse": True,
     "phases": True,
@@ -39,11 +43,18 @@ ALL = {
     "charge": True,
 }
 """Every switch, on."""
+MARKS = ("plan", "route")
 SMALL = worlds(st.one_of(st.integers(1, 4), st.integers(1, 10)), 90)
 
 
 def everything(config: FarmConfig) -> FarmConfig:
-    return replace(config, observation=replace(config.observation, **ALL))
+    """Return the farm with every switch on, without plans where so short steps have too many places for them."""
+    full = replace(config, observation=replace(config.observation, **ALL))
+    try:
+        constants(full, cell_counts(full.world))
+    except ConfigError:
+        return replace(full, observation=replace(full.observation, plan=0))
+    return full
 
 
 def moves(config: FarmConfig, batch: FarmBatch, random: np.random.Generator) -> Float32:
@@ -197,6 +208,85 @@ def test_flying_the_suggested_moves_sweeps_the_field():
         batch.step(action.reshape(2, -1))
         reward += batch.reward
     assert reward[:, rows].mean() > 2600.0
+
+
+def test_a_collector_plans_for_its_own_sensors_alone():
+    """Of two full sensors to the left and to the right, one is nearer to a peer. The plan leads to the other."""
+    world = WorldConfig(communication_uavs=1, monitoring_uavs=1, collection_uavs=2)
+    config = FarmConfig(world=world, observation=ObservationConfig(mirrored=False, plan=8))
+    layout = make_layout(config, 0)
+    right = layout.sensor_xy[np.abs(layout.sensor_xy - (260.0, 200.0)).sum(axis=1).argmin()]
+    left = layout.sensor_xy[np.abs(layout.sensor_xy - (140.0, 200.0)).sum(axis=1).argmin()]
+    age = np.zeros(world.sensors)
+    age[(layout.sensor_xy == right).all(axis=1) | (layout.sensor_xy == left).all(axis=1)] = 5.0
+    levels = age, np.zeros((world.plots_x, world.plots_y))
+    for peer, way in ((left, 1), (right, -1)):
+        batch = placed_batch(config, np.array([[0.0, 0.0], [5.0, 5.0], [205.0, 205.0], peer]), levels)
+        seen = views(config, batch, 2)
+        onward = [seen[f"plan_move_{x}_{y}"][0] for x in (-1, 0, 1) for y in (-1, 0, 1)]
+        assert max(onward) == 1.0
+        assert np.argmax(onward) // 3 - 1 == way
+
+
+def test_plans_reckon_with_the_rises_to_come():
+    """All plots are fresh. Where plots rise within ten steps, a plan is worth more than where none does."""
+    best = {}
+    for cycle in (30, 490):
+        seen = replace(ONE.observation, route=False, plan=10)
+        world = replace(ONE.world, vdf_cycle=cycle, cycle_phase="random")
+        config = replace(ONE, world=world, observation=seen)
+        batch = placed_batch(config, np.array([[0.0, 0.0], [205.0, 205.0], [5.0, 5.0], [0.0, 0.0]]), ground())
+        best[cycle] = views(config, batch, 1)["plan_best"][0] * 10 * config.world.vdf_max
+    assert best[490] < 0.0
+    assert best[30] > best[490] + 0.5
+
+
+def test_monitors_with_a_route_follow_plans_in_the_last_steps():
+    """Before there are zeros, and the mark is the route's; then the mark is where the best plan's is."""
+    config = replace(ONE, world=replace(ONE.world, steps=14))
+    batch = FarmBatch(config, 1)
+    batch.reset(0, 0, 0)
+    for left in range(14, 0, -1):
+        seen = views(config, batch, 1)
+        plan, route = (
+            np.array([seen[f"{name}_move_{x}_{y}"] for x in (-1, 0, 1) for y in (-1, 0, 1)]) for name in MARKS
+        )
+        assert (plan.max(axis=0) == (1.0 if left <= 9 else 0.0)).all()
+        assert (route.sum(axis=0) == 1.0).all()
+        if left <= 9:
+            assert (plan.argmax(axis=0) == route.argmax(axis=0)).all()
+        batch.step(np.zeros((1, 2 * config.world.uavs), np.float32))
+
+
+def test_following_plans_earns_more_than_the_planner_with_everybody_s_plans():
+    """Without learning: `horizon` has 1558 for a collector and 2700 for a monitor on farms that nobody saw."""
+    config = replace(RunConfig().farm, observation=replace(RunConfig().farm.observation, plan=12, plan_paths=54))
+    batch = FarmBatch(config, 4)
+    for index in range(4):
+        batch.reset(index, 1000 + index, 7)
+    reward, groups = np.zeros(batch.reward.shape), batch.team.groups
+    for _ in range(config.world.steps):
+        action = np.zeros((4, batch.team.agents, 2), np.float32)
+        for kind, view in enumerate(batch.team.split_observations(batch.observation)):
+            if kind:
+                first = groups[kind].adapters[0].suggestion
+                moves = view[..., first : first + 9].argmax(axis=-1)[..., None].astype(np.float32)
+                for adapter in groups[kind].adapters:
+                    moves = adapter.adapt(view, moves)
+                action[:, batch.team.agent_slices()[kind]] = moves
+        batch.step(action.reshape(4, -1))
+        reward += batch.reward
+    _, monitors, collectors = batch.team.agent_slices()
+    assert reward[:, monitors].mean() > 2675.0
+    assert reward[:, collectors].mean() > 1555.0
+
+
+def test_plans_refuse_steps_that_are_too_short_for_the_ranges():
+    """They would list millions of lattice points for each sensor."""
+    world = WorldConfig(speed_x_max=0.2, speed_y_max=0.2)
+    config = FarmConfig(world=world, observation=ObservationConfig(plan=8))
+    with pytest.raises(ConfigError, match=r"farm\.observation\.plan is for at most"):
+        constants(config, cell_counts(world))
 
 
 def test_missing_peers_are_zeros():

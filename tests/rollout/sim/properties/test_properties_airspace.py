@@ -12,7 +12,7 @@ from common.config.farm.polygons import inside_any
 from common.farm import farm_environment
 from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_positions
 from rollout.sim.layout import Layout
-from rollout.sim.reference.farm import flight_power, other_power
+from rollout.sim.reference.power import flight_power, other_power
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
 from tests.rollout.sim.properties.test_properties_battery import batteries
 from tests.rollout.sim.properties.test_properties_reference import flown_beside, reference_of

@@ -7,7 +7,8 @@ from scipy.optimize import linear_sum_assignment
 
 from rollout.envs.spaces import row_box
 from rollout.sim.batch import REWARD_PARTS
-from rollout.sim.reference.farm import NEGLIGIBLE, flight_power, free_space_loss, other_power
+from rollout.sim.reference.farm import NEGLIGIBLE, free_space_loss
+from rollout.sim.reference.power import flight_power, other_power
 from tests.rollout.sim.course import Course, fly
 from tests.rollout.sim.properties.strategies import dose, flights
 

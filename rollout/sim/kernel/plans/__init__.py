@@ -1,0 +1,1 @@
+"""Plans of several moves that UAVs with tasks see in their observations."""

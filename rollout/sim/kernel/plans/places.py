@@ -1,0 +1,73 @@
+"""From which lattice points a data collection UAV hears each sensor, listed once an episode."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rollout.sim.kernel.compiler.decorators import allocation_free
+from rollout.sim.kernel.constants import Array, FleetConstants, Int32
+from rollout.sim.kernel.plans.constants import HEARD, PlanConstants
+from rollout.sim.kernel.views.constants import ViewConstants
+
+Float32 = NDArray[np.float32]
+Site = NDArray[np.uint32]
+
+
+@allocation_free
+def _chance(table: Array, scale: float, square: float) -> float:
+    """Return the probability that a packet arrives over a horizontal distance whose square is given, m^2."""
+    at = square * scale
+    piece = min(int(at), len(table) - 2)
+    chance: float = table[piece] + (at - piece) * (table[piece + 1] - table[piece])
+    return chance
+
+
+@allocation_free
+def _near(place: float, reach: float, count: int, side: float) -> tuple[int, int]:
+    """Return the first and the last lattice point along an axis that may be within reach of a place."""
+    low = math.ceil((place - reach) * count / side - 0.5)
+    high = math.floor((place + reach) * count / side - 0.5)
+    return max(0, int(low)), min(count - 1, int(high))
+
+
+@allocation_free
+def list_points(
+    fleet: FleetConstants,
+    plans: PlanConstants,
+    view: ViewConstants,
+    sensor: Array,
+    first: Int32,
+    point: Site,
+    chance: Float32,
+) -> None:
+    """List the lattice points within reach of each sensor, and how well it is heard there.
+
+    Args:
+        fleet: the field.
+        plans: the lattice and the reach.
+        view: the table of probabilities.
+        sensor: [2, S] m.
+        first: [S + 1] out: where the lattice points of each sensor begin.
+        point: [M] out: the lattice points.
+        chance: [M] out: the probability that the sensor's packets arrive.
+    """
+    columns, rows, reach = plans.columns, plans.rows, plans.reach
+    limit = min(reach * reach, view.chance_limit)
+    found = 0
+    for j in range(sensor.shape[1]):
+        first[j] = found
+        west, east = _near(sensor[0, j], reach, columns, fleet.width)
+        south, north = _near(sensor[1, j], reach, rows, fleet.depth)
+        for column in range(west, east + 1):
+            dx = (column + 0.5) * fleet.width / columns - sensor[0, j]
+            for row in range(south, north + 1):
+                dy = (row + 0.5) * fleet.depth / rows - sensor[1, j]
+                square = dx * dx + dy * dy
+                if square > limit:
+                    continue
+                heard = _chance(view.chance, view.chance_scale, square)
+                if heard >= HEARD:
+                    point[found], chance[found] = column * rows + row, heard
+                    found += 1
+    first[sensor.shape[1]] = found

@@ -1,0 +1,44 @@
+"""What a UAV uses, from the paper's equations (W5, W6)."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import EnergyConfig
+
+Array = NDArray[np.float64]
+
+
+def dbm_to_mw(dbm: Array | float) -> Array:
+    """Convert dBm to mW."""
+    return np.asarray(10.0 ** (np.asarray(dbm) / 10.0))
+
+
+def flight_power(energy: EnergyConfig, speed: float) -> float:
+    """P_fly, W: the printed cases, or induced power (Glauert) and body drag (W5)."""
+    disk = energy.propellers * math.pi * energy.propeller_radius**2
+    weight = energy.mass * energy.gravity
+    if energy.model == "physical":
+        hover_square = weight / (2.0 * energy.air_density * disk)
+        induced = math.sqrt((math.sqrt(speed**4 + 4.0 * hover_square**2) - speed**2) / 2.0)
+        drag = 0.5 * energy.air_density * energy.body_area * energy.drag_coefficient * speed**3
+        return weight * induced / energy.efficiency + drag
+    area = energy.body_area + disk
+    if speed < energy.hover_speed:
+        return (
+            energy.mass
+            * math.pow(energy.gravity, 1.5)
+            / (math.sqrt(2.0 * energy.air_density * area) * energy.efficiency)
+        )
+    c1 = 0.5 * energy.air_density * area * energy.drag_coefficient
+    c2 = energy.mass**2 / (energy.efficiency * energy.air_density * disk)
+    return c1 * speed**2 + c2 / speed + weight * speed
+
+
+def other_power(energy: EnergyConfig, kind: int) -> float:
+    """P_comm + P_cmp and, by type (0 c, 1 m, 2 d), P_cam or P_ec, W (W6)."""
+    communication = float(dbm_to_mw(energy.transmit_dbm) + dbm_to_mw(energy.receive_dbm)) / 1000.0
+    dynamic = energy.load_capacitance * energy.voltage**2 * energy.clock_hz * energy.activity_factor
+    extra = (0.0, energy.camera_power, float(dbm_to_mw(energy.collection_dbm)) / 1000.0)[kind]
+    return communication + energy.static_power + dynamic + extra
