@@ -29,7 +29,7 @@ from rollout.sim.batch import FarmBatch
 _SHIPPED: Final = Path(__file__).parent / "trained"
 TRAINED: Final = _SHIPPED / "default.safetensors"
 """The policy of the default preset that ships with this package."""
-_OTHERS: Final = ("connected", "failing", "uneven", "battery", "field", "eia-sec")
+_OTHERS: Final = ("long", "connected", "failing", "uneven", "battery", "field", "eia-sec")
 SHIPPED: Final = {
     "trained": ("default", TRAINED),
     **{f"trained:{preset}": (preset, _SHIPPED / f"{preset}.safetensors") for preset in _OTHERS},

@@ -198,8 +198,8 @@ class NineMoves:
     It becomes the two numbers with which `Lattice` selects the neighbour.
 
     Attributes:
-        suggestion: index of the first of nine numbers of the observation that mark the move which the environment
-            suggests; -1 if it suggests none. Fresh policies favour that move.
+        suggestion: index of the first of nine numbers of the observation, 0 to 1, that mark the moves which the
+            environment suggests; -1 if it suggests none. Fresh policies favour them as far as they are marked.
     """
 
     kind: ClassVar[str] = "nine moves"

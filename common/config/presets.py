@@ -32,7 +32,7 @@ value_steps = 96000
 entropy_start = 0.005
 entropy_end = 0.0005
 """
-"""Monitors and collectors see how much their next moves are worth twelve steps ahead, and begin with following that."""
+"""Monitors and collectors see what their next moves are worth twelve steps ahead, and at first favour the best."""
 
 LONG: Final = "episodes = 4500"
 """UAVs that plan ahead: over `PLANNING`. A step takes several times as long to simulate."""

@@ -70,6 +70,7 @@ def added_table() -> str:
         last_move=True,
         closing=True,
         units=2,
+        plan=12,
         fields=True,
         coarse=True,
         phases=True,

@@ -42,7 +42,8 @@ def results_block(
     """
     size, own = seeds["sizes"], seeds["methods"][TUNED_PRESET]
     learned = {"EIA-SEC, preset `eia-sec`": own, f"**{DEFAULT}**": _several(default)}
-    learned[f"**{LONG}**"] = _planning(conditions["results"][PLANNING]["longer"])
+    if planning := conditions["results"].get(PLANNING, {}).get("longer"):
+        learned[f"**{LONG}**"] = _planning(planning)
     learned |= {_compared(name): method for name, method in study["methods"].items()}
     rows = [(name, "learned", method["mean_reward"], method["metrics"]) for name, method in learned.items()]
     for name, policy in seeds["references"]["policies"].items():
@@ -51,27 +52,27 @@ def results_block(
         freshness = {name: [policy["metrics"][name]] * 3 for name in ("aoi", "vdf")}
         rows.append((name, "heuristic", [policy["mean_reward"]] * 3, freshness))
     rows.sort(key=lambda row: -row[2][0])
-    lines = ["| policy | | reward per agent | AoI | VDF |", "|---|---|---:|---:|---:|"]
+    lines = ["| policy | reward per agent | AoI | VDF |", "|---|---:|---:|---:|"]
     for name, kind, reward, freshness in rows:
         score = shown(reward) if len(reward) > 1 else f"{reward[0]:.0f}"
-        lines.append(f"| {name} | {kind} | {score} | {freshness['aoi'][0]:.2f} | {freshness['vdf'][0]:.2f} |")
+        label = f"{name}, heuristic" if kind == "heuristic" else name
+        lines.append(f"| {label} | {score} | {freshness['aoi'][0]:.2f} | {freshness['vdf'][0]:.2f} |")
     scores = [(name, round(reward[0])) for name, kind, reward, _ in rows if kind == "heuristic"]
-    ahead, level = _beside(scores, learned[f"**{DEFAULT}**"])
-    over, beside = _beside(scores, learned[f"**{LONG}**"])
-    verdict = f"Of {len(scores)} heuristics, {_higher(over)} than the preset `long`, {_higher(ahead)} than the default."
+    own_rows = {"the preset `long`": f"**{LONG}**", "the default preset": f"**{DEFAULT}**"}
+    beside = {what: _beside(scores, learned[row]) for what, row in own_rows.items() if row in learned}
+    higher = ", ".join(f"{_higher(ahead)} than {what}" for what, (ahead, _) in beside.items())
+    verdict = f"Of {len(scores)} heuristics, {higher}."
     counts = " or ".join(str(count) for count in sorted({len(own["runs"]), len(default["runs"])}))
-    conditions = f"""Mean reward without noise over {size["farms"]} farms that training never saw; that of learned
-        methods over {counts} seeds, with a 95 % interval (`long`: one seed, over farms). All were tuned alike, but our
-        presets [further](docs/explanation/method.md#the-default-preset). AoI is the mean age of sensor data, VDF that of
-        plot images; lower is better."""
-    tied = "".join(
-        f"Level with {what}: {', '.join(names)}. " for what, names in (("`long`", beside), ("it", level)) if names
-    )
+    over_farms = " (`long`: one seed, over farms)" if planning else ""
+    conditions_line = f"""Mean reward without noise over {size["farms"]} farms that training never saw; that of learned
+        methods over {counts} seeds, with a 95 % interval{over_farms}. All were tuned alike, but our
+        presets [further](docs/explanation/method.md#the-default-preset). AoI is the mean age of sensor data, VDF that
+        of plot images; lower is better."""
+    tied = "".join(f"Level with {what}: {', '.join(level)}. " for what, (_, level) in beside.items() if level)
+    plans = " and, with `long`, [plans](docs/reference/environment.md#added-observations)" if planning else ""
     reading = f"""**{verdict}** {tied}Heuristics see the whole farm and plan with its dynamics; a trained UAV acts on
-        what it observes. Both presets' monitors observe a sweep route, and begin with following it. With `long`,
-        UAVs [plan twelve steps ahead](docs/reference/environment.md#added-observations), and begin with following
-        that."""
-    return "\n".join([wrapped(conditions), "", *lines, "", wrapped(reading)])
+        what it observes. That includes sweep routes{plans}, which fresh actors follow."""
+    return "\n".join([wrapped(conditions_line), "", *lines, "", wrapped(reading)])
 
 
 def _beside(scores: list[tuple[str, int]], method: dict[str, Any]) -> tuple[list[str], list[str]]:

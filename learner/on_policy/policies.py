@@ -24,7 +24,8 @@ HEAD: Head = "gaussian"
 FAVOUR = 2.5
 """Logit of a resting option in a fresh policy; all others have about 0."""
 FOLLOW = 4.0
-"""Logit of a suggested option in a fresh policy, which then follows the suggestion seven times in eight (of nine)."""
+"""Logit of an option that is marked with 1 in a fresh policy. If all others are marked with 0, it follows the mark
+seven times in eight (of nine)."""
 LAST_GAIN = 0.01
 """Gain of the actors' last layer, so that a fresh policy is nearly uniform."""
 
@@ -129,9 +130,10 @@ class Policies(nn.Module):
 
 @torch.no_grad()
 def favour_suggestion(stack: Stack, first: int, options: int) -> None:
-    """Let fresh networks without memory favour the option that their input marks with 1.
+    """Let fresh networks without memory favour options as far as their input marks them, from 0 to 1.
 
-    A unit of each hidden layer for each option hands the mark on, and gives the option a logit of about FOLLOW.
+    A unit of each hidden layer for each option hands its mark on, and gives the option a logit of about FOLLOW times
+    the mark.
 
     Args:
         stack: the networks.

@@ -106,7 +106,7 @@ class OnPolicyTrainer(Trainer):
 
     def _update(self) -> None:
         if not self._epochs_left:
-            self._updates.begin(self.experience.rows(), self.environment_steps)
+            self._updates.begin(self.experience.rows(), self.environment_steps - self.following.steps)
             self._epochs_left = self._algorithm.epochs
             self._shuffle()
         self._updates.update(self._pending.pop(), min(1.0, self.episodes / self.config.episodes))

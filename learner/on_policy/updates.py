@@ -4,6 +4,7 @@
     for each epoch: shuffle the steps, or with memory the sequences of steps
         for each minibatch: one Adam step of L_actor and of L_value of every type; their gradients side by side
         a type whose KL divergence exceeds `target_kl` keeps its actors for the rest of the iteration
+    all actors keep still in the iterations of the first `value_steps` steps
 
 A chunk's behaviour policy may be some versions older than the actors (`max_lag_versions`). Values and advantages are
 those of the present value functions. `objective` says what the ratio's denominator is:
@@ -96,7 +97,12 @@ class Updates:
         self.stopped = [False] * len(team.groups)
 
     def begin(self, rows: Rows, steps: int) -> None:
-        """Compute values, advantages and returns of an iteration's rows; `steps` came in before and with them."""
+        """Compute values, advantages and returns of an iteration's rows.
+
+        Args:
+            rows: the iteration's rows.
+            steps: environment steps of all iterations up to this one.
+        """
         config, device = self._config, self._device
         self.stopped = [steps <= config.value_steps] * len(self._team.groups)
         self._load(rows)

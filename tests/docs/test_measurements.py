@@ -108,17 +108,18 @@ def test_the_readme_orders_policies_by_reward_and_names_those_ahead() -> None:
     _, study, _, seeds = results()
     text = results_block(study, seeds, default_seeds(), planning())
     rows = rows_of(text)
-    assert [row[0] for row in rows][:3] == ["high", "**IPPO, preset `long`**", "level"]
+    assert [row[0] for row in rows][:3] == ["high, heuristic", "**IPPO, preset `long`**", "level, heuristic"]
     assert [row[0] for row in rows][3:5] == ["**IPPO, default preset**", "EIA-SEC, preset `eia-sec`"]
-    assert [row[2] for row in rows[3:5]] == ["1312 (1303..1320)", "1310 (1300..1320)"]
-    assert {row[0].partition(",")[0] for row in rows if row[1] == "learned"} >= set(study["methods"])
-    rewards = [float(row[2].partition(" ")[0]) for row in rows]
+    assert [row[1] for row in rows[3:5]] == ["1312 (1303..1320)", "1310 (1300..1320)"]
+    assert {row[0].partition(",")[0] for row in rows if "heuristic" not in row[0]} >= set(study["methods"])
+    rewards = [float(row[1].partition(" ")[0]) for row in rows]
     assert rewards == sorted(rewards, reverse=True)
     words = " ".join(text.split())
-    assert (
-        "**Of 2 heuristics, none scores higher than the preset `long`, high scores higher than the default.**" in words
-    )
-    assert "Level with `long`: high, level. Level with it: level." in words
+    assert "**Of 2 heuristics, none scores higher than the preset `long`, high scores higher than the default" in words
+    assert "Level with the preset `long`: high, level. Level with the default preset: level." in words
+    alone = results_block(study, seeds, default_seeds(), {"results": {}})
+    assert [row[0] for row in rows_of(alone)][:2] == ["high, heuristic", "level, heuristic"]
+    assert "**Of 2 heuristics, high scores higher than the default preset.**" in " ".join(alone.split())
 
 
 def test_methods_stand_in_the_order_of_their_rewards() -> None:

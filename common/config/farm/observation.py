@@ -39,7 +39,7 @@ class ObservationConfig:
     plan: int = 0
     """Steps that plans of monitors and collectors look ahead, 0 to 64. For each of nine moves they see what the best
     plan that begins with it is worth. Monitors with a route see it in the last steps only, three times as many, and
-    their route's mark is then the best plan's. Fresh actors of moves begin with following it (ours)."""
+    their route's mark is then the best plan's. Fresh actors of moves favour those whose plans are best (ours)."""
     plan_paths: int = 27
     """Plans that the search for them keeps, 9 to 512 (ours)."""
     fields: bool = True

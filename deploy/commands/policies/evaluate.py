@@ -30,10 +30,10 @@ class EvaluateArguments:
     run_dir: Path | None = None
     """Run directory: its configuration and its newest policy."""
     policy: str | None = None
-    """static, random, lawnmower, greedy, tour, hungarian, horizon, trained, trained:connected, trained:failing,
-    trained:uneven, trained:battery, trained:field, trained:eia-sec, or a policy file; with --run-dir, instead of the
-    run's policy. horizon+centroid, for instance, names the relays too (docs/reference/heuristics.md). trained:battery
-    flies the farm of the preset battery, trained that of default."""
+    """static, random, lawnmower, greedy, tour, hungarian, horizon, trained, trained:long, trained:connected,
+    trained:failing, trained:uneven, trained:battery, trained:field, trained:eia-sec, or a policy file; with
+    --run-dir, instead of the run's policy. horizon+centroid, for instance, names the relays too
+    (docs/reference/heuristics.md). trained:battery flies the farm of the preset battery, trained that of default."""
     farms: str = "1000:1020"
     """Farm seeds A:B, from A to B - 1; scenario seeds in other environments."""
     episodes: int = 1

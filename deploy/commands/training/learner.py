@@ -35,8 +35,8 @@ class LearnerArguments:
     insecure: bool = False
     """Listen on an address that other machines reach, without authentication."""
     preset: str = "default"
-    """Configuration to begin from: default, quick, connected, failing, uneven, battery, field, eia-sec, study, paper,
-    or an ablation: eia, sec, base."""
+    """Configuration to begin from: default, quick, long, connected, failing, uneven, battery, field, eia-sec, study,
+    paper, or an ablation: eia, sec, base."""
     config: Path | None = None
     """TOML file whose values override the preset's."""
     farm_file: Path | None = None

@@ -45,8 +45,8 @@ class TrainArguments:
     """Train on this machine: learner, elite coordinator and workers run as separate processes over loopback."""
 
     preset: str = "default"
-    """Configuration to begin from: default, quick, connected, failing, uneven, battery, field, eia-sec, study, paper,
-    or an ablation: eia, sec, base."""
+    """Configuration to begin from: default, quick, long, connected, failing, uneven, battery, field, eia-sec, study,
+    paper, or an ablation: eia, sec, base."""
     config: Path | None = None
     """TOML file whose values override the preset's."""
     farm_file: Path | None = None

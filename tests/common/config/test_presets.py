@@ -167,7 +167,7 @@ def test_preset_is_found_by_name():
     with pytest.raises(
         ConfigError,
         match=r"^there is no preset 'fast'; "
-        r"the presets are default, quick, connected, failing, uneven, battery, field, eia-sec, study, paper, "
+        r"the presets are default, quick, long, connected, failing, uneven, battery, field, eia-sec, study, paper, "
         r"eia, sec, base\.$",
     ):
         preset("fast")

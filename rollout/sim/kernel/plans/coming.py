@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from rollout.sim.failures import NEVER
 from rollout.sim.kernel.arrays import Farm
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
 from rollout.sim.kernel.constants import Array, Constants, Int32
@@ -25,9 +26,10 @@ def know_plots(c: Constants, farm: Farm, plan: PlanScratch) -> None:
             x, y = (column + 0.5) * camera.plot_width, (row + 0.5) * camera.plot_depth
             known = is_known(farm.patch_place, farm.patch_time, farm.patch_known, c.stress.square, step, x, y)
             cycle = shortened(camera.cycle, farm.plot_cycle[2, column, row], c.stress.growth, known)
+            cycle = min(cycle, NEVER)
             plan.due[site], plan.cycle[site] = next_due(step + 1, farm.plot_cycle[1, column, row], cycle), cycle
         else:
-            plan.due[site], plan.cycle[site] = farm.level_due[column, row], camera.cycle
+            plan.due[site], plan.cycle[site] = farm.level_due[column, row], min(camera.cycle, NEVER)
 
 
 @inlined

@@ -24,7 +24,7 @@ DISCOUNT: Final = 0.98
 HEARD: Final = 0.05
 """Least probability of arrival at which a plan reckons with a sensor's packet (ours)."""
 MOST_PAIRS: Final = 2**22
-"""Most pairs of a lattice point and a plot or sensor that is served from there."""
+"""Most lattice points, and most pairs of one and a plot or sensor that is served from there."""
 
 
 class PlanConstants(NamedTuple):
@@ -32,7 +32,7 @@ class PlanConstants(NamedTuple):
 
     Attributes:
         steps: moves that a plan looks ahead; 0 if UAVs see no plans.
-        paths: plans that the search keeps for each first move.
+        paths: plans that the search keeps in all.
         columns: lattice points along x.
         rows: lattice points along y.
         reach: distance within which a sensor's packet arrives with probability HEARD, m.
@@ -65,7 +65,7 @@ def plan_constants(config: FarmConfig, radio: RadioConstants) -> PlanConstants:
     """Derive the numbers of plans.
 
     Raises:
-        ConfigError: more lattice points serve more plots and sensors than plans can list.
+        ConfigError: there are more lattice points, or more is served from them, than plans can list.
     """
     lattice, seen, world = lattice_of(config.world), config.observation, config.world
     reach, pairs, middles = 0.0, 0, np.zeros((0, 2))
@@ -73,10 +73,10 @@ def plan_constants(config: FarmConfig, radio: RadioConstants) -> PlanConstants:
     if seen.plan:
         reach = reach_of(radio, world.height_collection, HEARD)
         pairs = sensor_pairs(config, lattice, reach)
-        if max(pairs, plot_pairs(config, lattice)) > MOST_PAIRS:
+        if max(lattice.columns * lattice.rows, pairs, plot_pairs(config, lattice)) > MOST_PAIRS:
             raise ConfigError(
-                f"farm.observation.plan is for at most {MOST_PAIRS} pairs of lattice points and what is served from "
-                "them; here steps are too short for the ranges."
+                f"farm.observation.plan is for at most {MOST_PAIRS} lattice points, and pairs of one and what is "
+                "served from it; here steps are too short for the field or the ranges."
             )
         middles = plot_centres(world)
         first, point = _plots_served(config)

@@ -14,6 +14,7 @@ from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_positions
 from rollout.sim.layout import Layout
 from rollout.sim.reference.power import flight_power, other_power
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, placed, worlds
+from tests.rollout.sim.properties.test_properties_added import with_plans_that_fit
 from tests.rollout.sim.properties.test_properties_battery import batteries
 from tests.rollout.sim.properties.test_properties_reference import flown_beside, reference_of
 from tests.rollout.sim.properties.test_properties_stress import stresses
@@ -202,9 +203,9 @@ def test_any_flight_with_everything_equals_the_reference(flight: Flight, stress:
         battery=battery,
         relay=replace(config.relay, require_link=True),
         reward=replace(config.reward, relayed=0.5),
-        observation=replace(config.observation, stress=True, charge=True, wind=True, zones=True),
+        observation=replace(config.observation, stress=True, charge=True, wind=True, zones=True, plan=2, plan_paths=12),
     )
-    flight = replace(flight, config=config)
+    flight = replace(flight, config=with_plans_that_fit(config))
     batch, _, positions = started(flight)
     reference = reference_of(flight, batch, positions)
     for _ in flown_beside(flight, batch, reference):

@@ -12,6 +12,7 @@ from rollout.sim.batch import FarmBatch
 from rollout.sim.stress import known_cycles, patches
 from tests.rollout.sim.course import begin
 from tests.rollout.sim.properties.strategies import Flight, dose, farm_configs, flights, worlds
+from tests.rollout.sim.properties.test_properties_added import with_plans_that_fit
 from tests.rollout.sim.properties.test_properties_reference import reference_of
 from tests.rollout.sim.tolerances import named_columns
 
@@ -49,7 +50,9 @@ def stressed(config: FarmConfig, stress: StressConfig) -> FarmConfig:
 @given(flights(farm_configs(SMALL)), stresses())
 def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
     """Counters, rewards and observations are the reference farm's."""
-    flight = replace(flight, config=stressed(flight.config, stress))
+    config = stressed(flight.config, stress)
+    planning = replace(config.observation, route=False, plan=3, plan_paths=14)
+    flight = replace(flight, config=with_plans_that_fit(replace(config, observation=planning)))
     batch = begin(flight)
     farm = reference_of(flight, batch)
     for action in flight.actions()[:16]:
@@ -59,7 +62,7 @@ def test_kernel_and_reference_agree(flight: Flight, stress: StressConfig):
         np.testing.assert_array_equal(batch.vdf[0], farm.vdf)
         np.testing.assert_array_equal(batch.patch_known[0], farm.known)
         np.testing.assert_allclose(batch.reward[0], farm.reward, rtol=1e-5, atol=1e-5)
-        columns = named_columns(flight.config, "block_stress")
+        columns = named_columns(flight.config, "block_stress", "plan")
         np.testing.assert_allclose(batch.observation[0, columns], farm.observation[columns], rtol=0.0, atol=1e-6)
 
 
