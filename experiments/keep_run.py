@@ -1,6 +1,7 @@
 """Keep a finished run: its curves, pictures and evaluation under docs/results, its policy inside the package.
 
 python -m experiments.keep_run runs/default-... --commit abc1234 --ship
+python -m experiments.keep_run runs/long-... --commit abc1234 --ship --policy trained:long --output docs/results/long
 """
 
 import json
@@ -15,7 +16,7 @@ from deploy.local.run_directory import METRICS, POLICY, RunDirectory
 from deploy.reports.provenance import provenance
 from deploy.reports.run_report import read_metrics
 from rollout.evaluation import evaluate
-from rollout.policies import TRAINED, policy_of
+from rollout.policies import SHIPPED, policy_of
 
 CURVE_POINTS = 400
 """Episode records of a curve that are kept."""
@@ -32,7 +33,9 @@ class Arguments:
     output: Path = Path("docs/results/default")
     """Where its results go."""
     ship: bool = False
-    """Make its policy the one that ships with the package, in 16-bit numbers."""
+    """Make its policy one that ships with the package, in 16-bit numbers."""
+    policy: str = "trained"
+    """Name of the policy that it then is; trained:long for a run of the preset long."""
 
 
 def main() -> None:
@@ -54,10 +57,10 @@ def main() -> None:
     if arguments.ship:
         config = RunDirectory(source).configuration()
         metadata = {key: str(outcome[key]) for key in ("command", "commit", "seed", "episodes", "updates")}
-        save_policy(TRAINED, load_policy(source / POLICY)[0], metadata, half=True)
+        save_policy(SHIPPED[arguments.policy][1], load_policy(source / POLICY)[0], metadata, half=True)
         first, count = config.evaluation.first_farm, config.evaluation.farms
         shipped = evaluate(
-            config.farm, policy_of("trained", config.farm), range(first, first + count), 1, name="trained"
+            config.farm, policy_of(arguments.policy, config.farm), range(first, first + count), 1, name="trained"
         )
         outcome["evaluations"].append(shipped.to_dict())
     (output / "evaluation.json").write_text(json.dumps(outcome) + "\n", encoding="utf-8")
