@@ -60,7 +60,10 @@ def results_block(
     scores = [(name, round(reward[0])) for name, kind, reward, _ in rows if kind == "heuristic"]
     own_rows = {"the preset `long`": f"**{LONG}**", "the default preset": f"**{DEFAULT}**"}
     beside = {what: _beside(scores, learned[row]) for what, row in own_rows.items() if row in learned}
-    higher = ", ".join(f"{_higher(ahead)} than {what}" for what, (ahead, _) in beside.items())
+    said = [(_higher(ahead), what) for what, (ahead, _) in beside.items()]
+    if len(said) == 2 and said[0][0] == said[1][0]:
+        said = [(said[0][0], "both presets")]
+    higher = ", ".join(f"{first} than {what}" for first, what in said)
     verdict = f"Of {len(scores)} heuristics, {higher}."
     counts = " or ".join(str(count) for count in sorted({len(own["runs"]), len(default["runs"])}))
     over_farms = " (`long`: one seed, over farms)" if planning else ""
