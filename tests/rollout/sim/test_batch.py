@@ -18,6 +18,8 @@ from rollout.sim.kernel.radio import draw
 from rollout.sim.reference.farm import packet_draw
 
 SHORT = replace(preset("eia-sec").farm, world=WorldConfig(steps=40, start_levels="random"))
+PLANNING = replace(SHORT, observation=replace(SHORT.observation, plan=6))
+"""The same with plans, which have lists of their own for every environment and memory of their own for every thread."""
 ARRAYS = (
     "observation",
     "reward",
@@ -65,19 +67,19 @@ def test_an_episode_is_bit_equal_alone_in_company_and_twice():
             np.testing.assert_array_equal(alone[name], crowd[chosen][name])
 
 
-@pytest.mark.parametrize("threads", [2, 3, 9])
-def test_results_do_not_depend_on_the_number_of_threads(threads):
+@pytest.mark.parametrize(("config", "threads"), [(SHORT, 2), (SHORT, 3), (SHORT, 9), (PLANNING, 3)])
+def test_results_do_not_depend_on_the_number_of_threads(config, threads):
     """Seven environments on one thread, on two, on three, and on more threads than there are environments."""
     episodes = [(farm, 1) for farm in range(7)]
-    for alone, together in zip(fly(SHORT, episodes, 40), fly(SHORT, episodes, 40, threads), strict=True):
+    for alone, together in zip(fly(config, episodes, 40), fly(config, episodes, 40, threads), strict=True):
         for name in ARRAYS:
             np.testing.assert_array_equal(alone[name], together[name])
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_a_deep_copy_goes_on_as_the_original_would(threads):
+@pytest.mark.parametrize(("config", "threads"), [(SHORT, 1), (SHORT, 2), (PLANNING, 2)])
+def test_a_deep_copy_goes_on_as_the_original_would(config, threads):
     """A copy takes the same steps to the same end, and neither changes the other."""
-    batch = FarmBatch(SHORT, 3, threads)
+    batch = FarmBatch(config, 3, threads)
     for e in range(3):
         batch.reset(e, e, 5)
     random = np.random.default_rng(0)
