@@ -38,11 +38,8 @@ from rollout.heuristics.registry import TASKS
 from rollout.policies import ActorPolicy, Policy, policy_of
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")
-PLANNING: Final = "default, plans"
-"""The default farm, whose UAVs see plans; README.md shows its longer run."""
 CONDITIONS: Final[dict[str, tuple[str, str]]] = {
     "default": ("default", ""),
-    PLANNING: ("long", ""),
     "links 150 m": ("connected", "[farm.relay]\nlink_range = 150.0"),
     "links 100 m": ("connected", ""),
     "links 70 m": ("connected", "[farm.relay]\nlink_range = 70.0"),

@@ -1,6 +1,7 @@
 """Evaluate the policies of several finished runs of one preset, which differ in their seeds.
 
     python -m experiments.seeds RUN_DIR RUN_DIR ... --commit abc1234 [--add] --write docs/results/default/seeds.json
+    python -m experiments.seeds RUN_DIR ... --commit abc1234 --preset long --write docs/results/long/seeds.json
 
 Every policy flies without noise on the farms on which studies are reported. `reached` holds, for each share of the
 lawnmower's reward, the seconds of training until the mean reward of the newest 64 episodes, noise included, got there.
@@ -48,6 +49,8 @@ class Arguments:
     """Their run directories."""
     commit: str
     """Commit that made them."""
+    preset: str = "default"
+    """Preset of the runs."""
     add: bool = False
     """Keep what the file has of other seeds."""
     write: Path = Path("docs/results/default/seeds.json")
@@ -110,7 +113,7 @@ def main() -> None:
     lawnmower = evaluate(farm, policy_of("lawnmower", farm), farms, 1, name="lawnmower").total.reward
     runs = merged(earlier, [summary(path, arguments.commit, lawnmower) for path in arguments.runs])
     data = {
-        "command": "eia-sec train --seed SEED",
+        "command": f"eia-sec train --preset {arguments.preset} --seed SEED",
         "commit": ", ".join(dict.fromkeys(run["commit"] for run in runs)),
         "first_farm": FIRST_REPORTED,
         "farms": FARMS,

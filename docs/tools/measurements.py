@@ -16,7 +16,7 @@ TRAINING: Final = "docs/results/reproduce/training/results.json"
 PRESET: Final = "docs/results/reproduce/default/results.json"
 HEURISTICS: Final = "docs/results/heuristics/results.json"
 SEEDS: Final = "docs/results/default/seeds.json"
-CONDITIONS: Final = "docs/results/conditions/results.json"
+LONG: Final = "docs/results/long/seeds.json"
 DISTRIBUTION: Final = "docs/results/distribution/results.json"
 NOT_MEASURED: Final = "Not measured yet.\n"
 """A block whose data is not there."""
@@ -277,7 +277,7 @@ MEASUREMENTS: Final[dict[str, tuple[tuple[str, ...], Callable[..., str]]]] = {
     "heuristics": ((HEURISTICS,), heuristics_block),
     "hosts": (("docs/results/hosts/results.json",), hosts_block),
     "paper-preset": (("docs/results/paper/evaluation.json",), paper_block),
-    "results": ((TRAINING, PRESET, SEEDS, CONDITIONS), results_block),
+    "results": ((TRAINING, PRESET, SEEDS, LONG), results_block),
     "tasks": (
         ("docs/results/tasks/simple_spread/results.json", "docs/results/tasks/half_cheetah/results.json"),
         tasks_block,

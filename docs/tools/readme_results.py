@@ -3,7 +3,6 @@
 from typing import Any, Final
 
 from docs.tools.blocks import wrapped
-from experiments.conditions import PLANNING
 from experiments.studies.analysis.verdicts import shown
 from experiments.studies.methods import EIA_SEC, TUNED_PRESET
 from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
@@ -11,6 +10,8 @@ from experiments.studies.scales import FIRST_FARM, FIRST_REPORTED
 RUN: Final = "this run"
 DEFAULT: Final = "IPPO, default preset"
 LONG: Final = "IPPO, preset `long`"
+OURS: Final = ("`long`", "the default preset")
+"""What the README calls the two."""
 
 
 def policies_table(run: dict[str, Any], label: str) -> list[str]:
@@ -29,21 +30,18 @@ def policies_table(run: dict[str, Any], label: str) -> list[str]:
     return rows
 
 
-def results_block(
-    study: dict[str, Any], seeds: dict[str, Any], default: dict[str, Any], conditions: dict[str, Any]
-) -> str:
+def results_block(study: dict[str, Any], seeds: dict[str, Any], default: dict[str, Any], long: dict[str, Any]) -> str:
     """Return the block of README.md: learned methods and heuristics in one table, and one line on how they compare.
 
     Args:
         study: the results of the study `training`.
         seeds: the results of the study `default`.
         default: several seeds of the default preset, see `experiments.seeds`.
-        conditions: the results of `experiments.conditions`.
+        long: the same of the preset `long`.
     """
     size, own = seeds["sizes"], seeds["methods"][TUNED_PRESET]
-    learned = {"EIA-SEC, preset `eia-sec`": own, f"**{DEFAULT}**": _several(default)}
-    if planning := conditions["results"].get(PLANNING, {}).get("longer"):
-        learned[f"**{LONG}**"] = _planning(planning)
+    ours = {f"**{LONG}**": _several(long), f"**{DEFAULT}**": _several(default)}
+    learned = {"EIA-SEC, preset `eia-sec`": own, **ours}
     learned |= {_compared(name): method for name, method in study["methods"].items()}
     rows = [(name, "learned", method["mean_reward"], method["metrics"]) for name, method in learned.items()]
     for name, policy in seeds["references"]["policies"].items():
@@ -54,43 +52,30 @@ def results_block(
     rows.sort(key=lambda row: -row[2][0])
     lines = ["| policy | reward per agent | AoI | VDF |", "|---|---:|---:|---:|"]
     for name, kind, reward, freshness in rows:
-        score = shown(reward) if len(reward) > 1 else f"{reward[0]:.0f}"
+        score = shown(reward) if reward[1] < reward[2] else f"{reward[0]:.0f}"
         label = f"{name}, heuristic" if kind == "heuristic" else name
         lines.append(f"| {label} | {score} | {freshness['aoi'][0]:.2f} | {freshness['vdf'][0]:.2f} |")
     scores = [(name, round(reward[0])) for name, kind, reward, _ in rows if kind == "heuristic"]
-    own_rows = {"the preset `long`": f"**{LONG}**", "the default preset": f"**{DEFAULT}**"}
-    beside = {what: _beside(scores, learned[row]) for what, row in own_rows.items() if row in learned}
-    said = [(_higher(ahead), what) for what, (ahead, _) in beside.items()]
-    if len(said) == 2 and said[0][0] == said[1][0]:
-        said = [(said[0][0], "both presets")]
-    higher = ", ".join(f"{first} than {what}" for first, what in said)
-    verdict = f"Of {len(scores)} heuristics, {higher}."
+    ahead, level = zip(*(_beside(scores, method) for method in ours.values()), strict=True)
     counts = " or ".join(str(count) for count in sorted({len(own["runs"]), len(default["runs"])}))
-    over_farms = " (`long`: one seed, over farms)" if planning else ""
-    conditions_line = f"""Mean reward without noise over {size["farms"]} farms that training never saw; that of learned
-        methods over {counts} seeds, with a 95 % interval{over_farms}. All were tuned alike, but our
+    conditions = f"""Mean reward without noise over {size["farms"]} farms that training never saw; that of learned
+        methods over {counts} seeds (`long`: {len(long["runs"])}), with a 95 % interval. All were tuned alike, but our
         presets [further](docs/explanation/method.md#the-default-preset). AoI is the mean age of sensor data, VDF that
         of plot images; lower is better."""
-    tied = "".join(f"Level with {what}: {', '.join(level)}. " for what, (_, level) in beside.items() if level)
-    plans = " and, with `long`, [plans](docs/reference/environment.md#added-observations)" if planning else ""
-    reading = f"""**{verdict}** {tied}Heuristics see the whole farm and plan with its dynamics; a trained UAV acts on
-        what it observes. That includes sweep routes{plans}, which fresh actors follow."""
-    return "\n".join([wrapped(conditions_line), "", *lines, "", wrapped(reading)])
+    tied = "".join(f"Level with {what}: {names}. " for what, names in zip(OURS, level, strict=True) if names)
+    higher = "; than ".join(f"{what}: {names or 'none'}" for what, names in zip(OURS, ahead, strict=True))
+    reading = f"""**Of {len(scores)} heuristics, these score higher than {higher}.** {tied}Heuristics see the whole farm
+        and plan with its dynamics; a trained UAV acts on what it observes. That includes sweep routes and, with `long`,
+        [plans](docs/reference/environment.md#added-observations), which fresh actors favour."""
+    return "\n".join([wrapped(conditions), "", *lines, "", wrapped(reading)])
 
 
-def _beside(scores: list[tuple[str, int]], method: dict[str, Any]) -> tuple[list[str], list[str]]:
+def _beside(scores: list[tuple[str, int]], method: dict[str, Any]) -> tuple[str, str]:
     """Return which heuristics score higher than a learned method, and which are level with it."""
     _, low, high = (round(number) for number in method["mean_reward"])
-    return [name for name, score in scores if score > high], [name for name, score in scores if low <= score <= high]
-
-
-def _higher(names: list[str]) -> str:
-    return f"{', '.join(names) or 'none'} score{'' if len(names) > 1 else 's'} higher"
-
-
-def _planning(scores: dict[str, Any]) -> dict[str, Any]:
-    """Return a policy of `experiments.conditions` as the studies' methods are given."""
-    return {"mean_reward": scores["reward"], "metrics": {name: [scores[name]] for name in ("aoi", "vdf")}}
+    ahead = [name for name, score in scores if score > high]
+    level = [name for name, score in scores if low <= score <= high]
+    return ", ".join(ahead), ", ".join(level)
 
 
 def _several(default: dict[str, Any]) -> dict[str, Any]:

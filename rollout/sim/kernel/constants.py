@@ -263,13 +263,13 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         start,
         *cells,
     )
-    radio = radio_constants(config)
+    radio, camera = radio_constants(config), _camera(config)
     parts = (
         _fleet(config),
         _flight(config),
         _relay(config),
         radio,
-        _camera(config),
+        camera,
         _reward(config),
         seen,
         view_constants(config, radio, cells),
@@ -278,7 +278,7 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         battery_constants(config),
         airspace(config),
         chain_constants(config),
-        plan_constants(config, radio),
+        plan_constants(config, radio, camera.reach),
     )
     return Constants(*(_cast(part) for part in parts))
 

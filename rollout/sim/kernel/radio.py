@@ -57,6 +57,21 @@ def delivery(radio: RadioConstants, signal: float, interference: float) -> float
 
 
 @allocation_free
+def table_chance(table: Array, scale: float, square: float) -> float:
+    """Return from a table how probably a packet arrives over a horizontal distance whose square is given, m^2.
+
+    Args:
+        table: see `views.constants.chance_table`; the square is at most that of its last distance.
+        scale: pieces per square metre.
+        square: m^2.
+    """
+    at = square * scale
+    piece = int(at)
+    chance: float = table[piece] + (at - piece) * (table[piece + 1] - table[piece])
+    return chance
+
+
+@allocation_free
 def _square(position: Array, u: int, sensor: Array, j: int) -> float:
     """Return the square of the horizontal distance from a UAV to a sensor, m^2."""
     dx, dy = sensor[0, j] - position[u, 0], sensor[1, j] - position[u, 1]

@@ -29,7 +29,7 @@ class PlanScratch(NamedTuple):
         first: [K + 1] where the sites that are served from each of K lattice points begin in `site`.
         site: [M] these sites.
         chance: [M] share of a site's counter that a step over the point serves.
-        costs: [4] see `view.step_costs`.
+        costs: [5] see `view.step_costs`.
         level: [2, W, S] counters as each plan leaves them, before and after a step.
         move: [2, W] its first move.
         end: [2, W] lattice point at which it ends.
@@ -84,7 +84,7 @@ def make_plan_scratch(plans: PlanConstants, sites: int) -> PlanScratch:
         first=np.zeros(plans.columns * plans.rows * (steps > 0) + 1, np.int32),
         site=np.zeros(plans.most_pairs, np.uint32),
         chance=np.zeros(plans.most_pairs, np.float32),
-        costs=np.zeros(4),
+        costs=np.zeros(5),
         level=np.zeros((2, paths, count), np.float32),
         move=np.zeros((2, paths), np.int64),
         end=np.zeros((2, paths), np.int64),

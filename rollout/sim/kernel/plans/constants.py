@@ -61,8 +61,13 @@ class PlanConstants(NamedTuple):
     plot_chance: Float32
 
 
-def plan_constants(config: FarmConfig, radio: RadioConstants) -> PlanConstants:
+def plan_constants(config: FarmConfig, radio: RadioConstants, ground: float) -> PlanConstants:
     """Derive the numbers of plans.
+
+    Args:
+        config: the farm.
+        radio: the radio link.
+        ground: horizontal distance from a monitoring UAV beyond which it sees no cell of a plot well, m.
 
     Raises:
         ConfigError: there are more lattice points, or more is served from them, than plans can list.
@@ -73,13 +78,13 @@ def plan_constants(config: FarmConfig, radio: RadioConstants) -> PlanConstants:
     if seen.plan:
         reach = reach_of(radio, world.height_collection, HEARD)
         pairs = sensor_pairs(config, lattice, reach)
-        if max(lattice.columns * lattice.rows, pairs, plot_pairs(config, lattice)) > MOST_PAIRS:
+        if max(lattice.columns * lattice.rows, pairs, plot_pairs(config, lattice, ground)) > MOST_PAIRS:
             raise ConfigError(
                 f"farm.observation.plan is for at most {MOST_PAIRS} lattice points, and pairs of one and what is "
                 "served from it; here steps are too short for the field or the ranges."
             )
         middles = plot_centres(world)
-        first, point = _plots_served(config)
+        first, point = _plots_served(config, ground)
     return PlanConstants(
         steps=seen.plan,
         paths=seen.plan_paths,
@@ -90,7 +95,7 @@ def plan_constants(config: FarmConfig, radio: RadioConstants) -> PlanConstants:
         most_pairs=max(pairs, len(point)),
         plot_x=np.ascontiguousarray(middles[:, 0]),
         plot_y=np.ascontiguousarray(middles[:, 1]),
-        plot_reach=ground_radius(config) + math.hypot(world.field_x / world.plots_x, world.field_y / world.plots_y),
+        plot_reach=ground + math.hypot(world.field_x / world.plots_x, world.field_y / world.plots_y),
         plot_first=first,
         plot_point=point,
         plot_chance=np.ones(len(point), np.float32),
@@ -104,34 +109,26 @@ def sensor_pairs(config: FarmConfig, lattice: Lattice, reach: float) -> int:
     return config.world.sensors * across * along
 
 
-def ground_radius(config: FarmConfig) -> float:
-    """Return the horizontal distance from a UAV within which plots' cells can be seen well, m."""
-    world, camera = config.world, config.camera
-    if camera.plot_threshold == 0.0:
-        return math.hypot(world.field_x, world.field_y)
-    return math.sqrt(max(camera.image_distance**2 - world.height_monitoring**2, 0.0))
-
-
-def plot_pairs(config: FarmConfig, lattice: Lattice) -> int:
+def plot_pairs(config: FarmConfig, lattice: Lattice, ground: float) -> int:
     """Return a bound of the number of pairs of plots and lattice points from which a cell of the plot is seen well."""
-    world, radius = config.world, ground_radius(config)
-    across = min(lattice.columns, int((2.0 * radius / world.field_x + 1.0 / world.plots_x) * lattice.columns) + 1)
-    along = min(lattice.rows, int((2.0 * radius / world.field_y + 1.0 / world.plots_y) * lattice.rows) + 1)
+    world = config.world
+    across = min(lattice.columns, int((2.0 * ground / world.field_x + 1.0 / world.plots_x) * lattice.columns) + 1)
+    along = min(lattice.rows, int((2.0 * ground / world.field_y + 1.0 / world.plots_y) * lattice.rows) + 1)
     return world.plots_x * world.plots_y * across * along
 
 
 @functools.lru_cache(maxsize=8)
-def _plots_served(config: FarmConfig) -> tuple[Int32, Site]:
+def _plots_served(config: FarmConfig, ground: float) -> tuple[Int32, Site]:
     """Return where the lattice points of each plot begin, [P + 1], and those from which its image succeeds, [M]."""
-    world, lattice, radius = config.world, lattice_of(config.world), ground_radius(config)
+    world, lattice = config.world, lattice_of(config.world)
     x = (np.arange(lattice.columns) + 0.5) * world.field_x / lattice.columns
     y = (np.arange(lattice.rows) + 0.5) * world.field_y / lattice.rows
     width, depth = world.field_x / world.plots_x, world.field_y / world.plots_y
     points = []
     for plot in range(world.plots_x * world.plots_y):
         column, row = divmod(plot, world.plots_y)
-        across = np.flatnonzero((x >= column * width - radius) & (x <= (column + 1) * width + radius))
-        along = np.flatnonzero((y >= row * depth - radius) & (y <= (row + 1) * depth + radius))
+        across = np.flatnonzero((x >= column * width - ground) & (x <= (column + 1) * width + ground))
+        along = np.flatnonzero((y >= row * depth - ground) & (y <= (row + 1) * depth + ground))
         i, j = np.nonzero(_succeed(config, column, row, x[across], y[along]))
         points.append(across[i] * lattice.rows + along[j])
     first = np.cumsum([0, *(len(found) for found in points)])

@@ -8,19 +8,11 @@ from numpy.typing import NDArray
 from rollout.sim.kernel.compiler.decorators import allocation_free
 from rollout.sim.kernel.constants import Array, FleetConstants, Int32
 from rollout.sim.kernel.plans.constants import HEARD, PlanConstants
+from rollout.sim.kernel.radio import table_chance
 from rollout.sim.kernel.views.constants import ViewConstants
 
 Float32 = NDArray[np.float32]
 Site = NDArray[np.uint32]
-
-
-@allocation_free
-def _chance(table: Array, scale: float, square: float) -> float:
-    """Return the probability that a packet arrives over a horizontal distance whose square is given, m^2."""
-    at = square * scale
-    piece = min(int(at), len(table) - 2)
-    chance: float = table[piece] + (at - piece) * (table[piece + 1] - table[piece])
-    return chance
 
 
 @allocation_free
@@ -66,7 +58,7 @@ def list_points(
                 square = dx * dx + dy * dy
                 if square > limit:
                     continue
-                heard = _chance(view.chance, view.chance_scale, square)
+                heard = table_chance(view.chance, view.chance_scale, square)
                 if heard >= HEARD:
                     point[found], chance[found] = column * rows + row, heard
                     found += 1

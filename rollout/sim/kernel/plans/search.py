@@ -76,7 +76,6 @@ def _extend(
     site: Site,
     chance: Float32,
     costs: Array,
-    idle: float,
     level: Float32,
     worth: Array,
     end: Indices,
@@ -95,7 +94,7 @@ def _extend(
             if y < 0 or y >= rows:
                 continue
             units = _units(first, site, chance, level, x * rows + y)
-            cost = costs[2 * (move_x & 1) + (move_y & 1)] + (idle if units < NOTHING else 0.0)
+            cost = costs[2 * (move_x & 1) + (move_y & 1)] + (costs[4] if units < NOTHING else 0.0)
             worth[count], end[count] = score + factor * (units - cost), x * rows + y
             count += 1
     return count
@@ -176,7 +175,6 @@ def _begin(
     turn_x: int,
     turn_y: int,
     sites: int,
-    idle: float,
     most: np.float32,
     plan: PlanScratch,
 ) -> None:
@@ -188,7 +186,7 @@ def _begin(
         to, level = x * rows + y, plan.level[0, move]
         _copy(sites, plan.own, level)
         units = _units(first, site, chance, level, to)
-        cost = plan.costs[2 * abs(x - column) + abs(y - row)] + (idle if units < NOTHING else 0.0)
+        cost = plan.costs[2 * abs(x - column) + abs(y - row)] + (plan.costs[4] if units < NOTHING else 0.0)
         plan.move[0, move], plan.end[0, move], plan.score[0, move] = move, to, units - cost
         plan.best[move] = units - cost
         _rise(plan.rising[0], plan.risen[0], most, level)
@@ -204,7 +202,6 @@ def _extend_all(
     turn_y: int,
     kept: int,
     factor: float,
-    idle: float,
     plan: PlanScratch,
 ) -> int:
     """Extend all plans by one step, and list the best; note the best of each first move; return how many are listed.
@@ -217,7 +214,6 @@ def _extend_all(
         turn_y: see `search`.
         kept: plans there are.
         factor: discount of the step.
-        idle: P_M or P_C, in units.
         plan: working memory.
     """
     listed = 0
@@ -237,7 +233,6 @@ def _extend_all(
             plan.site,
             plan.chance,
             plan.costs,
-            idle,
             plan.level[now, parent],
             plan.worth,
             plan.to,
@@ -282,7 +277,6 @@ def search(
     turn_x: int,
     turn_y: int,
     sites: int,
-    idle: float,
     most: np.float32,
     plan: PlanScratch,
 ) -> None:
@@ -297,16 +291,15 @@ def search(
         turn_x: 1 or -1, the direction of its own axis along x.
         turn_y: the same along y.
         sites: sites that matter.
-        idle: P_M or P_C, in units.
         most: largest counter.
         plan: `own`, `rising`, `risen`, `first`, `site`, `chance` and `costs`; the function writes the rest.
     """
     if steps == 0:
         plan.best[:] = 0.0
         return
-    _begin(columns, rows, column, row, turn_x, turn_y, sites, idle, most, plan)
+    _begin(columns, rows, column, row, turn_x, turn_y, sites, most, plan)
     kept, factor = 9, 1.0
     for ahead in range(1, steps):
         factor *= DISCOUNT
-        listed = _extend_all(columns, rows, (ahead - 1) % 2, turn_x, turn_y, kept, factor, idle, plan)
+        listed = _extend_all(columns, rows, (ahead - 1) % 2, turn_x, turn_y, kept, factor, plan)
         kept = _renew(ahead, listed, sites, most, plan) if ahead + 1 < steps else 0

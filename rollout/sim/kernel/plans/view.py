@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from rollout.sim.kernel.arrays import Farm, Scratch
 from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
-from rollout.sim.kernel.constants import Array, Constants, FlightConstants
+from rollout.sim.kernel.constants import Array, Constants, FleetConstants, FlightConstants
 from rollout.sim.kernel.flight.motion import flight_power
 from rollout.sim.kernel.plans.arrays import PlanScratch
 from rollout.sim.kernel.plans.coming import find_owners, find_sites, know_plots, know_sensors, sort_by_point
@@ -29,42 +29,44 @@ LATE: Final = 3
 @inlined
 def prepare_plans(c: Constants, farm: Farm, s: Scratch) -> None:
     """Find what the plans of several UAVs need."""
-    fleet, plots, sensors = c.fleet, s.plot_plan, s.sensor_plan
-    if sees_plans(c.added.route, c.plans.steps, fleet.steps - farm.step):
+    fleet, plans, weight, plots, sensors = c.fleet, c.plans, c.reward, s.plot_plan, s.sensor_plan
+    if sees_plans(c.added.route, plans.steps, fleet.steps - farm.step):
         know_plots(c, farm, plots)
-        find_owners(farm.position, fleet.relays, fleet.collectors, c.plans.plot_x, c.plans.plot_y, plots)
+        find_owners(farm.position, fleet.relays, fleet.collectors, plans.plot_x, plans.plot_y, plots)
+        step_costs(c.flight, fleet, plans, weight.energy, weight.utility[0], weight.idle[0], plots.costs)
     know_sensors(c, farm, sensors)
     find_owners(farm.position, fleet.collectors, fleet.uavs, farm.sensor[0], farm.sensor[1], sensors)
+    step_costs(c.flight, fleet, plans, weight.energy, weight.utility[1], weight.idle[1], sensors.costs)
 
 
 @allocation_free
 def step_costs(
     flight: FlightConstants,
+    fleet: FleetConstants,
     plans: PlanConstants,
-    width: float,
-    depth: float,
-    seconds: float,
     energy: float,
-    unit: float,
+    utility: float,
+    idle: float,
     costs: Array,
 ) -> None:
-    """Write what staying, a step along y, one along x and one along both cost because of energy, in units.
+    """Write what steps cost, in units; if a unit is worth nothing, nothing costs anything.
 
     Args:
         flight: flight power.
+        fleet: the field.
         plans: the lattice.
-        width: of the field, m.
-        depth: of the field, m.
-        seconds: of a step.
         energy: weight of the energy in the reward, 1/J; not above 0.
-        unit: reward of a unit; if there is none, nothing costs anything.
-        costs: [4] out.
+        utility: weight of a unit.
+        idle: weight of P_M or P_C; not above 0.
+        costs: [5] out: the energy of staying, of a step along y, one along x and one along both; and P_M or P_C.
     """
-    across, along = width / (plans.columns * seconds), depth / (plans.rows * seconds)
-    weight = -energy * seconds / unit if unit > 0.0 else 0.0
-    costs[0], costs[1] = weight * flight_power(flight, 0.0), weight * flight_power(flight, along)
-    costs[2] = weight * flight_power(flight, across)
-    costs[3] = weight * flight_power(flight, math.sqrt(across * across + along * along))
+    across, along = fleet.width / (plans.columns * fleet.seconds), fleet.depth / (plans.rows * fleet.seconds)
+    unit = utility * fleet.seconds
+    per_joule = -energy * fleet.seconds / unit if unit > 0.0 else 0.0
+    costs[0], costs[1] = per_joule * flight_power(flight, 0.0), per_joule * flight_power(flight, along)
+    costs[2] = per_joule * flight_power(flight, across)
+    costs[3] = per_joule * flight_power(flight, math.sqrt(across * across + along * along))
+    costs[4] = -idle * fleet.seconds / unit if unit > 0.0 else 0.0
 
 
 @allocation_free
@@ -92,42 +94,41 @@ def mark_best(best: Array, seen: Float32, at: int) -> None:
 @inlined
 def put_monitor_plan(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     """Write the plans of a monitoring UAV; return where they end."""
-    plans, plan, most, position = c.plans, s.plot_plan, c.camera.level_max, farm.position
-    x, y = position[u, 0], position[u, 1]
-    wide = plans.plot_reach + c.added.step_x * (plans.steps + 1)
-    deep = plans.plot_reach + c.added.step_y * (plans.steps + 1)
-    level = farm.level.reshape(-1)
-    found = find_sites(u, x, y, wide, deep, farm.step, level, plans.plot_x, plans.plot_y, plan)
-    sort_by_point(found, plans.plot_first, plans.plot_point, plans.plot_chance, plan)
-    _look(c, farm, s, u, 0, found, most, plan)
-    return put_plan(plans.steps, most, plan.best, farm.observation, at)
+    plans, plan, level = c.plans, s.plot_plan, farm.level.reshape(-1)
+    sites = _find(c, farm, u, plans.plot_reach, level, plans.plot_x, plans.plot_y, plan)
+    sort_by_point(sites, plans.plot_first, plans.plot_point, plans.plot_chance, plan)
+    return _put_best(c, farm, s, u, sites, c.camera.level_max, plan, at)
 
 
 @inlined
 def put_collector_plan(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     """Write the plans of a data collection UAV; return where they end."""
-    plans, plan, most, position = c.plans, s.sensor_plan, c.radio.level_max, farm.position
-    x, y = position[u, 0], position[u, 1]
-    wide = plans.reach + c.added.step_x * (plans.steps + 1)
-    deep = plans.reach + c.added.step_y * (plans.steps + 1)
-    found = find_sites(u, x, y, wide, deep, farm.step, farm.age, farm.sensor[0], farm.sensor[1], plan)
-    sort_by_point(found, farm.plan_first, farm.plan_point, farm.plan_chance, plan)
-    _look(c, farm, s, u, 1, found, most, plan)
-    return put_plan(plans.steps, most, plan.best, farm.observation, at)
+    plan, sensor = s.sensor_plan, farm.sensor
+    sites = _find(c, farm, u, c.plans.reach, farm.age, sensor[0], sensor[1], plan)
+    sort_by_point(sites, farm.plan_first, farm.plan_point, farm.plan_chance, plan)
+    return _put_best(c, farm, s, u, sites, c.radio.level_max, plan, at)
 
 
 @inlined
-def _look(c: Constants, farm: Farm, s: Scratch, u: int, task: int, found: int, most: float, plan: PlanScratch) -> None:
-    """Search the plans of a UAV up to the end of the episode; after that nothing is worth anything."""
+def _find(
+    c: Constants, farm: Farm, u: int, reach: float, level: Array, site_x: Array, site_y: Array, plan: PlanScratch
+) -> int:
+    """List the sites that a UAV can reach within its plans; return how many."""
+    view, position, moves = c.added, farm.position, c.plans.steps + 1
+    wide, deep = reach + view.step_x * moves, reach + view.step_y * moves
+    return find_sites(u, position[u, 0], position[u, 1], wide, deep, farm.step, level, site_x, site_y, plan)
+
+
+@inlined
+def _put_best(c: Constants, farm: Farm, s: Scratch, u: int, sites: int, most: float, plan: PlanScratch, at: int) -> int:
+    """Search up to the end of the episode, after which nothing is worth anything, and write what was found."""
     fleet, plans, position, sign = c.fleet, c.plans, farm.position, s.added.sign
     steps = min(plans.steps, fleet.steps - farm.step)
     column = own_point(position[u, 0], sign[u, 0], fleet.width, fleet.per_width, plans.columns)
     row = own_point(position[u, 1], sign[u, 1], fleet.depth, fleet.per_depth, plans.rows)
     turn_x, turn_y = int(sign[u, 0]), int(sign[u, 1])
-    unit = c.reward.utility[task] * fleet.seconds
-    step_costs(c.flight, plans, fleet.width, fleet.depth, fleet.seconds, c.reward.energy, unit, plan.costs)
-    idle = -c.reward.idle[task] * fleet.seconds / unit if unit > 0.0 else 0.0
-    search(plans.columns, plans.rows, steps, column, row, turn_x, turn_y, found, idle, np.float32(most), plan)
+    search(plans.columns, plans.rows, steps, column, row, turn_x, turn_y, sites, np.float32(most), plan)
+    return put_plan(plans.steps, most, plan.best, farm.observation, at)
 
 
 @allocation_free

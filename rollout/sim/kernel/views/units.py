@@ -20,7 +20,7 @@ from rollout.sim.kernel.constants import (
     Int32,
     ObservationConstants,
 )
-from rollout.sim.kernel.radio import LEAST_AGE
+from rollout.sim.kernel.radio import LEAST_AGE, table_chance
 from rollout.sim.kernel.spatial.neighbours import block_around, gather
 from rollout.sim.kernel.views.arrays import TWO_MOVES, ViewScratch
 from rollout.sim.kernel.views.constants import ViewConstants
@@ -202,9 +202,7 @@ def _hear_sensor(table: Array, scale: float, square: Array, chance: Array) -> No
     for place in range(len(square)):
         chance[place] = 0.0
         if square[place] < math.inf:
-            at = square[place] * scale
-            piece = int(at)
-            chance[place] = table[piece] + (at - piece) * (table[piece + 1] - table[piece])
+            chance[place] = table_chance(table, scale, square[place])
 
 
 @allocation_free
