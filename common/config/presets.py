@@ -51,12 +51,19 @@ entropy_scales = ""
 """A farm on which images and data count only while the UAV's relay is near; see docs/reference/environment.md."""
 
 FAILING: Final = """
+episodes = 3500
 [farm.failures]
 per_hour = 6.0
 [farm.observation]
 route = false
+plan = 12
+plan_paths = 54
+[algorithm]
+value_steps = 96000
+entropy_start = 0.005
+entropy_end = 0.0005
 """
-"""A farm on which more than half of the UAVs fail during an episode; monitors learn more without a route there."""
+"""A farm on which more than half of the UAVs fail during an episode; monitors follow plans, not a route, there."""
 
 UNEVEN: Final = """
 [farm.stress]
