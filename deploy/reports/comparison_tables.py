@@ -11,8 +11,11 @@ from rollout.evaluation import Evaluation
 def comparison_table(evaluations: Sequence[Evaluation]) -> Table:
     """Return the evaluations as a table for the terminal, best reward first."""
     table = Table(title=_title(evaluations), box=SIMPLE_HEAD, padding=0, show_edge=False)
-    for name in _columns(evaluations):
-        table.add_column(name.replace(", ", "\n"), justify="left" if name == "policy" else "right", no_wrap=True)
+    # Where the terminal is too narrow, the path of a policy's file goes over several lines, and the numbers stay whole.
+    policy, *numbers = _columns(evaluations)
+    table.add_column(policy, overflow="fold")
+    for name in numbers:
+        table.add_column(name.replace(", ", "\n"), justify="right", no_wrap=True)
     for row in _rows(evaluations):
         table.add_row(*row)
     return table

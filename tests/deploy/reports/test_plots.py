@@ -175,6 +175,16 @@ def test_map_file_is_large_enough_to_read(trajectory, tmp_path):
     assert len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 100
 
 
+def test_table_keeps_numbers_whole_beside_a_long_path():
+    """In a terminal of 80 columns the path of a policy goes over several lines, and no cell is cut."""
+    console, path = Console(file=io.StringIO(), width=80), "runs/" + 4 * "a-long-name/" + "policy.safetensors"
+    console.print(comparison_table([evaluation(path, 901.0)]))
+    text = console.file.getvalue()
+    assert "\u2026" not in text
+    assert {"901", "-120", "1500", "1300", "1.23", "2.35"} <= set(text.split())
+    assert path in "".join(line.split(" ")[0] for line in text.splitlines())
+
+
 def test_table_lists_policies_by_reward():
     """The best policy comes first, with every column filled, in a terminal of 80 columns."""
     console = Console(file=io.StringIO(), width=80)
