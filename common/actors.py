@@ -49,6 +49,17 @@ def actor_outputs(group: GroupSpec, head: Head) -> int:
     return group.options or head_outputs(group.action_size, head)
 
 
+def can_fly(own: GroupSpec, other: GroupSpec, flat: Float32) -> bool:
+    """Return whether the actors of a type [n_v or 1, P] can fly another team's type; adapters' numbers may differ."""
+    return (own.count == other.count or len(flat) == 1) and _interface(own) == _interface(other)
+
+
+def _interface(group: GroupSpec) -> tuple[object, ...]:
+    """Return what two groups must have in common to use the same actors."""
+    kinds = tuple(adapter.kind for adapter in group.adapters)
+    return group.name, group.observation_size, group.action_size, group.choices, group.masked, kinds
+
+
 def checked_head(name: str) -> Head:
     """Return the actor head of this name; raise SchemaError when there is none."""
     for head in HEADS:

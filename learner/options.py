@@ -1,8 +1,10 @@
 """How a learner is started."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from common.team import Float32
 from common.transport.endpoint import Endpoint
 
 
@@ -19,6 +21,8 @@ class LearnerOptions:
         lockstep: whether the learner takes turns with its only worker.
         patience: seconds to wait for a router.
         await_elite: whether to wait for late imitation events even before a coordinator has connected.
+        start: returns the parameters that each type's actors begin with, None for fresh ones, or nothing at all if all
+            begin fresh; not called if a checkpoint is restored.
     """
 
     run: str
@@ -29,3 +33,4 @@ class LearnerOptions:
     lockstep: bool = False
     patience: float = 60.0
     await_elite: bool = False
+    start: Callable[[], Sequence[Float32 | None]] = tuple

@@ -94,6 +94,8 @@ class Learner:
         """Resume from the newest checkpoint if requested; return the ledger and the seconds that the run has taken."""
         ledger, resume, directory = Ledger(), self._options.resume, self._options.run_dir
         elapsed, epoch = self._storage.restore(self.trainer, ledger) if resume else (0.0, 0)
+        if not epoch and (start := self._options.start()):
+            self.trainer.begin_with(start)
         self._history = History(directory / HISTORY if directory else None)
         self._epoch = next_epoch(max(epoch, last_epoch(self._history.before)))
         recover_losses(self._history, ledger, self._epoch, resumed=resume)

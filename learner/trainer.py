@@ -12,7 +12,7 @@ the same points. `OffPolicyTrainer` learns from a replay buffer, `OnPolicyTraine
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, ClassVar, Final
 
@@ -102,6 +102,11 @@ class Trainer(ABC):
     @abstractmethod
     def load_actors(self, flat: tuple[Float32, ...]) -> None:
         """Replace the actors' parameters, [n_v or 1, P_v] for each type in the order of `common.actors`."""
+
+    def begin_with(self, start: Sequence[Float32 | None]) -> None:
+        """Replace the parameters of fresh actors, [n_v or 1, P_v] for each type; None keeps a type's own."""
+        own = self.actors().flat
+        self.load_actors(tuple(old if new is None else new for old, new in zip(own, start, strict=True)))
 
     @abstractmethod
     def statistics(self) -> dict[str, float]:

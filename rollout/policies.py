@@ -15,12 +15,12 @@ from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 
-from common.actors import TeamActors
+from common.actors import TeamActors, can_fly
 from common.config import FarmConfig, RunConfig
 from common.errors import PolicyError
 from common.farm import farm_of, farm_team
 from common.policy_file import load_policy
-from common.team import Float32, GroupSpec, TeamSpec
+from common.team import Float32, TeamSpec
 from rollout.envs.base import Environments
 from rollout.heuristics.random import RandomPolicy
 from rollout.heuristics.registry import HEURISTICS, RELAYS, heuristic
@@ -100,20 +100,9 @@ def fitted(actors: TeamActors, team: TeamSpec) -> TeamActors:
     if actors.team == team:
         return actors
     pairs = zip(actors.team.groups, team.groups, actors.flat, strict=False)
-    if len(actors.flat) != len(team.groups) or not all(_fits(own, other, flat) for own, other, flat in pairs):
+    if len(actors.flat) != len(team.groups) or not all(can_fly(own, other, flat) for own, other, flat in pairs):
         raise PolicyError(f"the policy is for {_describe(actors.team)}, but this environment has {_describe(team)}.")
     return replace(actors, team=team)
-
-
-def _fits(own: GroupSpec, other: GroupSpec, flat: Float32) -> bool:
-    """Return whether the actors of a type [n_v or 1, P] can fly another team's type."""
-    return (own.count == other.count or len(flat) == 1) and _interface(own) == _interface(other)
-
-
-def _interface(group: GroupSpec) -> tuple[Any, ...]:
-    """Return what two groups must have in common to use the same actors; the adapters' numbers may differ."""
-    kinds = tuple(adapter.kind for adapter in group.adapters)
-    return group.name, group.observation_size, group.action_size, group.choices, group.masked, kinds
 
 
 def trained_policy(path: Path, config: FarmConfig) -> Policy:

@@ -38,6 +38,7 @@ LATER: Final[Mapping[str, Value]] = {
     "algorithm.memory": "none",
     "algorithm.objective": "ppo",
     "algorithm.sequence_steps": 50,
+    "algorithm.start_policy": "",
     "algorithm.value_steps": 0,
     "farm.battery.capacity": 0.0,
     "farm.battery.failsafe": 0.0,

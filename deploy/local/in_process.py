@@ -14,6 +14,7 @@ from elite.evaluation_plan import evaluation_plan
 from elite.scoring import decide
 from learner.trainer import Trainer
 from learner.trainers import make_trainer
+from rollout.start_policy import start_parameters
 from rollout.worker.collector import Collector, run_noise_free_episodes
 
 WORKER = "0"
@@ -35,6 +36,7 @@ def train_in_process(
     config = with_values(config, {"learner.update_threads": 1})
     collector = Collector(config, WORKER, 0)
     trainer = make_trainer(config, collector.team)
+    trainer.begin_with(start_parameters(config, trainer.team))
     schedule = ImitationSchedule.of(config)
     version, published = trainer.next_version(), trainer.changes
     actors, seen_steps, progress, chunks = trainer.actors(), trainer.environment_steps, 0.0, 0

@@ -81,6 +81,8 @@ def complaint(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         (["train", "--learner.device", "tpu"], "device must be cpu"),
         (["train", "--learner.device", "cuda:999"], "learner.device is cuda:999"),
         (["learner", "--learner.device", "cuda:999", "--run-dir", "run"], "learner.device is cuda:999"),
+        (["train", "--algorithm.start-policy", "nobody"], "'nobody' is neither a policy that ships"),
+        (["learner", "--algorithm.start-policy", "trained:eia-sec", "--run-dir", "run"], "fits no type of this run"),
         (["reproduce"], "nothing to reproduce"),
         (["reproduce", "harvest"], "no study 'harvest'"),
         (["reproduce", "training", "--scale", "half"], "half"),

@@ -3,7 +3,7 @@
 import pytest
 
 from common.config.files import from_toml
-from common.policy_file import load_policy
+from common.policy_file import load_policy, save_policy
 from deploy.local.in_process import train_in_process
 from tests.system.fleet import configured, on_policy
 
@@ -28,6 +28,23 @@ def test_lockstep_is_bit_equal_to_one_process(processes, name, events, memory):
     actors, _ = load_policy(processes.directory / "run" / "policy.safetensors")
     assert (actors.memory, actors.digest()) == (memory, alone.actors().digest())
     assert processes.wait("rollout-0") == 0
+
+
+def test_a_run_begins_as_its_start_policy(processes):
+    """Processes and one process begin as the file's actors and end bit-equal, elsewhere than from fresh actors."""
+    text = on_policy("ippo")
+    first = train_in_process(configured(text)).actors()
+    file = processes.directory / "first.safetensors"
+    save_policy(file, first, {})
+    text = text.replace('name = "ippo"', f'name = "ippo"\nstart_policy = "{file}"')
+    still = train_in_process(from_toml("[algorithm]\nvalue_steps = 1000000", configured(text)))
+    assert still.actors().digest() == first.digest()
+    processes.config.write_text(text, encoding="utf-8")
+    processes.worker()
+    processes.learner("--lockstep")
+    assert processes.wait("learner") == 0
+    (end,) = processes.records("end")
+    assert end["digest"] == train_in_process(configured(text)).actors().digest() != first.digest()
 
 
 def test_one_process_repeats_itself():

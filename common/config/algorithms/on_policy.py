@@ -34,6 +34,9 @@ class OnPolicyConfig(AlgorithmConfig):
     value_steps: int = 0
     """Environment steps at the start from which value functions alone learn, so that they know the fresh policy before
     it changes (ours)."""
+    start_policy: str = ""
+    """Policy that actors begin as: trained, trained:long and so on, or a file. Types that see or choose something else
+    begin fresh, as all do without it. Value functions always do, so give them `value_steps` first."""
     clip: float = 0.2
     """Clip range of the ratio between the policy that learns and the one that `objective` names."""
     gae_lambda: float = 0.95

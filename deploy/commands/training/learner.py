@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +17,7 @@ from learner.networks.device import usable_device
 from learner.options import LearnerOptions
 from learner.service import serve
 from rollout.envs.registry import environment_spec
+from rollout.start_policy import start_parameters
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,9 @@ def command(arguments: Sequence[str]) -> int:
         endpoint.require_private(options.insecure)
     usable_device(options.settings.learner.device)  # fail before any file is written, as the next line does
     environment = environment_spec(options.settings)
+    start = partial(start_parameters, options.settings, environment.team)
+    if not resume:
+        start()
     if options.run_dir is not None:
         directory = RunDirectory(options.run_dir)
         directory.prepare(options.settings, resume=resume)
@@ -93,6 +98,7 @@ def command(arguments: Sequence[str]) -> int:
             lockstep=options.lockstep,
             patience=options.patience,
             await_elite=options.await_elite,
+            start=start,
         ),
         options.settings,
         environment,

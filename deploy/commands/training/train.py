@@ -28,6 +28,7 @@ from deploy.monitor.run_monitor import RunMonitor
 from deploy.options import base_configuration, parse
 from deploy.output import patient_output
 from rollout.envs.registry import environment_spec
+from rollout.start_policy import start_parameters
 
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
@@ -78,7 +79,10 @@ def command(arguments: Sequence[str]) -> int:
     within(1, 1024, workers=options.workers)
     if options.lockstep and options.workers != 1:
         raise ConfigError("--lockstep needs exactly one worker; leave --workers at 1.")
-    environment_spec(options.settings)  # refuses an environment that cannot be trained before anything is made
+    # What cannot be trained, or cannot be begun with, is refused before anything is made.
+    team = environment_spec(options.settings).team
+    if not options.resume:
+        start_parameters(options.settings, team)
     _require_device(options.settings.learner.device)
     endpoint = _endpoint(options)
     endpoint.require_private(insecure=False)

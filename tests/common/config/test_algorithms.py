@@ -195,6 +195,7 @@ def test_digests_of_earlier_versions_count(name):
         "memory = ",
         "objective = ",
         "sequence_steps = ",
+        "start_policy = ",
         "value_steps = ",
         "plan = ",
         "plan_paths = ",
