@@ -66,11 +66,18 @@ entropy_end = 0.0005
 """A farm on which more than half of the UAVs fail during an episode; monitors follow plans, not a route, there."""
 
 UNEVEN: Final = """
+episodes = 3500
 [farm.stress]
 patches = 6
 [farm.observation]
 route = false
+plan = 12
+plan_paths = 54
 stress = true
+[algorithm]
+value_steps = 96000
+entropy_start = 0.005
+entropy_end = 0.0005
 """
 """A farm on which patches of stress come and go, where plots and sensors need three times as many visits."""
 
