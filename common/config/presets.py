@@ -24,17 +24,18 @@ farms = 4
 """A short run that uses every process and ends within a minute or two on two cores."""
 
 LONG: Final = """
-episodes = 4500
+episodes = 1500
 [farm.observation]
 plan = 12
 plan_paths = 54
 [algorithm]
+start_policy = "trained"
 value_steps = 96000
 entropy_start = 0.005
 entropy_end = 0.0005
 """
-"""Monitors and collectors see what their next moves are worth twelve steps ahead, and at first favour the best. A step
-takes several times as long to simulate as with the default preset."""
+"""Monitors and collectors see what their next moves are worth twelve steps ahead, and at first favour the best; relays
+begin as those of the policy `trained`. A step takes several times as long to simulate as with the default preset."""
 
 CONNECTED: Final = """
 [farm.relay]
