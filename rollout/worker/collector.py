@@ -43,7 +43,8 @@ class Collector:
     Attributes:
         environments: the batch.
         team: layout of a row.
-        environment_steps: steps collected in all environments.
+        environment_steps: steps of all environments in the chunks that were collected.
+        simulated: the same with those of the chunk that is being collected.
         probe: records one environment while somebody watches, else None; the experience does not depend on it.
 
     Raises:
@@ -60,7 +61,7 @@ class Collector:
         self._share = shares_of(self.team, by_type)
         ends = config.learns_on_policy and config.on_policy.time_limit == "terminal"
         self._shaping = RewardShaping(self.environments, config.algorithm.potential_discount, ends=ends)
-        self.environment_steps = 0
+        self.environment_steps = self.simulated = 0
         self.probe: StepObserver | None = None
         self._episode: NDArray[np.int64] = np.full(count, -1, np.int64)
         self._noise = RandomRows((*self._identity, "noise"), count, self.team.action_size)
@@ -72,7 +73,9 @@ class Collector:
         for index in range(count):
             self._begin(index)
 
-    def collect(self, actors: TeamActors, noise_std: float, uniform: bool) -> Chunk:
+    def collect(
+        self, actors: TeamActors, noise_std: float, uniform: bool, meanwhile: Callable[[], None] = lambda: None
+    ) -> Chunk:
         """Collect one chunk.
 
         Args:
@@ -80,6 +83,7 @@ class Collector:
             noise_std: standard deviation of the Gaussian noise on a deterministic head's action, 0..1; without meaning
                 for algorithms that learn on policy, whose actions are sampled from the actors' distributions.
             uniform: draw actions uniformly instead (warm-up); without meaning for those algorithms, too.
+            meanwhile: called after each step; a chunk may take many seconds.
 
         Returns:
             The rows of all environments, one environment after the other, and the episodes that ended. Rewards in rows
@@ -98,6 +102,8 @@ class Collector:
                 action = self._explore(actors, noise_std, uniform)
             self._shaping.before_step()
             environments.step(self.team.adapt(environments.observation, action))
+            self.simulated += len(environments.time)
+            meanwhile()
             if self.probe is not None:
                 self.probe.record()
             rows.action[:, step], rows.reward[:, step] = action, self._shaping.shaped_reward()
@@ -111,7 +117,7 @@ class Collector:
                 self._begin(int(index))
         for running in range(len(environments.time)):
             self._credit(rows, running, steps)
-        self.environment_steps += len(environments.time) * steps
+        self.environment_steps = self.simulated
         return Chunk(replace(rows.rows(), state=state), tuple(episodes))
 
     def _sample(self, actors: TeamActors) -> tuple[Float32, Float32]:

@@ -158,8 +158,7 @@ class Worker:
             self._collect(actors)
         else:
             self._wait()
-        if time.monotonic() - self._times.reported >= REPORT_SECONDS:
-            self._report()
+        self._report_if_due()
 
     def _serve_while_ending(self) -> None:
         """Go on with evaluations while the learner trains: one that waits for an imitation event takes no chunks."""
@@ -187,7 +186,7 @@ class Worker:
 
     def _collect(self, actors: TeamActors) -> None:
         started = time.monotonic()
-        chunk = self._collector.collect(actors, *self._exploration())
+        chunk = self._collector.collect(actors, *self._exploration(), meanwhile=self._report_if_due)
         self._sender.flown = self._collector.environment_steps
         self._sender.offer(chunk, self._learner.store.version)
         self._times.collecting += time.monotonic() - started
@@ -202,6 +201,10 @@ class Worker:
         if self._gate.pause_reason:
             self._times.paused += IDLE_SECONDS
 
+    def _report_if_due(self) -> None:
+        if time.monotonic() - self._times.reported >= REPORT_SECONDS:
+            self._report()
+
     def _report(self) -> None:
         self._log_denial()
         self._presence.report(self._metrics(), self._learner.store.version)
@@ -211,7 +214,7 @@ class Worker:
         times, sender, learner = self._times, self._sender, self._learner
         return {
             "state": learner.state,
-            "environment_steps": self._collector.environment_steps,
+            "environment_steps": self._collector.simulated,
             "produced": self._collector.environment_steps,
             "accepted": sender.accepted,
             "rejected": sender.rejected,

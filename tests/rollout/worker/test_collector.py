@@ -57,6 +57,18 @@ def test_rows_carry_the_log_probabilities_of_their_actions():
     assert len(np.unique(rows.log_probability[step])) > STEPS
 
 
+def test_steps_are_counted_while_a_chunk_is_collected():
+    """After each step the caller sees those simulated so far; the other count rises at the end. Rows stay the same."""
+    config = configured()
+    actors, (quiet,) = collected(config)
+    collector, seen = Collector(config, "w", 0), []
+    watch = lambda: seen.append((collector.simulated, collector.environment_steps))  # noqa: E731  # asked after each step
+    chunk = collector.collect(actors, 0.5, uniform=True, meanwhile=watch)
+    assert seen == [(2 * (step + 1), 0) for step in range(STEPS)]
+    assert collector.environment_steps == collector.simulated == 2 * STEPS
+    np.testing.assert_array_equal(chunk.rows.reward, quiet.rows.reward)
+
+
 def test_actions_do_not_depend_on_the_schedule_of_noise():
     """Neither the deviation of exploration noise nor a warm-up has a meaning: actions are the actors' samples."""
     config = configured()
