@@ -21,8 +21,8 @@ class LearnerOptions:
         lockstep: whether the learner takes turns with its only worker.
         patience: seconds to wait for a router.
         await_elite: whether to wait for late imitation events even before a coordinator has connected.
-        start: returns the parameters that each type's actors begin with, None for fresh ones, or nothing at all if all
-            begin fresh; not called if a checkpoint is restored.
+        start: returns the parameters with which each type's actors begin, None for fresh ones; nothing at all if all
+            begin fresh. Not called if a checkpoint is restored.
     """
 
     run: str

@@ -39,6 +39,7 @@ LATER: Final[Mapping[str, Value]] = {
     "algorithm.objective": "ppo",
     "algorithm.sequence_steps": 50,
     "algorithm.start_policy": "",
+    "algorithm.suggestion_logits": "",
     "algorithm.value_steps": 0,
     "farm.battery.capacity": 0.0,
     "farm.battery.failsafe": 0.0,

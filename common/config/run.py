@@ -97,7 +97,7 @@ class EvaluationConfig:
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Everything that determines a run's outcome."""
+    """Everything that determines a run's outcome, but for what stands in the files that it names."""
 
     seed: int = 0
     """Seed of the run; initial weights, batches, the order of farms and all noise follow from it."""

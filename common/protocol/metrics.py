@@ -137,7 +137,7 @@ METRICS: Final[dict[str, tuple[Metric, ...]]] = {
     "rollout": (
         _STATE,
         Metric("environment_steps", _STEPS, "steps simulated since this start"),
-        Metric("produced", _STEPS, "the same; accepted + rejected + in_flight, by the worker's own count"),
+        Metric("produced", _STEPS, "steps of whole chunks: accepted + rejected + in_flight, by the worker's own count"),
         Metric("accepted", _STEPS, "steps acknowledged by the learner"),
         Metric("rejected", _STEPS, "steps of chunks that the learner refused"),
         Metric("in_flight", _STEPS, "steps produced and not yet acknowledged or refused"),

@@ -36,7 +36,8 @@ def train_in_process(
     config = with_values(config, {"learner.update_threads": 1})
     collector = Collector(config, WORKER, 0)
     trainer = make_trainer(config, collector.team)
-    trainer.begin_with(start_parameters(config, trainer.team))
+    if start := start_parameters(config, trainer.team):
+        trainer.begin_with(start)
     schedule = ImitationSchedule.of(config)
     version, published = trainer.next_version(), trainer.changes
     actors, seen_steps, progress, chunks = trainer.actors(), trainer.environment_steps, 0.0, 0

@@ -24,8 +24,8 @@ HEAD: Head = "gaussian"
 FAVOUR = 2.5
 """Logit of a resting option in a fresh policy; all others have about 0."""
 FOLLOW = 4.0
-"""Logit of an option that is marked with 1 in a fresh policy. If all others are marked with 0, it follows the mark
-seven times in eight (of nine)."""
+"""Logit of an option that is marked with 1 in a fresh policy unless `suggestion_logits` names another. If all others
+are marked with 0, the policy follows the mark seven times in eight (of nine)."""
 LAST_GAIN = 0.01
 """Gain of the actors' last layer, so that a fresh policy is nearly uniform."""
 
@@ -74,7 +74,8 @@ class Policies(nn.Module):
                 with torch.no_grad():
                     stack.layers[-1][:, option] = FAVOUR
             if config.memory == "none" and (first := getattr(adapter, "suggestion", -1)) >= 0:
-                favour_suggestion(stack, first, group.choices[0])
+                logit = config.type_suggestion_logits().get(group.name, FOLLOW)
+                favour_suggestion(stack, first, group.choices[0], logit)
         return stack
 
     def loss(
@@ -129,16 +130,17 @@ class Policies(nn.Module):
 
 
 @torch.no_grad()
-def favour_suggestion(stack: Stack, first: int, options: int) -> None:
+def favour_suggestion(stack: Stack, first: int, options: int, logit: float) -> None:
     """Let fresh networks without memory favour options as far as their input marks them, from 0 to 1.
 
-    A unit of each hidden layer for each option hands its mark on, and gives the option a logit of about FOLLOW times
+    A unit of each hidden layer for each option hands its mark on, and gives the option a logit of about `logit` times
     the mark.
 
     Args:
         stack: the networks.
         first: index of the first of the marks in an input.
         options: number of marks, and of outputs.
+        logit: of an option that is marked with 1.
 
     Raises:
         ConfigError: the hidden layers are too narrow.
@@ -151,7 +153,7 @@ def favour_suggestion(stack: Stack, first: int, options: int) -> None:
     b1[:, :options], b2[:, :options] = 0.0, 0.0
     w1[:, first : first + options, :options] = eye
     w2[:, :options, :options] = eye
-    w3[:, :options, :options] = FOLLOW * eye
+    w3[:, :options, :options] = logit * eye
 
 
 def initialisation_names(

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from common.actors import TeamActors
-from common.config.files import with_values
+from common.config.files import to_toml, with_values
 from common.config.presets import preset
 from common.errors import PolicyError
 from common.farm import farm_team
 from common.policy_file import load_policy, save_policy
 from rollout.policies import TRAINED
-from rollout.start_policy import start_parameters
+from rollout.start_policy import start_parameters, start_sentence
 
 NAMES = ("communication", "monitoring", "collection")
 
@@ -22,9 +22,8 @@ def begun(values, name="default"):
 
 
 def test_without_a_policy_all_types_begin_fresh():
-    """None for each type, on policy and off."""
-    assert begun({})[1] == (None, None, None)
-    assert begun({}, "eia-sec")[1] == (None, None, None)
+    """Nothing is to be replaced, on policy and off."""
+    assert begun({})[1] == begun({}, "eia-sec")[1] == ()
 
 
 def test_all_types_begin_as_the_policy_of_their_own_farm():
@@ -38,9 +37,36 @@ def test_all_types_begin_as_the_policy_of_their_own_farm():
 
 def test_types_that_see_something_else_begin_fresh():
     """UAVs that see plans have more inputs than the default preset's; its relays have not."""
-    _, found = begun({"algorithm.start_policy": "trained", "farm.observation.plan": 3})
-    fresh = [flat is None for flat in found]
-    assert dict(zip(NAMES, fresh, strict=True)) == {"communication": False, "monitoring": True, "collection": True}
+    for config, found in (begun({"algorithm.start_policy": "trained", "farm.observation.plan": 3}), begun({}, "long")):
+        fresh = [flat is None for flat in found]
+        assert dict(zip(NAMES, fresh, strict=True)) == {"communication": False, "monitoring": True, "collection": True}
+        said = start_sentence(config, farm_team(config.farm), found)
+        assert said == "begins as trained: communication; fresh actors: monitoring, collection"
+
+
+def test_as_many_inputs_are_not_enough(tmp_path):
+    """What a policy observes is compared where it is known: of one that ships, and beside a run's configuration."""
+    other = {"farm.observation.lattice": False, "farm.observation.last_move": True}
+    same_size = {"farm.observation.lattice": True, "farm.observation.last_move": False}
+    fresh = [flat is None for flat in begun({"algorithm.start_policy": "trained", **other})[1]]
+    assert fresh == [False, True, False]
+    file = tmp_path / "policy.safetensors"
+    trained = with_values(preset("default"), same_size)
+    save_policy(file, TeamActors.initial(farm_team(trained.farm), 64, 3), {})
+    wanted = {"algorithm.start_policy": str(file), "algorithm.parameters": "separate", **other}
+    sizes = [farm_team(with_values(preset("default"), of).farm).groups[1].observation_size for of in (other, same_size)]
+    assert sizes[0] == sizes[1]
+    assert begun(wanted)[1][1] is not None
+    (tmp_path / "config.toml").write_text(to_toml(trained))
+    with pytest.raises(PolicyError, match="fits no type"):
+        begun(wanted)
+
+
+@pytest.mark.parametrize("name", ["n" * 5000, "nobody/nowhere.safetensors"])
+def test_odd_names_are_refused_in_one_sentence(name):
+    """So is a name that no file system takes."""
+    with pytest.raises(PolicyError, match="is neither a policy that ships nor a readable file"):
+        begun({"algorithm.start_policy": name})
 
 
 def test_an_actor_that_a_type_shares_becomes_one_of_each_agent():
@@ -55,7 +81,7 @@ def test_an_actor_that_a_type_shares_becomes_one_of_each_agent():
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"algorithm.start_policy": "nobody"}, "'nobody' is neither a policy that ships nor a policy file"),
+        ({"algorithm.start_policy": "nobody"}, "'nobody' is neither a policy that ships nor a readable file"),
         ({"algorithm.start_policy": "trained", "algorithm.hidden": 32}, "fits no type of this run"),
         ({"algorithm.start_policy": "trained", "algorithm.memory": "gru"}, "fits no type of this run"),
         ({"algorithm.start_policy": "trained:eia-sec"}, "fits no type of this run"),

@@ -2,10 +2,10 @@
 
 import pytest
 
-from common.config.files import from_toml
+from common.config.files import from_toml, to_toml
 from common.policy_file import load_policy, save_policy
 from deploy.local.in_process import train_in_process
-from tests.system.fleet import configured, on_policy
+from tests.system.fleet import configured, on_policy, until
 
 
 @pytest.mark.parametrize(
@@ -45,6 +45,35 @@ def test_a_run_begins_as_its_start_policy(processes):
     assert processes.wait("learner") == 0
     (end,) = processes.records("end")
     assert end["digest"] == train_in_process(configured(text)).actors().digest() != first.digest()
+    assert f"begins as {file}: communication, monitoring, collection." in processes.log("learner")
+
+
+def test_a_resumed_run_begins_only_once(processes):
+    """With a checkpoint it needs the policy's file no more; without any it begins with the file."""
+    text = on_policy("ippo").replace("episodes = 8\n", "episodes = 1000000\n")
+    first = train_in_process(configured(on_policy("ippo"))).actors()
+    file = processes.directory / "first.safetensors"
+    save_policy(file, first, {})
+    still = f'name = "ippo"\nstart_policy = "{file}"\nvalue_steps = 1000000000'
+    text = text.replace('name = "ippo"', still)
+    processes.config.write_text(text, encoding="utf-8")
+    (processes.directory / "run").mkdir()
+    (processes.directory / "run" / "config.toml").write_text(to_toml(configured(text)), encoding="utf-8")
+    processes.worker()
+    for resumed in range(2):
+        processes.learner("--resume")
+        done = sum(record["updates"] for record in processes.records("status")[-1:])
+        until(
+            lambda done=done: processes.records("status")[-1:] and processes.records("status")[-1]["updates"] > done,
+            "updates",
+        )
+        assert processes.drain()
+        assert processes.wait("learner") == 0
+        actors, _ = load_policy(processes.directory / "run" / "policy.safetensors")
+        assert actors.digest() == first.digest()
+        if not resumed:
+            file.unlink()
+    assert processes.log("learner").count("begins as") == 1
 
 
 def test_one_process_repeats_itself():

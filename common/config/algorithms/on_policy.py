@@ -37,6 +37,9 @@ class OnPolicyConfig(AlgorithmConfig):
     start_policy: str = ""
     """Policy that actors begin as: trained, trained:long and so on, or a file. Types that see or choose something else
     begin fresh, as all do without it. Value functions always do, so give them `value_steps` first."""
+    suggestion_logits: str = ""
+    """Logits in fresh policies of options that the environment suggests, as a route or plans do: type=logit separated
+    by commas, each 0 to 100; others have 4 (ours)."""
     clip: float = 0.2
     """Clip range of the ratio between the policy that learns and the one that `objective` names."""
     gae_lambda: float = 0.95
@@ -95,6 +98,7 @@ class OnPolicyConfig(AlgorithmConfig):
             )
         self.type_discounts()
         self.type_entropy_scales()
+        self.type_suggestion_logits()
         self.hindsight_shares()
 
     @property
@@ -125,6 +129,10 @@ class OnPolicyConfig(AlgorithmConfig):
         """Return `entropy_scales` as a map from type to factor; raise ConfigError when it is none."""
         return _shares("entropy_scales", self.entropy_scales)
 
+    def type_suggestion_logits(self) -> dict[str, float]:
+        """Return `suggestion_logits` as a map from type to logit; raise ConfigError when it is none."""
+        return _numbers("suggestion_logits", self.suggestion_logits, 100.0)
+
     def hindsight_shares(self) -> dict[str, float]:
         """Return `hindsight` as a map from type to share; raise ConfigError when it is none."""
         return _shares("hindsight", self.hindsight)
@@ -132,6 +140,11 @@ class OnPolicyConfig(AlgorithmConfig):
 
 def _shares(option: str, text: str) -> dict[str, float]:
     """Return a text type=number, with commas between, as a map; the numbers are 0 to 1."""
+    return _numbers(option, text, 1.0)
+
+
+def _numbers(option: str, text: str, most: float) -> dict[str, float]:
+    """Return a text type=number, with commas between, as a map; the numbers are 0 to `most`."""
     found = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         kind, equals, value = (piece.strip() for piece in part.partition("="))
@@ -139,8 +152,8 @@ def _shares(option: str, text: str) -> dict[str, float]:
             number = float(value)
         except ValueError:
             number = -1.0
-        if not (kind and equals) or not 0.0 <= number <= 1.0:
-            raise ConfigError(f"{option} must be type=number with commas between, each 0 to 1, not {part!r}.")
+        if not (kind and equals) or not 0.0 <= number <= most:
+            raise ConfigError(f"{option} must be type=number with commas between, each 0 to {most:g}, not {part!r}.")
         found[kind] = number
     return found
 

@@ -10,6 +10,8 @@ import tyro
 
 from common.config import RunConfig
 from common.errors import UsageError
+from common.process import log
+from common.team import TeamSpec
 from common.transport.endpoint import DEFAULT, Endpoint
 from deploy.local.run_directory import RunDirectory
 from deploy.options import base_configuration, parse
@@ -17,7 +19,7 @@ from learner.networks.device import usable_device
 from learner.options import LearnerOptions
 from learner.service import serve
 from rollout.envs.registry import environment_spec
-from rollout.start_policy import start_parameters
+from rollout.start_policy import StartParameters, start_parameters, start_sentence
 
 
 @dataclass(frozen=True)
@@ -80,9 +82,8 @@ def command(arguments: Sequence[str]) -> int:
         endpoint.require_private(options.insecure)
     usable_device(options.settings.learner.device)  # fail before any file is written, as the next line does
     environment = environment_spec(options.settings)
-    start = partial(start_parameters, options.settings, environment.team)
     if not resume:
-        start()
+        start_parameters(options.settings, environment.team)
     if options.run_dir is not None:
         directory = RunDirectory(options.run_dir)
         directory.prepare(options.settings, resume=resume)
@@ -98,9 +99,16 @@ def command(arguments: Sequence[str]) -> int:
             lockstep=options.lockstep,
             patience=options.patience,
             await_elite=options.await_elite,
-            start=start,
+            start=partial(_start, options.settings, environment.team),
         ),
         options.settings,
         environment,
     )
     return 0
+
+
+def _start(config: RunConfig, team: TeamSpec) -> StartParameters:
+    """Return what actors begin with, and log which types do."""
+    if start := start_parameters(config, team):
+        log(f"the run {start_sentence(config, team, start)}.")
+    return start

@@ -28,7 +28,7 @@ from deploy.monitor.run_monitor import RunMonitor
 from deploy.options import base_configuration, parse
 from deploy.output import patient_output
 from rollout.envs.registry import environment_spec
-from rollout.start_policy import start_parameters
+from rollout.start_policy import start_parameters, start_sentence
 
 REFRESH_SECONDS = 0.5
 PLAIN_SECONDS = 10.0
@@ -81,8 +81,7 @@ def command(arguments: Sequence[str]) -> int:
         raise ConfigError("--lockstep needs exactly one worker; leave --workers at 1.")
     # What cannot be trained, or cannot be begun with, is refused before anything is made.
     team = environment_spec(options.settings).team
-    if not options.resume:
-        start_parameters(options.settings, team)
+    start = () if options.resume else start_parameters(options.settings, team)
     _require_device(options.settings.learner.device)
     endpoint = _endpoint(options)
     endpoint.require_private(insecure=False)
@@ -92,6 +91,8 @@ def command(arguments: Sequence[str]) -> int:
     directory.lock("train.lock")
     directory.adopt(options.settings)
     console = Console(file=patient_output())
+    if start:
+        console.print(start_sentence(options.settings, team, start), highlight=False, markup=False)
     console.print(f"run directory: {directory.path}; to watch it from another terminal:", highlight=False)
     own = "" if options.tls is None else f" --tls {options.tls / 'monitor.NAME'}"
     console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}{own}", highlight=False)

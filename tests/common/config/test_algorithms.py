@@ -196,6 +196,7 @@ def test_digests_of_earlier_versions_count(name):
         "objective = ",
         "sequence_steps = ",
         "start_policy = ",
+        "suggestion_logits = ",
         "value_steps = ",
         "plan = ",
         "plan_paths = ",
