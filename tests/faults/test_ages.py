@@ -80,9 +80,9 @@ class Learner:
 
 
 @contextmanager
-def scripted(tmp_path: Path, settings: str) -> Iterator[Learner]:
+def scripted(tmp_path: Path, settings: str, toml: str = TINY) -> Iterator[Learner]:
     """Give a scripted learner with one real worker, which flies."""
-    toml = TINY.replace("[rollout]\n", f"[rollout]\n{settings}\n")
+    toml = toml.replace("[rollout]\n", f"[rollout]\n{settings}\n")
     fleet = Processes(tmp_path, toml)
     try:
         with Bus.listen(fleet.endpoint, "control") as control, Bus.listen(fleet.endpoint, "bulk") as bulk:
@@ -115,6 +115,19 @@ def test_a_worker_that_hears_nothing_of_the_learner_stands_still(tmp_path):
         learner.expect_standing("the learner has been silent for")
         learner.talks = True
         learner.expect_flying()
+
+
+def test_a_worker_reports_while_it_collects_a_chunk(tmp_path):
+    """Its steps rise although it has produced no further chunk; else it would look as if it hung."""
+    long = TINY.replace("chunk_steps = 10\n", "chunk_steps = 10000\n").replace("capacity = 4096", "capacity = 65536")
+    with scripted(tmp_path, "", long) as learner:
+        learner.reports.clear()
+
+        def seen() -> bool:
+            learner.pump()
+            return any(each.values["environment_steps"] > each.values["produced"] for each in learner.reports)
+
+        until(seen, "a report within a chunk")
 
 
 def test_without_limits_a_worker_flies_on(tmp_path):
