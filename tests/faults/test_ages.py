@@ -127,7 +127,7 @@ def test_a_worker_reports_while_it_collects_a_chunk(tmp_path):
             learner.pump()
             return any(each.values["environment_steps"] > each.values["produced"] for each in learner.reports)
 
-        until(seen, "a report within a chunk")
+        assert until(seen, "a report within a chunk")
 
 
 def test_without_limits_a_worker_flies_on(tmp_path):

@@ -22,7 +22,7 @@ def start(directory, trainer, clock, monkeypatch):
     """Resume a learner's state in a directory under a faked clock; return its epoch and the ledger's losses."""
     monkeypatch.setattr("common.incarnation.time.time_ns", lambda: clock * 1000)
     learner = Learner.__new__(Learner)
-    learner._options, learner.trainer = SimpleNamespace(run_dir=directory, resume=True), trainer
+    learner._options, learner.trainer = SimpleNamespace(run_dir=directory, resume=True, start=tuple), trainer
     learner._storage = RunStorage(directory, CONFIG)
     learner._restore()
     learner._history.close()
