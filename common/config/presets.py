@@ -32,9 +32,9 @@ plan_paths = 54
 start_policy = "trained"
 suggestion_logits = "collection=8"
 value_steps = 96000
-entropy_start = 0.0005
-entropy_end = 0.00005
-entropy_scales = ""
+entropy_start = 0.005
+entropy_end = 0.0005
+entropy_scales = "communication=0.05, collection=0.1"
 """
 """Monitors and collectors see what their next moves are worth twelve steps ahead, and at first favour the best; relays
 begin as those of the policy `trained`. A step takes several times as long to simulate as with the default preset."""
