@@ -125,6 +125,11 @@ def shipped_file(name: str) -> Path:
     return path
 
 
+def policy_path(name: str) -> Path:
+    """Return the file of a policy that ships, or the path that the name is; raise PolicyError as `shipped_file`."""
+    return shipped_file(name) if name in SHIPPED else Path(name)
+
+
 def preset_of(policy: str | None) -> str:
     """Return the preset on whose farm a policy flies unless a configuration is given."""
     return SHIPPED[policy][0] if policy in SHIPPED else "default"

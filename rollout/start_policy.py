@@ -12,7 +12,7 @@ from common.errors import ConfigError, PolicyError
 from common.farm import farm_environment, farm_of
 from common.policy_file import load_policy
 from common.team import Float32, GroupSpec, TeamSpec
-from rollout.policies import SHIPPED, preset_of, shipped_file
+from rollout.policies import SHIPPED, policy_path, preset_of
 
 StartParameters = tuple[Float32 | None, ...]
 """For each type the parameters that its actors begin with, [n_v or 1, P_v], or None where they begin fresh."""
@@ -55,15 +55,14 @@ def start_sentence(config: RunConfig, team: TeamSpec, start: StartParameters) ->
 
 
 def _file(name: str) -> Path:
-    if name in SHIPPED:
-        return shipped_file(name)
+    path = policy_path(name)
     try:
-        is_file = Path(name).is_file()
+        is_file = path.is_file()
     except OSError:  # a name that is too long, or a folder that cannot be searched
         is_file = False
     if not is_file:
         raise PolicyError(f"algorithm.start_policy {name!r} is neither a policy that ships nor a readable file.")
-    return Path(name)
+    return path
 
 
 def _origin(name: str) -> RunConfig | None:

@@ -19,7 +19,7 @@ from deploy.flight.node import FlightNode, NodeOptions
 from deploy.flight.pilot import Limits, Pilot
 from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from deploy.options import parse
-from rollout.policies import SHIPPED, fitted, preset_of, shipped_file
+from rollout.policies import fitted, policy_path, preset_of
 
 
 @dataclass(frozen=True)
@@ -100,8 +100,7 @@ def make_pilot(options: FlyArguments) -> tuple[Pilot, tuple[str, ...]]:
     name = options.policy or (str(options.run_dir / POLICY) if options.run_dir else None)
     if name is None:
         raise UsageError("nothing to fly: give --policy FILE, --policy trained or --run-dir DIR.")
-    path = shipped_file(name) if name in SHIPPED else Path(name)
-    actors = fitted(load_policy(path)[0], farm_team(farm))
+    actors = fitted(load_policy(policy_path(name))[0], farm_team(farm))
     agents = vehicles_of(options.vehicle) or {agent: agent for agent in actors.team.agent_names}
     speed = farm.world.speed_x_max, farm.world.speed_y_max
     return Pilot(actors, agents, speed, Limits(options.hold, options.max_age)), tuple(agents)

@@ -80,7 +80,8 @@ def command(arguments: Sequence[str]) -> int:
         endpoint.credentials.require("learner")
     if not options.connect:
         endpoint.require_private(options.insecure)
-    usable_device(options.settings.learner.device)  # fail before any file is written, as the next line does
+    # What cannot be trained, or cannot be begun with, is refused before any file is written.
+    usable_device(options.settings.learner.device)
     environment = environment_spec(options.settings)
     if not resume:
         start_parameters(options.settings, environment.team)
