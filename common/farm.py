@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Final
 
-from common.actions.adapters import ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
+from common.actions.adapters import CENTRE, ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
 from common.config import FarmConfig, RunConfig, WorldConfig
 from common.config.environment import FARM
 from common.config.farm.control import Control
@@ -80,9 +80,9 @@ def require_farm(config: RunConfig, complaint: str) -> FarmConfig:
     return farm
 
 
-def lattice_of(world: WorldConfig) -> Lattice:
-    """Return the lattice of a farm's moves. Its points lie alike in all plots."""
-    return Lattice.spanning(*world.reach, world.plots_x, world.plots_y)
+def lattice_of(world: WorldConfig, inset: float = CENTRE) -> Lattice:
+    """Return the lattice of a farm's moves, which end so far inside its cells. Its points lie alike in all plots."""
+    return Lattice.spanning(*world.reach, world.plots_x, world.plots_y, inset)
 
 
 def farm_team(farm: FarmConfig) -> TeamSpec:
@@ -107,7 +107,7 @@ def _group(farm: FarmConfig, name: str, count: int, observation_size: int, contr
     """Return a type of UAVs with that control; raise ConfigError for UAVs too slow for any lattice."""
     adapters: tuple[ActionAdapter, ...] = (MirroredAxes(),) if farm.observation.mirrored else ()
     if control in ("lattice", "moves"):
-        adapters = (lattice_of(farm.world), *adapters)
+        adapters = (lattice_of(farm.world, farm.control.inset), *adapters)
     if control == "moves":
         marks = (_nine(ADVICE), _nine(ROUTE), _nine(PLAN))
         moves = NineMoves(_suggestion(farm, name, count, observation_size, marks))

@@ -142,12 +142,12 @@ class GroupSpec:
         match self.adapters:
             case ():
                 pass
-            case (Lattice() as lattice,):
-                parts.append(list(vars(lattice).values()))
+            case (Lattice(inset=0.5) as lattice,):
+                parts.append([lattice.columns, lattice.rows, lattice.reach_x, lattice.reach_y])
             case (MirroredAxes(),):
                 parts += [None, True]
-            case (Lattice() as lattice, MirroredAxes()):
-                parts += [list(vars(lattice).values()), True]
+            case (Lattice(inset=0.5) as lattice, MirroredAxes()):
+                parts += [[lattice.columns, lattice.rows, lattice.reach_x, lattice.reach_y], True]
             case _:
                 parts += [adapter_to_dict(adapter) for adapter in self.adapters]
         if self.choices:

@@ -34,6 +34,10 @@ EDGE: Final = 1e-4
 """Rounding tolerance, as a share of a cell: an agent this close below the next cell counts as inside it."""
 LATER: Final = "later"
 """Marks fields that earlier versions did not have."""
+CENTRE: Final = 0.5
+"""Inset of a lattice whose steps end at the cells' centres."""
+LEAST_INSET: Final = 0.01
+"""Least inset of a lattice; at a cell's very border a UAV would be in two cells."""
 NEAR: Final = 1e-6
 """Least way of an idle agent in a step, for the division by it; the field spans -1 to 1."""
 
@@ -76,7 +80,8 @@ class Lattice:
 
     Each of the two numbers selects one step back, none or one step on along its axis. Gaussian noise on an output has
     no effect until it crosses a third, and it does not add up to a drift. Lattice points are the centres of equal cells
-    that fill the field; neighbours are at most one step apart. See docs/explanation/method.md.
+    that fill the field; neighbours are at most one step apart. With an inset below a half the agent flies only to the
+    nearest place that far inside the selected cell. See docs/explanation/method.md.
 
     Source: Dulac-Arnold et al. (2015), Deep reinforcement learning in large discrete action spaces, who map an actor's
     output to the nearest possible action.
@@ -86,12 +91,14 @@ class Lattice:
         rows: lattice points along y.
         reach_x: distance that full speed along x covers in a step, as a share of the field's width.
         reach_y: distance that full speed along y covers in a step, as a share of the field's depth.
+        inset: distance from the selected cell's border at which a step ends, as a share of the cell; 0.5 is its centre.
     """
 
     kind: ClassVar[str] = "lattice"
     formula: ClassVar[str] = (
         "p = (o[:2] + 1) / 2, cell = clip(floor(p count + edge), 0, count - 1), "
-        "goal = (clip(cell + clip(rint(gain a), -1, 1), 0, count - 1) + 0.5) / count, "
+        "next = clip(cell + clip(rint(gain a), -1, 1), 0, count - 1), "
+        "goal = min(max(p, (next + inset) / count), (next + 1 - inset) / count), "
         "a = clip((goal - p) / reach, -1, 1)"
     )
 
@@ -99,21 +106,25 @@ class Lattice:
     rows: int
     reach_x: float
     reach_y: float
+    inset: float = field(default=CENTRE, metadata={LATER: True})
 
     def __post_init__(self) -> None:
-        """Refuse lattices without points and agents that cannot move."""
+        """Refuse lattices without points, agents that cannot move, and places outside the cell."""
         within(1, 2**20, columns=self.columns, rows=self.rows)
+        within(LEAST_INSET, CENTRE, inset=self.inset)
         for reach in (self.reach_x, self.reach_y):
             if not 0.0 < reach < math.inf:
                 raise ConfigError(f"a lattice's reach must be positive and finite, not {reach}.")
 
     @classmethod
-    def spanning(cls, reach_x: float, reach_y: float, parts_x: int = 1, parts_y: int = 1) -> "Lattice":
+    def spanning(
+        cls, reach_x: float, reach_y: float, parts_x: int = 1, parts_y: int = 1, inset: float = CENTRE
+    ) -> "Lattice":
         """Return the lattice with the fewest points whose neighbours are within reach of each other.
 
         Each of so many equal parts of the field has equally many of them, unless the parts are smaller than a step.
         """
-        return cls(fewest(reach_x, parts_x), fewest(reach_y, parts_y), reach_x, reach_y)
+        return cls(fewest(reach_x, parts_x), fewest(reach_y, parts_y), reach_x, reach_y, inset)
 
     def require(self, observation_size: int, action_size: int) -> None:
         """Raise ConfigError unless observations hold a position and actions have two numbers."""
@@ -142,7 +153,8 @@ class Lattice:
         share = (position + one) * np.float32(0.5)
         step = _clipped(np.rint(np.float32(GAIN) * action), -one, one)
         cell = _clipped(self.cell(position) + step, np.float32(0), count - one)
-        goal = np.divide(cell + np.float32(0.5), count)
+        inset = np.float32(self.inset)
+        goal = _clipped(share, np.divide(cell + inset, count), np.divide(cell + (one - inset), count))
         return _clipped(np.divide(goal - share, _pair(self.reach_x, self.reach_y)), -one, one)
 
     def cell(self, position: Float32) -> Float32:
@@ -156,9 +168,9 @@ class Lattice:
         return ""
 
     def constants(self) -> dict[str, Any]:
-        """Return count, reach, gain and edge."""
+        """Return count, reach, gain, edge and inset."""
         count, reach = [self.columns, self.rows], [self.reach_x, self.reach_y]
-        return {"count": count, "reach": reach, "gain": GAIN, "edge": EDGE}
+        return {"count": count, "reach": reach, "gain": GAIN, "edge": EDGE, "inset": self.inset}
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,7 @@ LATER: Final[Mapping[str, Value]] = {
     "farm.battery.landing": 5.0,
     "farm.battery.power": 400.0,
     "farm.battery.stations": 4,
+    "farm.control.inset": 0.5,
     "farm.failures.at": "",
     "farm.failures.missing": 0.0,
     "farm.failures.per_hour": 0.0,

@@ -24,6 +24,8 @@ farms = 4
 """A short run that uses every process and ends within a minute or two on two cores."""
 
 PLANS: Final = """
+[farm.control]
+inset = 0.36
 [farm.observation]
 plan = 12
 plan_paths = 54

@@ -64,8 +64,12 @@ LATTICE: Final[tuple[Node, ...]] = (
     Node("Add", ["cell", "step"], "beyond"),
     Node("Max", ["beyond", "zero"], "above"),
     Node("Min", ["above", "last"], "goal"),
-    Node("Add", ["goal", "half"], "middle"),
-    Node("Div", ["middle", "count"], "wanted"),
+    Node("Add", ["goal", "inset"], "low edge"),
+    Node("Div", ["low edge", "count"], "low"),
+    Node("Add", ["goal", "outset"], "high edge"),
+    Node("Div", ["high edge", "count"], "high"),
+    Node("Max", ["share", "low"], "not before"),
+    Node("Min", ["not before", "high"], "wanted"),
     Node("Sub", ["wanted", "share"], "way"),
     Node("Div", ["way", "reach"], "speed"),
     Node("Clip", ["speed", "minus", "one"], "velocity"),
@@ -155,6 +159,7 @@ def _lattice(adapter: ActionAdapter) -> tuple[tuple[Node, ...], Numbers]:
     assert isinstance(adapter, Lattice)
     count = np.array([adapter.columns, adapter.rows], np.float32)
     scalars = {"one": 1.0, "half": 0.5, "zero": 0.0, "minus": -1.0, "edge": EDGE, "gain": GAIN}
+    scalars |= {"inset": adapter.inset, "outset": float(np.float32(1) - np.float32(adapter.inset))}
     return LATTICE, {
         **{name: np.array(value, np.float32) for name, value in scalars.items()},
         **_bounds(POSITION),

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from common.config.checks import within
+
 Control = Literal["velocity", "lattice", "moves", "headings"]
 """velocity: the output is the velocity, as printed; lattice: it selects one of nine points to fly to. The others are
 discrete. moves: a choice among these nine points; headings: a choice among 24 velocities and idling."""
@@ -19,3 +21,10 @@ class ControlConfig:
     """The same for the monitoring UAVs (ours)."""
     collection: Control = "moves"
     """The same for the data collection UAVs (ours)."""
+    inset: float = 0.5
+    """Where a step on the lattice ends, as a share of the selected cell from its border: at its centre (0.5), or at the
+    nearest place so far inside, which is a shorter way (ours)."""
+
+    def __post_init__(self) -> None:
+        """Refuse places outside the cell."""
+        within(0.01, 0.5, inset=self.inset)

@@ -90,7 +90,7 @@ def places(farm: ReferenceFarm, u: int) -> Array:
     """Return where the nine moves of a UAV lead, [9, 2] m: the adapters' actions, flown for one step."""
     world, signs, (size, _) = farm.config.world, signs_of(farm, u), _world(farm)
     own = (place_of(farm, u) * signs).astype(np.float32)
-    action = lattice_of(world).velocity(np.tile(own, (9, 1)), MOVES)
+    action = lattice_of(world, farm.config.control.inset).velocity(np.tile(own, (9, 1)), MOVES)
     turned = MirroredAxes().adapt(np.tile(np.append(own, signs.astype(np.float32)), (9, 1)), action).astype(np.float64)
     moved = farm.position[u] + turned * (world.speed_x_max, world.speed_y_max) * world.step_seconds
     return np.asarray(np.clip(moved, 0.0, size))

@@ -31,12 +31,22 @@ def plain(lattice, place, action):
         share = (at + 1) / 2
         cell = min(max(math.floor(share * count + 1e-4), 0), count - 1)
         step = 0 if abs(wish) * GAIN <= 0.5 else int(math.copysign(1, wish))
-        goal = (min(max(cell + step, 0), count - 1) + 0.5) / count
+        cell, inset = min(max(cell + step, 0), count - 1), lattice.inset
+        goal = min(max(share, (cell + inset) / count), (cell + 1 - inset) / count)
         velocity.append(min(1.0, max(-1.0, (goal - share) / reach)))
     return velocity
 
 
-@pytest.mark.parametrize("lattice", [SQUARE, Lattice.spanning(0.03, 0.4), Lattice(1, 7, 2.0, 0.2)])
+@pytest.mark.parametrize(
+    "lattice",
+    [
+        SQUARE,
+        Lattice.spanning(0.03, 0.4),
+        Lattice(1, 7, 2.0, 0.2),
+        replace(SQUARE, inset=0.36),
+        Lattice(9, 7, 0.05, 0.2, 0.01),
+    ],
+)
 def test_velocities_are_those_of_a_plain_loop(lattice):
     """Random places and actions, the outermost ones and corners included."""
     draw = np.random.default_rng(0)

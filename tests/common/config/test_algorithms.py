@@ -198,6 +198,7 @@ def test_digests_of_earlier_versions_count(name):
         "start_policy = ",
         "suggestion_logits = ",
         "value_steps = ",
+        "inset = ",
         "plan = ",
         "plan_paths = ",
         "route = ",

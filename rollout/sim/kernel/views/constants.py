@@ -59,6 +59,7 @@ class ViewConstants(NamedTuple):
         rows: lattice points along y.
         reach_x: distance at full speed along x in a step, as a share of the field's width.
         reach_y: the same along y.
+        inset: distance from a lattice cell's border at which a move ends, as a share of the cell.
         step_x: the same along x, m.
         step_y: the same along y, m.
         per_step: 1 / length of a step at full speed along both axes, 1/m.
@@ -104,6 +105,7 @@ class ViewConstants(NamedTuple):
     rows: int
     reach_x: float
     reach_y: float
+    inset: float
     step_x: float
     step_y: float
     per_step: float
@@ -129,7 +131,7 @@ class ViewConstants(NamedTuple):
 def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, int]) -> ViewConstants:
     """Derive the numbers of the added observations."""
     seen, world = config.observation, config.world
-    lattice = lattice_of(world)
+    lattice = lattice_of(world, config.control.inset)
     chance, limit = chance_table(radio, world.height_collection)
     step_x, step_y = world.speed_x_max * world.step_seconds, world.speed_y_max * world.step_seconds
     width = field_range(world)
@@ -159,6 +161,7 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         rows=lattice.rows,
         reach_x=lattice.reach_x,
         reach_y=lattice.reach_y,
+        inset=lattice.inset,
         step_x=step_x,
         step_y=step_y,
         per_step=1.0 / math.hypot(step_x, step_y),

@@ -1,8 +1,8 @@
 """Where the nine moves of a UAV lead, and the velocities and axes that the added observations need.
 
-A relay's move is at full speed along each axis, and ends at the field's border. That of any other UAV leads to the
-middle of a neighbouring lattice point, as far as a step at full speed goes. This is `Lattice.adapt` and the flight
-after it, with the same float32 operations, so that the place is the very one.
+A relay's move is at full speed along each axis, and ends at the field's border. That of any other UAV leads to a
+neighbouring lattice point, or only so far into its cell as the inset says, as far as a step at full speed goes. This is
+`Lattice.adapt` and the flight after it, with the same float32 operations, so that the place is the very one.
 """
 
 import math
@@ -50,15 +50,17 @@ def _go(
     per_side: float,
     count: int,
     reach: float,
+    inset: float,
     speed: float,
     seconds: float,
     places: Array,
 ) -> None:
     """Write where a move back, none and on leads along an axis, [3] m."""
-    share, points = _share(x, sign, side, per_side), np.float32(count)
+    share, points, inside = _share(x, sign, side, per_side), np.float32(count), np.float32(inset)
     point = _point(share, count)
     for move in range(3):
-        goal = (min(points - ONE, max(NONE, point + np.float32(move - 1))) + HALF) / points
+        cell = min(points - ONE, max(NONE, point + np.float32(move - 1)))
+        goal = min(max(share, (cell + inside) / points), (cell + (ONE - inside)) / points)
         velocity = min(ONE, max(-ONE, (goal - share) / np.float32(reach)))
         places[move] = min(side, max(0.0, x + sign * np.float64(velocity) * speed * seconds))
 
@@ -90,11 +92,23 @@ def find_places(c: Constants, farm: Farm, s: Scratch) -> None:
                 fleet.per_width,
                 view.columns,
                 view.reach_x,
+                view.inset,
                 fleet.speed_x,
                 fleet.seconds,
                 go_x[u],
             )
-            _go(y, sy, fleet.depth, fleet.per_depth, view.rows, view.reach_y, fleet.speed_y, fleet.seconds, go_y[u])
+            _go(
+                y,
+                sy,
+                fleet.depth,
+                fleet.per_depth,
+                view.rows,
+                view.reach_y,
+                view.inset,
+                fleet.speed_y,
+                fleet.seconds,
+                go_y[u],
+            )
 
 
 @allocation_free
