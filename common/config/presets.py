@@ -50,6 +50,8 @@ CONNECTED: Final = """
 [farm.relay]
 require_link = true
 link_range = 100.0
+[farm.control]
+inset = 0.36
 [farm.observation]
 link = true
 [farm.reward]
@@ -83,6 +85,8 @@ BATTERY: Final = """
 [farm.battery]
 capacity = 8000.0
 failsafe = 0.2
+[farm.control]
+inset = 0.36
 [farm.observation]
 charge = true
 """
