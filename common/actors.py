@@ -51,13 +51,18 @@ def actor_outputs(group: GroupSpec, head: Head) -> int:
 
 def can_fly(own: GroupSpec, other: GroupSpec, flat: Float32) -> bool:
     """Return whether the actors of a type [n_v or 1, P] can fly another team's type; adapters' numbers may differ."""
-    return (own.count == other.count or len(flat) == 1) and _interface(own) == _interface(other)
+    return own.observation_size == other.observation_size and acts_alike(own, other, flat)
 
 
-def _interface(group: GroupSpec) -> tuple[object, ...]:
-    """Return what two groups must have in common to use the same actors."""
+def acts_alike(own: GroupSpec, other: GroupSpec, flat: Float32) -> bool:
+    """Return whether the actors of a type [n_v or 1, P] could fly another team's type if it observed the same."""
+    return (own.count == other.count or len(flat) == 1) and _actions(own) == _actions(other)
+
+
+def _actions(group: GroupSpec) -> tuple[object, ...]:
+    """Return what two groups must have in common to act alike."""
     kinds = tuple(adapter.kind for adapter in group.adapters)
-    return group.name, group.observation_size, group.action_size, group.choices, group.masked, kinds
+    return group.name, group.action_size, group.choices, group.masked, kinds
 
 
 def checked_head(name: str) -> Head:

@@ -85,6 +85,11 @@ def lattice_of(world: WorldConfig, inset: float = CENTRE) -> Lattice:
     return Lattice.spanning(*world.reach, world.plots_x, world.plots_y, inset)
 
 
+def inset_of(farm: FarmConfig, name: str) -> float:
+    """Return how far inside a cell the steps of a type end, as a share of the cell from its border."""
+    return {MONITORING: farm.control.monitoring_inset, COLLECTION: farm.control.collection_inset}.get(name, CENTRE)
+
+
 def farm_team(farm: FarmConfig) -> TeamSpec:
     """Return the team of a farm: communication, monitoring and data collection UAVs, in that order."""
     per_sensor = 1 if farm.observation.form == "printed" else 3
@@ -107,7 +112,7 @@ def _group(farm: FarmConfig, name: str, count: int, observation_size: int, contr
     """Return a type of UAVs with that control; raise ConfigError for UAVs too slow for any lattice."""
     adapters: tuple[ActionAdapter, ...] = (MirroredAxes(),) if farm.observation.mirrored else ()
     if control in ("lattice", "moves"):
-        adapters = (lattice_of(farm.world, farm.control.inset), *adapters)
+        adapters = (lattice_of(farm.world, inset_of(farm, name)), *adapters)
     if control == "moves":
         marks = (_nine(ADVICE), _nine(ROUTE), _nine(PLAN))
         moves = NineMoves(_suggestion(farm, name, count, observation_size, marks))

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import ActionAdapter, Lattice, MirroredAxes, adapter_from_dict, adapter_to_dict
+from common.actions.adapters import CENTRE, ActionAdapter, Lattice, MirroredAxes, adapter_from_dict, adapter_to_dict
 from common.config.checks import within
 from common.errors import ConfigError, SchemaError
 from common.names import check_name
@@ -142,11 +142,11 @@ class GroupSpec:
         match self.adapters:
             case ():
                 pass
-            case (Lattice(inset=0.5) as lattice,):
+            case (Lattice() as lattice,) if lattice.inset == CENTRE:
                 parts.append([lattice.columns, lattice.rows, lattice.reach_x, lattice.reach_y])
             case (MirroredAxes(),):
                 parts += [None, True]
-            case (Lattice(inset=0.5) as lattice, MirroredAxes()):
+            case (Lattice() as lattice, MirroredAxes()) if lattice.inset == CENTRE:
                 parts += [[lattice.columns, lattice.rows, lattice.reach_x, lattice.reach_y], True]
             case _:
                 parts += [adapter_to_dict(adapter) for adapter in self.adapters]

@@ -1,11 +1,14 @@
 """The policy that a run's actors begin as (`algorithm.start_policy`), in place of fresh ones."""
 
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from common.actors import TeamActors, actor_outputs, can_fly, parameter_count
+from common.actors import TeamActors, actor_outputs, acts_alike, parameter_count
 from common.config import OnPolicyConfig, RunConfig
 from common.config.presets import preset, read_saved
 from common.errors import ConfigError, PolicyError
@@ -14,47 +17,95 @@ from common.policy_file import load_policy
 from common.team import Float32, GroupSpec, TeamSpec
 from rollout.policies import SHIPPED, policy_path, preset_of
 
+MISFIT: Final = "Observations, actions or networks differ."
 StartParameters = tuple[Float32 | None, ...]
 """For each type the parameters that its actors begin with, [n_v or 1, P_v], or None where they begin fresh."""
-Names = dict[str, tuple[str, ...]]
+Names = Mapping[str, tuple[str, ...]]
 """The names of each type's observations."""
 CONFIG: Final = "config.toml"
 """File in a run directory, beside its policy, that says what the policy observes."""
+_PAIR: Final = re.compile(r"\s*([\w-]+)\s*=\s*([^,]+?)\s*")
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A policy to begin as.
+
+    Attributes:
+        name: as the run's configuration gives it.
+        actors: its actors.
+        observed: what they observe, as far as that is known.
+    """
+
+    name: str
+    actors: TeamActors
+    observed: Names
 
 
 def start_parameters(config: RunConfig, team: TeamSpec) -> StartParameters:
     """Return what the actors of each type begin with; nothing at all if all begin fresh.
 
-    A type begins as the policy's if it has as many inputs, the same actions, width and memory, and observes the same.
-    What policies that ship observe is known, and that of one in a run directory; of other files it is not.
+    A type begins as the policy's if it has the same actions, width and memory, and observes the same. A type that the
+    option names may observe more; the weights of inputs that the policy does not have are 0. What policies that ship
+    observe is known, and that of one in a run directory; of other files only the number of inputs is compared.
 
     Raises:
-        PolicyError: there is no such policy, its file cannot be used, or it fits no type.
+        PolicyError: there is no such policy, its file cannot be used, or it fits no type, or not one that is named.
     """
-    name = config.on_policy.start_policy if config.learns_on_policy else ""
-    if not name:
-        return ()
-    actors, _ = load_policy(_file(name))
-    own, other = _observed(config), _observed(_origin(name))
-    differing = {kind for kind in own.keys() & other.keys() if own[kind] != other[kind]}
-    found = tuple(None if group.name in differing else _begun(config.on_policy, group, actors) for group in team.groups)
-    if all(flat is None for flat in found):
+    wanted = _wanted(config, team)
+    sources = {name: _source(name) for name in wanted.values()}
+    own, named = _observed(config), bool(_pairs(_option(config)))
+    found: list[Float32 | None] = []
+    for group in team.groups:
+        source = sources.get(wanted.get(group.name, ""))
+        flat = None
+        if source is not None:
+            flat = _begun(config.on_policy, group, own.get(group.name), source, more=named)
+        if source is not None and flat is None and named:
+            raise PolicyError(f"{_cited(config)}: {group.name} agents of this run do not fit that policy. {MISFIT}")
+        found.append(flat)
+    if wanted and all(flat is None for flat in found):
         raise PolicyError(
-            f"algorithm.start_policy {name!r} fits no type of this run: observations, actions or networks differ. "
-            'Leave it empty ("") to begin with fresh actors.'
+            f'{_cited(config)} fits no type of this run. {MISFIT} Leave it empty ("") to begin with fresh actors.'
         )
-    return found
+    return tuple(found) if wanted else ()
 
 
 def start_sentence(config: RunConfig, team: TeamSpec, start: StartParameters) -> str:
-    """Return which types begin as the policy and which begin fresh, for people."""
-    pairs = list(zip(team.groups, start, strict=True))
-    begun, fresh = ([group.name for group, flat in pairs if (flat is None) is new] for new in (False, True))
-    rest = f"; fresh actors: {', '.join(fresh)}" if fresh else ""
-    return f"begins as {config.on_policy.start_policy}: {', '.join(begun)}{rest}"
+    """Return which types begin as which policy and which begin fresh, for people."""
+    wanted = _wanted(config, team)
+    begun: dict[str, list[str]] = {}
+    for group, flat in zip(team.groups, start, strict=True):
+        begun.setdefault("" if flat is None else wanted[group.name], []).append(group.name)
+    fresh = begun.pop("", [])
+    parts = [f"begins as {name}: {', '.join(types)}" for name, types in begun.items()]
+    return "; ".join([*parts, *([f"fresh actors: {', '.join(fresh)}"] if fresh else [])])
 
 
-def _file(name: str) -> Path:
+def _option(config: RunConfig) -> str:
+    return config.on_policy.start_policy if config.learns_on_policy else ""
+
+
+def _cited(config: RunConfig) -> str:
+    return f"algorithm.start_policy {_option(config)!r}"
+
+
+def _pairs(text: str) -> dict[str, str]:
+    """Return the policies of the types that a text type=policy, .. names; nothing if it is the name of one policy."""
+    pairs = [_PAIR.fullmatch(part) for part in text.split(",")]
+    return {pair[1]: pair[2] for pair in pairs if pair} if all(pairs) else {}
+
+
+def _wanted(config: RunConfig, team: TeamSpec) -> dict[str, str]:
+    """Return the name of the policy that each type is to begin as, of those that are not to begin fresh."""
+    text, types = _option(config), [group.name for group in team.groups]
+    pairs = _pairs(text)
+    if unknown := [kind for kind in pairs if kind not in types]:
+        raise PolicyError(f"{_cited(config)} names {unknown[0]!r}, but the types are {', '.join(types)}.")
+    return pairs or dict.fromkeys(types if text else (), text)
+
+
+def _source(name: str) -> _Source:
     path = policy_path(name)
     try:
         is_file = path.is_file()
@@ -62,7 +113,7 @@ def _file(name: str) -> Path:
         is_file = False
     if not is_file:
         raise PolicyError(f"algorithm.start_policy {name!r} is neither a policy that ships nor a readable file.")
-    return path
+    return _Source(name, load_policy(path)[0], _observed(_origin(name)))
 
 
 def _origin(name: str) -> RunConfig | None:
@@ -82,13 +133,60 @@ def _observed(config: RunConfig | None) -> Names:
     return {kind: tuple(tensors.observation) for kind, tensors in names.items()}
 
 
-def _begun(config: OnPolicyConfig, group: GroupSpec, actors: TeamActors) -> Float32 | None:
-    """Return what a type begins with; None if the policy has nothing that fits."""
+def _begun(
+    config: OnPolicyConfig, group: GroupSpec, names: tuple[str, ...] | None, source: _Source, *, more: bool
+) -> Float32 | None:
+    """Return what a type begins with; None if the policy has nothing that fits.
+
+    Args:
+        config: the run's algorithm.
+        group: the type.
+        names: of its observations, or None if they are not known.
+        source: the policy.
+        more: whether the type may observe more than the policy.
+    """
+    actors, rows = source.actors, 1 if config.parameters == "shared" else group.count
+    outputs = actor_outputs(group, "gaussian")
     if (actors.hidden, actors.memory) != (config.hidden, config.memory):
         return None
-    rows = 1 if config.parameters == "shared" else group.count
-    numbers = parameter_count(group.observation_size, config.hidden, actor_outputs(group, "gaussian"), config.memory)
     for other, flat in zip(actors.team.groups, actors.flat, strict=True):
-        if flat.shape in ((rows, numbers), (1, numbers)) and can_fly(other, group, flat):
-            return np.broadcast_to(flat, (rows, numbers)).copy()
+        if not acts_alike(other, group, flat) or len(flat) not in (1, rows):
+            continue
+        inputs = _inputs(names, source.observed.get(group.name), group.observation_size, other.observation_size)
+        if inputs is None or not (more or len(inputs) == group.observation_size):
+            continue
+        if flat.shape[1] != parameter_count(len(inputs), config.hidden, outputs, config.memory):
+            continue
+        widened = with_inputs(flat, inputs, group.observation_size, config.hidden)
+        return np.broadcast_to(widened, (rows, widened.shape[1])).copy()
     return None
+
+
+def _inputs(
+    names: tuple[str, ...] | None, others: tuple[str, ...] | None, size: int, other_size: int
+) -> list[int] | None:
+    """Return which of a type's inputs each input of a policy is; None if the type lacks one, or it is not known."""
+    if names is None or others is None:
+        return list(range(size)) if size == other_size else None
+    place = {name: index for index, name in enumerate(names)}
+    if names != others and not (set(others) <= place.keys() and len(others) < size):
+        return None
+    return [place[name] for name in others] if len(others) == other_size else None
+
+
+def with_inputs(flat: Float32, inputs: Sequence[int], size: int, hidden: int) -> Float32:
+    """Return actors with more inputs, whose weights are 0: they act as before.
+
+    Args:
+        flat: [n, P] parameters of networks with as many inputs as `inputs` has.
+        inputs: which of the new inputs each of theirs is.
+        size: the new number of inputs.
+        hidden: width h of the first layer.
+
+    Returns:
+        [n, P + (size - len(inputs)) h]; the first layer's weights come first, one row for each input.
+    """
+    own = len(inputs) * hidden
+    weights = np.zeros((len(flat), size, hidden), np.float32)
+    weights[:, inputs] = flat[:, :own].reshape(len(flat), len(inputs), hidden)
+    return np.concatenate([weights.reshape(len(flat), -1), flat[:, own:]], axis=1)

@@ -24,8 +24,6 @@ farms = 4
 """A short run that uses every process and ends within a minute or two on two cores."""
 
 PLANS: Final = """
-[farm.control]
-inset = 0.36
 [farm.observation]
 plan = 12
 plan_paths = 54
@@ -38,20 +36,23 @@ entropy_end = 0.0005
 takes several times as long to simulate as with the default preset. No preset of its own; others are over it."""
 
 LONG: Final = """
-episodes = 1500
+episodes = 1000
+[farm.control]
+monitoring_inset = 0.36
 [algorithm]
-start_policy = "trained"
+start_policy = "communication=trained, monitoring=trained"
 suggestion_logits = "collection=8"
-entropy_scales = "communication=0.05, collection=0.1"
+entropy_scales = "communication=0.05, monitoring=0.1, collection=0.1"
 """
-"""The default farm with plans, over PLANS; relays begin as those of the policy `trained`."""
+"""The default farm with plans, over PLANS; relays and monitors begin as those of the policy `trained`."""
 
 CONNECTED: Final = """
 [farm.relay]
 require_link = true
 link_range = 100.0
 [farm.control]
-inset = 0.36
+monitoring_inset = 0.36
+collection_inset = 0.36
 [farm.observation]
 link = true
 [farm.reward]
@@ -66,6 +67,8 @@ FAILING: Final = """
 episodes = 3500
 [farm.failures]
 per_hour = 6.0
+[farm.control]
+monitoring_inset = 0.36
 [farm.observation]
 route = false
 """
@@ -75,6 +78,9 @@ UNEVEN: Final = """
 episodes = 3500
 [farm.stress]
 patches = 6
+[farm.control]
+monitoring_inset = 0.36
+collection_inset = 0.36
 [farm.observation]
 route = false
 stress = true
@@ -86,7 +92,8 @@ BATTERY: Final = """
 capacity = 8000.0
 failsafe = 0.2
 [farm.control]
-inset = 0.36
+monitoring_inset = 0.36
+collection_inset = 0.36
 [farm.observation]
 charge = true
 """

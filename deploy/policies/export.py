@@ -24,7 +24,7 @@ from deploy.policies.onnx_networks import NEXT_STATE, STATE, Network, network_no
 if TYPE_CHECKING:
     from onnx import ModelProto
 
-FORMATS: Final[dict[Memory, str]] = {"none": "eia-sec actors 3", "gru": "eia-sec recurrent actors 1"}
+FORMATS: Final[dict[Memory, str]] = {"none": "eia-sec actors 4", "gru": "eia-sec recurrent actors 2"}
 """Format of the description by the actors' memory."""
 LAYERS: Final[dict[Memory, tuple[str, ...]]] = {
     "none": ("w1", "b1", "w2", "b2", "w3", "b3"),

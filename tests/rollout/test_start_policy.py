@@ -1,5 +1,7 @@
 """A run begins as another policy where that sees and chooses the same."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from common.actors import TeamActors
 from common.config.files import to_toml, with_values
 from common.config.presets import preset
 from common.errors import PolicyError
-from common.farm import farm_team
+from common.farm import farm_environment, farm_team
 from common.policy_file import load_policy, save_policy
 from rollout.policies import TRAINED
 from rollout.start_policy import start_parameters, start_sentence
@@ -19,6 +21,12 @@ def begun(values, name="default"):
     """Return the configuration with these values, and what its types begin with."""
     config = with_values(preset(name), values)
     return config, start_parameters(config, farm_team(config.farm))
+
+
+def shared(team):
+    """Return random actors that the agents of each type share."""
+    own = TeamActors.initial(team, 64, 3)
+    return replace(own, flat=tuple(flat[:1] for flat in own.flat))
 
 
 def test_without_a_policy_all_types_begin_fresh():
@@ -42,6 +50,40 @@ def test_types_that_see_something_else_begin_fresh():
         assert dict(zip(NAMES, fresh, strict=True)) == {"communication": False, "monitoring": True, "collection": True}
         said = start_sentence(config, farm_team(config.farm), found)
         assert said == "begins as trained: communication; fresh actors: monitoring, collection"
+
+
+def test_a_named_type_may_see_more_than_the_policy():
+    """It acts as the policy does, whatever the new inputs are; types that are not named begin fresh."""
+    values = {"farm.observation.plan": 3, "algorithm.start_policy": "monitoring = trained,communication=trained"}
+    config, found = begun(values)
+    assert [flat is None for flat in found] == [False, False, True]
+    plain, team = farm_environment(preset("default").farm), farm_team(config.farm)
+    names = [spec.tensor_names["monitoring"].observation for spec in (plain, farm_environment(config.farm))]
+    place = [names[1].index(name) for name in names[0]]
+    actors = load_policy(TRAINED)[0]
+    wider = replace(shared(team), flat=(found[0], found[1], shared(team).flat[2]), head=actors.head)
+    draw = np.random.default_rng(5)
+    rows = [draw.uniform(-1, 1, (4, group.observation_size)).astype(np.float32) for group in team.groups]
+    few = [rows[0], rows[1][:, place], rows[2][:, : plain.team.groups[2].observation_size]]
+    flat = [np.concatenate([part.reshape(-1) for part in parts])[None] for parts in (few, rows)]
+    outputs = [own.act(row)[:, 4:8] for own, row in zip((actors, wider), flat, strict=True)]
+    np.testing.assert_array_equal(outputs[0], outputs[1])
+    said = start_sentence(config, team, found)
+    assert said == "begins as trained: communication, monitoring; fresh actors: collection"
+
+
+def test_types_can_begin_as_different_policies(tmp_path):
+    """Each as the one that is named for it, a file with an equals sign in its path among them."""
+    file = tmp_path / "a=b" / "policy.safetensors"
+    file.parent.mkdir()
+    own = shared(farm_team(preset("default").farm))
+    save_policy(file, own, {})
+    config, found = begun({"algorithm.start_policy": f"monitoring={file}, communication=trained"})
+    np.testing.assert_array_equal(found[1], own.flat[1])
+    np.testing.assert_array_equal(found[0], load_policy(TRAINED)[0].flat[0])
+    said = start_sentence(config, farm_team(config.farm), found)
+    assert said == f"begins as trained: communication; begins as {file}: monitoring; fresh actors: collection"
+    assert all(flat is not None for flat in begun({"algorithm.start_policy": str(file)})[1])
 
 
 def test_as_many_inputs_are_not_enough(tmp_path):
@@ -85,6 +127,15 @@ def test_an_actor_that_a_type_shares_becomes_one_of_each_agent():
         ({"algorithm.start_policy": "trained", "algorithm.hidden": 32}, "fits no type of this run"),
         ({"algorithm.start_policy": "trained", "algorithm.memory": "gru"}, "fits no type of this run"),
         ({"algorithm.start_policy": "trained:eia-sec"}, "fits no type of this run"),
+        ({"algorithm.start_policy": "drones=trained"}, "names 'drones', but the types are communication, monitoring"),
+        (
+            {"algorithm.start_policy": "communication=trained, monitoring=trained:eia-sec"},
+            "monitoring agents of this run do not fit that policy",
+        ),
+        (
+            {"algorithm.start_policy": "monitoring=trained:long"},
+            "monitoring agents of this run do not fit that policy",
+        ),
     ],
 )
 def test_a_policy_that_cannot_be_begun_with_is_refused(values, said):

@@ -36,7 +36,8 @@ class OnPolicyConfig(AlgorithmConfig):
     it changes (ours)."""
     start_policy: str = ""
     """Policy that actors begin as: trained, trained:long and so on, or a file. Types that see or choose something else
-    begin fresh, as all do without it. Value functions always do, so give them `value_steps` first."""
+    begin fresh, as all do without it. With type=policy, separated by commas, only these types do, and they may see more
+    than the policy. Value functions always begin fresh, so give them `value_steps` first."""
     suggestion_logits: str = ""
     """Logits in fresh policies of options that the environment suggests, as a route or plans do: type=logit separated
     by commas, each 0 to 100; others have 4 (ours)."""

@@ -21,10 +21,12 @@ class ControlConfig:
     """The same for the monitoring UAVs (ours)."""
     collection: Control = "moves"
     """The same for the data collection UAVs (ours)."""
-    inset: float = 0.5
-    """Where a step on the lattice ends, as a share of the selected cell from its border: at its centre (0.5), or at the
-    nearest place so far inside, which is a shorter way (ours)."""
+    monitoring_inset: float = 0.5
+    """Where a monitoring UAV's step on the lattice ends, as a share of the selected cell from its border: at its centre
+    (0.5), or at the nearest place so far inside, which is a shorter way (ours)."""
+    collection_inset: float = 0.5
+    """The same for the data collection UAVs (ours)."""
 
     def __post_init__(self) -> None:
         """Refuse places outside the cell."""
-        within(0.01, 0.5, inset=self.inset)
+        within(0.01, 0.5, monitoring_inset=self.monitoring_inset, collection_inset=self.collection_inset)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from common.actions.adapters import EDGE, MirroredAxes, NineMoves
 from common.config import FarmConfig
-from common.farm import advice_sizes, lattice_of
+from common.farm import COLLECTION, MONITORING, advice_sizes, inset_of, lattice_of
 from rollout.sim.kernel.link import radio_constants
 from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, field_range
 from rollout.sim.kernel.views.fields import FLOOR, SCALE
@@ -90,7 +90,8 @@ def places(farm: ReferenceFarm, u: int) -> Array:
     """Return where the nine moves of a UAV lead, [9, 2] m: the adapters' actions, flown for one step."""
     world, signs, (size, _) = farm.config.world, signs_of(farm, u), _world(farm)
     own = (place_of(farm, u) * signs).astype(np.float32)
-    action = lattice_of(world, farm.config.control.inset).velocity(np.tile(own, (9, 1)), MOVES)
+    inset = inset_of(farm.config, MONITORING if farm.kind[u] == 1 else COLLECTION)
+    action = lattice_of(world, inset).velocity(np.tile(own, (9, 1)), MOVES)
     turned = MirroredAxes().adapt(np.tile(np.append(own, signs.astype(np.float32)), (9, 1)), action).astype(np.float64)
     moved = farm.position[u] + turned * (world.speed_x_max, world.speed_y_max) * world.step_seconds
     return np.asarray(np.clip(moved, 0.0, size))

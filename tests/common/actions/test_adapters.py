@@ -8,7 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.actions.adapters import GAIN, SIGNS, Lattice, MirroredAxes, fewest
+from common.actions.adapters import (
+    GAIN,
+    SIGNS,
+    Lattice,
+    MirroredAxes,
+    adapter_from_dict,
+    adapter_to_dict,
+    fewest,
+)
 from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
 from common.config.presets import preset
 from common.errors import ConfigError, SchemaError
@@ -59,6 +67,40 @@ def test_velocities_are_those_of_a_plain_loop(lattice):
     np.testing.assert_allclose(found, expected, atol=2e-5)
 
 
+@pytest.mark.parametrize("lattice", [replace(SQUARE, inset=0.36), Lattice(9, 7, 0.12, 0.15, 0.2)])
+def test_with_an_inset_a_step_ends_inside_the_selected_cell_and_is_never_longer(lattice):
+    """An agent inside its own cell arrives, others do unless full speed is too slow; the cell's centre is no nearer."""
+    draw, inset = np.random.default_rng(6), lattice.inset
+    count, reach = np.array([lattice.columns, lattice.rows]), np.array([lattice.reach_x, lattice.reach_y])
+    cell = draw.integers(0, count, (2000, 2))
+    offset = draw.uniform(0.001, 0.999, cell.shape)
+    place = (2.0 * (cell + offset) / count - 1.0).astype(np.float32)
+    action = draw.uniform(-1, 1, cell.shape).astype(np.float32)
+    selected = np.clip(cell + np.where(abs(action) * GAIN <= 0.5, 0, np.sign(action)), 0, count - 1)
+    velocity = lattice.velocity(place, action)
+    ends = cell + offset + velocity.astype(np.float64) * reach * count - selected
+    within = (ends >= inset - 1e-4) & (ends <= 1.0 - inset + 1e-4)
+    started = (offset >= inset) & (offset <= 1.0 - inset)
+    assert within[started | (abs(velocity) < 1.0)].all()
+    assert not within.all(), "some agents were too far for one step"
+    centre = replace(lattice, inset=0.5).velocity(place, action)
+    assert (abs(velocity) <= abs(centre)).all()
+    assert (abs(velocity) < abs(centre)).mean() > 0.2
+    stays = (selected == cell) & (offset >= inset + 1e-4) & (offset <= 1.0 - inset - 1e-4)
+    assert (velocity[stays] == 0.0).all()
+    assert (centre[stays] != 0.0).any()
+
+
+@pytest.mark.parametrize("inset", [0.0, 0.009, 0.51, 1.0, -0.36, math.inf, math.nan])
+def test_an_inset_outside_the_cell_is_refused(inset):
+    """Nothing below 0.01 and nothing beyond the centre, in a lattice and in a farm's configuration."""
+    with pytest.raises(ConfigError, match=r"^inset must be between 0\.01 and 0\.5, "):
+        replace(SQUARE, inset=inset)
+    for name in ("monitoring_inset", "collection_inset"):
+        with pytest.raises(ConfigError, match=rf"^{name} must be between 0\.01 and 0\.5, "):
+            ControlConfig(**{name: inset})
+
+
 def test_on_a_place_every_action_leads_to_the_next_place_or_none():
     """Nine actions from a place in the middle: its eight neighbours and itself, reached in one step."""
     start = np.array([205.0, 115.0])
@@ -92,6 +134,24 @@ def test_a_farms_monitors_reach_the_lattice_and_never_leave_the_field():
             off = (farms.position[..., :2] - 5.0) / 10.0
             np.testing.assert_allclose(off, np.rint(off), atol=1e-3)
     assert all(farms.summary(index).metrics["boundary"] == 0 for index in range(3))
+
+
+@pytest.mark.parametrize("inset", [0.5, 0.36])
+@pytest.mark.parametrize(("control", "on", "back"), [("lattice", [0, 1], [0, -1]), ("moves", [5], [3])])
+def test_monitors_that_weave_fly_twice_the_inset_in_each_step(control, on, back, inset):
+    """Between two cells of 10 m this is 10 m for an inset of 0.5, and 7.2 m for 0.36."""
+    seen = replace(PLAIN.observation, mirrored=False)
+    steering = replace(PLAIN.control, monitoring=control, monitoring_inset=inset)
+    farms = FarmBatch(replace(PLAIN, observation=seen, control=steering), 2)
+    for index in range(2):
+        farms.reset(index, index, 5)
+    for step in range(10):
+        before, action = farms.position[:, 4:8].copy(), np.zeros((2, farms.team.action_size), np.float32)
+        farms.team.split_actions(action)[1][:] = back if step % 2 else on
+        farms.step(farms.team.adapt(farms.observation, action))
+        if step > 2:
+            way = np.broadcast_to([0.0, 20.0 * inset], before.shape)
+            np.testing.assert_allclose(np.abs(farms.position[:, 4:8] - before), way, atol=1e-3)
 
 
 def test_only_those_with_a_lattice_are_steered():
@@ -190,6 +250,7 @@ def test_a_lattice_follows_the_field_and_the_speed():
 
 LATTICE = {"kind": "lattice", "columns": 40, "rows": 40, "reach_x": 0.025, "reach_y": 0.025}
 MIRRORED = {"kind": "mirrored axes"}
+MOVES = {"kind": "nine moves"}
 GROUP = {"name": "m", "count": 2, "observation_size": 5, "action_size": 2, "adapters": [LATTICE, MIRRORED]}
 EARLIER = {
     "ac3d651454fa951b": (False, "lattice", [["m", 4, 39, 2, [40, 40, 0.025, 0.025]]]),
@@ -225,6 +286,35 @@ def test_a_team_with_adapters_survives_the_wire():
     assert len({team.digest, other.digest, TeamSpec((replace(group, adapters=()),)).digest}) == 3
 
 
+INSETS = {
+    "30001a9f0bfa152c": [LATTICE],
+    "107da28fe728d0c0": [LATTICE, MIRRORED],
+    "7cbcfcf603b21a7d": [MOVES, LATTICE],
+    "fb22813b783ec5c5": [MOVES, LATTICE, MIRRORED],
+}
+"""Digests of teams with a lattice as the version before insets computed them."""
+
+
+@pytest.mark.parametrize(("digest", "adapters"), INSETS.items())
+def test_an_inset_is_part_of_a_lattice_unless_steps_end_at_centres(digest, adapters):
+    """Descriptions and digests are those of earlier versions at 0.5; any other inset comes back and has its own."""
+    lattice = adapter_from_dict(LATTICE)
+    assert adapter_to_dict(lattice) == adapter_to_dict(replace(lattice, inset=0.5)) == LATTICE
+    digests = []
+    for inset in (0.5, 0.36, 0.34):
+        described = {**LATTICE, "inset": inset}
+        assert adapter_from_dict(described) == replace(lattice, inset=inset)
+        if inset != 0.5:
+            assert adapter_to_dict(adapter_from_dict(described)) == described
+        kinds = [described if adapter is LATTICE else adapter for adapter in adapters]
+        chosen = {"choices": [9], "action_size": 1} if MOVES in kinds else {}
+        team = TeamSpec.from_dict({"groups": [{**GROUP, "adapters": kinds, **chosen}]})
+        assert TeamSpec.from_dict(json.loads(json.dumps(team.to_dict()))) == team
+        digests.append(team.digest)
+    assert digests[0] == digest
+    assert len(set(digests)) == 3
+
+
 @pytest.mark.parametrize(
     "adapters",
     [
@@ -240,6 +330,8 @@ def test_a_team_with_adapters_survives_the_wire():
         [{**LATTICE, "reach_x": 0}],
         [{**LATTICE, "reach_x": float("nan")}],
         [{**LATTICE, "reach_y": "far"}],
+        [{**LATTICE, "inset": 0.6}],
+        [{**LATTICE, "inset": "0.36"}],
         [{**LATTICE, "more": 1}],
         [{**MIRRORED, "more": 1}],
         [{key: value for key, value in LATTICE.items() if key != "rows"}],

@@ -31,8 +31,8 @@ from rollout.sim.batch import FarmBatch
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "export.md"
 
 
-CHOICES = ControlConfig(communication="headings", monitoring="moves", collection="moves")
-"""Discrete control of every type."""
+CHOICES = ControlConfig(communication="headings", monitoring="moves", collection="moves", monitoring_inset=0.36)
+"""Discrete control of every type; steps end inside cells, not at their centres."""
 
 
 @pytest.fixture(params=["farm", "mirrored", "other", "choices", "mirrored choices", "masked"])

@@ -18,9 +18,12 @@ from deploy.policies.onnx_actions import LAST, action_nodes
 
 HEADINGS = Headings(0.041, 0.12, 0.35, 0.9, 0.025)
 LATTICE = Lattice(40, 37, 0.025, 0.0271)
+INSET = replace(LATTICE, inset=0.36)
 GROUPS = {
     "moves": GroupSpec("a", 1, 6, 1, (NineMoves(), LATTICE), (9,)),
     "mirrored moves": GroupSpec("a", 1, 6, 1, (NineMoves(), LATTICE, MirroredAxes()), (9,)),
+    "inset moves": GroupSpec("a", 1, 6, 1, (NineMoves(), INSET), (9,)),
+    "mirrored inset moves": GroupSpec("a", 1, 6, 1, (NineMoves(), INSET, MirroredAxes()), (9,)),
     "headings": GroupSpec("a", 1, 6, 1, (HEADINGS,), (25,)),
     "mirrored headings": GroupSpec("a", 1, 6, 1, (HEADINGS, MirroredAxes()), (25,)),
     "plain": GroupSpec("a", 1, 6, 1, choices=(5,)),

@@ -69,7 +69,7 @@ def test_onnx_models_remember_as_the_policy_does(run):
             moved = max(moved, float(np.ptp(state)))
     assert moved > 0.5
     metadata = models[agent_names(actors)[0]].get_modelmeta().custom_metadata_map
-    assert metadata["format"] == "eia-sec recurrent actors 1"
+    assert metadata["format"] == "eia-sec recurrent actors 2"
     assert metadata["sha256"] == actors.digest()
 
 

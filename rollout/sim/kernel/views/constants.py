@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig, WorldConfig
-from common.farm import advice_sizes, lattice_of
+from common.farm import COLLECTION, MONITORING, advice_sizes, inset_of, lattice_of
 from rollout.sim.kernel.link import RadioConstants, chance_at, reach_of
 from rollout.sim.kernel.views.arrays import TWO_MOVES
 from rollout.sim.sweep_routes import all_routes
@@ -59,7 +59,8 @@ class ViewConstants(NamedTuple):
         rows: lattice points along y.
         reach_x: distance at full speed along x in a step, as a share of the field's width.
         reach_y: the same along y.
-        inset: distance from a lattice cell's border at which a move ends, as a share of the cell.
+        monitoring_inset: distance from a cell's border at which a monitor's move ends, as a share of the cell.
+        collection_inset: the same for data collection UAVs.
         step_x: the same along x, m.
         step_y: the same along y, m.
         per_step: 1 / length of a step at full speed along both axes, 1/m.
@@ -105,7 +106,8 @@ class ViewConstants(NamedTuple):
     rows: int
     reach_x: float
     reach_y: float
-    inset: float
+    monitoring_inset: float
+    collection_inset: float
     step_x: float
     step_y: float
     per_step: float
@@ -131,7 +133,7 @@ class ViewConstants(NamedTuple):
 def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, int]) -> ViewConstants:
     """Derive the numbers of the added observations."""
     seen, world = config.observation, config.world
-    lattice = lattice_of(world, config.control.inset)
+    lattice = lattice_of(world)
     chance, limit = chance_table(radio, world.height_collection)
     step_x, step_y = world.speed_x_max * world.step_seconds, world.speed_y_max * world.step_seconds
     width = field_range(world)
@@ -161,7 +163,8 @@ def view_constants(config: FarmConfig, radio: RadioConstants, cells: tuple[int, 
         rows=lattice.rows,
         reach_x=lattice.reach_x,
         reach_y=lattice.reach_y,
-        inset=lattice.inset,
+        monitoring_inset=inset_of(config, MONITORING),
+        collection_inset=inset_of(config, COLLECTION),
         step_x=step_x,
         step_y=step_y,
         per_step=1.0 / math.hypot(step_x, step_y),

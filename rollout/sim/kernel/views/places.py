@@ -85,6 +85,7 @@ def find_places(c: Constants, farm: Farm, s: Scratch) -> None:
                 go_x[u, move] = min(fleet.width, max(0.0, x + sx * (move - 1) * view.step_x))
                 go_y[u, move] = min(fleet.depth, max(0.0, y + sy * (move - 1) * view.step_y))
         else:
+            inset = view.monitoring_inset if u < fleet.collectors else view.collection_inset
             _go(
                 x,
                 sx,
@@ -92,7 +93,7 @@ def find_places(c: Constants, farm: Farm, s: Scratch) -> None:
                 fleet.per_width,
                 view.columns,
                 view.reach_x,
-                view.inset,
+                inset,
                 fleet.speed_x,
                 fleet.seconds,
                 go_x[u],
@@ -104,7 +105,7 @@ def find_places(c: Constants, farm: Farm, s: Scratch) -> None:
                 fleet.per_depth,
                 view.rows,
                 view.reach_y,
-                view.inset,
+                inset,
                 fleet.speed_y,
                 fleet.seconds,
                 go_y[u],
@@ -113,9 +114,9 @@ def find_places(c: Constants, farm: Farm, s: Scratch) -> None:
 
 @allocation_free
 def go_twice(x: float, sign: float, side: float, per_side: float, count: int, far: Array, after: Indices) -> None:
-    """Find where two moves lead along an axis: to the middle of one of five lattice points.
+    """Find where two moves lead along an axis: to one of five lattice points, whatever the inset is.
 
-    The second move reaches that middle, wherever the first one ended.
+    Where steps end at cells' centres, the second move reaches that point, wherever the first one ended.
 
     Args:
         x: place along the axis, m.

@@ -164,7 +164,7 @@ def numbers(world: WorldConfig) -> dict[str, dict[str, st.SearchStrategy[Any]]]:
             "peers": st.sampled_from([0, 0, 1, 2, 5]),
             "units": st.sampled_from([0, 0, 1, 2]),
         },
-        "control": {"inset": st.sampled_from([0.01, 0.36, 0.5, 0.5])},
+        "control": {name: st.sampled_from([0.01, 0.36, 0.5, 0.5]) for name in ("monitoring_inset", "collection_inset")},
     }
 
 

@@ -63,7 +63,7 @@ def everything(config: FarmConfig) -> FarmConfig:
 
 def moves(config: FarmConfig, batch: FarmBatch, random: np.random.Generator) -> Float32:
     """Return actions [2 n] that lead to random neighbouring lattice points, so that UAVs come to stand on them."""
-    world, lattice = config.world, lattice_of(config.world, config.control.inset)
+    world, lattice = config.world, lattice_of(config.world, config.control.monitoring_inset)
     place = (2.0 * batch.position[0] / (world.field_x, world.field_y) - 1.0).astype(np.float32)
     return lattice.velocity(place, random.integers(-1, 2, place.shape).astype(np.float32)).reshape(-1)
 
