@@ -64,18 +64,21 @@ entropy_scales = ""
 """A farm on which images and data count only while the UAV's relay is near; see docs/reference/environment.md."""
 
 FAILING: Final = """
-episodes = 3500
+episodes = 2000
 [farm.failures]
 per_hour = 6.0
 [farm.control]
 monitoring_inset = 0.36
 [farm.observation]
 route = false
+[algorithm]
+suggestion_logits = "collection=8"
+entropy_scales = "communication=0.05, collection=0.1"
 """
 """A farm on which more than half of the UAVs fail during an episode, over PLANS; monitors follow no route there."""
 
 UNEVEN: Final = """
-episodes = 3500
+episodes = 2000
 [farm.stress]
 patches = 6
 [farm.control]
@@ -84,6 +87,10 @@ collection_inset = 0.36
 [farm.observation]
 route = false
 stress = true
+[algorithm]
+start_policy = "trained"
+suggestion_logits = "collection=8"
+entropy_scales = "communication=0.05, collection=0.1"
 """
 """A farm on which patches of stress come and go, where everything needs three times as many visits, over PLANS."""
 
