@@ -83,7 +83,8 @@ class Collector:
             noise_std: standard deviation of the Gaussian noise on a deterministic head's action, 0..1; without meaning
                 for algorithms that learn on policy, whose actions are sampled from the actors' distributions.
             uniform: draw actions uniformly instead (warm-up); without meaning for those algorithms, too.
-            meanwhile: called after each step; a chunk may take many seconds.
+            meanwhile: called after each step; a chunk may take many seconds. What it raises ends the chunk, and the
+                collector is of no more use.
 
         Returns:
             The rows of all environments, one environment after the other, and the episodes that ended. Rewards in rows

@@ -72,6 +72,10 @@ class WorkerOptions:
     history: Path | None = None
 
 
+class _NoTimeLeftError(Exception):
+    """A worker that ends cannot finish its chunk; nobody outside this module sees it."""
+
+
 @dataclass
 class _Times:
     collecting: float = 0.0
@@ -186,10 +190,21 @@ class Worker:
 
     def _collect(self, actors: TeamActors) -> None:
         started = time.monotonic()
-        chunk = self._collector.collect(actors, *self._exploration(), meanwhile=self._report_if_due)
+        try:
+            chunk = self._collector.collect(actors, *self._exploration(), meanwhile=self._between_steps)
+        except _NoTimeLeftError:
+            steps = self._collector.simulated - self._collector.environment_steps
+            log(f"worker {self._options.name}: {steps} steps of an unfinished chunk were left behind.")
+            return
         self._sender.flown = self._collector.environment_steps
         self._sender.offer(chunk, self._learner.store.version)
         self._times.collecting += time.monotonic() - started
+
+    def _between_steps(self) -> None:
+        """Report, and raise _NoTimeLeftError once a worker that ends needs the time left for its deliveries."""
+        self._report_if_due()
+        if self._seconds_left() <= DELIVER_SECONDS:
+            raise _NoTimeLeftError
 
     def _exploration(self) -> tuple[float, bool]:
         """Return the noise's standard deviation, and whether actions are drawn uniformly instead (warm-up)."""

@@ -45,7 +45,10 @@ def test_all_types_begin_as_the_policy_of_their_own_farm():
 
 def test_types_that_see_something_else_begin_fresh():
     """UAVs that see plans have more inputs than the default preset's; its relays have not."""
-    for config, found in (begun({"algorithm.start_policy": "trained", "farm.observation.plan": 3}), begun({}, "long")):
+    for config, found in (
+        begun({"algorithm.start_policy": "trained", "farm.observation.plan": 3}),
+        begun({}, "uneven"),
+    ):
         fresh = [flat is None for flat in found]
         assert dict(zip(NAMES, fresh, strict=True)) == {"communication": False, "monitoring": True, "collection": True}
         said = start_sentence(config, farm_team(config.farm), found)
@@ -56,6 +59,8 @@ def test_a_named_type_may_see_more_than_the_policy():
     """It acts as the policy does, whatever the new inputs are; types that are not named begin fresh."""
     values = {"farm.observation.plan": 3, "algorithm.start_policy": "monitoring = trained,communication=trained"}
     config, found = begun(values)
+    for flat, own in zip(begun({}, "long")[1], found, strict=True):
+        np.testing.assert_array_equal(flat, own)
     assert [flat is None for flat in found] == [False, False, True]
     plain, team = farm_environment(preset("default").farm), farm_team(config.farm)
     names = [spec.tensor_names["monitoring"].observation for spec in (plain, farm_environment(config.farm))]

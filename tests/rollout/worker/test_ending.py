@@ -85,6 +85,37 @@ def test_the_time_to_end_counts_from_when_the_stop_is_noticed(monkeypatch):
     assert calls[0] == f"wait {service.DELIVER_SECONDS:.0f}"
 
 
+def test_a_worker_that_ends_leaves_a_chunk_that_takes_too_long(monkeypatch, capsys):
+    """It goes on for three seconds after the stop, so that two are left for deliveries, and says what it leaves."""
+    clock, steps = SimpleNamespace(now=100.0), []
+    monkeypatch.setattr(service.time, "monotonic", lambda: clock.now)
+    worker, calls = an_ending_worker(monkeypatch, "training", False)
+    worker._times.reported = clock.now
+    worker._learner.store = SimpleNamespace(version=1)
+    monkeypatch.setattr(worker, "_exploration", lambda: (0.0, False))
+    worker._collector = SimpleNamespace(simulated=0, environment_steps=0)
+
+    def collect(actors, noise_std, uniform, meanwhile):
+        for step in range(100):
+            worker._stop = step >= 50
+            clock.now += 0.25
+            worker._collector.simulated += 16
+            steps.append(step)
+            meanwhile()
+        worker._collector.environment_steps = worker._collector.simulated
+        return "chunk"
+
+    worker._collector.collect = collect
+    worker._collect(None)
+    assert len(steps) == 50 + 1 + 12
+    assert f"worker 3: {16 * len(steps)} steps of an unfinished chunk were left behind." in "".join(capsys.readouterr())
+    assert "sender.offer" not in calls
+    worker._stop, worker._times.ending = False, 0.0
+    monkeypatch.setattr(service, "DRAIN_SECONDS", 60.0)
+    worker._collect(None)
+    assert "sender.offer" in calls
+
+
 def answered(bus, evaluations, order):
     """Return the answer to an order, with the service polled meanwhile."""
     with ThreadPoolExecutor(1) as pool:
