@@ -1,6 +1,7 @@
 """The farm as an environment: its team, the sizes of its observations, and its episode metrics."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 from common.actions.adapters import CENTRE, ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
@@ -82,7 +83,7 @@ def require_farm(config: RunConfig, complaint: str) -> FarmConfig:
 
 def lattice_of(world: WorldConfig, inset: float = CENTRE) -> Lattice:
     """Return the lattice of a farm's moves, which end so far inside its cells. Its points lie alike in all plots."""
-    return Lattice.spanning(*world.reach, world.plots_x, world.plots_y, inset)
+    return replace(Lattice.spanning(*world.reach, world.plots_x, world.plots_y), inset=inset)
 
 
 def inset_of(farm: FarmConfig, name: str) -> float:

@@ -36,8 +36,6 @@ LATER: Final = "later"
 """Marks fields that earlier versions did not have."""
 CENTRE: Final = 0.5
 """Inset of a lattice whose steps end at the cells' centres."""
-LEAST_INSET: Final = 0.01
-"""Least inset of a lattice; at a cell's very border a UAV would be in two cells."""
 NEAR: Final = 1e-6
 """Least way of an idle agent in a step, for the division by it; the field spans -1 to 1."""
 
@@ -109,22 +107,20 @@ class Lattice:
     inset: float = field(default=CENTRE, metadata={LATER: True})
 
     def __post_init__(self) -> None:
-        """Refuse lattices without points, agents that cannot move, and places outside the cell."""
+        """Refuse lattices without points, agents that cannot move, and places outside a cell or at its very border."""
         within(1, 2**20, columns=self.columns, rows=self.rows)
-        within(LEAST_INSET, CENTRE, inset=self.inset)
+        within(0.01, CENTRE, inset=self.inset)
         for reach in (self.reach_x, self.reach_y):
             if not 0.0 < reach < math.inf:
                 raise ConfigError(f"a lattice's reach must be positive and finite, not {reach}.")
 
     @classmethod
-    def spanning(
-        cls, reach_x: float, reach_y: float, parts_x: int = 1, parts_y: int = 1, inset: float = CENTRE
-    ) -> "Lattice":
+    def spanning(cls, reach_x: float, reach_y: float, parts_x: int = 1, parts_y: int = 1) -> "Lattice":
         """Return the lattice with the fewest points whose neighbours are within reach of each other.
 
         Each of so many equal parts of the field has equally many of them, unless the parts are smaller than a step.
         """
-        return cls(fewest(reach_x, parts_x), fewest(reach_y, parts_y), reach_x, reach_y, inset)
+        return cls(fewest(reach_x, parts_x), fewest(reach_y, parts_y), reach_x, reach_y)
 
     def require(self, observation_size: int, action_size: int) -> None:
         """Raise ConfigError unless observations hold a position and actions have two numbers."""
