@@ -13,18 +13,22 @@ from common.config import OnPolicyConfig, RunConfig
 from common.config.presets import preset, read_saved
 from common.errors import ConfigError, PolicyError
 from common.farm import farm_environment, farm_of
+from common.names import NAME
 from common.policy_file import load_policy
 from common.team import Float32, GroupSpec, TeamSpec
 from rollout.policies import SHIPPED, policy_path, preset_of
 
-MISFIT: Final = "Observations, actions or networks differ."
+MISFIT: Final = (
+    'Observations, actions or networks differ. Leave the option empty ("") to begin with fresh actors, '
+    "or name other types in it."
+)
 StartParameters = tuple[Float32 | None, ...]
 """For each type the parameters that its actors begin with, [n_v or 1, P_v], or None where they begin fresh."""
 Names = Mapping[str, tuple[str, ...]]
 """The names of each type's observations."""
 CONFIG: Final = "config.toml"
 """File in a run directory, beside its policy, that says what the policy observes."""
-_PAIR: Final = re.compile(r"\s*([\w-]+)\s*=\s*([^,]+?)\s*")
+_PAIR: Final = re.compile(rf"({NAME.pattern})\s*=\s*(.+)")
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ def start_parameters(config: RunConfig, team: TeamSpec) -> StartParameters:
         PolicyError: there is no such policy, its file cannot be used, or it fits no type, or not one that is named.
     """
     wanted = _wanted(config, team)
-    sources = {name: _source(name) for name in wanted.values()}
+    sources = {name: _source(name) for name in set(wanted.values())}
     own, named = _observed(config), bool(_pairs(_option(config)))
     found: list[Float32 | None] = []
     for group in team.groups:
@@ -65,9 +69,7 @@ def start_parameters(config: RunConfig, team: TeamSpec) -> StartParameters:
             raise PolicyError(f"{_cited(config)}: {group.name} agents of this run do not fit that policy. {MISFIT}")
         found.append(flat)
     if wanted and all(flat is None for flat in found):
-        raise PolicyError(
-            f'{_cited(config)} fits no type of this run. {MISFIT} Leave it empty ("") to begin with fresh actors.'
-        )
+        raise PolicyError(f"{_cited(config)} fits no type of this run. {MISFIT}")
     return tuple(found) if wanted else ()
 
 
@@ -92,8 +94,24 @@ def _cited(config: RunConfig) -> str:
 
 def _pairs(text: str) -> dict[str, str]:
     """Return the policies of the types that a text type=policy, .. names; nothing if it is the name of one policy."""
-    pairs = [_PAIR.fullmatch(part) for part in text.split(",")]
-    return {pair[1]: pair[2] for pair in pairs if pair} if all(pairs) else {}
+    parts = [part.strip() for part in text.split(",")]
+    found = [_PAIR.fullmatch(part) for part in parts if part]
+    if not any(found) or _is_file(Path(text)):
+        return {}
+    pairs = {pair[1]: pair[2] for pair in found if pair}
+    if len(pairs) < len(found):
+        raise PolicyError(
+            f"algorithm.start_policy must be one policy, or type=policy with commas between and each type once, "
+            f"not {text!r}."
+        )
+    return pairs
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long, or a folder that cannot be searched
+        return False
 
 
 def _wanted(config: RunConfig, team: TeamSpec) -> dict[str, str]:
@@ -107,11 +125,7 @@ def _wanted(config: RunConfig, team: TeamSpec) -> dict[str, str]:
 
 def _source(name: str) -> _Source:
     path = policy_path(name)
-    try:
-        is_file = path.is_file()
-    except OSError:  # a name that is too long, or a folder that cannot be searched
-        is_file = False
-    if not is_file:
+    if not _is_file(path):
         raise PolicyError(f"algorithm.start_policy {name!r} is neither a policy that ships nor a readable file.")
     return _Source(name, load_policy(path)[0], _observed(_origin(name)))
 

@@ -92,7 +92,8 @@ start_policy = "trained"
 suggestion_logits = "collection=8"
 entropy_scales = "communication=0.05, collection=0.1"
 """
-"""A farm on which patches of stress come and go, where everything needs three times as many visits, over PLANS."""
+"""A farm on which patches of stress come and go, where everything needs three times as many visits, over PLANS.
+Relays begin as those of the policy `trained`."""
 
 BATTERY: Final = """
 [farm.battery]

@@ -66,7 +66,7 @@ def results_block(study: dict[str, Any], seeds: dict[str, Any], default: dict[st
     higher = "; than ".join(f"{what}: {names or 'none'}" for what, names in zip(OURS, ahead, strict=True))
     reading = f"""**Of {len(scores)} heuristics, these score higher than {higher}.** {tied}Heuristics see the whole farm
         and plan with its dynamics; a trained UAV acts on what it observes. That includes sweep routes and, with `long`,
-        [plans](docs/reference/environment.md#added-observations), which fresh actors favour."""
+        [plans](docs/reference/environment.md#added-observations), which its collectors favour from the start."""
     return "\n".join([wrapped(conditions), "", *lines, "", wrapped(reading)])
 
 

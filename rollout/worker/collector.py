@@ -84,7 +84,7 @@ class Collector:
                 for algorithms that learn on policy, whose actions are sampled from the actors' distributions.
             uniform: draw actions uniformly instead (warm-up); without meaning for those algorithms, too.
             meanwhile: called after each step; a chunk may take many seconds. What it raises ends the chunk, and the
-                collector is of no more use.
+                collector must not collect again.
 
         Returns:
             The rows of all environments, one environment after the other, and the episodes that ended. Rewards in rows

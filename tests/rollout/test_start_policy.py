@@ -57,7 +57,7 @@ def test_types_that_see_something_else_begin_fresh():
 
 def test_a_named_type_may_see_more_than_the_policy():
     """It acts as the policy does, whatever the new inputs are; types that are not named begin fresh."""
-    values = {"farm.observation.plan": 3, "algorithm.start_policy": "monitoring = trained,communication=trained"}
+    values = {"farm.observation.plan": 3, "algorithm.start_policy": "monitoring = trained,communication=trained,"}
     config, found = begun(values)
     for flat, own in zip(begun({}, "long")[1], found, strict=True):
         np.testing.assert_array_equal(flat, own)
@@ -77,7 +77,7 @@ def test_a_named_type_may_see_more_than_the_policy():
     assert said == "begins as trained: communication, monitoring; fresh actors: collection"
 
 
-def test_types_can_begin_as_different_policies(tmp_path):
+def test_types_can_begin_as_different_policies(tmp_path, monkeypatch):
     """Each as the one that is named for it, a file with an equals sign in its path among them."""
     file = tmp_path / "a=b" / "policy.safetensors"
     file.parent.mkdir()
@@ -89,6 +89,8 @@ def test_types_can_begin_as_different_policies(tmp_path):
     said = start_sentence(config, farm_team(config.farm), found)
     assert said == f"begins as trained: communication; begins as {file}: monitoring; fresh actors: collection"
     assert all(flat is not None for flat in begun({"algorithm.start_policy": str(file)})[1])
+    monkeypatch.chdir(tmp_path)
+    assert all(flat is not None for flat in begun({"algorithm.start_policy": "a=b/policy.safetensors"})[1])
 
 
 def test_as_many_inputs_are_not_enough(tmp_path):
@@ -132,6 +134,8 @@ def test_an_actor_that_a_type_shares_becomes_one_of_each_agent():
         ({"algorithm.start_policy": "trained", "algorithm.hidden": 32}, "fits no type of this run"),
         ({"algorithm.start_policy": "trained", "algorithm.memory": "gru"}, "fits no type of this run"),
         ({"algorithm.start_policy": "trained:eia-sec"}, "fits no type of this run"),
+        ({"algorithm.start_policy": "communication=trained, trained"}, "or type=policy with commas between"),
+        ({"algorithm.start_policy": "monitoring=trained,monitoring=trained"}, "and each type once"),
         ({"algorithm.start_policy": "drones=trained"}, "names 'drones', but the types are communication, monitoring"),
         (
             {"algorithm.start_policy": "communication=trained, monitoring=trained:eia-sec"},

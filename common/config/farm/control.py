@@ -23,7 +23,8 @@ class ControlConfig:
     """The same for the data collection UAVs (ours)."""
     monitoring_inset: float = 0.5
     """Where a monitoring UAV's step on the lattice ends, as a share of the selected cell from its border: at its centre
-    (0.5), or at the nearest place so far inside, which is a shorter way (ours)."""
+    (0.5), or at the nearest place so far inside, which is a shorter way (ours). A place from which images fail earns
+    nothing: see docs/explanation/method.md before you lower it. Relays' steps always end at centres."""
     collection_inset: float = 0.5
     """The same for the data collection UAVs (ours)."""
 

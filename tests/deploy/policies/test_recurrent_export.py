@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import onnxruntime
@@ -19,6 +20,7 @@ from common.team import GroupSpec, TeamSpec
 from deploy.cli import dispatch
 from deploy.policies.export import agent_names
 
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "export.md"
 HIDDEN, STEPS = 12, 8
 OTHER = TeamSpec((GroupSpec("chooser", 2, 9, 2, choices=(4, 3), masked=True), GroupSpec("flyer", 1, 4, 1)))
 
@@ -70,6 +72,7 @@ def test_onnx_models_remember_as_the_policy_does(run):
     assert moved > 0.5
     metadata = models[agent_names(actors)[0]].get_modelmeta().custom_metadata_map
     assert metadata["format"] == "eia-sec recurrent actors 2"
+    assert f"`{metadata['format']}`" in PAGE.read_text(encoding="utf-8")
     assert metadata["sha256"] == actors.digest()
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from common.config import FarmConfig, ObservationConfig, RunConfig, WorldConfig
 from common.config.presets import preset
 from common.errors import ConfigError
-from common.farm import farm_environment, farm_team, lattice_of
+from common.farm import farm_environment, farm_team, inset_of, lattice_of
 from common.team import Float32
 from rollout.envs.spaces import row_box
 from rollout.sim.batch import FarmBatch
@@ -62,10 +62,13 @@ def everything(config: FarmConfig) -> FarmConfig:
 
 
 def moves(config: FarmConfig, batch: FarmBatch, random: np.random.Generator) -> Float32:
-    """Return actions [2 n] that lead to random neighbouring lattice points, so that UAVs come to stand on them."""
-    world, lattice = config.world, lattice_of(config.world, config.control.monitoring_inset)
+    """Return actions [2 n] that lead to random neighbouring cells, so that UAVs come to stand where moves end."""
+    world = config.world
     place = (2.0 * batch.position[0] / (world.field_x, world.field_y) - 1.0).astype(np.float32)
-    return lattice.velocity(place, random.integers(-1, 2, place.shape).astype(np.float32)).reshape(-1)
+    step = random.integers(-1, 2, place.shape).astype(np.float32)
+    rows = zip(batch.team.groups, batch.team.agent_slices(), strict=True)
+    lattices = [(lattice_of(world, inset_of(config, group.name)), agents) for group, agents in rows]
+    return np.concatenate([lattice.velocity(place[own], step[own]) for lattice, own in lattices]).reshape(-1)
 
 
 @dose(15)
