@@ -62,10 +62,9 @@ def start_parameters(config: RunConfig, team: TeamSpec) -> StartParameters:
     found: list[Float32 | None] = []
     for group in team.groups:
         source = sources.get(wanted.get(group.name, ""))
-        flat = None
-        if source is not None:
-            flat = _begun(config.on_policy, group, own.get(group.name), source, more=named)
-        if source is not None and flat is None and named:
+        names = own.get(group.name)
+        flat = None if source is None else _begun(config.on_policy, group, names, source, more=named)
+        if named and source is not None and flat is None:
             raise PolicyError(f"{_cited(config)}: {group.name} agents of this run do not fit that policy. {MISFIT}")
         found.append(flat)
     if wanted and all(flat is None for flat in found):
