@@ -172,7 +172,9 @@ def heuristics(data: Results | None, flown: Results | None) -> list[Row]:
         return [Row(claim, f"{name} {best:.0f}, {what}", "undecided", "means, within the interval")]
     beaten = learnt[1] > best
     why = (
-        "means; learning beats them, but they do not fail" if beaten else "means; no policy of this study beats the best one"
+        "means; learning beats them, but they do not fail"
+        if beaten
+        else "means; no policy of this study beats the best one"
     )
     return [Row(claim, f"{name} {best:.0f}, {what}", "holds in part" if beaten else "does not hold", why)]
 
