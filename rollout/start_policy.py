@@ -36,12 +36,10 @@ class _Source:
     """A policy to begin as.
 
     Attributes:
-        name: as the run's configuration gives it.
         actors: its actors.
         observed: what they observe, as far as that is known.
     """
 
-    name: str
     actors: TeamActors
     observed: Names
 
@@ -126,7 +124,7 @@ def _source(name: str) -> _Source:
     path = policy_path(name)
     if not _is_file(path):
         raise PolicyError(f"algorithm.start_policy {name!r} is neither a policy that ships nor a readable file.")
-    return _Source(name, load_policy(path)[0], _observed(_origin(name)))
+    return _Source(load_policy(path)[0], _observed(_origin(name)))
 
 
 def _origin(name: str) -> RunConfig | None:
@@ -181,10 +179,7 @@ def _inputs(
     """Return which of a type's inputs each input of a policy is; None if the type lacks one, or it is not known."""
     if names is None or others is None:
         return list(range(size)) if size == other_size else None
-    place = {name: index for index, name in enumerate(names)}
-    if names != others and not (set(others) <= place.keys() and len(others) < size):
-        return None
-    return [place[name] for name in others] if len(others) == other_size else None
+    return [names.index(name) for name in others] if set(others) <= set(names) else None
 
 
 def with_inputs(flat: Float32, inputs: Sequence[int], size: int, hidden: int) -> Float32:

@@ -24,24 +24,25 @@ farms = 4
 """A short run that uses every process and ends within a minute or two on two cores."""
 
 PLANS: Final = """
+[farm.control]
+monitoring_inset = 0.36
 [farm.observation]
 plan = 12
 plan_paths = 54
 [algorithm]
+suggestion_logits = "collection=8"
 value_steps = 96000
 entropy_start = 0.005
 entropy_end = 0.0005
+entropy_scales = "communication=0.05, collection=0.1"
 """
 """Monitors and collectors see what their next moves are worth twelve steps ahead, and at first favour the best. A step
 takes several times as long to simulate as with the default preset. No preset of its own; others are over it."""
 
 LONG: Final = """
 episodes = 1000
-[farm.control]
-monitoring_inset = 0.36
 [algorithm]
 start_policy = "communication=trained, monitoring=trained"
-suggestion_logits = "collection=8"
 entropy_scales = "communication=0.05, monitoring=0.1, collection=0.1"
 """
 """The default farm with plans, over PLANS; relays and monitors begin as those of the policy `trained`."""
@@ -67,13 +68,8 @@ FAILING: Final = """
 episodes = 2000
 [farm.failures]
 per_hour = 6.0
-[farm.control]
-monitoring_inset = 0.36
 [farm.observation]
 route = false
-[algorithm]
-suggestion_logits = "collection=8"
-entropy_scales = "communication=0.05, collection=0.1"
 """
 """A farm on which more than half of the UAVs fail during an episode, over PLANS; monitors follow no route there."""
 
@@ -82,15 +78,12 @@ episodes = 2000
 [farm.stress]
 patches = 6
 [farm.control]
-monitoring_inset = 0.36
 collection_inset = 0.36
 [farm.observation]
 route = false
 stress = true
 [algorithm]
 start_policy = "trained"
-suggestion_logits = "collection=8"
-entropy_scales = "communication=0.05, collection=0.1"
 """
 """A farm on which patches of stress come and go, where everything needs three times as many visits, over PLANS.
 Relays begin as those of the policy `trained`."""

@@ -195,10 +195,9 @@ class Worker:
         except _NoTimeLeftError:
             steps = self._collector.simulated - self._collector.environment_steps
             log(f"worker {self._options.name}: {steps} steps of an unfinished chunk were left behind.")
-            self._times.collecting += time.monotonic() - started
-            return
-        self._sender.flown = self._collector.environment_steps
-        self._sender.offer(chunk, self._learner.store.version)
+        else:
+            self._sender.flown = self._collector.environment_steps
+            self._sender.offer(chunk, self._learner.store.version)
         self._times.collecting += time.monotonic() - started
 
     def _between_steps(self) -> None:
