@@ -74,7 +74,15 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
     "clustered sensors": ("default", '[farm.world]\ndensity = "clustered"'),
 }
 """Each farm by its name: a preset, and what differs from it."""
-ADVISED: Final = "[algorithm]\nactor_rate = 3e-4\nentropy_start = 0.003\nentropy_end = 0.0003\nvalue_steps = 0"
+ADVISED: Final = """
+[algorithm]
+start_policy = ""
+suggestion_logits = ""
+actor_rate = 3e-4
+entropy_start = 0.003
+entropy_end = 0.0003
+value_steps = 0
+"""
 """Settings with advice: a policy that begins as the heuristic needs small steps and little noise, and sees no plans."""
 FREE: Final = ("links 150 m", "links 100 m", "links 70 m", "links 50 m", "batteries", "wind 3 m/s", "no-fly zones")
 """Conditions that a good enough policy might not feel: nobody is lost, and the task is the default farm's."""

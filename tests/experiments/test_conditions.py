@@ -9,6 +9,7 @@ import pytest
 
 from common.config.presets import preset
 from common.errors import UsageError
+from common.farm import farm_team
 from common.policy_file import load_policy
 from deploy.local.in_process import train_in_process
 from experiments import conditions
@@ -25,8 +26,10 @@ from experiments.conditions import (
     own_reward,
     page,
     policy_file,
+    with_advice,
 )
 from rollout.policies import policy_of
+from rollout.start_policy import start_parameters
 
 TINY = "[farm.world]\nsteps = 40\n[rollout]\nenvironments = 2\nchunk_steps = 40\n[algorithm]\niteration_steps = 80"
 
@@ -48,10 +51,14 @@ def test_heuristics_charge_by_themselves(monkeypatch):
 
 
 def test_every_condition_is_a_run():
-    """Each can be configured, and the range of links is what its name says."""
+    """Each can be configured and begun, with advice always afresh; the range of links is what its name says."""
     for name in CONDITIONS:
         config = configuration(name, 7, 3)
         assert (config.episodes, config.seed) == (7, 3)
+        found = start_parameters(config, farm_team(config.farm))
+        assert any(flat is not None for flat in found) == bool(config.on_policy.start_policy)
+        advised = with_advice(config, "horizon", 7)
+        assert start_parameters(advised, farm_team(advised.farm)) == ()
         if name.startswith("links"):
             assert config.farm.relay.require_link
             assert f"links {config.farm.relay.link_range:.0f} m" in name
