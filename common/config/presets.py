@@ -89,16 +89,19 @@ start_policy = "trained"
 Relays begin as those of the policy `trained`."""
 
 BATTERY: Final = """
+episodes = 1500
 [farm.battery]
 capacity = 8000.0
 failsafe = 0.2
 [farm.control]
-monitoring_inset = 0.36
 collection_inset = 0.36
 [farm.observation]
 charge = true
+[algorithm]
+start_policy = "communication=trained, monitoring=trained"
 """
-"""A farm whose batteries last about three minutes; autopilots fly UAVs to stations, where they charge for some 20 s."""
+"""A farm whose batteries last about three minutes, over PLANS; autopilots fly UAVs to stations, where they charge for
+some 15 s. Relays and monitors begin as those of the policy `trained`."""
 
 FIELD: Final = """
 [farm.relay]
@@ -239,7 +242,7 @@ PRESETS: Final[dict[str, RunConfig]] = {
     "connected": from_toml(CONNECTED, RunConfig()),
     "failing": from_toml(FAILING, _PLANS),
     "uneven": from_toml(UNEVEN, _PLANS),
-    "battery": from_toml(BATTERY, RunConfig()),
+    "battery": from_toml(BATTERY, _PLANS),
     "field": from_toml(FIELD, RunConfig()),
     "eia-sec": _EIA_SEC,
     "study": from_toml(STUDY, _EIA_SEC),

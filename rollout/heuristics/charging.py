@@ -70,6 +70,13 @@ class Charging:
         charging = taken >= 0
         goals[charging] = self._stations[taken[charging]]
 
+    def at_stake(self, farms: FarmBatch, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Return which UAVs on the way to a station would reach it with less than half of the reserve, [k, n]."""
+        taken = self._taken[indices]
+        way = np.linalg.norm(self._stations[taken] - farms.position[indices], axis=-1)
+        left = farms.charge[indices] - self._per_metre * way
+        return np.asarray((taken >= 0) & (left < 0.5 * self._reserve * self._capacity))
+
     def _free(self, away: Array, taken: NDArray[np.int64]) -> Array:
         """Return the distances [k, n, K] m from the stations, infinite from those that UAVs of the type have."""
         held = taken[..., None] == np.arange(len(self._stations))

@@ -23,7 +23,7 @@ from common.config import BatteryConfig, FailureConfig, FarmConfig
 from common.team import Float32
 from rollout.heuristics.charging import Charging
 from rollout.heuristics.navigation import Navigation
-from rollout.heuristics.steering import keep_apart, loiter, loiter_speed
+from rollout.heuristics.steering import AWAY, keep_apart, loiter, loiter_speed
 from rollout.sim.batch import FarmBatch
 from rollout.sim.boxes import Array
 from rollout.sim.layout import Layout
@@ -33,8 +33,6 @@ RELAYS: Final = 0
 MONITORS: Final = 1
 COLLECTORS: Final = 2
 """The three types, as indices of `FarmState.agents`."""
-AWAY: Final = 1e9
-"""Where steering finds UAVs that are gone, m; far enough to be in nobody's way."""
 
 
 @dataclass(frozen=True)

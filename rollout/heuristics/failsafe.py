@@ -1,19 +1,23 @@
 """Farms whose autopilots fly UAVs to a charging station before their batteries are empty.
 
 PX4 and ArduPilot call this the battery failsafe (`COM_LOW_BAT_ACT`, `BATT_FS_LOW_ACT`); theirs returns to launch. The
-policy gets its UAV back when the battery is nearly full. Stations are chosen as heuristics choose them (`charging`).
+policy gets its UAV back when the battery is nearly full. Stations are chosen as heuristics choose them (`charging`). On
+the way autopilots keep apart from others of the type as heuristics do, until half of the reserve is at stake.
 Actions are recorded as the policy gave them: to a learner, the autopilot is part of the environment.
 """
 
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.team import Float32
 from rollout.heuristics.charging import Charging
 from rollout.heuristics.navigation import Navigation
+from rollout.heuristics.steering import AWAY, keep_apart
 from rollout.sim.batch import FarmBatch
+from rollout.sim.boxes import Array
 
 
 class FailsafeFarms(FarmBatch):
@@ -58,10 +62,18 @@ class FailsafeFarms(FarmBatch):
         some = np.flatnonzero(~np.isnan(goals[..., 0]).all(axis=1))
         if len(some) == 0:
             return action
-        position, charging = self.position[some], ~np.isnan(goals[some, :, 0])
-        goals = np.where(charging[..., None], goals[some], position)
-        velocity = self._navigation.towards(self, some, position, goals)
-        velocity = self._navigation.stopped(self, some, position, velocity)
-        corrected = action.reshape(self.position.shape).copy()
-        corrected[some] = np.where(charging[..., None], velocity, corrected[some])
+        charging, commanded = ~np.isnan(goals[some, :, 0, None]), action.reshape(self.position.shape)
+        position = np.where(self.gone[some, :, None], AWAY, self.position[some])
+        straight = self._navigation.towards(self, some, position, np.where(charging, goals[some], position))
+        flown = self._apart(some, position, np.where(charging, straight, commanded[some]))
+        flown = np.where(self._charging.at_stake(self, some)[..., None], straight, flown)
+        flown = self._navigation.stopped(self, some, position, flown)
+        corrected = commanded.copy()
+        corrected[some] = np.where(charging, flown, commanded[some])
         return corrected.reshape(action.shape)
+
+    def _apart(self, indices: NDArray[np.int64], position: Array, action: Array) -> Array:
+        """Return the actions of some environments without what closes in on others of the type, [k, n, 2]."""
+        world, wind = self.config.world, self._navigation.wind(self, indices)
+        parts = [keep_apart(position[:, rows], action[:, rows], world, wind) for rows in self.team.agent_slices()]
+        return np.concatenate(parts, axis=1)

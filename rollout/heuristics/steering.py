@@ -23,6 +23,8 @@ EDGE: Final = 1e-3
 """Least distance from the field's edge, m. It keeps rounding from putting a UAV outside."""
 LOITER_MAX: Final = 1.0
 """Top speed of a waiting UAV, m/s."""
+AWAY: Final = 1e9
+"""Where steering finds UAVs that are gone, m; far enough to be in nobody's way."""
 
 
 def towards(position: Array, target: Array, world: WorldConfig, wind: Array | None = None) -> Array:

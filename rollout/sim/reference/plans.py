@@ -82,13 +82,28 @@ class Planner:
         return np.asarray(self._own & ((step - phase) % np.maximum(1, usual // growth) == 0))
 
     def served(self, point: Point) -> tuple[NDArray[np.int64], Float32]:
-        """Return the sites that are served from over a lattice point, and the share of their counters, [k] each."""
+        """Return the sites that are served from over a lattice point, and the share of their counters, [k] each.
+
+        Where links count, nothing is where no relay is in range.
+        """
         if point not in self._heard:
             middle = (np.array(point) + 0.5) * self._size / self.counts
             share = self._images(middle) if self._monitors else self._packets(middle)
+            if self._farm.config.relay.require_link and not self._has_link(middle):
+                share = np.zeros(len(share))
             sites = np.flatnonzero(share)
             self._heard[point] = sites, share[sites].astype(np.float32)
         return self._heard[point]
+
+    def _has_link(self, middle: Array) -> bool:
+        """Return whether a relay that is joined would be within link range of a UAV of the type, relays as they are."""
+        farm, world = self._farm, self._farm.config.world
+        below = world.height_communication - (world.height_monitoring if self._monitors else world.height_collection)
+        return any(
+            math.sqrt(((farm.position[relay] - middle) ** 2).sum() + below**2) <= farm.config.relay.link_range
+            for relay in farm.living(0)
+            if farm.joined[relay]
+        )
 
     def _images(self, middle: Array) -> Array:
         """Return 1 for the plots whose image would succeed, [S]."""

@@ -13,8 +13,10 @@ from rollout.heuristics.advised import AdvisedFarms
 from rollout.heuristics.charging import FULL
 from rollout.heuristics.failsafe import FailsafeFarms
 from rollout.heuristics.farms import make_farms
-from rollout.sim.batch import REWARD_PARTS, FarmBatch
+from rollout.sim.batch import REWARD_PARTS, FarmBatch, start_levels, start_positions
+from rollout.sim.layout import make_layout
 from rollout.sim.stations import station_places
+from tests.rollout.sim.properties.strategies import placed
 
 PLAIN = replace(preset("battery").farm, battery=replace(preset("battery").farm.battery, failsafe=0.0))
 WATCHED = replace(PLAIN, battery=replace(PLAIN.battery, failsafe=0.2))
@@ -100,6 +102,26 @@ def test_a_uav_charges_until_it_is_nearly_full():
     place = farms.position[0, 9].copy()
     farms.step(-away)
     assert (farms.position[0, 9] < place - 1.0).all()
+
+
+def test_autopilots_keep_apart_while_there_is_charge_to_spare():
+    """One that hovers in the way is flown around; where less than half of the reserve would be left, it is not."""
+    x, y = station_places(WATCHED)[0]
+    collectors = (x + 80.0, y + 3.0), (x + 40.0, y), (x, y + 200.0), (x + 200.0, y)
+    place = np.concatenate([start_positions(WATCHED.world, 500, 0)[:8], collectors])
+    levels = start_levels(WATCHED.world, 500, 0)
+    distances = {}
+    for share in (0.25, 0.15):
+        farms, least = make_farms(WATCHED, 1), np.inf
+        with placed(make_layout(WATCHED, 500), place, levels):
+            farms.reset(0, 500, 0)
+        farms.charge[0, 8] = share * WATCHED.battery.capacity
+        for _ in range(30):
+            farms.step(np.zeros((1, 24), np.float32))
+            least = min(least, np.linalg.norm(farms.position[0, 8] - farms.position[0, 9]))
+        distances[share] = least
+        assert np.linalg.norm(farms.position[0, 8] - (x, y)) < 1.0
+    assert distances[0.15] < 10.0 < WATCHED.world.safety_distance - 4.0 < distances[0.25]
 
 
 def test_autopilots_fly_around_zones():

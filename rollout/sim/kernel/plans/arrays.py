@@ -12,6 +12,7 @@ Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
 Site = NDArray[np.uint32]
 Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 class PlanScratch(NamedTuple):
@@ -26,7 +27,8 @@ class PlanScratch(NamedTuple):
         own: [S] their counters.
         rising: [H, S] those whose counters rise in each step of a plan.
         risen: [H] how many they are.
-        first: [K + 1] where the sites that are served from each of K lattice points begin in `site`.
+        linked: [K] whether a UAV's work counts from over each of K lattice points, see `links`.
+        first: [K + 1] where the sites that are served from each lattice point begin in `site`.
         site: [M] these sites.
         chance: [M] share of a site's counter that a step over the point serves.
         costs: [5] see `view.step_costs`.
@@ -51,6 +53,7 @@ class PlanScratch(NamedTuple):
     own: Float32
     rising: Site
     risen: Indices
+    linked: Flags
     first: Int32
     site: Site
     chance: Float32
@@ -73,6 +76,7 @@ def make_plan_scratch(plans: PlanConstants, sites: int) -> PlanScratch:
     """Allocate the working memory of plans over so many sites; without plans there is next to none."""
     steps, paths = plans.steps, plans.paths
     count = sites * (steps > 0)
+    points = plans.columns * plans.rows * (steps > 0)
     return PlanScratch(
         due=np.zeros(count, np.int32),
         cycle=np.zeros(count, np.int32),
@@ -81,7 +85,8 @@ def make_plan_scratch(plans: PlanConstants, sites: int) -> PlanScratch:
         own=np.zeros(count, np.float32),
         rising=np.zeros((steps, count), np.uint32),
         risen=np.zeros(steps, np.int64),
-        first=np.zeros(plans.columns * plans.rows * (steps > 0) + 1, np.int32),
+        linked=np.ones(points, np.bool_),
+        first=np.zeros(points + 1, np.int32),
         site=np.zeros(plans.most_pairs, np.uint32),
         chance=np.zeros(plans.most_pairs, np.float32),
         costs=np.zeros(5),

@@ -115,24 +115,27 @@ def find_sites(
 def sort_by_point(found: int, first: Int32, point: Site, chance: Float32, plan: PlanScratch) -> None:
     """List the sites that are served from each lattice point, in ascending order, from the points of each site.
 
+    From over points without a link none is.
+
     Args:
         found: sites that matter.
         first: [S + 1] where the lattice points of each site begin in `point`.
         point: [M] lattice points.
         chance: [M] share of a site's counter that a step over the point serves.
-        plan: `within`; the function writes `first`, `site` and `chance`.
+        plan: `within` and `linked`; the function writes `first`, `site` and `chance`.
     """
     start = plan.first
     start[:] = 0
     for k in range(found):
         for entry in range(first[plan.within[k]], first[plan.within[k] + 1]):
-            start[point[entry]] += 1
+            start[point[entry]] += 1 if plan.linked[point[entry]] else 0
     total = 0
     for place in range(len(start)):
         total += start[place]
         start[place] = total
     for k in range(found - 1, -1, -1):
         for entry in range(first[plan.within[k]], first[plan.within[k] + 1]):
-            start[point[entry]] -= 1
-            at = start[point[entry]]
-            plan.site[at], plan.chance[at] = k, chance[entry]
+            if plan.linked[point[entry]]:
+                start[point[entry]] -= 1
+                at = start[point[entry]]
+                plan.site[at], plan.chance[at] = k, chance[entry]

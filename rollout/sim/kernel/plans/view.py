@@ -13,6 +13,7 @@ from rollout.sim.kernel.flight.motion import flight_power
 from rollout.sim.kernel.plans.arrays import PlanScratch
 from rollout.sim.kernel.plans.coming import find_owners, find_sites, know_plots, know_sensors, sort_by_point
 from rollout.sim.kernel.plans.constants import PlanConstants
+from rollout.sim.kernel.plans.links import find_linked
 from rollout.sim.kernel.plans.search import search
 from rollout.sim.kernel.views.places import own_point
 
@@ -34,9 +35,11 @@ def prepare_plans(c: Constants, farm: Farm, s: Scratch) -> None:
         know_plots(c, farm, plots)
         find_owners(farm.position, fleet.relays, fleet.collectors, plans.plot_x, plans.plot_y, plots)
         step_costs(c.flight, fleet, plans, weight.energy, weight.utility[0], weight.idle[0], plots.costs)
+        find_linked(c, farm, s, fleet.relays, plots)
     know_sensors(c, farm, sensors)
     find_owners(farm.position, fleet.collectors, fleet.uavs, farm.sensor[0], farm.sensor[1], sensors)
     step_costs(c.flight, fleet, plans, weight.energy, weight.utility[1], weight.idle[1], sensors.costs)
+    find_linked(c, farm, s, fleet.collectors, sensors)
 
 
 @allocation_free

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.config import FarmConfig, ObservationConfig, RunConfig, WorldConfig
+from common.config import FarmConfig, ObservationConfig, RelayConfig, RunConfig, WorldConfig
 from common.config.presets import preset
 from common.errors import ConfigError
 from common.farm import farm_environment, farm_team, inset_of, lattice_of
@@ -234,6 +234,25 @@ def test_a_collector_plans_for_its_own_sensors_alone():
         onward = [seen[f"plan_move_{x}_{y}"][0] for x in (-1, 0, 1) for y in (-1, 0, 1)]
         assert max(onward) == 1.0
         assert np.argmax(onward) // 3 - 1 == way
+
+
+def test_plans_leave_out_what_no_link_carries():
+    """Of two full sensors to the left and to the right, one is within a relay's reach. The plan leads there."""
+    world = WorldConfig(communication_uavs=1, monitoring_uavs=1, collection_uavs=1)
+    relay = RelayConfig(require_link=True, link_range=40.0)
+    config = FarmConfig(world=world, relay=relay, observation=ObservationConfig(mirrored=False, plan=8))
+    layout = make_layout(config, 0)
+    right = layout.sensor_xy[np.abs(layout.sensor_xy - (260.0, 200.0)).sum(axis=1).argmin()]
+    left = layout.sensor_xy[np.abs(layout.sensor_xy - (140.0, 200.0)).sum(axis=1).argmin()]
+    age = np.zeros(world.sensors)
+    age[(layout.sensor_xy == right).all(axis=1) | (layout.sensor_xy == left).all(axis=1)] = 5.0
+    levels = age, np.zeros((world.plots_x, world.plots_y))
+    for place, way in ((left, -1), (right, 1)):
+        batch = placed_batch(config, np.array([place, [5.0, 5.0], [205.0, 205.0]]), levels)
+        seen = views(config, batch, 2)
+        onward = [seen[f"plan_move_{x}_{y}"][0] for x in (-1, 0, 1) for y in (-1, 0, 1)]
+        assert np.argmax(onward) // 3 - 1 == way
+        assert seen["plan_best"][0] > 0.0
 
 
 def test_plans_reckon_with_the_rises_to_come():
