@@ -1,0 +1,79 @@
+"""Keeping finished runs."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from common.config import RunConfig
+from common.config.files import to_toml
+from common.errors import UsageError
+from common.farm import farm_team
+from common.policy_file import load_policy, save_policy
+from deploy.local.run_directory import METRICS, POLICY
+from experiments import keep_run
+from experiments.conditions import CONDITIONS, configuration
+from learner.on_policy.trainer import OnPolicyTrainer
+from rollout.policies import SHIPPED
+
+
+def scores(policy, reward):
+    """Return scores as a page has them."""
+    types = {"communication": 0.0, "monitoring": reward, "collection": reward}
+    return {"policy": policy, "reward": [reward, reward, reward], "types": types, "seed": 0}
+
+
+@pytest.fixture
+def results(tmp_path, monkeypatch):
+    """Return the folder of results of one small condition, with policies of two seeds."""
+    monkeypatch.setitem(CONDITIONS, "tiny", ("default", "[farm.world]\nsteps = 20"))
+    longer = {**scores("longer", 2.0), "others": [{**scores("longer", 3.0), "seed": 1, "commit": "old"}]}
+    tiny = {"commit": "old, longer old", "heuristics": [scores("greedy", 4.0)], "longer": longer}
+    data = {"command": "made", "commit": "old", "farms": [1000, 1001], "episodes": 1, "advised": 0, "seed": 0}
+    (tmp_path / "results.json").write_text(json.dumps({**data, "results": {"tiny": tiny}}), encoding="utf-8")
+    return tmp_path
+
+
+def finished_run(folder: Path, config: RunConfig) -> Path:
+    """Return a run directory as far as it is read."""
+    folder.mkdir()
+    (folder / "config.toml").write_text(to_toml(config), encoding="utf-8")
+    save_policy(folder / POLICY, OnPolicyTrainer(config, farm_team(config.farm)).actors().noise_free(), {})
+    record = {"kind": "status", "elapsed": 7.0, "environment_steps": 40, "episodes": 2}
+    (folder / METRICS).write_text(json.dumps(record) + "\n", encoding="utf-8")
+    return folder
+
+
+def call(monkeypatch, *words):
+    """Run the command."""
+    monkeypatch.setattr(sys, "argv", ["keep_run", *map(str, words)])
+    return keep_run.main()
+
+
+def test_a_run_takes_the_place_of_a_conditions_policies_and_others_join_it(results, tmp_path, monkeypatch):
+    """First seed 4 alone, then seed 5 beside it; the page and the policy that ships are of these runs."""
+    shipped = tmp_path / "shipped.safetensors"
+    monkeypatch.setitem(SHIPPED, "trained:tiny", (SHIPPED["trained"][0], shipped))
+    for seed in (4, 5):
+        run = finished_run(tmp_path / str(seed), configuration("tiny", 2, seed))
+        more = ["--ship", "--policy", "trained:tiny"] if seed == 4 else ["--add"]
+        words = run, "--commit", f"new{seed}", "--condition", "tiny", "--output", results, *more
+        assert call(monkeypatch, *words) == 0
+    found = json.loads((results / "results.json").read_text(encoding="utf-8"))["results"]["tiny"]
+    assert (found["longer"]["seed"], found["commit"]) == (4, "old, longer new4")
+    assert [(other["seed"], other["commit"]) for other in found["longer"]["others"]] == [(5, "new5")]
+    assert found["longer"]["seconds"] == 7.0
+    assert "longer 5 new5" in (results / "README.md").read_text(encoding="utf-8")
+    assert load_policy(shipped)[1]["command"] == "eia-sec train --preset default --seed 4"
+
+
+def test_a_run_of_another_farm_is_refused(results, tmp_path, monkeypatch):
+    """Its policy would not be one of the condition; nothing is written."""
+    before = (results / "results.json").read_bytes()
+    run = finished_run(tmp_path / "run", configuration("default", 2, 0))
+    with pytest.raises(UsageError, match="another farm"):
+        call(monkeypatch, run, "--commit", "new", "--condition", "tiny", "--output", results)
+    with pytest.raises(UsageError, match="no condition 'huge'"):
+        call(monkeypatch, run, "--commit", "new", "--condition", "huge", "--output", results)
+    assert (results / "results.json").read_bytes() == before
