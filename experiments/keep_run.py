@@ -1,11 +1,11 @@
 """Keep a finished run: its curves, pictures and evaluation under docs/results, its policy inside the package.
 
-With `--condition` a run becomes a policy `longer` of where learning pays (`experiments.conditions`). It takes the place
-of those that are there, or with `--add` joins them.
+With `--condition` its policy becomes the one that learned longer on a farm of `experiments.conditions`. It takes the
+place of those that are there, or with `--add` joins them.
 
 python -m experiments.keep_run runs/default-... --commit abc1234 --ship
 python -m experiments.keep_run runs/long-... --commit abc1234 --ship --policy trained:long --output docs/results/long
-python -m experiments.keep_run runs/battery-... --commit abc1234 --condition batteries --ship --policy trained:battery
+python -m experiments.keep_run runs/battery-... --commit abc1234 --condition batteries --ship
 """
 
 import json
@@ -13,16 +13,29 @@ import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 
+from common.config import RunConfig
 from common.errors import UsageError
 from common.policy_file import load_policy, save_policy
 from deploy.exit_codes import run_command
 from deploy.local.run_directory import METRICS, POLICY, RunDirectory
 from deploy.reports.provenance import provenance
 from deploy.reports.run_report import read_metrics
-from experiments.conditions import CONDITIONS, configuration, flown, page, with_another, without_longer
+from experiments.conditions import (
+    CONDITIONS,
+    Scores,
+    configuration,
+    flown,
+    kept,
+    page,
+    require_another,
+    with_another,
+    without_longer,
+)
+from experiments.reporting import store_results
 from rollout.evaluation import evaluate
 from rollout.policies import SHIPPED, policy_of
 
@@ -47,37 +60,37 @@ class Arguments:
     ship: bool = False
     """Make its policy one that ships with the package, in 16-bit numbers."""
     policy: str = "trained"
-    """Name of the policy that it then is; trained:long for a run of the preset long."""
+    """Name of the policy that it then is; trained:long for a run of the preset long. With a condition it is that of the
+    condition's preset."""
 
 
 def main() -> int:
     """Keep a run as a page of its own or as a condition's policy, and ship the policy where asked for; return 0."""
     arguments = tyro.cli(Arguments, prog="python -m experiments.keep_run")
+    if arguments.add and not arguments.condition:
+        raise UsageError("--add joins a condition's policies; name it with --condition.")
     if arguments.condition:
-        keep_for_condition(arguments)
+        keep_for_condition(arguments, arguments.output or Path("docs/results/conditions"))
     else:
         keep_page(arguments, arguments.output or Path("docs/results/default"))
     return 0
 
 
-def keep_for_condition(arguments: Arguments) -> None:
+def keep_for_condition(arguments: Arguments, folder: Path) -> None:
     """Write the scores of a run's policy into the results of a condition; ship the policy where asked for.
 
     Raises:
-        UsageError: there is no such condition, or the run is of another farm.
+        UsageError: see `require_fitting`.
     """
-    name, folder = arguments.condition, arguments.output or Path("docs/results/conditions")
-    if name not in CONDITIONS:
-        raise UsageError(f"there is no condition {name!r}; they are {', '.join(CONDITIONS)}.")
-    config, records = RunDirectory(arguments.run_dir).configuration(), read_metrics(arguments.run_dir / METRICS)
-    if config.farm != configuration(name, config.episodes, config.seed).farm:
-        raise UsageError(f"the run {arguments.run_dir} is of another farm than {name!r}.")
-    data = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-    farms = range(data["farms"][0], data["farms"][-1] + 1)
-    last = [record for record in records if record["kind"] == "status"][-1]
-    policy = policy_of(str(arguments.run_dir / POLICY), config.farm)
-    scores = flown(config.farm, policy, "longer", farms)
+    name, run = arguments.condition, arguments.run_dir
+    config, last = RunDirectory(run).configuration(), last_status(run)
+    require_fitting(arguments, config, kept(folder))
+    farms = json.loads((folder / "results.json").read_text(encoding="utf-8"))["farms"]
+    policy = policy_of(str(run / POLICY), config.farm)
+    scores = flown(config.farm, policy, "longer", range(farms[0], farms[-1] + 1))
     scores |= {"seed": config.seed, "seconds": round(last["elapsed"], 1), "steps": last["environment_steps"]}
+    # Another call may have written more meanwhile.
+    data = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     found = data["results"][name]
     if arguments.add:
         found = with_another(found, "longer", {**scores, "commit": arguments.commit})
@@ -85,18 +98,46 @@ def keep_for_condition(arguments: Arguments) -> None:
         found = {**without_longer(found), "longer": scores}
         found["commit"] = f"{found['commit']}, longer {arguments.commit}"
     data["results"][name] = found
-    (folder / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-    (folder / "README.md").write_text(page(data), encoding="utf-8")
+    store_results(data, page, folder)
     sys.stdout.write(f"{name}: {scores['reward'][0]:.0f} with seed {config.seed}\n")
     if arguments.ship:
-        command = f"eia-sec train --preset {CONDITIONS[name][0]} --seed {config.seed}"
+        base = CONDITIONS[name][0]
+        command = f"eia-sec train --preset {base} --seed {config.seed} --episodes {config.episodes}"
         origin = {"command": command, "commit": arguments.commit, "seed": config.seed, "episodes": last["episodes"]}
-        ship(arguments, {key: str(value) for key, value in origin.items()})
+        metadata = {key: str(value) for key, value in origin.items()}
+        ship("trained" if base == "default" else f"trained:{base}", run, metadata)
 
 
-def ship(arguments: Arguments, metadata: dict[str, str]) -> None:
-    """Write the run's policy into the package, in 16-bit numbers."""
-    save_policy(SHIPPED[arguments.policy][1], load_policy(arguments.run_dir / POLICY)[0], metadata, half=True)
+def require_fitting(arguments: Arguments, config: RunConfig, results: dict[str, Scores]) -> None:
+    """Refuse what cannot be kept for a condition.
+
+    Raises:
+        UsageError: the results do not hold the condition; the run has other settings than it; there are no policies to
+            join, or one of its seed; or its policy is to ship, and the farm is not a preset's own.
+    """
+    name, run = arguments.condition, arguments.run_dir
+    if name not in CONDITIONS or name not in results:
+        raise UsageError(f"the results hold no condition {name!r}; they hold {', '.join(results) or 'none'}.")
+    if config != configuration(name, config.episodes, config.seed):
+        raise UsageError(f"the run {run} has other settings than {name!r}.")
+    if arguments.add:
+        require_another(name, results[name], "longer", config.seed)
+    if arguments.ship and CONDITIONS[name][1]:
+        raise UsageError(f"the farm of {name!r} is not a preset's own, so no policy of it ships.")
+
+
+def last_status(run: Path) -> dict[str, Any]:
+    """Return the last status that a run has recorded; raise UsageError if there is none."""
+    records = read_metrics(run / METRICS) if (run / METRICS).is_file() else []
+    found = [record for record in records if record["kind"] == "status"]
+    if not found:
+        raise UsageError(f"the run {run} has recorded nothing yet.")
+    return found[-1]
+
+
+def ship(name: str, run: Path, metadata: dict[str, str]) -> None:
+    """Write a run's policy into the package as the one of this name, in 16-bit numbers."""
+    save_policy(SHIPPED[name][1], load_policy(run / POLICY)[0], metadata, half=True)
 
 
 def keep_page(arguments: Arguments, output: Path) -> None:
@@ -111,12 +152,12 @@ def keep_page(arguments: Arguments, output: Path) -> None:
     if "--run-dir" in words:
         del words[words.index("--run-dir") : words.index("--run-dir") + 2]
     outcome |= {"command": " ".join(words), "commit": arguments.commit, "packages": provenance("")["packages"]}
-    records = read_metrics(source / METRICS)
-    last = [record for record in records if record["kind"] == "status"][-1]
+    records, last = read_metrics(source / METRICS), last_status(source)
     outcome |= {key: last[key] for key in ("episodes", "environment_steps", "updates", "ledger")}
     if arguments.ship:
         config = RunDirectory(source).configuration()
-        ship(arguments, {key: str(outcome[key]) for key in ("command", "commit", "seed", "episodes", "updates")})
+        metadata = {key: str(outcome[key]) for key in ("command", "commit", "seed", "episodes", "updates")}
+        ship(arguments.policy, source, metadata)
         first, count = config.evaluation.first_farm, config.evaluation.farms
         shipped = evaluate(
             config.farm, policy_of(arguments.policy, config.farm), range(first, first + count), 1, name="trained"

@@ -19,10 +19,15 @@ def farm_range(text: str) -> range:
 def write_results(data: dict[str, Any], page: Callable[[dict[str, Any]], str], folder: Path | None) -> None:
     """Print data, and write results.json and README.md into a folder, which is made, unless it is None."""
     if folder:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-        (folder / "README.md").write_text(page(data), encoding="utf-8")
+        store_results(data, page, folder)
     sys.stdout.write(json.dumps(data) + "\n")
+
+
+def store_results(data: dict[str, Any], page: Callable[[dict[str, Any]], str], folder: Path) -> None:
+    """Write results.json and README.md into a folder, which is made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    (folder / "README.md").write_text(page(data), encoding="utf-8")
 
 
 def filled(template: Path, data: dict[str, Any], **values: Any) -> str:

@@ -71,8 +71,8 @@ class Charging:
         goals[charging] = self._stations[taken[charging]]
 
     def at_stake(self, farms: FarmBatch, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return which UAVs on the way to a station would reach it with less than half of the reserve, [k, n]."""
-        taken = self._taken[indices]
+        """Return which UAVs that have a station would reach it with less than half of the reserve, [k, n]."""
+        taken = self._taken[indices]  # -1 for none, whose way to the last station counts for nothing
         way = np.linalg.norm(self._stations[taken] - farms.position[indices], axis=-1)
         left = farms.charge[indices] - self._per_metre * way
         return np.asarray((taken >= 0) & (left < 0.5 * self._reserve * self._capacity))

@@ -2,8 +2,8 @@
 
 PX4 and ArduPilot call this the battery failsafe (`COM_LOW_BAT_ACT`, `BATT_FS_LOW_ACT`); theirs returns to launch. The
 policy gets its UAV back when the battery is nearly full. Stations are chosen as heuristics choose them (`charging`). On
-the way autopilots keep apart from others of the type as heuristics do, until half of the reserve is at stake.
-Actions are recorded as the policy gave them: to a learner, the autopilot is part of the environment.
+the way autopilots keep apart from others of the type as heuristics do, unless less than half of the reserve would be
+left. Actions are recorded as the policy gave them: to a learner, the autopilot is part of the environment.
 """
 
 from typing import ClassVar
@@ -17,7 +17,7 @@ from rollout.heuristics.charging import Charging
 from rollout.heuristics.navigation import Navigation
 from rollout.heuristics.steering import AWAY, keep_apart
 from rollout.sim.batch import FarmBatch
-from rollout.sim.boxes import Array
+from rollout.sim.boxes import Array, possible
 
 
 class FailsafeFarms(FarmBatch):
@@ -75,5 +75,7 @@ class FailsafeFarms(FarmBatch):
     def _apart(self, indices: NDArray[np.int64], position: Array, action: Array) -> Array:
         """Return the actions of some environments without what closes in on others of the type, [k, n, 2]."""
         world, wind = self.config.world, self._navigation.wind(self, indices)
+        # A policy may command more than anybody can fly.
+        action = np.clip(action, *possible(np.zeros(2) if wind is None else wind))
         parts = [keep_apart(position[:, rows], action[:, rows], world, wind) for rows in self.team.agent_slices()]
         return np.concatenate(parts, axis=1)

@@ -8,6 +8,7 @@ import pytest
 
 from common.config import RunConfig
 from common.config.files import to_toml
+from common.config.presets import PRESETS
 from common.errors import UsageError
 from common.farm import farm_team
 from common.policy_file import load_policy, save_policy
@@ -54,26 +55,46 @@ def call(monkeypatch, *words):
 def test_a_run_takes_the_place_of_a_conditions_policies_and_others_join_it(results, tmp_path, monkeypatch):
     """First seed 4 alone, then seed 5 beside it; the page and the policy that ships are of these runs."""
     shipped = tmp_path / "shipped.safetensors"
-    monkeypatch.setitem(SHIPPED, "trained:tiny", (SHIPPED["trained"][0], shipped))
+    monkeypatch.setitem(PRESETS, "tiny", configuration("tiny", 2, 0))
+    monkeypatch.setitem(CONDITIONS, "tiny", ("tiny", ""))
+    monkeypatch.setitem(SHIPPED, "trained:tiny", ("tiny", shipped))
     for seed in (4, 5):
         run = finished_run(tmp_path / str(seed), configuration("tiny", 2, seed))
-        more = ["--ship", "--policy", "trained:tiny"] if seed == 4 else ["--add"]
-        words = run, "--commit", f"new{seed}", "--condition", "tiny", "--output", results, *more
-        assert call(monkeypatch, *words) == 0
+        words = run, "--commit", f"new{seed}", "--condition", "tiny", "--output", results
+        assert call(monkeypatch, *words, "--ship" if seed == 4 else "--add") == 0
     found = json.loads((results / "results.json").read_text(encoding="utf-8"))["results"]["tiny"]
     assert (found["longer"]["seed"], found["commit"]) == (4, "old, longer new4")
     assert [(other["seed"], other["commit"]) for other in found["longer"]["others"]] == [(5, "new5")]
     assert found["longer"]["seconds"] == 7.0
     assert "longer 5 new5" in (results / "README.md").read_text(encoding="utf-8")
-    assert load_policy(shipped)[1]["command"] == "eia-sec train --preset default --seed 4"
+    assert load_policy(shipped)[1]["command"] == "eia-sec train --preset tiny --seed 4 --episodes 2"
 
 
-def test_a_run_of_another_farm_is_refused(results, tmp_path, monkeypatch):
-    """Its policy would not be one of the condition; nothing is written."""
+REFUSED = {
+    "no condition": (["--condition", "huge"], 4, "no condition 'huge'"),
+    "not in the results": (["--condition", "no-fly zones"], 4, "no condition 'no-fly zones'"),
+    "another farm": (["--condition", "tiny"], None, "other settings"),
+    "the seed is there": (["--condition", "tiny", "--add"], 0, "has seed 0 already"),
+    "no preset's farm": (["--condition", "tiny", "--ship"], 4, "not a preset's own"),
+    "nothing to join": (["--add"], 4, "name it with --condition"),
+}
+
+
+@pytest.mark.parametrize(("words", "seed", "sentence"), REFUSED.values(), ids=REFUSED)
+def test_mistakes_are_one_sentence_and_change_nothing(results, tmp_path, monkeypatch, words, seed, sentence):
+    """The results stay as they are, and no policy ships."""
     before = (results / "results.json").read_bytes()
-    run = finished_run(tmp_path / "run", configuration("default", 2, 0))
-    with pytest.raises(UsageError, match="another farm"):
-        call(monkeypatch, run, "--commit", "new", "--condition", "tiny", "--output", results)
-    with pytest.raises(UsageError, match="no condition 'huge'"):
-        call(monkeypatch, run, "--commit", "new", "--condition", "huge", "--output", results)
+    config = configuration("default", 2, 0) if seed is None else configuration("tiny", 2, seed)
+    run = finished_run(tmp_path / "run", config)
+    with pytest.raises(UsageError, match=sentence):
+        call(monkeypatch, run, "--commit", "new", "--output", results, *words)
     assert (results / "results.json").read_bytes() == before
+
+
+def test_a_run_that_has_recorded_nothing_is_refused(results, tmp_path, monkeypatch):
+    """Its metrics are empty, or there are none."""
+    run = finished_run(tmp_path / "run", configuration("tiny", 2, 4))
+    for spoil in (lambda: (run / METRICS).write_text("", encoding="utf-8"), (run / METRICS).unlink):
+        spoil()
+        with pytest.raises(UsageError, match="recorded nothing"):
+            call(monkeypatch, run, "--commit", "new", "--condition", "tiny", "--output", results)

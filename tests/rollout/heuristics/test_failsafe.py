@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import BatteryConfig, WindConfig, ZoneConfig
+from common.config import BatteryConfig, FailureConfig, WindConfig, ZoneConfig
 from common.config.presets import preset
 from common.errors import ConfigError, SimulationError
 from rollout.heuristics.advised import AdvisedFarms
@@ -18,7 +18,13 @@ from rollout.sim.layout import make_layout
 from rollout.sim.stations import station_places
 from tests.rollout.sim.properties.strategies import placed
 
-PLAIN = replace(preset("battery").farm, battery=replace(preset("battery").farm.battery, failsafe=0.0))
+SEARCHING = preset("battery").farm
+PLAIN = replace(
+    SEARCHING,
+    battery=replace(SEARCHING.battery, failsafe=0.0),
+    observation=replace(SEARCHING.observation, plan=0),
+)
+"""Without plans, which would take most of the tests' time."""
 WATCHED = replace(PLAIN, battery=replace(PLAIN.battery, failsafe=0.2))
 WINDY = replace(WATCHED, wind=WindConfig(speed=2.0, gusts=1.0), zones=ZoneConfig(random=3))
 
@@ -104,24 +110,51 @@ def test_a_uav_charges_until_it_is_nearly_full():
     assert (farms.position[0, 9] < place - 1.0).all()
 
 
+def leg(config, share, command=0.0):
+    """Return the places [30, 2] m of a collector on its way to a station, and the place at which another one begins.
+
+    Args:
+        config: the farm.
+        share: of the capacity that the collector has.
+        command: what the other one, who begins in the way, is commanded along x in the first step.
+    """
+    x, y = station_places(config)[0]
+    collectors = (x + 80.0, y + 3.0), (x + 40.0, y), (x, y + 200.0), (x + 200.0, y)
+    place = np.concatenate([start_positions(config.world, 500, 0)[:8], collectors])
+    farms, way = make_farms(config, 1), []
+    with placed(make_layout(config, 500), place, start_levels(config.world, 500, 0)):
+        farms.reset(0, 500, 0)
+    farms.charge[0, 8] = share * config.battery.capacity
+    action = np.zeros((1, 24), np.float32)
+    action[0, 18] = command
+    for _ in range(30):
+        farms.step(action)
+        way.append(farms.position[0, 8].copy())
+        action[:] = 0.0
+    assert np.linalg.norm(way[-1] - (x, y)) < 1.0
+    return np.array(way), np.array(collectors[1])
+
+
+def nearest(way, place):
+    """Return how near a way comes to a place, m."""
+    return np.linalg.norm(way - place, axis=1).min()
+
+
 def test_autopilots_keep_apart_while_there_is_charge_to_spare():
     """One that hovers in the way is flown around; where less than half of the reserve would be left, it is not."""
-    x, y = station_places(WATCHED)[0]
-    collectors = (x + 80.0, y + 3.0), (x + 40.0, y), (x, y + 200.0), (x + 200.0, y)
-    place = np.concatenate([start_positions(WATCHED.world, 500, 0)[:8], collectors])
-    levels = start_levels(WATCHED.world, 500, 0)
-    distances = {}
-    for share in (0.25, 0.15):
-        farms, least = make_farms(WATCHED, 1), np.inf
-        with placed(make_layout(WATCHED, 500), place, levels):
-            farms.reset(0, 500, 0)
-        farms.charge[0, 8] = share * WATCHED.battery.capacity
-        for _ in range(30):
-            farms.step(np.zeros((1, 24), np.float32))
-            least = min(least, np.linalg.norm(farms.position[0, 8] - farms.position[0, 9]))
-        distances[share] = least
-        assert np.linalg.norm(farms.position[0, 8] - (x, y)) < 1.0
-    assert distances[0.15] < 10.0 < WATCHED.world.safety_distance - 4.0 < distances[0.25]
+    assert nearest(*leg(WATCHED, 0.15)) < 10.0
+    assert nearest(*leg(WATCHED, 0.25)) > WATCHED.world.safety_distance - 4.0
+
+
+def test_autopilots_reckon_with_what_others_can_fly():
+    """A command of ten times full speed is flown as one of full speed, so the way is the same."""
+    np.testing.assert_array_equal(leg(WATCHED, 0.25, 10.0)[0], leg(WATCHED, 0.25, 1.0)[0])
+
+
+def test_autopilots_do_not_fly_around_uavs_that_are_gone():
+    """A UAV that has failed is in nobody's way, whatever charge is left."""
+    gone = replace(WATCHED, failures=FailureConfig(at="collection 1 at 1"))
+    assert nearest(*leg(gone, 0.25)) < 10.0
 
 
 def test_autopilots_fly_around_zones():

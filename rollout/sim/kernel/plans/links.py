@@ -24,7 +24,7 @@ def find_linked(c: Constants, farm: Farm, s: Scratch, u: int, plan: PlanScratch)
         farm: the environment.
         s: scratch.
         u: any UAV of the type.
-        plan: the function writes `linked`.
+        plan: the function writes `linked`; where links do not count it stays true everywhere.
     """
     if c.relay.link_range == math.inf:
         return
