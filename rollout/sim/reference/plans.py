@@ -84,7 +84,7 @@ class Planner:
     def served(self, point: Point) -> tuple[NDArray[np.int64], Float32]:
         """Return the sites that are served from over a lattice point, and the share of their counters, [k] each.
 
-        Where links count, nothing is where no relay is in range.
+        Where links count, none is served from a point that no relay reaches.
         """
         if point not in self._heard:
             middle = (np.array(point) + 0.5) * self._size / self.counts

@@ -115,7 +115,7 @@ def find_sites(
 def sort_by_point(found: int, first: Int32, point: Site, chance: Float32, plan: PlanScratch) -> None:
     """List the sites that are served from each lattice point, in ascending order, from the points of each site.
 
-    From over points without a link none is.
+    None is served from points without a link.
 
     Args:
         found: sites that matter.
