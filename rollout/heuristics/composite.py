@@ -23,7 +23,7 @@ from common.config import BatteryConfig, FailureConfig, FarmConfig
 from common.team import Float32
 from rollout.heuristics.charging import Charging
 from rollout.heuristics.navigation import Navigation
-from rollout.heuristics.steering import AWAY, keep_apart, loiter, loiter_speed
+from rollout.heuristics.steering import AWAY, loiter, loiter_speed
 from rollout.sim.batch import FarmBatch
 from rollout.sim.boxes import Array
 from rollout.sim.layout import Layout
@@ -159,9 +159,8 @@ class CompositePolicy:
         position = np.where(farms.gone[indices, :, None], AWAY, farms.position[indices])
         waiting = loiter(position, goals, farms.time[indices], self._loiter)
         action = self._navigation.towards(farms, indices, position, waiting)
-        world, wind = self._config.world, self._navigation.wind(farms, indices)
-        parts = [keep_apart(position[:, rows], action[:, rows], world, wind) for rows in farms.team.agent_slices()]
-        return self._navigation.stopped(farms, indices, position, np.concatenate(parts, axis=1))
+        action = self._navigation.apart(farms, indices, position, action)
+        return self._navigation.stopped(farms, indices, position, action)
 
     def _goals(self, farms: FarmBatch, index: int) -> Array:
         if (farms.gone[index] != self._gone[index]).any():

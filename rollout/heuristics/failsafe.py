@@ -9,15 +9,13 @@ left. Actions are recorded as the policy gave them: to a learner, the autopilot 
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from common.config import FarmConfig
 from common.team import Float32
 from rollout.heuristics.charging import Charging
 from rollout.heuristics.navigation import Navigation
-from rollout.heuristics.steering import AWAY, keep_apart
+from rollout.heuristics.steering import AWAY
 from rollout.sim.batch import FarmBatch
-from rollout.sim.boxes import Array, possible
 
 
 class FailsafeFarms(FarmBatch):
@@ -65,17 +63,9 @@ class FailsafeFarms(FarmBatch):
         charging, commanded = ~np.isnan(goals[some, :, 0, None]), action.reshape(self.position.shape)
         position = np.where(self.gone[some, :, None], AWAY, self.position[some])
         straight = self._navigation.towards(self, some, position, np.where(charging, goals[some], position))
-        flown = self._apart(some, position, np.where(charging, straight, commanded[some]))
+        flown = self._navigation.apart(self, some, position, np.where(charging, straight, commanded[some]))
         flown = np.where(self._charging.at_stake(self, some)[..., None], straight, flown)
         flown = self._navigation.stopped(self, some, position, flown)
         corrected = commanded.copy()
         corrected[some] = np.where(charging, flown, commanded[some])
         return corrected.reshape(action.shape)
-
-    def _apart(self, indices: NDArray[np.int64], position: Array, action: Array) -> Array:
-        """Return the actions of some environments without what closes in on others of the type, [k, n, 2]."""
-        world, wind = self.config.world, self._navigation.wind(self, indices)
-        # A policy may command more than anybody can fly.
-        action = np.clip(action, *possible(np.zeros(2) if wind is None else wind))
-        parts = [keep_apart(position[:, rows], action[:, rows], world, wind) for rows in self.team.agent_slices()]
-        return np.concatenate(parts, axis=1)

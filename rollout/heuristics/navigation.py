@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
-from rollout.heuristics.steering import towards
+from rollout.heuristics.steering import keep_apart, towards
 from rollout.sim.batch import FarmBatch
-from rollout.sim.boxes import Array, reach
+from rollout.sim.boxes import Array, possible, reach
 from rollout.sim.detours import Airspace, airspace_of
 
 
@@ -53,6 +53,14 @@ class Navigation:
             left = ~farms.gone[index]
             ways[row, left] = self._airspaces[index].waypoints(position[row, left], goals[row, left])
         return ways
+
+    def apart(self, farms: FarmBatch, indices: NDArray[np.int64], position: Array, action: Array) -> Array:
+        """Return the velocities without what closes in on others of the type, [k, n, 2]; see `keep_apart`."""
+        world, wind = self._config.world, self.wind(farms, indices)
+        # A policy may command more than anybody can fly.
+        action = np.clip(action, *possible(np.zeros(2) if wind is None else wind))
+        parts = [keep_apart(position[:, rows], action[:, rows], world, wind) for rows in farms.team.agent_slices()]
+        return np.concatenate(parts, axis=1)
 
     def stopped(self, farms: FarmBatch, indices: NDArray[np.int64], position: Array, action: Array) -> Array:
         """Return the velocities, 0 where a zone would refuse the move."""

@@ -218,16 +218,20 @@ def test_flying_the_suggested_moves_sweeps_the_field():
     assert reward[:, rows].mean() > 2600.0
 
 
+def two_full_sensors(config: FarmConfig) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Return a sensor to the left and one to the right of the middle, and levels in which these two are full."""
+    sensor = make_layout(config, 0).sensor_xy
+    left, right = (sensor[np.abs(sensor - (x, 200.0)).sum(axis=1).argmin()] for x in (140.0, 260.0))
+    age = np.zeros(config.world.sensors)
+    age[(sensor == right).all(axis=1) | (sensor == left).all(axis=1)] = 5.0
+    return left, right, (age, ground()[1])
+
+
 def test_a_collector_plans_for_its_own_sensors_alone():
     """Of two full sensors to the left and to the right, one is nearer to a peer. The plan leads to the other."""
     world = WorldConfig(communication_uavs=1, monitoring_uavs=1, collection_uavs=2)
     config = FarmConfig(world=world, observation=ObservationConfig(mirrored=False, plan=8))
-    layout = make_layout(config, 0)
-    right = layout.sensor_xy[np.abs(layout.sensor_xy - (260.0, 200.0)).sum(axis=1).argmin()]
-    left = layout.sensor_xy[np.abs(layout.sensor_xy - (140.0, 200.0)).sum(axis=1).argmin()]
-    age = np.zeros(world.sensors)
-    age[(layout.sensor_xy == right).all(axis=1) | (layout.sensor_xy == left).all(axis=1)] = 5.0
-    levels = age, np.zeros((world.plots_x, world.plots_y))
+    left, right, levels = two_full_sensors(config)
     for peer, way in ((left, 1), (right, -1)):
         batch = placed_batch(config, np.array([[0.0, 0.0], [5.0, 5.0], [205.0, 205.0], peer]), levels)
         seen = views(config, batch, 2)
@@ -241,12 +245,7 @@ def test_plans_leave_out_what_no_link_carries():
     world = WorldConfig(communication_uavs=1, monitoring_uavs=1, collection_uavs=1)
     relay = RelayConfig(require_link=True, link_range=40.0)
     config = FarmConfig(world=world, relay=relay, observation=ObservationConfig(mirrored=False, plan=8))
-    layout = make_layout(config, 0)
-    right = layout.sensor_xy[np.abs(layout.sensor_xy - (260.0, 200.0)).sum(axis=1).argmin()]
-    left = layout.sensor_xy[np.abs(layout.sensor_xy - (140.0, 200.0)).sum(axis=1).argmin()]
-    age = np.zeros(world.sensors)
-    age[(layout.sensor_xy == right).all(axis=1) | (layout.sensor_xy == left).all(axis=1)] = 5.0
-    levels = age, np.zeros((world.plots_x, world.plots_y))
+    left, right, levels = two_full_sensors(config)
     for place, way in ((left, -1), (right, 1)):
         batch = placed_batch(config, np.array([place, [5.0, 5.0], [205.0, 205.0]]), levels)
         seen = views(config, batch, 2)
