@@ -13,7 +13,6 @@ import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import tyro
 
@@ -35,7 +34,7 @@ from experiments.conditions import (
     with_another,
     without_longer,
 )
-from experiments.reporting import store_results
+from experiments.reporting import last_status, store_results
 from rollout.evaluation import evaluate
 from rollout.policies import SHIPPED, policy_of
 
@@ -124,15 +123,6 @@ def require_fitting(arguments: Arguments, config: RunConfig, results: dict[str, 
         require_another(name, results[name], "longer", config.seed)
     if arguments.ship and CONDITIONS[name][1]:
         raise UsageError(f"the farm of {name!r} is not a preset's own, so no policy of it ships.")
-
-
-def last_status(run: Path) -> dict[str, Any]:
-    """Return the last status that a run has recorded; raise UsageError if there is none."""
-    records = read_metrics(run / METRICS) if (run / METRICS).is_file() else []
-    found = [record for record in records if record["kind"] == "status"]
-    if not found:
-        raise UsageError(f"the run {run} has recorded nothing yet.")
-    return found[-1]
 
 
 def ship(name: str, run: Path, metadata: dict[str, str]) -> None:

@@ -7,6 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from common.errors import UsageError
+from deploy.local.run_directory import METRICS
+from deploy.reports.run_report import read_metrics
+
 
 def farm_range(text: str) -> range:
     """Return the farm seeds A to B - 1 of a text "A:B"; raise ArgumentTypeError where it names none."""
@@ -28,6 +32,15 @@ def store_results(data: dict[str, Any], page: Callable[[dict[str, Any]], str], f
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "results.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
     (folder / "README.md").write_text(page(data), encoding="utf-8")
+
+
+def last_status(run: Path) -> dict[str, Any]:
+    """Return the last status that a run has recorded; raise UsageError if there is none."""
+    records = read_metrics(run / METRICS) if (run / METRICS).is_file() else []
+    found = [record for record in records if record["kind"] == "status"]
+    if not found:
+        raise UsageError(f"the run {run} has recorded nothing yet.")
+    return found[-1]
 
 
 def filled(template: Path, data: dict[str, Any], **values: Any) -> str:

@@ -21,6 +21,7 @@ from common.farm import COMMUNICATION
 from deploy.local.run_directory import METRICS, POLICY, RunDirectory
 from deploy.reports.run_report import read_metrics
 from experiments.exchange import Exchange
+from experiments.reporting import last_status
 from experiments.studies.analysis.statistics import interval, mean
 from experiments.studies.scales import FIRST_REPORTED
 from rollout.evaluation import evaluate
@@ -76,7 +77,7 @@ def summary(path: Path, commit: str, goal: float) -> dict[str, Any]:
     farms = range(FIRST_REPORTED, FIRST_REPORTED + FARMS)
     found = evaluate(config.farm, policy, farms, 1, name=f"seed {config.seed}")
     scripted = evaluate(config.farm, scripted_relays(policy, config.farm), farms, 1, name=SCRIPT)
-    last = [record for record in records if record["kind"] == "status"][-1]
+    last = last_status(path)
     plain = found.to_dict()
     return {
         "seed": config.seed,
