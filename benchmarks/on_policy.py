@@ -32,14 +32,14 @@ if __name__ == "__main__":  # who imports this chooses threads himself
 import numpy as np
 import torch
 
-from common.actors import actor_outputs
+from common.actors import TeamActors, actor_outputs
 from common.config import OnPolicyConfig, RunConfig
 from common.config.files import with_values
 from common.config.presets import preset
 from common.farm import farm_team
 from common.protocol.chunk_messages import from_message, to_message
 from common.protocol.messages import ChunkMessage
-from common.team import TeamSpec
+from common.team import Float32, TeamSpec
 from common.transitions import Chunk
 from deploy.exit_codes import run_command
 from deploy.local.memory import keep_freed_memory
@@ -47,6 +47,7 @@ from deploy.reports.provenance import provenance
 from learner.on_policy.policies import HEAD
 from learner.on_policy.trainer import OnPolicyTrainer
 from rollout.worker.collector import Collector
+from rollout.worker.compiled_choices import CompiledChoices
 
 ONE_CORE = {"learner.update_threads": 1}
 SQUARE = 1024
@@ -131,17 +132,27 @@ def _learning(trainer: OnPolicyTrainer, collector: Collector, chunks: list[Chunk
     }
 
 
-def _parts(collector: Collector, actors: Any, repeats: int) -> tuple[float, float]:
+def _parts(collector: Collector, actors: TeamActors, repeats: int) -> tuple[float, float]:
     """Return seconds of a step of all environments, and of the decisions for it."""
-    environments, team = collector.environments, collector.team
-    random = np.random.default_rng(0)
-    normal = random.standard_normal((len(environments.time), team.action_size), np.float32)
-    uniform = random.random(normal.shape, np.float32)
-    action = team.adapt(environments.observation, actors.sample(environments.observation, normal, uniform)[0])
-    deciding = least(lambda: actors.sample(environments.observation, normal, uniform), 20 * repeats)
+    environments = collector.environments
+    decide = _deciding(collector, actors)
+    action = decide()
+    deciding = least(decide, 20 * repeats)
     for index in range(len(environments.time)):
         environments.reset(index, index, 0)
     return least(lambda: environments.step(action), 20 * repeats), deciding
+
+
+def _deciding(collector: Collector, actors: TeamActors) -> Callable[[], Float32]:
+    """Return a function that decides for all environments, as a worker does; it returns the environments' actions."""
+    observation, team = collector.environments.observation, collector.team
+    random = np.random.default_rng(0)
+    normal = random.standard_normal((len(observation), team.action_size), np.float32)
+    uniform = random.random(normal.shape, np.float32)
+    if CompiledChoices.supports(team):
+        choices = CompiledChoices(team)
+        return lambda: choices.sample(actors, observation, uniform, None)[2]
+    return lambda: team.adapt(observation, actors.sample(observation, normal, uniform)[0])
 
 
 def _encoded(chunk: Chunk, team: TeamSpec) -> bytes:
@@ -150,7 +161,10 @@ def _encoded(chunk: Chunk, team: TeamSpec) -> bytes:
 
 def _through_the_wire(chunk: Chunk, collector: Collector) -> None:
     names = collector.environments.spec.metric_names
-    from_message(ChunkMessage.decode(_encoded(chunk, collector.team)), collector.team, names, on_policy=True)
+    rounded = chunk.rows.observation.dtype == np.uint16
+    from_message(
+        ChunkMessage.decode(_encoded(chunk, collector.team)), collector.team, names, on_policy=True, rounded=rounded
+    )
 
 
 def main() -> int:

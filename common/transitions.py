@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from common.errors import SchemaError
 from common.gru import MOST_STATE
+from common.protocol import bfloat16
+from common.protocol.bfloat16 import Bits
 from common.team import Float32, TeamSpec
 
 TRANSITION: Final = 1
@@ -38,7 +40,8 @@ class Rows:
     """Consecutive rows of one or more segments.
 
     Attributes:
-        observation: [R, O] float32.
+        observation: [R, O] float32, or bfloat16 numbers as uint16 (`common.protocol.bfloat16`) if the run says so
+            (`RunConfig.bfloat16_observations`), which halves messages and memory.
         action: [R, A] float32 in [-1, 1], or indices of options; zeros where no step follows.
         reward: [R, agents] float32; zeros where no step follows.
         flag: [R] uint8 of TRANSITION, TERMINATED and TRUNCATED.
@@ -49,7 +52,7 @@ class Rows:
             environment's later segments in the same rows begin an episode, and so with a state of 0.
     """
 
-    observation: Float32
+    observation: Float32 | Bits
     action: Float32
     reward: Float32
     flag: NDArray[np.uint8]
@@ -76,12 +79,13 @@ class Rows:
             raise SchemaError("a segment reaches from one environment into the next.")
         return found
 
-    def check(self, team: TeamSpec, memory: int = 0) -> None:
+    def check(self, team: TeamSpec, memory: int = 0, *, rounded: bool = False) -> None:
         """Raise SchemaError unless shapes fit the team, all numbers are finite, and flags form whole segments.
 
         Args:
             team: the layout of the team.
             memory: h, numbers in an actor's state; 0 for actors without memory.
+            rounded: whether observations must be bfloat16 numbers; else they must be float32.
         """
         rows = self.flag.shape[0] if self.flag.ndim == 1 else -1
         wanted = {
@@ -92,10 +96,11 @@ class Rows:
         if self.log_probability is not None:
             wanted["log_probability"] = (self.log_probability, (rows, team.agents))
         for name, (array, shape) in wanted.items():
-            if array.shape != shape or array.dtype != np.float32:
-                raise SchemaError(f"{name} is {array.dtype}{list(array.shape)}, not float32{list(shape)}.")
-            # One huge number would spoil Adam's moments for good; NaN fails the comparison too.
-            if not (np.abs(array) <= LARGEST).all():
+            kind = np.dtype(np.uint16 if rounded and name == "observation" else np.float32)
+            if array.shape != shape or array.dtype != kind:
+                raise SchemaError(f"{name} is {array.dtype}{list(array.shape)}, not {kind}{list(shape)}.")
+            # One huge number would spoil Adam's moments for good.
+            if not _in_range(array):
                 raise SchemaError(f"{name} holds a number that is not finite or larger than {LARGEST:g}.")
         if self.flag.dtype != np.uint8 or not _WHOLE.fullmatch(self.flag.tobytes()):
             raise SchemaError("the flags do not form whole segments.")
@@ -123,6 +128,14 @@ class Rows:
                     raise SchemaError("an action lies outside [-1, 1].")
             elif not ((action >= 0) & (action < np.array(group.choices)) & (action == np.floor(action))).all():
                 raise SchemaError(f"a {group.name} action is not the index of an option.")
+
+
+def _in_range(array: Float32 | Bits) -> bool:
+    """Return whether all numbers are finite and none is larger than LARGEST."""
+    if array.dtype == np.uint16:
+        return bfloat16.within(array.view(np.uint16), LARGEST)
+    # NaN propagates through min and max, and fails both comparisons.
+    return bool(array.min(initial=0.0) >= -LARGEST and array.max(initial=0.0) <= LARGEST)
 
 
 @dataclass(frozen=True)

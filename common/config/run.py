@@ -148,6 +148,11 @@ class RunConfig:
         """Whether the algorithm learns on policy, from rows with log-probabilities and without a replay buffer."""
         return isinstance(self.algorithm, OnPolicyConfig)
 
+    @property
+    def bfloat16_observations(self) -> bool:
+        """Whether rows store observations as bfloat16 numbers."""
+        return isinstance(self.algorithm, OnPolicyConfig) and self.algorithm.bfloat16_observations
+
     def exploration_at(self, progress: float, environment_steps: int) -> tuple[float, bool]:
         """Return the exploration noise of off-policy algorithms; those that learn on policy sample without any.
 

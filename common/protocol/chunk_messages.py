@@ -50,7 +50,13 @@ def to_message(chunk: Chunk, team: TeamSpec, version: int, produced: int) -> Chu
 
 
 def from_message(
-    message: ChunkMessage, team: TeamSpec, episode_metrics: Collection[str], *, on_policy: bool = False, memory: int = 0
+    message: ChunkMessage,
+    team: TeamSpec,
+    episode_metrics: Collection[str],
+    *,
+    on_policy: bool = False,
+    memory: int = 0,
+    rounded: bool = False,
 ) -> Chunk:
     """Return the chunk of a message, checked against the team.
 
@@ -60,12 +66,12 @@ def from_message(
         episode_metrics: names of the environment's episode metrics; a finished episode has exactly these.
         on_policy: whether the rows must have log-probabilities; else they must have none.
         memory: numbers in an actor's state; 0 if the rows must have none.
+        rounded: whether observations must be bfloat16 numbers; else they must be float32.
 
     Raises:
         VersionError: when it is for another team.
-        SchemaError: when a shape does not fit, a number is not finite, an action leaves [-1, 1] or is not the index of
-            an option, the worker's step count is impossible, or a finished episode has other metrics, or sums larger
-            than its steps allow.
+        SchemaError: when rows fail `Rows.check`, the worker's step count is impossible, or a finished episode has other
+            metrics, or sums larger than its steps allow.
     """
     if message.team != team.digest:
         raise VersionError(f"the rows are for team {message.team[:16]}, the learner trains team {team.digest}.")
@@ -74,7 +80,7 @@ def from_message(
         raise SchemaError("rows have log-probabilities if the algorithm learns on policy, and only then.")
     columns = message.observation, message.action, message.reward, message.flag
     rows = Rows(*columns, log_probability if on_policy else None, message.state)
-    rows.check(team, memory)
+    rows.check(team, memory, rounded=rounded)
     if not rows.steps <= message.produced <= MOST_COUNT:
         raise SchemaError(f"a chunk of {rows.steps} steps cannot bring the steps produced to {message.produced}.")
     count = message.farm.shape[0] if message.farm.ndim == 1 else -1

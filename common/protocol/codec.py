@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import fields
 from types import NoneType, UnionType
-from typing import Any, ClassVar, Final, Self, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Final, Self, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -88,14 +88,19 @@ def _resolved(kind: Any) -> Any:
 
 def _reader(name: str, kind: Any) -> Reader:
     kind = _resolved(kind)
-    if isinstance(kind, UnionType):
-        (inner,) = (part for part in get_args(kind) if part is not NoneType)
+    parts = [_resolved(part) for part in get_args(kind)] if _is_union(kind) else [kind]
+    if NoneType in parts:
+        (inner,) = (part for part in parts if part is not NoneType)
         return functools.partial(_read_optional, name, _reader(name, inner))
-    if get_origin(kind) is np.ndarray:
-        return functools.partial(_read_array, name, _dtype(kind))
+    if all(get_origin(part) is np.ndarray for part in parts):
+        return functools.partial(_read_array, name, tuple(map(_dtype, parts)))
     if get_origin(kind) is tuple and get_origin(part := _resolved(get_args(kind)[0])) is np.ndarray:
-        return functools.partial(_read_arrays, name, _dtype(part))
+        return functools.partial(_read_arrays, name, (_dtype(part),))
     return functools.partial(_read_scalar, name, kind)
+
+
+def _is_union(kind: Any) -> bool:
+    return isinstance(kind, UnionType) or get_origin(kind) is Union
 
 
 def _dtype(kind: Any) -> np.dtype[Any]:
@@ -104,7 +109,7 @@ def _dtype(kind: Any) -> np.dtype[Any]:
 
 
 def _read_array(
-    name: str, wanted: np.dtype[Any], scalars: dict[str, Any], arrays: dict[str, frame.Array]
+    name: str, wanted: tuple[np.dtype[Any], ...], scalars: dict[str, Any], arrays: dict[str, frame.Array]
 ) -> frame.Array:
     if name not in arrays:
         raise SchemaError(f"array {name} is missing.")
@@ -112,7 +117,7 @@ def _read_array(
 
 
 def _read_arrays(
-    name: str, wanted: np.dtype[Any], scalars: dict[str, Any], arrays: dict[str, frame.Array]
+    name: str, wanted: tuple[np.dtype[Any], ...], scalars: dict[str, Any], arrays: dict[str, frame.Array]
 ) -> tuple[frame.Array, ...]:
     parts: list[frame.Array] = []
     while (key := f"{name}.{len(parts)}") in arrays:
@@ -130,9 +135,9 @@ def _read_scalar(name: str, kind: Any, scalars: dict[str, Any], arrays: dict[str
     return _scalar(name, kind, scalars.pop(name))
 
 
-def _array(name: str, wanted: np.dtype[Any], value: frame.Array) -> frame.Array:
-    if value.dtype != wanted:
-        raise SchemaError(f"array {name} is {value.dtype}, not {wanted}.")
+def _array(name: str, wanted: tuple[np.dtype[Any], ...], value: frame.Array) -> frame.Array:
+    if value.dtype not in wanted:
+        raise SchemaError(f"array {name} is {value.dtype}, not {' or '.join(map(str, wanted))}.")
     return value
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from common.errors import FrameError, SchemaError, VersionError
 
-PROTOCOL: Final = 4
+PROTOCOL: Final = 5
 """Version of the protocol; every key contains it."""
 MAX_FRAME: Final = 256 * 1024 * 1024
 """Largest frame that is decoded, bytes."""
@@ -31,7 +31,7 @@ MAX_HEADER: Final = 4 * 1024 * 1024
 _PREFIX: Final = struct.Struct("<4sBBHIQI")
 _MAGIC: Final = b"EIAS"
 _LOW: Final = 2**32 - 1
-_DTYPES: Final = {"<f4": 4, "<f8": 8, "|u1": 1, "<i4": 4, "<i8": 8}
+_DTYPES: Final = {"<f4": 4, "<f8": 8, "|u1": 1, "<u2": 2, "<i4": 4, "<i8": 8}
 
 Array = NDArray[Any]
 Data = bytes | memoryview
@@ -44,7 +44,7 @@ def encode(kind: int, fields: Mapping[str, Any], arrays: Mapping[str, Array]) ->
     Args:
         kind: the message type's number, 0..255.
         fields: msgpack-able values.
-        arrays: float32, float64, uint8, int32 or int64 arrays of any shape.
+        arrays: float32, float64, uint8, uint16, int32 or int64 arrays of any shape.
 
     Raises:
         SchemaError: when an array has any other dtype.

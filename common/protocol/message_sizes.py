@@ -20,8 +20,8 @@ def chunk_bytes(config: RunConfig, environment: EnvironmentSpec) -> int:
     """Return the bytes of a worker's largest chunk, in which episodes are as short as the environment allows."""
     steps, team = config.rollout.chunk_steps, environment.team
     ends = math.ceil(steps / environment.episode_steps[0])
-    numbers = team.observation_size + team.action_size + team.agents * (2 if config.learns_on_policy else 1)
-    row = 4 * numbers + 1
+    observation = team.observation_size * (2 if config.bfloat16_observations else 4)
+    row = observation + 4 * (team.action_size + team.agents * (2 if config.learns_on_policy else 1)) + 1
     episodes = config.rollout.environments * ends
     state = 4 * config.rollout.environments * team.agents * config.memory_size
     return config.rollout.chunk_rows(ends) * row + episodes * (EPISODE_BYTES + 4 * team.agents) + state

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.imitation import ImitationEvent
+from common.protocol.bfloat16 import Bits
 from common.protocol.codec import NO_LIMIT, Message
 from common.protocol.frame import MAX_HEADER
 from common.team import Float32
@@ -50,7 +51,7 @@ class ChunkMessage(Message):
     team: str
     version: int
     produced: int
-    observation: Float32
+    observation: Float32 | Bits
     action: Float32
     reward: Float32
     flag: NDArray[np.uint8]

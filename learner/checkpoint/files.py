@@ -33,6 +33,7 @@ from safetensors import SafetensorError
 from torch import Tensor
 
 from common.errors import CheckpointError
+from common.protocol import bfloat16
 from learner.data.tensor_snapshot import Frozen
 
 FORMAT: Final = 1
@@ -43,7 +44,14 @@ MAX_TENSORS: Final = 64 * 2**30
 _NAME = re.compile(r"checkpoint-(\d{8,12})")
 _PARTIAL = "partial-"
 _DAMAGED = "damaged-"
-_DTYPES: Final = {torch.float64: "F64", torch.int64: "I64", torch.float32: "F32", torch.int32: "I32", torch.uint8: "U8"}
+_DTYPES: Final = {
+    torch.float64: "F64",
+    torch.int64: "I64",
+    torch.float32: "F32",
+    torch.int32: "I32",
+    torch.bfloat16: "BF16",
+    torch.uint8: "U8",
+}
 _PIECE_BYTES: Final = 2**20
 _FAULTS: Final = (OSError, ValueError, KeyError, TypeError, RecursionError, SafetensorError)
 """Exceptions that reading a damaged checkpoint may raise."""
@@ -231,13 +239,20 @@ def _pieces(name: str, tensor: Tensor | Frozen) -> Iterator[NDArray[np.uint8]]:
     """Yield a tensor's bytes; raise CheckpointError when a number is not finite."""
     parts = tensor.pieces() if isinstance(tensor, Frozen) else [tensor.detach().cpu()]
     for part in parts:
-        array = part.numpy().reshape(-1)
+        array = (part.view(torch.uint16) if part.dtype == torch.bfloat16 else part).numpy().reshape(-1)
         step = _PIECE_BYTES // array.itemsize
         for start in range(0, array.size, step):
             piece = array[start : start + step]
-            if piece.dtype.kind == "f" and not np.isfinite(piece).all():
+            if not _finite(piece):
                 raise CheckpointError(f"{name} holds a number that is not finite.")
             yield piece.view(np.uint8)
+
+
+def _finite(piece: NDArray[Any]) -> bool:
+    """Return whether all numbers are finite; those of type uint16 are bfloat16 numbers."""
+    if piece.dtype == np.uint16:
+        return bfloat16.are_finite(piece)
+    return piece.dtype.kind != "f" or bool(np.isfinite(piece).all())
 
 
 def _write_tensors(path: Path, tensors: Mapping[str, Tensor | Frozen], rest: float) -> tuple[int, str]:

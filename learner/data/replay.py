@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from common.errors import CheckpointError, ConfigError, EiaSecError
+from common.protocol.bfloat16 import Bits
 from common.team import Float32, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, Rows
 from learner.data import replay_kernels
@@ -272,7 +273,7 @@ class Replay:
         return counts, used
 
 
-def _write(target: Float32 | Tensor, start: int, stop: int, source: Float32, index: Indices) -> None:
+def _write(target: Float32 | Tensor, start: int, stop: int, source: Float32 | Bits, index: Indices) -> None:
     """Copy the rows `index` of an array to rows start .. stop - 1; on a CPU, without a temporary copy."""
     if isinstance(target, Tensor):
         target[start:stop].copy_(torch.from_numpy(source[index]))

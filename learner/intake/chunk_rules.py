@@ -41,6 +41,7 @@ class ChunkRules:
         episode_metrics: names of the environment's episode metrics.
         log_probabilities: whether rows hold log-probabilities, as algorithms that learn on policy need.
         memory: numbers in an actor's state, which rows then hold; 0 for actors without memory.
+        rounded: whether rows hold observations as bfloat16 numbers.
     """
 
     environments: int
@@ -51,13 +52,15 @@ class ChunkRules:
     episode_metrics: tuple[str, ...] = ()
     log_probabilities: bool = False
     memory: int = 0
+    rounded: bool = False
 
     @classmethod
     def of(cls, config: RunConfig, environment: EnvironmentSpec) -> "ChunkRules":
         """Return the rules of a run."""
         rollout, steps = config.rollout, environment.episode_steps
         sizes = rollout.environments, rollout.chunk_steps, rollout.spool_chunks
-        return cls(*sizes, *steps, environment.metric_names, config.learns_on_policy, config.memory_size)
+        on_policy, memory, rounded = config.learns_on_policy, config.memory_size, config.bfloat16_observations
+        return cls(*sizes, *steps, environment.metric_names, on_policy, memory, rounded)
 
     @property
     def steps(self) -> int:
@@ -70,7 +73,14 @@ class ChunkRules:
         Raises:
             VersionError, SchemaError: see `common.protocol.chunk_messages.from_message`.
         """
-        chunk = from_message(message, team, self.episode_metrics, on_policy=self.log_probabilities, memory=self.memory)
+        chunk = from_message(
+            message,
+            team,
+            self.episode_metrics,
+            on_policy=self.log_probabilities,
+            memory=self.memory,
+            rounded=self.rounded,
+        )
         state = chunk.rows.state
         if state is not None and len(state) != self.environments:
             raise SchemaError(f"the states are those of {len(state)} environments, not of {self.environments}.")

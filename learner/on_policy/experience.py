@@ -1,14 +1,17 @@
 """The rows of one iteration, and how they are split by type of agent."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from common.config import OnPolicyConfig
 from common.errors import CheckpointError, SchemaError
+from common.protocol.bfloat16 import to_bits
 from common.team import TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
 from learner.on_policy.side_by_side import SideBySide
@@ -22,21 +25,21 @@ class Experience:
     """Chunks of one iteration, in the order in which they came.
 
     Args:
-        team: the layout of the team.
+        config: the algorithm's configuration.
 
     Attributes:
         steps: environment steps in them.
         lag: sum over the steps of their policies' ages when they came, in parameter versions.
     """
 
-    def __init__(self, team: TeamSpec) -> None:
-        self._team = team
+    def __init__(self, config: OnPolicyConfig) -> None:
+        self._config = config
         self._chunks: list[Rows] = []
         self.steps = self.lag = 0
 
     def add(self, chunk: Chunk, lag: int) -> None:
         """Add a chunk whose policy is `lag` versions old."""
-        self._chunks.append(chunk.rows)
+        self._chunks.append(_as_configured(chunk.rows, self._config))
         self.steps += chunk.rows.steps
         self.lag += lag * chunk.rows.steps
 
@@ -54,7 +57,7 @@ class Experience:
             return {}
         rows = self.rows()
         # Rows are never written again, so a checkpoint may share their memory.
-        return {f"{prefix}.{name}": torch.from_numpy(np.asarray(getattr(rows, name))) for name in fields_of(rows)}
+        return {f"{prefix}.{name}": as_tensor(np.asarray(getattr(rows, name))) for name in fields_of(rows)}
 
     @classmethod
     def restored(
@@ -73,13 +76,14 @@ class Experience:
         Raises:
             CheckpointError: when it does not fit the team or its count of steps.
         """
-        found = cls(team)
+        found = cls(config)
         if steps == 0:
             return found
         names = FIELDS if config.memory == "none" else (*FIELDS, STATE)
         rows = Rows(**{name: _array(tensors, f"{prefix}.{name}") for name in names})
         try:
-            rows.check(team, config.memory_size)
+            rows = _as_configured(rows, config)  # earlier versions kept all observations as float32
+            rows.check(team, config.memory_size, rounded=config.bfloat16_observations)
             if rows.state is not None and len(rows.steps_by_environment()) % config.sequence_steps:
                 raise SchemaError("an environment's steps are not whole sequences.")
         except SchemaError as error:
@@ -129,10 +133,28 @@ def _contiguous(part: Tensor, dtype: torch.dtype) -> Tensor:
 
 def _array(tensors: dict[str, Tensor], name: str) -> Any:
     tensor = tensors.get(name)
-    # numpy has no bfloat16.
-    if tensor is None or tensor.dtype not in (torch.float32, torch.uint8):
+    if tensor is None or tensor.dtype not in (torch.float32, torch.bfloat16, torch.uint8):
         raise CheckpointError(f"the checkpoint's {name} is missing or has an impossible type.")
-    return tensor.numpy()
+    return (tensor.view(torch.uint16) if tensor.dtype == torch.bfloat16 else tensor).numpy()
+
+
+def as_tensor(array: NDArray[Any]) -> Tensor:
+    """Return the tensor of an array of rows, in the same memory; numbers of type uint16 are bfloat16 numbers."""
+    tensor = torch.from_numpy(array)
+    return tensor.view(torch.bfloat16) if tensor.dtype == torch.uint16 else tensor
+
+
+def _as_configured(rows: Rows, config: OnPolicyConfig) -> Rows:
+    """Return the rows with observations as the configuration wants them.
+
+    Raises:
+        SchemaError: they are bfloat16 numbers in a run that wants float32, or of any other type.
+    """
+    if rows.observation.dtype == (np.uint16 if config.bfloat16_observations else np.float32):
+        return rows
+    if rows.observation.dtype != np.float32:
+        raise SchemaError(f"observations of rows are {rows.observation.dtype}, not float32.")
+    return replace(rows, observation=to_bits(rows.observation.view(np.float32)))
 
 
 def fields_of(rows: Rows) -> tuple[str, ...]:

@@ -72,16 +72,16 @@ class Stack(nn.Module):
             flat = x.reshape(-1, x.shape[2])
             return self._one(flat).view(x.shape[0], x.shape[1], -1)
         w1, b1, w2, b2 = (layer.to(x.dtype) for layer in self.layers[:4])
-        h = torch.relu(torch.baddbmm(b1[:, None], x.transpose(0, 1), w1))
-        h = torch.relu(torch.baddbmm(b2[:, None], h, w2))
+        h = torch.relu_(torch.baddbmm(b1[:, None], x.transpose(0, 1), w1))
+        h = torch.relu_(torch.baddbmm(b2[:, None], h, w2))
         return torch.baddbmm(self.layers[5][:, None], h.float(), self.layers[4]).transpose(0, 1)
 
     def _one(self, x: Tensor) -> Tensor:
         # A view's gradient is a view; that of an index is a copy into zeros.
         *hidden, w3, b3 = (layer.view(layer.shape[1:]) for layer in self.layers)
         w1, b1, w2, b2 = (layer.to(x.dtype) for layer in hidden)
-        h = torch.relu(torch.addmm(b1, x, w1))
-        h = torch.relu(torch.addmm(b2, h, w2))
+        h = torch.relu_(torch.addmm(b1, x, w1))
+        h = torch.relu_(torch.addmm(b2, h, w2))
         return torch.addmm(b3, h.float(), w3)
 
     def unroll(self, x: Tensor, sequences: Sequences) -> Unroll:

@@ -53,7 +53,7 @@ class RecurrentStack(Stack):
         """
         agents, (steps, batch) = x.shape[1], sequences.keep.shape
         w1, b1, w, b, u, c = (layer.to(x.dtype) for layer in self.layers[:6])
-        hidden = torch.relu(torch.baddbmm(b1[:, None], self._by_network(x), w1))
+        hidden = torch.relu_(torch.baddbmm(b1[:, None], self._by_network(x), w1))
         asked = torch.baddbmm(b[:, None], hidden, w).float()
         keep = sequences.keep.repeat_interleave(agents, dim=1) if self.count == 1 else sequences.keep
         state, states = self._by_network(sequences.state), []

@@ -30,7 +30,7 @@ from common.transitions import Rows
 from learner.networks.device import has_bfloat16
 from learner.on_policy.advantages import advantages
 from learner.on_policy.diagnostics import IterationDiagnostics
-from learner.on_policy.experience import Observations, split_actions, step_rows
+from learner.on_policy.experience import Observations, as_tensor, split_actions, step_rows
 from learner.on_policy.iteration_states import IterationStates
 from learner.on_policy.policies import Policies
 from learner.on_policy.sequences import Sequences
@@ -144,7 +144,7 @@ class Updates:
         arrays = {"action": rows.action, "log_probability": rows.log_probability}
         self._rows = {name: torch.from_numpy(array).to(self._device) for name, array in arrays.items()}
         whole = self._config.sees_team or self._config.memory != "none"
-        observation = torch.from_numpy(rows.observation).to(self._device)
+        observation = as_tensor(rows.observation).to(self._device)
         self._seen = Observations.of(self._team, observation, self._dtype, self._side_by_side, whole=whole)
         if self._config.memory != "none":
             self._states = IterationStates(self._config, self._team, rows, self.values, self._device)

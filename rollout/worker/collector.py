@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from common.actors import TeamActors
 from common.config import RunConfig
 from common.errors import CancelledError
+from common.protocol.bfloat16 import Bits, to_bits
 from common.seeds import derive, stream
 from common.team import Float32, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from rollout.envs.registry import make_environments
+from rollout.worker.compiled_choices import CompiledChoices
 from rollout.worker.hindsight_credit import credit_newest, shares_of
 from rollout.worker.random_rows import RandomRows
 from rollout.worker.reward_shaping import RewardShaping
@@ -65,6 +67,7 @@ class Collector:
         self.probe: StepObserver | None = None
         self._episode: NDArray[np.int64] = np.full(count, -1, np.int64)
         self._noise = RandomRows((*self._identity, "noise"), count, self.team.action_size)
+        self._choices = CompiledChoices(self.team) if CompiledChoices.supports(self.team) else None
         self._all_choices = all(group.choices for group in self.team.groups)
         self._uniform = RandomRows((*self._identity, "uniform"), count, self.team.action_size)
         self._state: Float32 | None = None
@@ -92,17 +95,24 @@ class Collector:
         """
         environments, steps = self.environments, self._config.rollout.chunk_steps
         on_policy = self._config.learns_on_policy
-        rows = _ChunkRows(len(environments.time), steps, self.team, log_probabilities=on_policy)
+        rows = _ChunkRows(
+            len(environments.time),
+            steps,
+            self.team,
+            log_probabilities=on_policy,
+            rounded=self._config.bfloat16_observations,
+        )
         state = None if self._state is None else self._state.copy()
         episodes: list[EpisodeSummary] = []
         for step in range(steps):
-            rows.observation[:, step] = environments.observation
+            rows.write_observation(step, environments.observation)
             if on_policy:
-                action, rows.log_probability[:, step] = self._sample(actors)
+                action, rows.log_probability[:, step], adapted = self._sample(actors)
             else:
                 action = self._explore(actors, noise_std, uniform)
+                adapted = self.team.adapt(environments.observation, action)
             self._shaping.before_step()
-            environments.step(self.team.adapt(environments.observation, action))
+            environments.step(adapted)
             self.simulated += len(environments.time)
             meanwhile()
             if self.probe is not None:
@@ -110,7 +120,7 @@ class Collector:
             rows.action[:, step], rows.reward[:, step] = action, self._shaping.shaped_reward()
             over = np.flatnonzero(environments.ended)
             if len(over) or step + 1 == steps:  # else the next step writes them
-                rows.observation[:, step + 1] = environments.observation
+                rows.write_observation(step + 1, environments.observation)
             for index in over:
                 self._credit(rows, int(index), step + 1)
                 rows.end(int(index), step, bool(environments.terminated[index]))
@@ -121,13 +131,16 @@ class Collector:
         self.environment_steps = self.simulated
         return Chunk(replace(rows.rows(), state=state), tuple(episodes))
 
-    def _sample(self, actors: TeamActors) -> tuple[Float32, Float32]:
-        """Return actions sampled from the actors' distributions, and their log-probabilities."""
+    def _sample(self, actors: TeamActors) -> tuple[Float32, Float32, Float32]:
+        """Return actions sampled from the actors' distributions, their log-probabilities, and the actions adapted."""
         environments = self.environments
         uniform = self._uniform.at(self._episode, environments.time, normal=False)
+        if self._choices is not None:
+            return self._choices.sample(actors, environments.observation, uniform, self._state)
         # Choices take no normal numbers, so that drawing them would be for nothing.
         normal = uniform if self._all_choices else self._noise.at(self._episode, environments.time, normal=True)
-        return actors.sample(environments.observation, normal, uniform, self._state)
+        action, log_probability = actors.sample(environments.observation, normal, uniform, self._state)
+        return action, log_probability, self.team.adapt(environments.observation, action)
 
     def _explore(self, actors: TeamActors, noise_std: float, uniform: bool) -> Float32:
         environments = self.environments
@@ -160,27 +173,31 @@ class _ChunkRows:
     Arrays are [E, steps + 1, ...]; the last row of an environment holds only its observation.
     """
 
-    def __init__(self, count: int, steps: int, team: TeamSpec, *, log_probabilities: bool) -> None:
-        self._steps = steps
-        self.observation = np.empty((count, steps + 1, team.observation_size), np.float32)
+    def __init__(self, count: int, steps: int, team: TeamSpec, *, log_probabilities: bool, rounded: bool) -> None:
+        self._steps, self._rounded = steps, rounded
+        self._observation = np.empty((count, steps + 1, team.observation_size), np.uint16 if rounded else np.float32)
         self.action = np.zeros((count, steps + 1, team.action_size), np.float32)
         self.reward = np.zeros((count, steps + 1, team.agents), np.float32)
         self.log_probability = np.zeros((count, steps + 1, team.agents if log_probabilities else 0), np.float32)
         self._flag = np.zeros((count, steps + 1), np.uint8)
         self._flag[:, :steps] = TRANSITION
-        self._inserted: list[tuple[int, Float32]] = []
+        self._inserted: list[tuple[int, Float32 | Bits]] = []
+
+    def write_observation(self, step: int, observation: Float32) -> None:
+        """Write the observations [E, O] before a step."""
+        self._observation[:, step] = to_bits(observation) if self._rounded else observation
 
     def end(self, index: int, step: int, terminated: bool) -> None:
         """Mark the end of an environment's episode in a step. The final observation must already be written."""
         self._flag[index, step] |= TERMINATED if terminated else TRUNCATED
         if step + 1 < self._steps:
             place = index * (self._steps + 1) + step + 1
-            self._inserted.append((place, self.observation[index, step + 1].copy()))
+            self._inserted.append((place, self._observation[index, step + 1].copy()))
 
     def rows(self) -> Rows:
         """Return all rows. Each episode's final observation has its own row, before the next episode's first row."""
         count = self._flag.size
-        arrays = (self.observation, self.action, self.reward, self.log_probability)
+        arrays = (self._observation, self.action, self.reward, self.log_probability)
         observation, *others = (array.reshape(count, array.shape[2]) for array in arrays)
         flag = self._flag.reshape(count)
         if self._inserted:

@@ -66,7 +66,7 @@ PPO = """
 iteration_steps = 40
 minibatch_steps = 10
 epochs = 2
-precision = "float32"
+precision = "{precision}"
 max_lag_versions = {lag}
 """
 """Options of the same run with an algorithm that learns on policy."""
@@ -77,10 +77,16 @@ CHOICES = 'farm.control]\ncommunication = "headings"\nmonitoring = "moves"\ncoll
 
 
 def on_policy(name: str, lag: int = 1, memory: str = "none") -> str:
-    """Return TINY with an algorithm that learns on policy: `eia-ppo` imitates, the others choose discrete actions."""
+    """Return TINY with an algorithm that learns on policy: `eia-ppo` imitates, the others choose discrete actions.
+
+    Rows hold observations as bfloat16 numbers, or as float32 where actors have memory.
+    """
     sections = {section.partition("]")[0]: section for section in TINY.split("\n[")}
+    precision = "bfloat16" if memory == "none" else "float32"
     remembers = f'\nmemory = "{memory}"\nsequence_steps = 5'
-    sections["algorithm"] = f'algorithm]\nname = "{name}"\nhidden = 16{PPO.format(lag=lag).rstrip()}{remembers}'
+    sections["algorithm"] = (
+        f'algorithm]\nname = "{name}"\nhidden = 16{PPO.format(lag=lag, precision=precision).rstrip()}{remembers}'
+    )
     without = {"replay"}
     if name != "eia-ppo":
         without |= {"elite"}

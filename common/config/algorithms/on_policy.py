@@ -78,8 +78,8 @@ class OnPolicyConfig(AlgorithmConfig):
     time_limit: Literal["terminal", "bootstrap"] = "terminal"
     """Whether the return ends with the time limit, as suits agents that see the clock, or is continued by the value."""
     precision: Literal["float32", "bfloat16"] = "bfloat16"
-    """Precision of products in updates; bfloat16 applies only where the device has instructions for it. Parameters,
-    sums and what the networks return are float32 in any case."""
+    """Precision of observations in rows, and of products in updates if the device has instructions for bfloat16.
+    Parameters, sums and what the networks return are float32 in any case."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot learn."""
@@ -101,6 +101,11 @@ class OnPolicyConfig(AlgorithmConfig):
         self.type_entropy_scales()
         self.type_suggestion_logits()
         self.hindsight_shares()
+
+    @property
+    def bfloat16_observations(self) -> bool:
+        """Whether rows store observations as bfloat16 numbers, the precision in which updates read them."""
+        return self.precision == "bfloat16"
 
     @property
     def memory_size(self) -> int:

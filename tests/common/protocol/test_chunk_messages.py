@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from common.errors import SchemaError
+from common.protocol.bfloat16 import to_bits
 from common.protocol.chunk_messages import from_message, to_message
 from common.protocol.messages import ChunkMessage
 from common.transitions import TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
@@ -107,3 +108,40 @@ def test_a_finished_episode_has_the_metrics_of_the_environment(metrics):
         from_message(to_message(odd, TEAM, 1, 1), TEAM, ("aoi", "vdf"))
     none = of_short_episodes(1, 0)
     assert from_message(to_message(none, TEAM, 1, 1), TEAM, ("aoi", "vdf")).episodes == ()
+
+
+def rounded(rows: Rows) -> Rows:
+    """Return the rows with observations of bfloat16 numbers."""
+    return dataclasses.replace(rows, observation=to_bits(rows.observation))
+
+
+def test_rounded_observations_take_half_the_bytes():
+    """They arrive as they were sent, in a frame that is shorter by two bytes for each number."""
+    whole = of_short_episodes(50, 0)
+    whole.rows.observation[:] = np.random.default_rng(0).normal(size=whole.rows.observation.shape)
+    halved = Chunk(rounded(whole.rows))
+    sent = to_message(halved, TEAM, 1, 50).encode()
+    found = from_message(ChunkMessage.decode(sent), TEAM, (), rounded=True).rows
+    assert found.observation.dtype == np.uint16
+    np.testing.assert_array_equal(found.observation, halved.rows.observation)
+    longer = len(to_message(whole, TEAM, 1, 50).encode()) - len(sent)
+    assert abs(longer - 2 * whole.rows.observation.size) < 8
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_observations_have_the_type_that_the_run_asks_for(wanted):
+    """A worker of another version, or of another configuration, is refused and says which type was wanted."""
+    rows = of_short_episodes(2, 0).rows
+    message = to_message(Chunk(rows if wanted else rounded(rows)), TEAM, 1, 2)
+    kinds = "float32.*uint16" if wanted else "uint16.*float32"
+    with pytest.raises(SchemaError, match=f"observation is {kinds}"):
+        from_message(message, TEAM, (), rounded=wanted)
+
+
+@pytest.mark.parametrize("value", [1.01e7, -1e22, np.nan, np.inf])
+def test_rounded_numbers_that_would_spoil_the_training_are_refused(value):
+    """The bound is the same."""
+    rows = of_short_episodes(2, 0).rows
+    rows.observation[0, 0] = value
+    with pytest.raises(SchemaError, match="observation holds a number"):
+        from_message(to_message(Chunk(rounded(rows)), TEAM, 1, 2), TEAM, (), rounded=True)

@@ -16,6 +16,7 @@ NDArray = TypeAliasType("NDArray", np.ndarray[AnyShape, np.dtype[Scalar]], type_
 """As numpy declares it from version 2.5 on, by a `type` statement; until then it is a plain alias."""
 Float32 = NDArray[np.float32]
 Named = TypeAliasType("Named", Float32)
+Bits = TypeAliasType("Bits", NDArray[np.uint16])
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,16 @@ class Aliased(Message):
     many: tuple[Float32, ...]
     named: Named
     perhaps: Float32 | None = None
+
+
+@dataclass(frozen=True)
+class Either(Message):
+    """A message with arrays of one type or another."""
+
+    KIND: ClassVar[int] = 251
+
+    plain: np.ndarray[Any, np.dtype[np.float32]] | np.ndarray[Any, np.dtype[np.uint16]]
+    aliased: Named | Bits
 
 
 def test_arrays_of_aliased_types_are_read():
@@ -46,3 +57,16 @@ def test_arrays_of_aliased_types_are_checked():
     good, bad = np.zeros(3, np.float32), np.zeros(3, np.float64)
     with pytest.raises(SchemaError, match="array one is float64, not float32"):
         Aliased.decode(Aliased(bad, (good,), good).encode())
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.uint16])
+def test_arrays_of_one_type_or_another_are_read(kind):
+    """They come as they were sent, and an array of a third type is refused."""
+    array = np.arange(3, dtype=kind)
+    found = Either.decode(Either(array, array).encode())
+    for each in (found.plain, found.aliased):
+        np.testing.assert_array_equal(each, array)
+        assert each.dtype == kind
+    for strange in (Either(array.astype(np.int32), array), Either(array, array.astype(np.int32))):
+        with pytest.raises(SchemaError, match="is int32, not float32 or uint16"):
+            Either.decode(strange.encode())

@@ -26,14 +26,14 @@ def test_parse_reverses_key(family: keys.KeyFamily) -> None:
 @pytest.mark.parametrize(
     "key",
     [
-        "eia-sec/v4/run/transition/*",
-        "eia-sec/v4/**",
+        "eia-sec/v5/run/transition/*",
+        "eia-sec/v5/**",
         "eia-sec/v1/run/transition/w",
-        "eia-sec/v4/run/transition",
-        "eia-sec/v4/run/transition/w/x",
-        "eia-sec/v4/run/params/other",
+        "eia-sec/v5/run/transition",
+        "eia-sec/v5/run/transition/w/x",
+        "eia-sec/v5/run/params/other",
         "other/v1/run/transition/w",
-        "eia-sec/v4/run/transition/$*",
+        "eia-sec/v5/run/transition/$*",
         "",
     ],
 )
@@ -52,8 +52,8 @@ def test_names_that_cannot_be_segments_are_refused(name: str) -> None:
 
 def test_pattern_covers_the_family_or_the_named_part() -> None:
     """Variables that are not given become a one-segment wildcard."""
-    assert keys.LIVE.pattern("r") == "eia-sec/v4/r/live/*/*"
-    assert keys.LIVE.pattern("r", role="rollout") == "eia-sec/v4/r/live/rollout/*"
+    assert keys.LIVE.pattern("r") == "eia-sec/v5/r/live/*/*"
+    assert keys.LIVE.pattern("r", role="rollout") == "eia-sec/v5/r/live/rollout/*"
 
 
 def test_the_docstrings_table_is_that_of_the_declarations() -> None:

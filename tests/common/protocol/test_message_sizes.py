@@ -53,6 +53,16 @@ def test_the_largest_chunk_has_the_computed_size(known, environments, steps, len
     assert size <= chunk_bytes(config, environment) + 1000 <= 1.3 * size
 
 
+def test_rounded_observations_halve_a_chunk():
+    """The computed size falls by two bytes for each number of an observation."""
+    rollout = RolloutConfig(environments=4, chunk_steps=10)
+    exact, halved = (
+        chunk_bytes(replace(BASE, algorithm=IppoConfig(precision=precision), rollout=rollout), FARM)
+        for precision in ("float32", "bfloat16")
+    )
+    assert exact - halved == 2 * TEAM.observation_size * rollout.chunk_rows(1)
+
+
 @pytest.mark.parametrize("environments", [3, 64])
 def test_chunks_with_states_have_the_computed_size(environments):
     """The state of each agent in each environment adds its bytes, and the unit's parameters add theirs."""

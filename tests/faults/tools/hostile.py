@@ -43,7 +43,7 @@ OTHERS: Final[tuple[Any, ...]] = (
 """Values of all types that a header can hold."""
 LISTS: Final[tuple[Any, ...]] = ([0], [-1], [2**63 - 1], [2**64 - 1], [1] * 65, [1, 2**62], [1.5], [True])
 FAR: Final = (np.nan, np.inf, -np.inf, 1e7, 1.01e7, -1.01e7, 3.4e38, -1.0, 1.0, 1.01)
-DTYPES: Final = ("<f4", "<f8", "|u1", "<i4", "<i8")
+DTYPES: Final = ("<f4", "<f8", "|u1", "<u2", "<i4", "<i8")
 Parts = tuple[dict[str, Any], dict[str, np.ndarray]]
 
 

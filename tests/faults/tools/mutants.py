@@ -14,6 +14,7 @@ from common.errors import ProtocolError
 from common.farm import METRIC_NAMES
 from common.policy_store import PolicyStore
 from common.protocol import codec, frame, messages
+from common.protocol.bfloat16 import to_bits
 from common.protocol.chunk_messages import from_message, from_request, to_message, to_request
 from common.protocol.view_checks import check_view
 from rollout.sim.batch import REWARD_PARTS
@@ -52,10 +53,11 @@ def samples() -> dict[str, bytes]:
         a_view(),
     ]
     several = to_request([to_message(a_chunk(number), TEAM, 1, number).encode() for number in (1, 2)], 1, 2)
-    on_policy = to_message(with_log_probabilities(a_chunk(1)), TEAM, 1, 1).encode()
+    logged = with_log_probabilities(a_chunk(1))
+    on_policy = to_message(logged, TEAM, 1, 1).encode()
+    halved = replace(logged, rows=replace(logged.rows, observation=to_bits(logged.rows.observation)))
     states = np.full((1, TEAM.agents, MEMORY), 0.5, np.float32)
-    remembered = with_log_probabilities(a_chunk(1))
-    remembered = replace(remembered, rows=replace(remembered.rows, state=states))
+    remembered = replace(logged, rows=replace(logged.rows, state=states))
     actors = TeamActors.initial(TEAM, MEMORY, 0, memory="gru")
     recurrent = messages.ParametersMessage(
         1, 1, 0, 10, 0.5, TEAM.digest, MEMORY, actors.head, actors.flat, actors.memory
@@ -64,6 +66,7 @@ def samples() -> dict[str, bytes]:
     return whole | {
         "request": several,
         "on-policy chunk": on_policy,
+        "rounded chunk": to_message(halved, TEAM, 1, 1).encode(),
         "chunk with states": to_message(remembered, TEAM, 1, 1).encode(),
         "actors with memory": recurrent.encode(),
         "view of conditions": a_view_of_conditions().encode(),
@@ -99,6 +102,11 @@ def _read_on_policy(data: bytes) -> None:
     from_message(messages.ChunkMessage.decode(data), TEAM, METRIC_NAMES, on_policy=True)
 
 
+def _read_rounded(data: bytes) -> None:
+    """Read a chunk as a learner in bfloat16 does."""
+    from_message(messages.ChunkMessage.decode(data), TEAM, METRIC_NAMES, on_policy=True, rounded=True)
+
+
 def _read_conditions(data: bytes) -> None:
     """Read a view as a watcher of a farm with batteries, failures and stress does."""
     check_view(messages.ViewMessage.decode(data), CONDITIONS.farm, len(REWARD_PARTS))
@@ -108,6 +116,7 @@ READERS: Final[dict[str, Callable[[bytes], None]]] = {
     **{kind.__name__: functools.partial(_read, kind) for kind in KINDS},
     "request": _read_request,
     "on-policy chunk": _read_on_policy,
+    "rounded chunk": _read_rounded,
     "chunk with states": _read_states,
     "actors with memory": functools.partial(_read, messages.ParametersMessage),
     "view of conditions": _read_conditions,
@@ -198,4 +207,4 @@ def pass_through(count: int, seed: int) -> int:
     return taken
 
 
-assert frame.PROTOCOL == 4  # the prefix above is that of protocol 4
+assert frame.PROTOCOL == 5  # the prefix above is that of protocol 5

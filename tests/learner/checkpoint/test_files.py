@@ -10,7 +10,11 @@ import torch
 from common.errors import CheckpointError
 from learner.checkpoint import files
 
-TENSORS = {"a": torch.arange(12, dtype=torch.float32).view(3, 4), "flags": torch.tensor([1, 0, 4], dtype=torch.uint8)}
+TENSORS = {
+    "a": torch.arange(12, dtype=torch.float32).view(3, 4),
+    "halved": torch.tensor([[0.1, -3.0], [1e38, 0.0]], dtype=torch.bfloat16),
+    "flags": torch.tensor([1, 0, 4], dtype=torch.uint8),
+}
 BODY = {"updates": 7, "name": "run", "nested": {"random": [2**63, 0.1]}}
 
 
@@ -147,3 +151,13 @@ def test_what_could_not_be_read_is_not_written(tmp_path, monkeypatch, limit):
     monkeypatch.undo()
     assert files.load_latest(tmp_path).manifest == {"n": 1}
     assert [path.name for path in tmp_path.iterdir()] == ["checkpoint-00000001"]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16, torch.float64])
+@pytest.mark.parametrize("value", [torch.inf, -torch.inf, torch.nan])
+def test_numbers_that_are_not_finite_are_not_saved(tmp_path, dtype, value):
+    """The name of the tensor is stated, and the checkpoint before stays."""
+    files.save(tmp_path, TENSORS, BODY, keep=1)
+    with pytest.raises(CheckpointError, match="spoilt holds a number that is not finite"):
+        files.save(tmp_path, {"spoilt": torch.tensor([0.0, value], dtype=dtype)}, {}, keep=1)
+    assert files.load_latest(tmp_path).manifest == BODY

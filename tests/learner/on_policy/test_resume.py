@@ -1,14 +1,17 @@
 """A run on policy continues from a checkpoint bit for bit, wherever it was cut; forged checkpoints are refused."""
 
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from common.errors import CheckpointError
+from common.protocol.bfloat16 import to_bits
 from common.transitions import TRUNCATED
 from learner.checkpoint import files
+from learner.data.tensor_snapshot import whole
 from learner.on_policy.trainer import OnPolicyTrainer
 from tests.learner.checkpoint.test_forged import ODD, places, put
 from tests.learner.on_policy.small_runs import TEAM, chunk, configured, moved
@@ -70,6 +73,49 @@ def test_a_decoupled_iteration_continues_bit_equal():
     assert_bit_equal(after, whole)
 
 
+def in_bfloat16(steps=STEPS, convert=to_bits):
+    """Return a trainer in bfloat16 that has done some steps, and gets its observations through a function."""
+    config = configured(precision="bfloat16")
+    trainer = OnPolicyTrainer(config, TEAM)
+    take_in = trainer.take_in
+
+    def converted(given, *rest):
+        rows = replace(given.rows, observation=convert(given.rows.observation))
+        take_in(replace(given, rows=rows), *rest)
+
+    trainer.take_in = converted
+    play(trainer, steps)
+    return trainer
+
+
+@pytest.mark.parametrize("cut", [1, 5, 9])
+def test_a_run_with_rounded_rows_continues_bit_equal(tmp_path, cut):
+    """A checkpoint keeps the rows' observations as bfloat16 numbers."""
+    before = in_bfloat16(STEPS[:cut])
+    tensors, state = before.snapshot()
+    assert tensors["iteration.observation"].dtype == torch.bfloat16
+    found = files.load(files.save(tmp_path, tensors, state, keep=1))
+    after = in_bfloat16(())
+    after.restore(*found)
+    assert_bit_equal(after, before)
+    play(after, STEPS[cut:], cut)
+    assert_bit_equal(after, in_bfloat16())
+
+
+def test_workers_round_what_learners_would_round():
+    """A learner gets the same weights from rows in float32, and from a checkpoint of an earlier version with them."""
+    whole, former = in_bfloat16(), in_bfloat16(STEPS[:7], lambda observation: observation)
+    assert_bit_equal(in_bfloat16(convert=lambda observation: observation), whole)
+    tensors, state = former.state()
+    tensors = dict(tensors)
+    for prefix in ("iteration", "following"):
+        tensors[f"{prefix}.observation"] = tensors[f"{prefix}.observation"].float()
+    after = in_bfloat16(())
+    after.restore(tensors, state)
+    play(after, STEPS[7:], 7)
+    assert_bit_equal(after, whole)
+
+
 def test_the_steps_hold_what_they_are_for(uncut):
     """Two iterations are done, a third runs, and a type stopped before its iteration's last epoch."""
     assert (uncut.iterations, uncut.updates, uncut.experience.steps) == (2, 24, 20)
@@ -87,6 +133,36 @@ def test_a_snapshot_is_of_its_instant():
     copies = {name: tensor.clone() for name, tensor in tensors.items()}
     play(trainer, STEPS[4:])
     assert all(torch.equal(tensors[name], copy) for name, copy in copies.items())
+
+
+def test_forged_rounded_rows_are_refused():
+    """Rows of bfloat16 numbers in a run that wants float32, and numbers that are not finite in one that wants them."""
+    tensors, state = in_bfloat16(STEPS[:7]).state()
+    for name in ("iteration.observation", "following.observation"):
+        for forged in (
+            torch.full_like(tensors[name], torch.nan),
+            torch.full_like(tensors[name], 2e7),
+            tensors[name][1:],
+        ):
+            with pytest.raises(CheckpointError, match=name.partition(".")[0]):
+                in_bfloat16(()).restore({**tensors, name: forged}, state)
+    plain = OnPolicyTrainer(configured(), TEAM)
+    play(plain, STEPS[:7])
+    tensors, state = plain.state()
+    forged = tensors["iteration.observation"].to(torch.bfloat16)
+    with pytest.raises(CheckpointError, match="observations of rows are uint16, not float32"):
+        OnPolicyTrainer(configured(), TEAM).restore({**tensors, "iteration.observation": forged}, state)
+
+
+def test_the_bound_of_checkpoints_holds_for_rows_of_earlier_versions(tmp_path):
+    """They kept observations as float32, and a run in bfloat16 may have such checkpoints."""
+    trainer = in_bfloat16(["chunk"] * 60)
+    trainer.train(1)
+    tensors, state = trainer.snapshot()
+    former = {name: whole(tensor) for name, tensor in tensors.items()}
+    former |= {name: former[name].float() for name in former if name.endswith(".observation")}
+    folder = files.save(tmp_path, former, state, keep=1)
+    assert (folder / "tensors.safetensors").stat().st_size < trainer.largest_checkpoint()
 
 
 @pytest.mark.parametrize("name", ["largest", "draining"])

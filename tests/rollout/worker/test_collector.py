@@ -7,6 +7,7 @@ import pytest
 
 from common.actors import TeamActors
 from common.config import EnvConfig, IppoConfig, RolloutConfig, RunConfig
+from common.protocol.bfloat16 import to_bits
 from common.transitions import TRANSITION
 from learner.on_policy.trainer import OnPolicyTrainer
 from rollout.worker.collector import Collector
@@ -15,7 +16,7 @@ from tests.rollout.heuristics.small_farm import SMALL
 
 STEPS = 40
 """Steps of a chunk, several episodes long."""
-ALGORITHM = IppoConfig(hidden=8, potential_discount=1.0)
+ALGORITHM = IppoConfig(hidden=8, potential_discount=1.0, precision="float32")
 
 
 def configured(chunk=STEPS, **changes):
@@ -124,3 +125,13 @@ def test_an_environment_without_potential_pays_what_it_pays():
     _, (chunk,) = collected(config)
     sums = chunk.rows.reward[(chunk.rows.flag & TRANSITION) > 0].reshape(2, 5, -1).sum(axis=1)
     np.testing.assert_allclose(sums, [episode.reward for episode in chunk.episodes], atol=1e-5)
+
+
+def test_rows_may_hold_observations_of_half_the_size():
+    """In bfloat16 a worker flies the same, and its rows hold the same observations, rounded."""
+    (exact,), (halved,) = (collected(configured(precision=name))[1] for name in ("float32", "bfloat16"))
+    assert halved.rows.observation.dtype == np.uint16
+    np.testing.assert_array_equal(halved.rows.observation, to_bits(exact.rows.observation))
+    for name in ("action", "reward", "flag", "log_probability"):
+        np.testing.assert_array_equal(getattr(halved.rows, name), getattr(exact.rows, name))
+    assert halved.episodes == exact.episodes

@@ -24,7 +24,7 @@ FARM = replace(SMALL, world=replace(SMALL.world, steps=15))
 
 def configured(chunk=STEPS):
     """Return a run with memory on a small farm with episodes of 15 steps."""
-    algorithm = IppoConfig(hidden=8, memory="gru", sequence_steps=10)
+    algorithm = IppoConfig(hidden=8, memory="gru", sequence_steps=10, precision="float32")
     rollout = RolloutConfig(environments=2, chunk_steps=chunk)
     return RunConfig(farm=FARM, rollout=rollout, algorithm=algorithm)
 

@@ -16,6 +16,8 @@ LANES: Final = 8
 """Rows of numbers are filled up to a multiple of this, so that vectorised loops have no rest."""
 TWO_MOVES: Final = 25
 """Lattice points two moves away."""
+FOLLOWING: Final = 15
+"""Lattice points, in three columns, among which are all that may follow a move."""
 
 
 class FieldScratch(NamedTuple):
@@ -69,7 +71,8 @@ class ViewScratch(NamedTuple):
         after: [2, 9] which of five lattice points along an axis a move leads to after another.
         chance: [K] share of an item that each place brings.
         gain: [K] units that each place brings.
-        twice: [9, 32] units that both moves would bring, and only one does.
+        twice: [9, 16] units that both moves would bring, and only one does, from the first lattice point that may
+            follow the first move; see `units._first_after`.
         plots: value field of the monitoring UAVs.
         cells: value field of the data collection UAVs.
     """
@@ -112,7 +115,7 @@ def make_view_scratch(config: FarmConfig) -> ViewScratch:
         after=np.zeros((2, 9), np.int64),
         chance=np.zeros(places),
         gain=np.zeros(places),
-        twice=np.zeros((9, _filled(TWO_MOVES))),
+        twice=np.zeros((9, _filled(FOLLOWING))),
         plots=_field(world, world.plots_x, world.plots_y),
         cells=_field(world, *cell_counts(world)),
     )

@@ -73,9 +73,10 @@ def _beyond(bounds: tuple[float, float, float, float], x: float, y: float) -> fl
 
 
 @allocation_free
-def _add_item(two: bool, first: int, worth: float, chance: Array, gain: Array, twice: Array) -> None:
+def _add_item(two: bool, first: int, worth: float, chance: Array, gain: Array, after_x: Indices, twice: Array) -> None:
     """Add an item's units to every place, and what the second move of each pair finds taken.
 
+    The last lattice point of each pair's row in `twice` only fills it up; nothing reads it.
     The numbers of places are read from the arrays, because loops of a fixed length are unrolled and not vectorised.
     """
     for place in range(len(gain)):
@@ -84,8 +85,16 @@ def _add_item(two: bool, first: int, worth: float, chance: Array, gain: Array, t
         for move in range(9):
             taken = worth * chance[first + move]
             if taken > 0.0:
+                start = _first_after(after_x, move)
                 for k in range(twice.shape[1]):
-                    twice[move, k] += taken * chance[k]
+                    twice[move, k] += taken * chance[start + k]
+
+
+@allocation_free
+def _first_after(after_x: Indices, move: int) -> int:
+    """Return the first of the 25 lattice points that may follow a move; all of them are in three columns of five."""
+    first: int = 5 * after_x[3 * (move // 3)]
+    return first
 
 
 @allocation_free
@@ -131,7 +140,7 @@ def plan_images(
                 continue
             _measure(v.place_x, v.place_y, x, y, limit, v.square)
             if _see_plot(camera, view.image_sure, v.place_x, v.place_y, v.square, column, row, v.chance):
-                _add_item(view.units > 1, view.first, level[column, row], v.chance, v.gain, v.twice)
+                _add_item(view.units > 1, view.first, level[column, row], v.chance, v.gain, v.after[0], v.twice)
 
 
 @allocation_free
@@ -192,17 +201,19 @@ def plan_packets(
         limit = _own_square(position, fleet.collectors, fleet.uavs, u, own_x, own_y, view.chance_limit)
         if _beyond(bounds, own_x, own_y) <= limit:
             _measure(v.place_x, v.place_y, own_x, own_y, limit, v.square)
-            _hear_sensor(view.chance, view.chance_scale, v.square, v.chance)
-            _add_item(view.units > 1, view.first, age[j], v.chance, v.gain, v.twice)
+            _hear_sensor(view.chance, view.chance_scale, view.chance_limit, v.square, v.chance)
+            _add_item(view.units > 1, view.first, age[j], v.chance, v.gain, v.after[0], v.twice)
 
 
 @allocation_free
-def _hear_sensor(table: Array, scale: float, square: Array, chance: Array) -> None:
-    """Write the probability that a sensor's packet arrives at each place."""
+def _hear_sensor(table: Array, scale: float, limit: float, square: Array, chance: Array) -> None:
+    """Write the probability that a sensor's packet arrives at each place.
+
+    Every place is looked up: a branch would be mispredicted.
+    """
     for place in range(len(square)):
-        chance[place] = 0.0
-        if square[place] < math.inf:
-            chance[place] = table_chance(table, scale, square[place])
+        heard = table_chance(table, scale, min(square[place], limit))
+        chance[place] = heard if square[place] < math.inf else 0.0
 
 
 @allocation_free
@@ -214,10 +225,10 @@ def put_units(view: ViewConstants, v: ViewScratch, per_unit: float, out: Float32
     at += 9
     if view.units > 1:
         for move in range(9):
-            best = 0.0
+            best, start = 0.0, _first_after(after_x, move)
             for then in range(9):
                 k = 5 * after_x[3 * (move // 3) + then // 3] + after_y[3 * (move % 3) + then % 3]
-                best = max(best, gain[k] - twice[move, k])
+                best = max(best, gain[k] - twice[move, k - start])
             out[at + move] = min(2.0 * MOST, (gain[first + move] + best) * per_unit)
         at += 9
     return at
