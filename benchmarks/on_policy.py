@@ -39,15 +39,15 @@ from common.config.presets import preset
 from common.farm import farm_team
 from common.protocol.chunk_messages import from_message, to_message
 from common.protocol.messages import ChunkMessage
-from common.team import Float32, TeamSpec
+from common.team import TeamSpec
 from common.transitions import Chunk
 from deploy.exit_codes import run_command
 from deploy.local.memory import keep_freed_memory
 from deploy.reports.provenance import provenance
 from learner.on_policy.policies import HEAD
 from learner.on_policy.trainer import OnPolicyTrainer
+from rollout.worker.action_sampler import ActionSampler
 from rollout.worker.collector import Collector
-from rollout.worker.compiled_choices import CompiledChoices
 
 ONE_CORE = {"learner.update_threads": 1}
 SQUARE = 1024
@@ -135,24 +135,15 @@ def _learning(trainer: OnPolicyTrainer, collector: Collector, chunks: list[Chunk
 def _parts(collector: Collector, actors: TeamActors, repeats: int) -> tuple[float, float]:
     """Return seconds of a step of all environments, and of the decisions for it."""
     environments = collector.environments
-    decide = _deciding(collector, actors)
-    action = decide()
-    deciding = least(decide, 20 * repeats)
+    observation, sampler = environments.observation, ActionSampler(collector.team)
+    random = np.random.default_rng(0)
+    normal = random.standard_normal((len(observation), collector.team.action_size), np.float32)
+    uniform = random.random(normal.shape, np.float32)
+    action = sampler.sample(actors, observation, normal, uniform, None)[2]
+    deciding = least(lambda: sampler.sample(actors, observation, normal, uniform, None), 20 * repeats)
     for index in range(len(environments.time)):
         environments.reset(index, index, 0)
     return least(lambda: environments.step(action), 20 * repeats), deciding
-
-
-def _deciding(collector: Collector, actors: TeamActors) -> Callable[[], Float32]:
-    """Return a function that decides for all environments, as a worker does; it returns the environments' actions."""
-    observation, team = collector.environments.observation, collector.team
-    random = np.random.default_rng(0)
-    normal = random.standard_normal((len(observation), team.action_size), np.float32)
-    uniform = random.random(normal.shape, np.float32)
-    if CompiledChoices.supports(team):
-        choices = CompiledChoices(team)
-        return lambda: choices.sample(actors, observation, uniform, None)[2]
-    return lambda: team.adapt(observation, actors.sample(observation, normal, uniform)[0])
 
 
 def _encoded(chunk: Chunk, team: TeamSpec) -> bytes:

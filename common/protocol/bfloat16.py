@@ -6,7 +6,8 @@ They have a float32's range and 8 bits of precision.
 import numpy as np
 from numpy.typing import NDArray
 
-Float32 = NDArray[np.float32]
+from common.team import Float32
+
 Bits = NDArray[np.uint16]
 
 _HALF = np.uint32(16)

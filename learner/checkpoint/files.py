@@ -34,6 +34,7 @@ from torch import Tensor
 
 from common.errors import CheckpointError
 from common.protocol import bfloat16
+from learner.data.array_tensors import as_array
 from learner.data.tensor_snapshot import Frozen
 
 FORMAT: Final = 1
@@ -239,7 +240,7 @@ def _pieces(name: str, tensor: Tensor | Frozen) -> Iterator[NDArray[np.uint8]]:
     """Yield a tensor's bytes; raise CheckpointError when a number is not finite."""
     parts = tensor.pieces() if isinstance(tensor, Frozen) else [tensor.detach().cpu()]
     for part in parts:
-        array = (part.view(torch.uint16) if part.dtype == torch.bfloat16 else part).numpy().reshape(-1)
+        array = as_array(part).reshape(-1)
         step = _PIECE_BYTES // array.itemsize
         for start in range(0, array.size, step):
             piece = array[start : start + step]

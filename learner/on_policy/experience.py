@@ -6,7 +6,6 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from common.config import OnPolicyConfig
@@ -14,6 +13,7 @@ from common.errors import CheckpointError, SchemaError
 from common.protocol.bfloat16 import to_bits
 from common.team import TeamSpec
 from common.transitions import TRANSITION, Chunk, Rows
+from learner.data.array_tensors import as_array, as_tensor
 from learner.on_policy.side_by_side import SideBySide
 
 FIELDS: Final = ("observation", "action", "reward", "flag", "log_probability")
@@ -135,13 +135,7 @@ def _array(tensors: dict[str, Tensor], name: str) -> Any:
     tensor = tensors.get(name)
     if tensor is None or tensor.dtype not in (torch.float32, torch.bfloat16, torch.uint8):
         raise CheckpointError(f"the checkpoint's {name} is missing or has an impossible type.")
-    return (tensor.view(torch.uint16) if tensor.dtype == torch.bfloat16 else tensor).numpy()
-
-
-def as_tensor(array: NDArray[Any]) -> Tensor:
-    """Return the tensor of an array of rows, in the same memory; numbers of type uint16 are bfloat16 numbers."""
-    tensor = torch.from_numpy(array)
-    return tensor.view(torch.bfloat16) if tensor.dtype == torch.uint16 else tensor
+    return as_array(tensor)
 
 
 def _as_configured(rows: Rows, config: OnPolicyConfig) -> Rows:

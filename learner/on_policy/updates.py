@@ -27,10 +27,11 @@ from torch import Tensor, nn
 from common.config import LearnerConfig, OnPolicyConfig
 from common.team import Float32, TeamSpec
 from common.transitions import Rows
+from learner.data.array_tensors import as_tensor
 from learner.networks.device import has_bfloat16
 from learner.on_policy.advantages import advantages
 from learner.on_policy.diagnostics import IterationDiagnostics
-from learner.on_policy.experience import Observations, as_tensor, split_actions, step_rows
+from learner.on_policy.experience import Observations, split_actions, step_rows
 from learner.on_policy.iteration_states import IterationStates
 from learner.on_policy.policies import Policies
 from learner.on_policy.sequences import Sequences

@@ -16,7 +16,7 @@ from common.seeds import derive, stream
 from common.team import Float32, TeamSpec
 from common.transitions import TERMINATED, TRANSITION, TRUNCATED, Chunk, EpisodeSummary, Rows
 from rollout.envs.registry import make_environments
-from rollout.worker.compiled_choices import CompiledChoices
+from rollout.worker.action_sampler import ActionSampler
 from rollout.worker.hindsight_credit import credit_newest, shares_of
 from rollout.worker.random_rows import RandomRows
 from rollout.worker.reward_shaping import RewardShaping
@@ -67,7 +67,7 @@ class Collector:
         self.probe: StepObserver | None = None
         self._episode: NDArray[np.int64] = np.full(count, -1, np.int64)
         self._noise = RandomRows((*self._identity, "noise"), count, self.team.action_size)
-        self._choices = CompiledChoices(self.team) if CompiledChoices.supports(self.team) else None
+        self._sampler = ActionSampler(self.team)
         self._all_choices = all(group.choices for group in self.team.groups)
         self._uniform = RandomRows((*self._identity, "uniform"), count, self.team.action_size)
         self._state: Float32 | None = None
@@ -135,12 +135,9 @@ class Collector:
         """Return actions sampled from the actors' distributions, their log-probabilities, and the actions adapted."""
         environments = self.environments
         uniform = self._uniform.at(self._episode, environments.time, normal=False)
-        if self._choices is not None:
-            return self._choices.sample(actors, environments.observation, uniform, self._state)
         # Choices take no normal numbers, so that drawing them would be for nothing.
         normal = uniform if self._all_choices else self._noise.at(self._episode, environments.time, normal=True)
-        action, log_probability = actors.sample(environments.observation, normal, uniform, self._state)
-        return action, log_probability, self.team.adapt(environments.observation, action)
+        return self._sampler.sample(actors, environments.observation, normal, uniform, self._state)
 
     def _explore(self, actors: TeamActors, noise_std: float, uniform: bool) -> Float32:
         environments = self.environments

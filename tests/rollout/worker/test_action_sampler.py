@@ -11,7 +11,7 @@ from common.actors import TeamActors
 from common.config.presets import preset
 from common.farm import farm_team
 from common.team import GroupSpec, TeamSpec
-from rollout.worker.compiled_choices import CompiledChoices
+from rollout.worker.action_sampler import ActionSampler
 
 BORDER = (-1.0, -0.9995, -0.975, -0.95, 0.0, 0.95, 0.975, 0.9995, 1.0)
 """Places at the border, at cells' borders and between them, where rounding decides which cell it is."""
@@ -47,7 +47,7 @@ def test_they_are_the_choices_of_numpy(name, shared, seed, scale, edge):
     uniform = draw.random((5, team.action_size), np.float32)
     if edge is not None:
         uniform[:] = np.nextafter(np.float32(edge), np.float32(0)) if edge else 0.0
-    action, log_probability, velocity = CompiledChoices(team).sample(actors, seen, uniform, None)
+    action, log_probability, velocity = ActionSampler(team).sample(actors, seen, uniform, uniform, None)
     np.testing.assert_array_equal(velocity, team.adapt(seen, action))
     wanted, stated = actors.sample(seen, uniform, uniform)
     near = np.zeros(action.shape, bool)
@@ -64,10 +64,10 @@ def test_actors_with_memory_remember():
     actors = TeamActors.initial(team, 8, 1, shared=True, head="gaussian", memory="gru")
     seen, uniform = drawn(team, 1, draw), draw.random((1, team.action_size), np.float32)
     own, other = np.zeros((2, 1, team.agents, 8), np.float32)
-    choices = CompiledChoices(team)
+    choices = ActionSampler(team)
     for _ in range(3):
         np.testing.assert_array_equal(
-            choices.sample(actors, seen, uniform, own)[0], actors.sample(seen, uniform, uniform, other)[0]
+            choices.sample(actors, seen, uniform, uniform, own)[0], actors.sample(seen, uniform, uniform, other)[0]
         )
         np.testing.assert_array_equal(own, other)
     assert own.any()
@@ -79,7 +79,7 @@ def test_draws_decide_as_often_as_options_are_likely():
     actors = acting(team, 0.5, draw, shared=True)
     seen = np.tile(drawn(team, 1, draw), (4000, 1))
     uniform = draw.random((4000, team.action_size), np.float32)
-    action, log_probability, _ = CompiledChoices(team).sample(actors, seen, uniform, None)
+    action, log_probability, _ = ActionSampler(team).sample(actors, seen, uniform, uniform, None)
     for agent in range(team.agents):
         options, counts = np.unique(action[:, agent], return_counts=True)
         for option, count in zip(options, counts, strict=True):
@@ -90,8 +90,8 @@ def test_draws_decide_as_often_as_options_are_likely():
 def test_other_teams_are_left_to_numpy():
     """Continuous actions, masks, several branches, and one type of three that does not fit."""
     whole = TEAMS["default"]
-    assert CompiledChoices.supports(whole)
-    assert not CompiledChoices.supports(farm_team(preset("study").farm))
+    assert ActionSampler(whole).compiled
+    assert not ActionSampler(farm_team(preset("study").farm)).compiled
     for group in (
         GroupSpec("x", 1, 8, 2),
         GroupSpec("x", 1, 8, 1, choices=(3,)),
@@ -99,7 +99,7 @@ def test_other_teams_are_left_to_numpy():
         replace(whole.groups[1], name="x", choices=()),
         replace(whole.groups[1], name="x", choices=(12,)),
     ):
-        assert not CompiledChoices.supports(TeamSpec((*whole.groups, group)))
+        assert not ActionSampler(TeamSpec((*whole.groups, group))).compiled
     moves, lattice, mirrored = whole.groups[1].adapters
     for adapters in ((moves,), (moves, mirrored), (moves, mirrored, lattice), (moves, lattice, mirrored, mirrored)):
-        assert not CompiledChoices.supports(TeamSpec((replace(whole.groups[1], adapters=adapters),)))
+        assert not ActionSampler(TeamSpec((replace(whole.groups[1], adapters=adapters),))).compiled
