@@ -8,8 +8,8 @@ collecting  the whole of a worker's chunk: flying, deciding, random numbers, row
 wire        encoding a chunk, and decoding and checking it
 updates     all updates of an iteration, per environment step
 at_once     the same as a learner does them, with networks side by side on `learner.update_threads` cores; elapsed time
-limit       the updates' multiplications and additions at the speed of a large matrix product of the same precision,
-            measured in the same run on one thread
+limit       the updates' multiplications and additions at the speed of a large matrix product of the same precision
+            (bfloat16 where the learner computes with it), measured in the same run on one thread
 step_bytes  bytes of a step's rows in a chunk
 
 Every time is the least of the repeats. A pass forward costs two operations for each weight and sample, the gradient by
@@ -44,6 +44,7 @@ from common.transitions import Chunk
 from deploy.exit_codes import run_command
 from deploy.local.memory import keep_freed_memory
 from deploy.reports.provenance import provenance
+from learner.networks.device import has_bfloat16
 from learner.on_policy.policies import HEAD
 from learner.on_policy.trainer import OnPolicyTrainer
 from rollout.worker.action_sampler import ActionSampler
@@ -64,9 +65,9 @@ def least(work: Callable[[], object], repeats: int) -> float:
     return min(seconds)
 
 
-def matrix_speed(repeats: int) -> float:
-    """Return operations per second of a large product at the precision that torch is set to."""
-    a, b, out = (torch.randn(SQUARE, SQUARE) for _ in range(3))
+def matrix_speed(repeats: int, dtype: torch.dtype) -> float:
+    """Return operations per second of a large product of this type."""
+    a, b, out = (torch.randn(SQUARE, SQUARE).to(dtype) for _ in range(3))
     return 2.0 * SQUARE**3 / least(lambda: torch.mm(a, b, out=out), 10 * repeats)
 
 
@@ -124,7 +125,9 @@ def _learning(trainer: OnPolicyTrainer, collector: Collector, chunks: list[Chunk
 
     steps = chunks[0].rows.steps
     trained = -(-config.iteration_steps // steps) * steps
-    learning, speed = least(updates, repeats), matrix_speed(repeats)
+    rough = config.bfloat16_observations and has_bfloat16("cpu")
+    learning = least(updates, repeats)
+    speed = matrix_speed(repeats, torch.bfloat16 if rough else torch.float32)
     return {
         "updates": 1e6 * learning / trained,
         "limit": 1e6 * operations(config, collector.team) / speed,

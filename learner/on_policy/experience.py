@@ -121,11 +121,6 @@ class Observations(NamedTuple):
         own = pool.run([partial(_contiguous, part, dtype) for part in parts])
         return cls(tuple(own), rows.to(dtype) if whole else rows.new_empty(len(rows), 0))
 
-    def drawn(self, here: Tensor, pool: SideBySide) -> "Observations":
-        """Return those of some rows by their numbers [B]."""
-        own = pool.run([partial(part.index_select, 0, here) for part in self.own])
-        return Observations(tuple(own), self.team.index_select(0, here))
-
 
 def _contiguous(part: Tensor, dtype: torch.dtype) -> Tensor:
     return part.to(dtype).contiguous()

@@ -1,7 +1,8 @@
 """Perceptrons with two hidden ReLU layers for all agents of a type, by plain torch autograd.
 
-A *stack* is one network that all agents of a type share, or one for each. The parameters of the S networks of a stack
-are six tensors with a leading axis S, in the order of `common.actors`: W1, b1, W2, b2, W3, b3.
+A *stack* is one network that all agents of a type share, or one for each. The parameters of its S networks are one
+tensor [S, P], so that an optimiser's step is a few large operations. Its layers are six views with a leading axis S, in
+the order of `common.actors`: W1, b1, W2, b2, W3, b3.
 """
 
 import math
@@ -12,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from common.actors import layer_shapes, parameter_views
+from common.actors import layer_shapes
 from common.gru import Memory
 from common.seeds import stream
 from common.team import Float32
@@ -31,6 +32,10 @@ class Stack(nn.Module):
         outputs: numbers in an output.
         gain: gain of the last layer's orthogonal initialisation; hidden layers have sqrt(2).
         names: parts of the name of the random stream of each network's initialisation, one entry for each.
+
+    Attributes:
+        count: S.
+        flat: all parameters [S, P].
     """
 
     memory: ClassVar[Memory] = "none"
@@ -39,12 +44,31 @@ class Stack(nn.Module):
         self, count: int, inputs: int, hidden: int, outputs: int, gain: float, names: Sequence[tuple[int | str, ...]]
     ) -> None:
         super().__init__()
-        self.count, self._sizes = count, (inputs, hidden, outputs)
-        shapes = layer_shapes(inputs, hidden, outputs, self.memory)
-        self.layers = nn.ParameterList([nn.Parameter(torch.zeros(count, *shape)) for shape in shapes])
-        with torch.no_grad():
-            for row, name in enumerate(names):
-                self.initialise(row, stream(*name), gain)
+        self.count = count
+        self._shapes = layer_shapes(inputs, hidden, outputs, self.memory)
+        self._lengths = [math.prod(shape) for shape in self._shapes]
+        self.flat = nn.Parameter(torch.zeros(count, sum(self._lengths)))
+        for row, name in enumerate(names):
+            self.initialise(row, stream(*name), gain)
+
+    def views(self, flat: Tensor) -> list[Tensor]:
+        """Return each layer [S, ...] of parameters, or of numbers that belong to them, [S, P]."""
+        return self._shaped(torch.split(flat, self._lengths, dim=1))
+
+    def _shaped(self, parts: Sequence[Tensor]) -> list[Tensor]:
+        return [part.view(self.count, *shape) for part, shape in zip(parts, self._shapes, strict=True)]
+
+    @property
+    def layers(self) -> list[Tensor]:
+        """All layers, to be read and written without gradients."""
+        return self.views(self.flat.detach())
+
+    def weights(self, dtype: torch.dtype) -> list[Tensor]:
+        """Return all layers for a pass, those before the last as `dtype`."""
+        before, last = self._lengths[:-2], self._lengths[-2:]
+        # A split's gradient is one concatenation; each index's would be a copy into zeros.
+        hidden, output = torch.split(self.flat, [sum(before), sum(last)], dim=1)
+        return self._shaped([*torch.split(hidden.to(dtype), before, dim=1), *torch.split(output, last, dim=1)])
 
     def initialise(self, row: int, generator: np.random.Generator, gain: float) -> None:
         """Draw the weights of one network.
@@ -71,15 +95,13 @@ class Stack(nn.Module):
         if self.count == 1:
             flat = x.reshape(-1, x.shape[2])
             return self._one(flat).view(x.shape[0], x.shape[1], -1)
-        w1, b1, w2, b2 = (layer.to(x.dtype) for layer in self.layers[:4])
+        w1, b1, w2, b2, w3, b3 = self.weights(x.dtype)
         h = torch.relu_(torch.baddbmm(b1[:, None], x.transpose(0, 1), w1))
         h = torch.relu_(torch.baddbmm(b2[:, None], h, w2))
-        return torch.baddbmm(self.layers[5][:, None], h.float(), self.layers[4]).transpose(0, 1)
+        return torch.baddbmm(b3[:, None], h.float(), w3).transpose(0, 1)
 
     def _one(self, x: Tensor) -> Tensor:
-        # A view's gradient is a view; that of an index is a copy into zeros.
-        *hidden, w3, b3 = (layer.view(layer.shape[1:]) for layer in self.layers)
-        w1, b1, w2, b2 = (layer.to(x.dtype) for layer in hidden)
+        w1, b1, w2, b2, w3, b3 = (layer.squeeze(0) for layer in self.weights(x.dtype))
         h = torch.relu_(torch.addmm(b1, x, w1))
         h = torch.relu_(torch.addmm(b2, h, w2))
         return torch.addmm(b3, h.float(), w3)
@@ -89,15 +111,13 @@ class Stack(nn.Module):
         raise NotImplementedError("networks without memory have no states.")
 
     def export(self) -> Float32:
-        """Return the parameters as [S, P] float32, in the order of `common.actors`."""
-        flat = torch.cat([layer.detach().reshape(self.count, -1) for layer in self.layers], dim=1)
-        return flat.float().contiguous().cpu().numpy()
+        """Return a copy of the parameters, [S, P] float32, in the order of `common.actors`."""
+        return self.flat.detach().cpu().numpy().copy()
 
     @torch.no_grad()
     def load(self, flat: Float32) -> None:
         """Replace the parameters by [S, P] float32."""
-        for layer, view in zip(self.layers, parameter_views(flat, *self._sizes, self.memory), strict=True):
-            layer.copy_(torch.from_numpy(np.ascontiguousarray(view)))
+        self.flat.copy_(torch.from_numpy(np.ascontiguousarray(flat)))
 
 
 def orthogonal(shape: tuple[int, ...], gain: float, generator: np.random.Generator) -> Float32:

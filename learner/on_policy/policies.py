@@ -71,8 +71,7 @@ class Policies(nn.Module):
         stack = make_stack(config, count, group.observation_size, actor_outputs(group, HEAD), LAST_GAIN, names)
         for adapter in group.adapters[:1]:
             if (option := getattr(adapter, "resting", None)) is not None:
-                with torch.no_grad():
-                    stack.layers[-1][:, option] = FAVOUR
+                stack.layers[-1][:, option] = FAVOUR
             if config.memory == "none" and (first := getattr(adapter, "suggestion", -1)) >= 0:
                 logit = config.type_suggestion_logits().get(group.name, FOLLOW)
                 favour_suggestion(stack, first, group.choices[0], logit)
@@ -129,7 +128,6 @@ class Policies(nn.Module):
             stack.load(parameters)
 
 
-@torch.no_grad()
 def favour_suggestion(stack: Stack, first: int, options: int, logit: float) -> None:
     """Let fresh networks without memory favour options as far as their input marks them, from 0 to 1.
 

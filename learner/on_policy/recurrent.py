@@ -1,7 +1,6 @@
 """Networks with memory: a hidden ReLU layer, a gated recurrent unit (`common.gru`) and an output layer.
 
-The parameters of a stack are eight tensors with a leading axis S, in the order of `common.actors`: W1, b1, W, b, U, c,
-W3, b3.
+A stack has eight layers with a leading axis S, in the order of `common.actors`: W1, b1, W, b, U, c, W3, b3.
 """
 
 import math
@@ -31,9 +30,9 @@ class RecurrentStack(Stack):
 
     def initialise(self, row: int, generator: np.random.Generator, gain: float) -> None:
         """Draw the weights of one network; the unit's matrices are orthogonal one by one, with a gain of 1."""
-        first, last = self.layers[0], self.layers[-2]
+        first, _, gates, _, own_gates, _, last, _ = self.layers
         first[row] = torch.from_numpy(orthogonal(tuple(first[row].shape), math.sqrt(2.0), generator))
-        for layer in (self.layers[2], self.layers[4]):
+        for layer in (gates, own_gates):
             square = layer.shape[1], layer.shape[1]
             parts = [orthogonal(square, 1.0, generator) for _ in range(GATES)]
             layer[row] = torch.from_numpy(np.concatenate(parts, axis=1))
@@ -52,7 +51,7 @@ class RecurrentStack(Stack):
             sequences: B sequences of L rows, with states of the n networks.
         """
         agents, (steps, batch) = x.shape[1], sequences.keep.shape
-        w1, b1, w, b, u, c = (layer.to(x.dtype) for layer in self.layers[:6])
+        w1, b1, w, b, u, c, w3, b3 = self.weights(x.dtype)
         hidden = torch.relu_(torch.baddbmm(b1[:, None], self._by_network(x), w1))
         asked = torch.baddbmm(b[:, None], hidden, w).float()
         keep = sequences.keep.repeat_interleave(agents, dim=1) if self.count == 1 else sequences.keep
@@ -61,7 +60,7 @@ class RecurrentStack(Stack):
             state = _next_state(own, state * goes_on[:, None], u, c)
             states.append(state)
         found = torch.stack(states, dim=1).flatten(1, 2)
-        outputs = torch.baddbmm(self.layers[7][:, None], found, self.layers[6])
+        outputs = torch.baddbmm(b3[:, None], found, w3)
         return Unroll(self._by_row(outputs, steps * batch), self._by_row(found, steps * batch))
 
     def _by_network(self, x: Tensor) -> Tensor:

@@ -19,9 +19,13 @@ class SideBySide:
 
     Args:
         threads: how many compute at once; with 1 the caller computes everything itself.
+
+    Attributes:
+        threads: as given.
     """
 
     def __init__(self, threads: int) -> None:
+        self.threads = threads
         self._pool = None if threads == 1 else ThreadPoolExecutor(threads, "updates", _prepare)
 
     def run(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:

@@ -15,9 +15,9 @@ those of the present value functions. `objective` says what the ratio's denomina
                min(pi_newest / pi_behaviour, 2), so steps of an older policy count as much as the others.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -33,6 +33,7 @@ from learner.on_policy.advantages import advantages
 from learner.on_policy.diagnostics import IterationDiagnostics
 from learner.on_policy.experience import Observations, split_actions, step_rows
 from learner.on_policy.iteration_states import IterationStates
+from learner.on_policy.networks import Stack
 from learner.on_policy.policies import Policies
 from learner.on_policy.sequences import Sequences
 from learner.on_policy.side_by_side import SideBySide
@@ -43,11 +44,33 @@ VALUE_BATCH = 4096
 EPSILON = 1e-8
 MOST_WEIGHT = 2.0
 """Largest weight of a step in the decoupled objective; rare actions of an older policy would else drown the others."""
-Minibatch = list[tuple[Sequences, Sequences]]
-"""For each type how its actors and its value functions go through a minibatch, with memory."""
+Order = list[tuple[Sequences, Sequences]]
+"""For each type how its actors and its value functions go through some rows, with memory."""
 NOTHING_SEEN = Observations((), torch.zeros(0, 0))
 COMPUTED = ("returns", "advantage")
 """Tensors of an iteration's rows, [R, agents], that are computed at its start."""
+
+
+class Minibatch(NamedTuple):
+    """What one update learns from.
+
+    Attributes:
+        here: [B] its rows' numbers in the iteration.
+        rows: actions, log-probabilities, advantages and returns of its rows.
+        team: [B, O] observations of all agents, or [B, 0] where no network sees them.
+        order: how networks with memory go through it, else None.
+        entropy_weight: w_H of a type whose scale is 1.
+    """
+
+    here: Tensor
+    rows: dict[str, Tensor]
+    team: Tensor
+    order: Order | None
+    entropy_weight: float
+
+
+Gradient = Callable[[int, Minibatch, Tensor], dict[str, Tensor]]
+"""Computes a gradient of a type's networks from a minibatch and the type's observations [B, n, o] in it."""
 
 
 class Updates:
@@ -125,20 +148,24 @@ class Updates:
         newest = self._rows["log_probability"].clone()
         samples = self.samples(rows)
         for part in np.array_split(samples, min(len(samples), -(-rows.steps // VALUE_BATCH))):
-            here, sequences = self._gathered(part)
-            own = self._seen.drawn(here, self._side_by_side).own
-            actions = split_actions(self._team, self._rows["action"][here])
-            for kind, (_, agents) in enumerate(self._groups):
-                acting = None if sequences is None else sequences[kind][0]
-                newest[here, agents] = self.policies.log_probability(kind, own[kind], actions[kind], acting)
+            here, order = self._gathered(part)
+            tasks = [partial(self._log_probability, kind, here, order) for kind in range(len(self._groups))]
+            newest[here] = torch.cat(self._side_by_side.run(tasks), dim=1)
         weight = (newest - self._rows["log_probability"]).exp().clamp(max=MOST_WEIGHT)
         self._rows["log_probability"] = newest
         self._rows["advantage"] = self._rows["advantage"] * weight
 
-    def _gathered(self, samples: NDArray[np.int64]) -> tuple[Tensor, Minibatch | None]:
+    @torch.no_grad()  # which each thread asks for itself
+    def _log_probability(self, kind: int, here: Tensor, order: Order | None) -> Tensor:
+        """Return log pi(a | o) [B, n] of a type's present actors for some rows' actions."""
+        action = split_actions(self._team, self._rows["action"][here])[kind]
+        acting = None if order is None else order[kind][0]
+        return self.policies.log_probability(kind, self._seen.own[kind].index_select(0, here), action, acting)
+
+    def _gathered(self, samples: NDArray[np.int64]) -> tuple[Tensor, Order | None]:
         """Return the rows of some samples, and for networks with memory how they follow one another."""
-        places, sequences = (samples, None) if self._states is None else self._states.minibatch(samples)
-        return torch.from_numpy(places).to(self._device), sequences
+        places, order = (samples, None) if self._states is None else self._states.minibatch(samples)
+        return torch.from_numpy(places).to(self._device), order
 
     def _load(self, rows: Rows) -> None:
         assert rows.log_probability is not None
@@ -185,28 +212,35 @@ class Updates:
         config = self._config
         self._set_rates(1.0 + (config.rate_end - 1.0) * progress)
         weight = config.entropy_start + (config.entropy_end - config.entropy_start) * progress
-        here, sequences = self._gathered(samples)
-        batch = {name: tensor.index_select(0, here) for name, tensor in self._rows.items()}
-        seen = self._seen.drawn(here, self._side_by_side)
+        here, order = self._gathered(samples)
+        rows = {name: tensor.index_select(0, here) for name, tensor in self._rows.items()}
+        batch = Minibatch(here, rows, self._seen.team.index_select(0, here), order, weight)
         self.optimiser.zero_grad(set_to_none=True)
         kinds = range(len(self._groups))
-        acting = [partial(self._actor_gradient, kind, batch, seen.own[kind], sequences, weight) for kind in kinds]
-        valuing = [partial(self._value_gradient, kind, batch, seen, sequences) for kind in kinds]
-        found = self._side_by_side.run([*acting, *valuing])
+        # A type's two gradients need the same rows, which one core has in its cache. More threads need more tasks.
+        parts = [[self._actor_gradient, self._value_gradient]]
+        if self._side_by_side.threads > len(kinds):
+            parts = [[part] for part in parts[0]]
+        tasks = [partial(self._gradients, kind, batch, part) for part in parts for kind in kinds]
+        found = self._side_by_side.run(tasks)
         self.optimiser.step()
-        self.diagnostics.add([found[kind] | found[len(kinds) + kind] for kind in kinds])
+        self.diagnostics.add([merged(found[kind :: len(kinds)]) for kind in kinds])
 
-    def _actor_gradient(
-        self, kind: int, batch: dict[str, Tensor], own: Tensor, sequences: Minibatch | None, weight: float
-    ) -> dict[str, Tensor]:
+    def _gradients(self, kind: int, batch: Minibatch, parts: Sequence[Gradient]) -> dict[str, Tensor]:
+        """Compute gradients of a type's networks; return what was measured."""
+        own = self._seen.own[kind].index_select(0, batch.here)
+        return merged(part(kind, batch, own) for part in parts)
+
+    def _actor_gradient(self, kind: int, batch: Minibatch, own: Tensor) -> dict[str, Tensor]:
         """Compute the clipped gradient of a type's actors; return what was measured, nothing if they have stopped."""
         if self.stopped[kind]:
             return {}
         agents = self._groups[kind][1]
-        sampled = batch["log_probability"][:, agents], batch["advantage"][:, agents]
-        actions = split_actions(self._team, batch["action"])[kind]
-        order = None if sequences is None else sequences[kind][0]
-        part = self.policies.loss(kind, own, actions, *sampled, weight * self._entropy_scales[kind], order)
+        sampled = batch.rows["log_probability"][:, agents], batch.rows["advantage"][:, agents]
+        actions = split_actions(self._team, batch.rows["action"])[kind]
+        order = None if batch.order is None else batch.order[kind][0]
+        weight = batch.entropy_weight * self._entropy_scales[kind]
+        part = self.policies.loss(kind, own, actions, *sampled, weight, order)
         torch.autograd.backward(part.loss)
         return {
             "actor_loss": part.loss.detach(),
@@ -216,13 +250,11 @@ class Updates:
             "actor_gradient": self._clipped(self.policies.stacks[kind]),
         }
 
-    def _value_gradient(
-        self, kind: int, batch: dict[str, Tensor], seen: Observations, sequences: Minibatch | None
-    ) -> dict[str, Tensor]:
+    def _value_gradient(self, kind: int, batch: Minibatch, own: Tensor) -> dict[str, Tensor]:
         """Compute the clipped gradient of a type's value functions; return what was measured."""
-        returns = batch["returns"][:, self._groups[kind][1]]
-        order = None if sequences is None else sequences[kind][1]
-        loss = self.values[kind].loss(seen.team, seen.own[kind], returns, order)
+        returns = batch.rows["returns"][:, self._groups[kind][1]]
+        order = None if batch.order is None else batch.order[kind][1]
+        loss = self.values[kind].loss(batch.team, own, returns, order)
         torch.autograd.backward(loss)
         return {"value_loss": loss.detach(), "value_gradient": self._clipped(self.values[kind])}
 
@@ -242,13 +274,19 @@ class Updates:
         return nn.utils.clip_grad_norm_(list(networks.parameters()), limit)
 
     def network_tensors(self) -> Iterator[tuple[str, Tensor]]:
-        """Yield all parameters and Adam's moments by name; moments are zeros before the first step."""
+        """Yield all layers and Adam's moments of them by name; moments are zeros before the first step."""
         for owner, module in self._all_networks:
-            for name, parameter in module.named_parameters():
-                yield f"{owner}.{name}", parameter.detach()
-                state = self._moments(parameter)
-                for moment, tensor in state.items():
-                    yield f"{owner}.{name}.{moment}", tensor
+            for name, stack in module.named_modules():
+                if isinstance(stack, Stack):
+                    yield from self._stack_tensors(f"{owner}.{name}", stack)
+
+    def _stack_tensors(self, name: str, stack: Stack) -> Iterator[tuple[str, Tensor]]:
+        for index, layer in enumerate(stack.layers):
+            yield f"{name}.layers.{index}", layer
+        for moment, tensor in self._moments(stack.flat).items():
+            parts = stack.views(tensor) if tensor.ndim else [tensor] * len(stack.layers)
+            for index, part in enumerate(parts):
+                yield f"{name}.layers.{index}.{moment}", part
 
     def _moments(self, parameter: nn.Parameter) -> dict[str, Tensor]:
         state: dict[str, Any] = self.optimiser.state[parameter]
@@ -292,6 +330,11 @@ class Updates:
         """Forget the iteration's rows, and which actors have stopped in it."""
         self._rows, self._seen, self._states = {}, NOTHING_SEEN, None
         self.stopped = [False] * len(self._team.groups)
+
+
+def merged(parts: Iterable[dict[str, Tensor]]) -> dict[str, Tensor]:
+    """Return what is in any of the mappings."""
+    return {name: tensor for part in parts for name, tensor in part.items()}
 
 
 def credited(team: TeamSpec, reward: Float32, credit: str) -> Float32:

@@ -94,23 +94,18 @@ class Collector:
             may be shaped (`rollout.worker.reward_shaping`); rewards of episodes are not.
         """
         environments, steps = self.environments, self._config.rollout.chunk_steps
-        on_policy = self._config.learns_on_policy
         rows = _ChunkRows(
             len(environments.time),
             steps,
             self.team,
-            log_probabilities=on_policy,
+            log_probabilities=self._config.learns_on_policy,
             rounded=self._config.bfloat16_observations,
         )
         state = None if self._state is None else self._state.copy()
         episodes: list[EpisodeSummary] = []
         for step in range(steps):
             rows.write_observation(step, environments.observation)
-            if on_policy:
-                action, rows.log_probability[:, step], adapted = self._sample(actors)
-            else:
-                action = self._explore(actors, noise_std, uniform)
-                adapted = self.team.adapt(environments.observation, action)
+            action, adapted = self._decide(actors, noise_std, uniform, rows.log_probability[:, step])
             self._shaping.before_step()
             environments.step(adapted)
             self.simulated += len(environments.time)
@@ -118,18 +113,43 @@ class Collector:
             if self.probe is not None:
                 self.probe.record()
             rows.action[:, step], rows.reward[:, step] = action, self._shaping.shaped_reward()
-            over = np.flatnonzero(environments.ended)
-            if len(over) or step + 1 == steps:  # else the next step writes them
-                rows.write_observation(step + 1, environments.observation)
-            for index in over:
-                self._credit(rows, int(index), step + 1)
-                rows.end(int(index), step, bool(environments.terminated[index]))
-                episodes.append(environments.summary(int(index)))
-                self._begin(int(index))
+            episodes += self._end_episodes(rows, step + 1)
         for running in range(len(environments.time)):
             self._credit(rows, running, steps)
         self.environment_steps = self.simulated
         return Chunk(replace(rows.rows(), state=state), tuple(episodes))
+
+    def _decide(
+        self, actors: TeamActors, noise_std: float, uniform: bool, log_probability: Float32
+    ) -> tuple[Float32, Float32]:
+        """Return actions and, adapted, what the environments get; on policy, write log-probabilities [E, agents]."""
+        if self._config.learns_on_policy:
+            action, log_probability[...], adapted = self._sample(actors)
+            return action, adapted
+        action = self._explore(actors, noise_std, uniform)
+        return action, self.team.adapt(self.environments.observation, action)
+
+    def _end_episodes(self, rows: "_ChunkRows", steps: int) -> list[EpisodeSummary]:
+        """Close the episodes that ended in the chunk's newest step, and begin others.
+
+        Args:
+            rows: the chunk's rows.
+            steps: its steps so far.
+
+        Returns:
+            Summaries of the episodes.
+        """
+        environments = self.environments
+        over = [int(index) for index in np.flatnonzero(environments.ended)]
+        if over or steps == self._config.rollout.chunk_steps:  # else the next step writes them
+            rows.write_observation(steps, environments.observation)
+        summaries = []
+        for index in over:
+            self._credit(rows, index, steps)
+            rows.end(index, steps - 1, bool(environments.terminated[index]))
+            summaries.append(environments.summary(index))
+            self._begin(index)
+        return summaries
 
     def _sample(self, actors: TeamActors) -> tuple[Float32, Float32, Float32]:
         """Return actions sampled from the actors' distributions, their log-probabilities, and the actions adapted."""
