@@ -7,9 +7,9 @@ deciding    the actors' forward passes and the sampled actions
 collecting  the whole of a worker's chunk: flying, deciding, random numbers, rows
 wire        encoding a chunk, and decoding and checking it
 updates     all updates of an iteration, per environment step
-at_once     the same as a learner does them, with networks side by side on `learner.update_threads` cores; elapsed time
-limit       the updates' multiplications and additions at the speed of a large matrix product of the same precision
-            (bfloat16 where the learner computes with it), measured in the same run on one thread
+at_once     the same as a learner does them, with types side by side on `learner.update_threads` cores; elapsed time
+limit       the updates' multiplications and additions at the speed of a large matrix product of what hidden layers
+            multiply, bfloat16 where the processor has it, measured in the same run on one thread
 step_bytes  bytes of a step's rows in a chunk
 
 Every time is the least of the repeats. A pass forward costs two operations for each weight and sample, the gradient by
@@ -44,7 +44,7 @@ from common.transitions import Chunk
 from deploy.exit_codes import run_command
 from deploy.local.memory import keep_freed_memory
 from deploy.reports.provenance import provenance
-from learner.networks.device import has_bfloat16
+from learner.networks.device import product_dtype
 from learner.on_policy.policies import HEAD
 from learner.on_policy.trainer import OnPolicyTrainer
 from rollout.worker.action_sampler import ActionSampler
@@ -125,9 +125,7 @@ def _learning(trainer: OnPolicyTrainer, collector: Collector, chunks: list[Chunk
 
     steps = chunks[0].rows.steps
     trained = -(-config.iteration_steps // steps) * steps
-    rough = config.bfloat16_observations and has_bfloat16("cpu")
-    learning = least(updates, repeats)
-    speed = matrix_speed(repeats, torch.bfloat16 if rough else torch.float32)
+    learning, speed = least(updates, repeats), matrix_speed(repeats, product_dtype(config.precision, "cpu"))
     return {
         "updates": 1e6 * learning / trained,
         "limit": 1e6 * operations(config, collector.team) / speed,

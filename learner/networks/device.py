@@ -24,6 +24,11 @@ def usable_device(name: str) -> torch.device:
     return device
 
 
+def product_dtype(precision: str, device: str) -> torch.dtype:
+    """Return what hidden layers multiply on a device: `precision`, or float32 where bfloat16 would be slower."""
+    return torch.bfloat16 if precision == "bfloat16" and has_bfloat16(device) else torch.float32
+
+
 def has_bfloat16(name: str) -> bool:
     """Return whether a device has instructions for products of bfloat16; without them, they are slower than float32."""
     if torch.device(name).type == "cuda":

@@ -100,7 +100,7 @@ class Observations(NamedTuple):
     Attributes:
         own: those of each type, [R, n_v, o_v], contiguous: rows are drawn for every minibatch, and every network would
             copy what is strided.
-        team: those of all agents, [R, O], or [R, 0] where no network sees them.
+        team: those of all agents, [R, O], or [R, 0] where neither value functions nor states need them.
     """
 
     own: tuple[Tensor, ...]

@@ -19,7 +19,7 @@ from common.team import Float32, TeamSpec, slices
 from common.transitions import TRANSITION, Rows
 from learner.on_policy.experience import split
 from learner.on_policy.policies import Policies
-from learner.on_policy.sequences import SequenceLayout, Sequences, Unroll
+from learner.on_policy.sequences import SequenceLayout, Sequences, TypeSequences, Unroll
 from learner.on_policy.values import GroupValue
 
 
@@ -126,8 +126,8 @@ class IterationStates:
     def _keep(self, numbers: NDArray[np.int64]) -> Tensor:
         return torch.from_numpy(self.layout.keep[:, numbers]).to(self._device)
 
-    def minibatch(self, numbers: NDArray[np.int64]) -> tuple[NDArray[np.int64], list[tuple[Sequences, Sequences]]]:
-        """Return the rows of sequences, and for each type how its actors and value functions go through them."""
+    def rows_and_sequences(self, numbers: NDArray[np.int64]) -> tuple[NDArray[np.int64], TypeSequences]:
+        """Return the rows of sequences, and how the networks of each type go through them."""
         keep = self._keep(numbers)
         actors, values = Sequences(keep, self.actors[numbers]), Sequences(keep, self.values[numbers])
         return self._rows(numbers), [(actors.of(agents), values.of(states)) for agents, states in self._by_type]

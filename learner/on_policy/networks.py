@@ -51,8 +51,8 @@ class Stack(nn.Module):
         for row, name in enumerate(names):
             self.initialise(row, stream(*name), gain)
 
-    def views(self, flat: Tensor) -> list[Tensor]:
-        """Return each layer [S, ...] of parameters, or of numbers that belong to them, [S, P]."""
+    def layers_of(self, flat: Tensor) -> list[Tensor]:
+        """Return views of the layers [S, ...] in a tensor [S, P]: the parameters, their gradient or a moment."""
         return self._shaped(torch.split(flat, self._lengths, dim=1))
 
     def _shaped(self, parts: Sequence[Tensor]) -> list[Tensor]:
@@ -61,12 +61,12 @@ class Stack(nn.Module):
     @property
     def layers(self) -> list[Tensor]:
         """All layers, to be read and written without gradients."""
-        return self.views(self.flat.detach())
+        return self.layers_of(self.flat.detach())
 
-    def weights(self, dtype: torch.dtype) -> list[Tensor]:
-        """Return all layers for a pass, those before the last as `dtype`."""
+    def layers_as(self, dtype: torch.dtype) -> list[Tensor]:
+        """Return all layers for a pass: the last, W3 and b3, as float32, those before it as `dtype`."""
         before, last = self._lengths[:-2], self._lengths[-2:]
-        # A split's gradient is one concatenation; each index's would be a copy into zeros.
+        # All are converted at once. A split's gradient is one concatenation, an index's would be a copy into zeros.
         hidden, output = torch.split(self.flat, [sum(before), sum(last)], dim=1)
         return self._shaped([*torch.split(hidden.to(dtype), before, dim=1), *torch.split(output, last, dim=1)])
 
@@ -93,15 +93,15 @@ class Stack(nn.Module):
             [B, n, outputs].
         """
         if self.count == 1:
-            flat = x.reshape(-1, x.shape[2])
-            return self._one(flat).view(x.shape[0], x.shape[1], -1)
-        w1, b1, w2, b2, w3, b3 = self.weights(x.dtype)
+            rows = x.reshape(-1, x.shape[2])
+            return self._one(rows).view(x.shape[0], x.shape[1], -1)
+        w1, b1, w2, b2, w3, b3 = self.layers_as(x.dtype)
         h = torch.relu_(torch.baddbmm(b1[:, None], x.transpose(0, 1), w1))
         h = torch.relu_(torch.baddbmm(b2[:, None], h, w2))
         return torch.baddbmm(b3[:, None], h.float(), w3).transpose(0, 1)
 
     def _one(self, x: Tensor) -> Tensor:
-        w1, b1, w2, b2, w3, b3 = (layer.squeeze(0) for layer in self.weights(x.dtype))
+        w1, b1, w2, b2, w3, b3 = (layer.squeeze(0) for layer in self.layers_as(x.dtype))
         h = torch.relu_(torch.addmm(b1, x, w1))
         h = torch.relu_(torch.addmm(b2, h, w2))
         return torch.addmm(b3, h.float(), w3)
@@ -117,6 +117,7 @@ class Stack(nn.Module):
     @torch.no_grad()
     def load(self, flat: Float32) -> None:
         """Replace the parameters by [S, P] float32."""
+        assert flat.shape == self.flat.shape  # else `copy_` would repeat the rows that there are
         self.flat.copy_(torch.from_numpy(np.ascontiguousarray(flat)))
 
 

@@ -30,13 +30,13 @@ class RecurrentStack(Stack):
 
     def initialise(self, row: int, generator: np.random.Generator, gain: float) -> None:
         """Draw the weights of one network; the unit's matrices are orthogonal one by one, with a gain of 1."""
-        first, _, gates, _, own_gates, _, last, _ = self.layers
-        first[row] = torch.from_numpy(orthogonal(tuple(first[row].shape), math.sqrt(2.0), generator))
-        for layer in (gates, own_gates):
+        w1, _, w, _, u, _, w3, _ = self.layers
+        w1[row] = torch.from_numpy(orthogonal(tuple(w1[row].shape), math.sqrt(2.0), generator))
+        for layer in (w, u):
             square = layer.shape[1], layer.shape[1]
             parts = [orthogonal(square, 1.0, generator) for _ in range(GATES)]
             layer[row] = torch.from_numpy(np.concatenate(parts, axis=1))
-        last[row] = torch.from_numpy(orthogonal(tuple(last[row].shape), gain, generator))
+        w3[row] = torch.from_numpy(orthogonal(tuple(w3[row].shape), gain, generator))
 
     def forward(self, x: Tensor, sequences: Sequences | None = None) -> Tensor:
         """Return the outputs [L B, n, outputs] of each agent's network; arguments as for `unroll`."""
@@ -51,7 +51,7 @@ class RecurrentStack(Stack):
             sequences: B sequences of L rows, with states of the n networks.
         """
         agents, (steps, batch) = x.shape[1], sequences.keep.shape
-        w1, b1, w, b, u, c, w3, b3 = self.weights(x.dtype)
+        w1, b1, w, b, u, c, w3, b3 = self.layers_as(x.dtype)
         hidden = torch.relu_(torch.baddbmm(b1[:, None], self._by_network(x), w1))
         asked = torch.baddbmm(b[:, None], hidden, w).float()
         keep = sequences.keep.repeat_interleave(agents, dim=1) if self.count == 1 else sequences.keep

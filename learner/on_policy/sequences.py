@@ -34,6 +34,10 @@ class Sequences(NamedTuple):
         return Sequences(self.keep, self.state[:, networks])
 
 
+TypeSequences = list[tuple[Sequences, Sequences]]
+"""For each type how its actors and its value functions go through some rows."""
+
+
 class SequenceLayout:
     """Where an iteration's sequences are in its rows.
 

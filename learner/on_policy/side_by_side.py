@@ -1,8 +1,8 @@
 """Tasks that compute side by side, each in one thread.
 
-The networks of an on-policy learner are small: one product divided among cores takes longer than on one. But the six
-networks of three types do not depend on each other. Each keeps its arithmetic in one thread, so that results are the
-same with any number of threads. Threads that wait sleep, so that workers get the core.
+The networks of an on-policy learner are small: one product divided among cores takes longer than on one. But networks
+of different types do not depend on each other. Each keeps its arithmetic in one thread, so that results are the same
+with any number of threads. Threads that wait sleep, so that workers get the core.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ class SideBySide:
         threads: how many compute at once; with 1 the caller computes everything itself.
 
     Attributes:
-        threads: as given.
+        threads: how many compute at once.
     """
 
     def __init__(self, threads: int) -> None:

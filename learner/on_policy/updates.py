@@ -2,7 +2,7 @@
 
     values, advantages, returns of all rows           at the iteration's start
     for each epoch: shuffle the steps, or with memory the sequences of steps
-        for each minibatch: one Adam step of L_actor and of L_value of every type; their gradients side by side
+        for each minibatch: one Adam step of L_actor and of L_value of every type, with all types side by side
         a type whose KL divergence exceeds `target_kl` keeps its actors for the rest of the iteration
     all actors keep still in the iterations of the first `value_steps` steps
 
@@ -28,14 +28,14 @@ from common.config import LearnerConfig, OnPolicyConfig
 from common.team import Float32, TeamSpec
 from common.transitions import Rows
 from learner.data.array_tensors import as_tensor
-from learner.networks.device import has_bfloat16
+from learner.networks.device import product_dtype
 from learner.on_policy.advantages import advantages
 from learner.on_policy.diagnostics import IterationDiagnostics
 from learner.on_policy.experience import Observations, split_actions, step_rows
 from learner.on_policy.iteration_states import IterationStates
 from learner.on_policy.networks import Stack
 from learner.on_policy.policies import Policies
-from learner.on_policy.sequences import Sequences
+from learner.on_policy.sequences import TypeSequences
 from learner.on_policy.side_by_side import SideBySide
 from learner.on_policy.values import make_values
 
@@ -44,8 +44,6 @@ VALUE_BATCH = 4096
 EPSILON = 1e-8
 MOST_WEIGHT = 2.0
 """Largest weight of a step in the decoupled objective; rare actions of an older policy would else drown the others."""
-Order = list[tuple[Sequences, Sequences]]
-"""For each type how its actors and its value functions go through some rows, with memory."""
 NOTHING_SEEN = Observations((), torch.zeros(0, 0))
 COMPUTED = ("returns", "advantage")
 """Tensors of an iteration's rows, [R, agents], that are computed at its start."""
@@ -55,21 +53,21 @@ class Minibatch(NamedTuple):
     """What one update learns from.
 
     Attributes:
-        here: [B] its rows' numbers in the iteration.
-        rows: actions, log-probabilities, advantages and returns of its rows.
-        team: [B, O] observations of all agents, or [B, 0] where no network sees them.
-        order: how networks with memory go through it, else None.
+        places: [B] its rows' numbers in the iteration.
+        tensors: actions, log-probabilities, advantages and returns of its rows.
+        team: [B, O] observations of all agents, or [B, 0] where no value function sees them.
+        sequences: how networks with memory go through it, else None.
         entropy_weight: w_H of a type whose scale is 1.
     """
 
-    here: Tensor
-    rows: dict[str, Tensor]
+    places: Tensor
+    tensors: dict[str, Tensor]
     team: Tensor
-    order: Order | None
+    sequences: TypeSequences | None
     entropy_weight: float
 
 
-Gradient = Callable[[int, Minibatch, Tensor], dict[str, Tensor]]
+ComputeGradient = Callable[[int, Minibatch, Tensor], dict[str, Tensor]]
 """Computes a gradient of a type's networks from a minibatch and the type's observations [B, n, o] in it."""
 
 
@@ -94,7 +92,7 @@ class Updates:
         most = min(learner.update_threads, 2 * len(team.groups))
         self._side_by_side = SideBySide(most if device == "cpu" else 1)
         self._rates = config.actor_rate, config.critic_rate
-        self._dtype = torch.bfloat16 if config.precision == "bfloat16" and has_bfloat16(device) else torch.float32
+        self._dtype = product_dtype(config.precision, device)
         # The last layers' narrow products have float32 results; rounding their factors makes them several times faster.
         torch.set_float32_matmul_precision("medium" if self._dtype == torch.bfloat16 else "highest")
         self.policies = Policies(config, team, seed).to(device)
@@ -148,24 +146,24 @@ class Updates:
         newest = self._rows["log_probability"].clone()
         samples = self.samples(rows)
         for part in np.array_split(samples, min(len(samples), -(-rows.steps // VALUE_BATCH))):
-            here, order = self._gathered(part)
-            tasks = [partial(self._log_probability, kind, here, order) for kind in range(len(self._groups))]
-            newest[here] = torch.cat(self._side_by_side.run(tasks), dim=1)
+            places, sequences = self._gathered(part)
+            actions = enumerate(split_actions(self._team, self._rows["action"][places]))
+            tasks = [partial(self._log_probability, kind, places, action, sequences) for kind, action in actions]
+            newest[places] = torch.cat(self._side_by_side.run(tasks), dim=1)
         weight = (newest - self._rows["log_probability"]).exp().clamp(max=MOST_WEIGHT)
         self._rows["log_probability"] = newest
         self._rows["advantage"] = self._rows["advantage"] * weight
 
     @torch.no_grad()  # which each thread asks for itself
-    def _log_probability(self, kind: int, here: Tensor, order: Order | None) -> Tensor:
-        """Return log pi(a | o) [B, n] of a type's present actors for some rows' actions."""
-        action = split_actions(self._team, self._rows["action"][here])[kind]
-        acting = None if order is None else order[kind][0]
-        return self.policies.log_probability(kind, self._seen.own[kind].index_select(0, here), action, acting)
+    def _log_probability(self, kind: int, places: Tensor, action: Tensor, sequences: TypeSequences | None) -> Tensor:
+        """Return log pi(a | o) [B, n] of a type's present actors for its actions [B, n, a] in some rows."""
+        own = self._seen.own[kind].index_select(0, places)
+        return self.policies.log_probability(kind, own, action, None if sequences is None else sequences[kind][0])
 
-    def _gathered(self, samples: NDArray[np.int64]) -> tuple[Tensor, Order | None]:
-        """Return the rows of some samples, and for networks with memory how they follow one another."""
-        places, order = (samples, None) if self._states is None else self._states.minibatch(samples)
-        return torch.from_numpy(places).to(self._device), order
+    def _gathered(self, samples: NDArray[np.int64]) -> tuple[Tensor, TypeSequences | None]:
+        """Return the rows' numbers of some samples, and for networks with memory how these follow one another."""
+        places, sequences = (samples, None) if self._states is None else self._states.rows_and_sequences(samples)
+        return torch.from_numpy(places).to(self._device), sequences
 
     def _load(self, rows: Rows) -> None:
         assert rows.log_probability is not None
@@ -212,35 +210,36 @@ class Updates:
         config = self._config
         self._set_rates(1.0 + (config.rate_end - 1.0) * progress)
         weight = config.entropy_start + (config.entropy_end - config.entropy_start) * progress
-        here, order = self._gathered(samples)
-        rows = {name: tensor.index_select(0, here) for name, tensor in self._rows.items()}
-        batch = Minibatch(here, rows, self._seen.team.index_select(0, here), order, weight)
+        places, sequences = self._gathered(samples)
+        tensors = {name: tensor.index_select(0, places) for name, tensor in self._rows.items()}
+        team = self._seen.team if config.sees_team else self._seen.team[:, :0]
+        batch = Minibatch(places, tensors, team.index_select(0, places), sequences, weight)
         self.optimiser.zero_grad(set_to_none=True)
         kinds = range(len(self._groups))
-        # A type's two gradients need the same rows, which one core has in its cache. More threads need more tasks.
-        parts = [[self._actor_gradient, self._value_gradient]]
-        if self._side_by_side.threads > len(kinds):
-            parts = [[part] for part in parts[0]]
+        # One core computes both gradients of a type, so that the rows are in its cache, unless there are more threads.
+        gradients = [self._actor_gradient, self._value_gradient]
+        together = self._side_by_side.threads <= len(kinds)
+        parts = [gradients] if together else [[gradient] for gradient in gradients]
         tasks = [partial(self._gradients, kind, batch, part) for part in parts for kind in kinds]
         found = self._side_by_side.run(tasks)
         self.optimiser.step()
         self.diagnostics.add([merged(found[kind :: len(kinds)]) for kind in kinds])
 
-    def _gradients(self, kind: int, batch: Minibatch, parts: Sequence[Gradient]) -> dict[str, Tensor]:
-        """Compute gradients of a type's networks; return what was measured."""
-        own = self._seen.own[kind].index_select(0, batch.here)
-        return merged(part(kind, batch, own) for part in parts)
+    def _gradients(self, kind: int, batch: Minibatch, gradients: Sequence[ComputeGradient]) -> dict[str, Tensor]:
+        """Compute some gradients of a type's networks; return what was measured."""
+        own = self._seen.own[kind].index_select(0, batch.places)
+        return merged(gradient(kind, batch, own) for gradient in gradients)
 
     def _actor_gradient(self, kind: int, batch: Minibatch, own: Tensor) -> dict[str, Tensor]:
         """Compute the clipped gradient of a type's actors; return what was measured, nothing if they have stopped."""
         if self.stopped[kind]:
             return {}
         agents = self._groups[kind][1]
-        sampled = batch.rows["log_probability"][:, agents], batch.rows["advantage"][:, agents]
-        actions = split_actions(self._team, batch.rows["action"])[kind]
-        order = None if batch.order is None else batch.order[kind][0]
+        sampled = batch.tensors["log_probability"][:, agents], batch.tensors["advantage"][:, agents]
+        actions = split_actions(self._team, batch.tensors["action"])[kind]
+        sequences = None if batch.sequences is None else batch.sequences[kind][0]
         weight = batch.entropy_weight * self._entropy_scales[kind]
-        part = self.policies.loss(kind, own, actions, *sampled, weight, order)
+        part = self.policies.loss(kind, own, actions, *sampled, weight, sequences)
         torch.autograd.backward(part.loss)
         return {
             "actor_loss": part.loss.detach(),
@@ -252,9 +251,9 @@ class Updates:
 
     def _value_gradient(self, kind: int, batch: Minibatch, own: Tensor) -> dict[str, Tensor]:
         """Compute the clipped gradient of a type's value functions; return what was measured."""
-        returns = batch.rows["returns"][:, self._groups[kind][1]]
-        order = None if batch.order is None else batch.order[kind][1]
-        loss = self.values[kind].loss(batch.team, own, returns, order)
+        returns = batch.tensors["returns"][:, self._groups[kind][1]]
+        sequences = None if batch.sequences is None else batch.sequences[kind][1]
+        loss = self.values[kind].loss(batch.team, own, returns, sequences)
         torch.autograd.backward(loss)
         return {"value_loss": loss.detach(), "value_gradient": self._clipped(self.values[kind])}
 
@@ -274,7 +273,11 @@ class Updates:
         return nn.utils.clip_grad_norm_(list(networks.parameters()), limit)
 
     def network_tensors(self) -> Iterator[tuple[str, Tensor]]:
-        """Yield all layers and Adam's moments of them by name; moments are zeros before the first step."""
+        """Yield views of all layers and Adam's moments of them by name; moments are zeros before the first step.
+
+        Writing to them restores a state. Adam counts the steps of a whole stack; the count stands beside each layer,
+        as earlier versions wrote it.
+        """
         for owner, module in self._all_networks:
             for name, stack in module.named_modules():
                 if isinstance(stack, Stack):
@@ -284,7 +287,7 @@ class Updates:
         for index, layer in enumerate(stack.layers):
             yield f"{name}.layers.{index}", layer
         for moment, tensor in self._moments(stack.flat).items():
-            parts = stack.views(tensor) if tensor.ndim else [tensor] * len(stack.layers)
+            parts = [tensor] * len(stack.layers) if moment == "step" else stack.layers_of(tensor)
             for index, part in enumerate(parts):
                 yield f"{name}.layers.{index}.{moment}", part
 

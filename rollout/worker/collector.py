@@ -105,48 +105,46 @@ class Collector:
         episodes: list[EpisodeSummary] = []
         for step in range(steps):
             rows.write_observation(step, environments.observation)
-            action, adapted = self._decide(actors, noise_std, uniform, rows.log_probability[:, step])
+            action, log_probability, adapted = self._select_actions(actors, noise_std, uniform)
             self._shaping.before_step()
             environments.step(adapted)
             self.simulated += len(environments.time)
             meanwhile()
             if self.probe is not None:
                 self.probe.record()
-            rows.action[:, step], rows.reward[:, step] = action, self._shaping.shaped_reward()
+            rows.action[:, step], rows.log_probability[:, step] = action, log_probability
+            rows.reward[:, step] = self._shaping.shaped_reward()
             episodes += self._end_episodes(rows, step + 1)
         for running in range(len(environments.time)):
             self._credit(rows, running, steps)
         self.environment_steps = self.simulated
         return Chunk(replace(rows.rows(), state=state), tuple(episodes))
 
-    def _decide(
-        self, actors: TeamActors, noise_std: float, uniform: bool, log_probability: Float32
-    ) -> tuple[Float32, Float32]:
-        """Return actions and, adapted, what the environments get; on policy, write log-probabilities [E, agents]."""
+    def _select_actions(self, actors: TeamActors, noise_std: float, uniform: bool) -> tuple[Float32, Float32, Float32]:
+        """Return actions, log-probabilities [E, agents], or [E, 0] off policy, and the actions adapted."""
         if self._config.learns_on_policy:
-            action, log_probability[...], adapted = self._sample(actors)
-            return action, adapted
+            return self._sample(actors)
         action = self._explore(actors, noise_std, uniform)
-        return action, self.team.adapt(self.environments.observation, action)
+        return action, np.zeros((len(action), 0), np.float32), self.team.adapt(self.environments.observation, action)
 
-    def _end_episodes(self, rows: "_ChunkRows", steps: int) -> list[EpisodeSummary]:
+    def _end_episodes(self, rows: "_ChunkRows", steps_done: int) -> list[EpisodeSummary]:
         """Close the episodes that ended in the chunk's newest step, and begin others.
 
         Args:
             rows: the chunk's rows.
-            steps: its steps so far.
+            steps_done: its steps so far.
 
         Returns:
             Summaries of the episodes.
         """
         environments = self.environments
         over = [int(index) for index in np.flatnonzero(environments.ended)]
-        if over or steps == self._config.rollout.chunk_steps:  # else the next step writes them
-            rows.write_observation(steps, environments.observation)
+        if over or steps_done == self._config.rollout.chunk_steps:  # else the next step writes these observations
+            rows.write_observation(steps_done, environments.observation)
         summaries = []
         for index in over:
-            self._credit(rows, index, steps)
-            rows.end(index, steps - 1, bool(environments.terminated[index]))
+            self._credit(rows, index, steps_done)
+            rows.end(index, steps_done - 1, bool(environments.terminated[index]))
             summaries.append(environments.summary(index))
             self._begin(index)
         return summaries

@@ -74,7 +74,7 @@ def test_rough_products_leave_states_whole():
     assert {part.dtype for part in rough} == {torch.float32}
     torch.testing.assert_close(rough.state, exact.state, atol=0.05, rtol=0.0)
     rough.outputs.square().sum().backward()
-    assert all(bool(torch.isfinite(layer).all()) and bool(layer.any()) for layer in stack.views(stack.flat.grad))
+    assert all(bool(torch.isfinite(layer).all()) and bool(layer.any()) for layer in stack.layers_of(stack.flat.grad))
 
 
 def test_sequences_hold_the_steps_in_order():
@@ -123,7 +123,7 @@ def test_the_learner_finds_the_states_of_the_workers(name, parameters):
         before, state = slice((0, 23)[environment], first), rows.state[environment : environment + 1].copy()
         played(actors, rows.observation[before], rows.flag[before], state, np.random.default_rng(0))
         np.testing.assert_allclose(states.actors[number].numpy(), state[0], atol=1e-5)
-    places, sequences = states.minibatch(np.arange(states.layout.count))
+    places, sequences = states.rows_and_sequences(np.arange(states.layout.count))
     observation = torch.from_numpy(rows.observation[places])
     for kind, (own, action) in enumerate(
         zip(split(TEAM, observation), TEAM.split_actions(rows.action[places]), strict=True)
