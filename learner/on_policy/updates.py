@@ -216,9 +216,9 @@ class Updates:
         batch = Minibatch(places, tensors, team.index_select(0, places), sequences, weight)
         self.optimiser.zero_grad(set_to_none=True)
         kinds = range(len(self._groups))
-        # One core computes both gradients of a type, so that the rows are in its cache, unless there are more threads.
+        # One core computes both gradients of a type, so that the rows are in its cache, unless cores would then wait.
         gradients = [self._actor_gradient, self._value_gradient]
-        together = self._side_by_side.threads <= len(kinds)
+        together = len(kinds) % self._side_by_side.threads == 0
         parts = [gradients] if together else [[gradient] for gradient in gradients]
         tasks = [partial(self._gradients, kind, batch, part) for part in parts for kind in kinds]
         found = self._side_by_side.run(tasks)
