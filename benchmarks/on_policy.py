@@ -7,7 +7,7 @@ deciding    the actors' forward passes and the sampled actions
 collecting  the whole of a worker's chunk: flying, deciding, random numbers, rows
 wire        encoding a chunk, and decoding and checking it
 updates     all updates of an iteration, per environment step
-at_once     the same as a learner does them, with types side by side on `learner.update_threads` cores; elapsed time
+at_once     the same as a learner does them, with networks side by side on `learner.update_threads` cores; elapsed time
 limit       the updates' multiplications and additions at the speed of a large matrix product of what hidden layers
             multiply, bfloat16 where the processor has it, measured in the same run on one thread
 step_bytes  bytes of a step's rows in a chunk

@@ -59,7 +59,7 @@ class LearnerConfig:
     threads: int = 1
     """Compute threads of the learner."""
     update_threads: int = 2
-    """Cores that compute the gradients of updates on policy, at most two for each type of agent."""
+    """Networks that learning on policy updates side by side on a processor, at most two for each type of agent."""
     device: str = "cpu"
     """Device of the networks: cpu, cuda, or cuda:1 for the second GPU."""
     publish_seconds: float = 0.5

@@ -1,8 +1,8 @@
 """Tasks that compute side by side, each in one thread.
 
-The networks of an on-policy learner are small: one product divided among cores takes longer than on one. But networks
-of different types do not depend on each other. Each keeps its arithmetic in one thread, so that results are the same
-with any number of threads. Threads that wait sleep, so that workers get the core.
+The networks of an on-policy learner are small: one product divided among cores takes longer than on one. But the six
+networks of three types do not depend on each other. Each keeps its arithmetic in one thread, so that results are the
+same with any number of threads. Threads that wait sleep, so that workers get the core.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,13 +19,9 @@ class SideBySide:
 
     Args:
         threads: how many compute at once; with 1 the caller computes everything itself.
-
-    Attributes:
-        threads: how many compute at once.
     """
 
     def __init__(self, threads: int) -> None:
-        self.threads = threads
         self._pool = None if threads == 1 else ThreadPoolExecutor(threads, "updates", _prepare)
 
     def run(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:

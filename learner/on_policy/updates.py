@@ -2,7 +2,7 @@
 
     values, advantages, returns of all rows           at the iteration's start
     for each epoch: shuffle the steps, or with memory the sequences of steps
-        for each minibatch: one Adam step of L_actor and of L_value of every type, with all types side by side
+        for each minibatch: one Adam step of L_actor and of L_value of every type; their gradients side by side
         a type whose KL divergence exceeds `target_kl` keeps its actors for the rest of the iteration
     all actors keep still in the iterations of the first `value_steps` steps
 
@@ -15,7 +15,7 @@ those of the present value functions. `objective` says what the ratio's denomina
                min(pi_newest / pi_behaviour, 2), so steps of an older policy count as much as the others.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -65,10 +65,6 @@ class Minibatch(NamedTuple):
     team: Tensor
     sequences: TypeSequences | None
     entropy_weight: float
-
-
-ComputeGradient = Callable[[int, Minibatch, Tensor], dict[str, Tensor]]
-"""Computes a gradient of a type's networks from a minibatch and the type's observations [B, n, o] in it."""
 
 
 class Updates:
@@ -157,8 +153,8 @@ class Updates:
     @torch.no_grad()  # which each thread asks for itself
     def _log_probability(self, kind: int, places: Tensor, action: Tensor, sequences: TypeSequences | None) -> Tensor:
         """Return log pi(a | o) [B, n] of a type's present actors for its actions [B, n, a] in some rows."""
-        own = self._seen.own[kind].index_select(0, places)
-        return self.policies.log_probability(kind, own, action, None if sequences is None else sequences[kind][0])
+        acting = None if sequences is None else sequences[kind][0]
+        return self.policies.log_probability(kind, self._own(kind, places), action, acting)
 
     def _gathered(self, samples: NDArray[np.int64]) -> tuple[Tensor, TypeSequences | None]:
         """Return the rows' numbers of some samples, and for networks with memory how these follow one another."""
@@ -216,21 +212,16 @@ class Updates:
         batch = Minibatch(places, tensors, team.index_select(0, places), sequences, weight)
         self.optimiser.zero_grad(set_to_none=True)
         kinds = range(len(self._groups))
-        # One core computes both gradients of a type, so that the rows are in its cache, unless cores would then wait.
-        gradients = [self._actor_gradient, self._value_gradient]
-        together = len(kinds) % self._side_by_side.threads == 0
-        parts = [gradients] if together else [[gradient] for gradient in gradients]
-        tasks = [partial(self._gradients, kind, batch, part) for part in parts for kind in kinds]
-        found = self._side_by_side.run(tasks)
+        gradients = self._actor_gradient, self._value_gradient
+        found = self._side_by_side.run([partial(gradient, kind, batch) for gradient in gradients for kind in kinds])
         self.optimiser.step()
-        self.diagnostics.add([merged(found[kind :: len(kinds)]) for kind in kinds])
+        self.diagnostics.add([found[kind] | found[len(kinds) + kind] for kind in kinds])
 
-    def _gradients(self, kind: int, batch: Minibatch, gradients: Sequence[ComputeGradient]) -> dict[str, Tensor]:
-        """Compute some gradients of a type's networks; return what was measured."""
-        own = self._seen.own[kind].index_select(0, batch.places)
-        return merged(gradient(kind, batch, own) for gradient in gradients)
+    def _own(self, kind: int, places: Tensor) -> Tensor:
+        """Return a type's observations [B, n, o] in some rows; a task draws its own, so that they are in its cache."""
+        return self._seen.own[kind].index_select(0, places)
 
-    def _actor_gradient(self, kind: int, batch: Minibatch, own: Tensor) -> dict[str, Tensor]:
+    def _actor_gradient(self, kind: int, batch: Minibatch) -> dict[str, Tensor]:
         """Compute the clipped gradient of a type's actors; return what was measured, nothing if they have stopped."""
         if self.stopped[kind]:
             return {}
@@ -239,6 +230,7 @@ class Updates:
         actions = split_actions(self._team, batch.tensors["action"])[kind]
         sequences = None if batch.sequences is None else batch.sequences[kind][0]
         weight = batch.entropy_weight * self._entropy_scales[kind]
+        own = self._own(kind, batch.places)
         part = self.policies.loss(kind, own, actions, *sampled, weight, sequences)
         torch.autograd.backward(part.loss)
         return {
@@ -249,11 +241,11 @@ class Updates:
             "actor_gradient": self._clipped(self.policies.stacks[kind]),
         }
 
-    def _value_gradient(self, kind: int, batch: Minibatch, own: Tensor) -> dict[str, Tensor]:
+    def _value_gradient(self, kind: int, batch: Minibatch) -> dict[str, Tensor]:
         """Compute the clipped gradient of a type's value functions; return what was measured."""
         returns = batch.tensors["returns"][:, self._groups[kind][1]]
         sequences = None if batch.sequences is None else batch.sequences[kind][1]
-        loss = self.values[kind].loss(batch.team, own, returns, sequences)
+        loss = self.values[kind].loss(batch.team, self._own(kind, batch.places), returns, sequences)
         torch.autograd.backward(loss)
         return {"value_loss": loss.detach(), "value_gradient": self._clipped(self.values[kind])}
 
@@ -333,11 +325,6 @@ class Updates:
         """Forget the iteration's rows, and which actors have stopped in it."""
         self._rows, self._seen, self._states = {}, NOTHING_SEEN, None
         self.stopped = [False] * len(self._team.groups)
-
-
-def merged(parts: Iterable[dict[str, Tensor]]) -> dict[str, Tensor]:
-    """Return what is in any of the mappings."""
-    return {name: tensor for part in parts for name, tensor in part.items()}
 
 
 def credited(team: TeamSpec, reward: Float32, credit: str) -> Float32:
