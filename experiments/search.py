@@ -28,14 +28,16 @@ from rollout.policies import policy_of
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")
 WIDE: Final = Effort(width=256, last_width=256, same=8)
+"""The usual steps ahead and many more paths."""
 FAR: Final = Effort(horizon=40, width=512, last_horizon=40, last_width=512, same=8, discount=0.99)
+"""More steps ahead, too."""
 FORMS: Final = {
     "as it flies": {},
-    "8 times as wide": {"collectors": WIDE},
-    "16 times as wide, 2.5 times as far": {"collectors": FAR},
+    "256 paths": {"collectors": WIDE},
+    "512 paths, 40 steps ahead": {"collectors": FAR},
     "the same, monitors too": {"collectors": FAR, "monitors": FAR},
 }
-"""Who searches harder, and how hard; monitors otherwise sweep, and plan in the last steps only."""
+"""Who searches harder, and how hard; monitors otherwise fly as usual."""
 
 
 def fly(config: FarmConfig, form: str, farms: range) -> dict[str, Any]:

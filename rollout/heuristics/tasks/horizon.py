@@ -53,7 +53,9 @@ class Effort:
 
 
 EFFORT: Final = Effort()
-"""The heuristic's search effort. `experiments.search` shows what more effort gains."""
+"""The heuristic's search effort where there is no stress. `experiments.search` shows what more effort gains."""
+STRESS_EFFORT: Final = Effort(horizon=24, width=256, last_width=256)
+"""Its effort where there can be patches of stress: ways between them are long, and a larger search pays."""
 
 
 def monitors(state: FarmState) -> GroupPolicy:
@@ -62,13 +64,18 @@ def monitors(state: FarmState) -> GroupPolicy:
     Where all plots are alike, no plan beats a sweep.
     """
     if state.config.stress.some:
-        return HorizonGroupPolicy(state, MONITORS)
+        return HorizonGroupPolicy(state, MONITORS, effort_of(state.config))
     return Handover(state, lawnmower.monitors(state), HorizonGroupPolicy(state, MONITORS))
 
 
 def collectors(state: FarmState) -> GroupPolicy:
     """Return collectors that plan ahead."""
-    return HorizonGroupPolicy(state, COLLECTORS)
+    return HorizonGroupPolicy(state, COLLECTORS, effort_of(state.config))
+
+
+def effort_of(config: FarmConfig) -> Effort:
+    """Return the heuristic's search effort on a farm."""
+    return STRESS_EFFORT if config.stress.some else EFFORT
 
 
 class Handover:

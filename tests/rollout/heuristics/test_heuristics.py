@@ -3,14 +3,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from common.config import EnergyConfig, FarmConfig, WorldConfig
+from common.config import EnergyConfig, FarmConfig, StressConfig, WorldConfig
 from rollout.evaluation import evaluate
 from rollout.heuristics.composite import COLLECTORS, MONITORS, CompositePolicy
 from rollout.heuristics.registry import HEURISTICS, TASKS
 from rollout.heuristics.relays import CentroidRelays, SearchRelays, served_centres, served_heights, total_service
 from rollout.heuristics.static import StaticPolicy
 from rollout.heuristics.steering import keep_apart, loiter_speed, towards
-from rollout.heuristics.tasks import greedy, hungarian
+from rollout.heuristics.tasks import greedy, horizon, hungarian
 from rollout.heuristics.tasks.greedy import best_targets
 from rollout.heuristics.tasks.hungarian import HungarianGroupPolicy, chain_value
 from rollout.heuristics.tasks.lawnmower import INSET, collection_routes
@@ -271,6 +271,21 @@ def test_a_tour_visits_all_its_stops():
         if step >= 60:
             lowest = np.minimum(lowest, farms.aoi[0])
     assert (lowest == 0.0).all()
+
+
+@pytest.mark.parametrize(("patches", "search"), [(0, (16, 32, 4)), (2, (24, 256, 4))])
+def test_horizon_searches_harder_where_there_can_be_stress(patches, search, monkeypatch):
+    asked = []
+
+    def best_path(grid, reward, start, levels, claimed, others, width, same):
+        asked.append((len(levels), width, same))
+        return np.zeros(len(levels), np.int64)
+
+    monkeypatch.setattr(horizon, "best_path", best_path)
+    config = replace(SMALL, stress=StressConfig(patches=patches))
+    policy = policy_of("horizon", config)
+    policy.act(begin(config, policy, [(7, 0)]))
+    assert asked == [search] * (WORLD.collection_uavs + (WORLD.monitoring_uavs if patches else 0))
 
 
 @pytest.mark.parametrize("kind", [MONITORS, COLLECTORS])
