@@ -199,7 +199,7 @@ def compare(name: str, found: Scores, episodes: Episodes, seed: int, farms: rang
 
 def with_new_bar(found: Scores, measuring: str) -> Scores:
     """Return what holds of a condition's results when the heuristics have changed: the policies that had no advice."""
-    commits = [part for part in found["commit"].split(", ") if not part.startswith("heuristics")]
+    commits = [part for part in found["commit"].split(", ") if not part.startswith(("heuristics", "advised"))]
     alone = {policy: found[policy] for policy in POLICIES if policy in found and policy != "advised"}
     return {**alone, "commit": ", ".join([*commits, f"heuristics {measuring}"])}
 

@@ -99,6 +99,11 @@ def test_a_condition_is_trained_and_compared(tiny, tmp_path):
     assert "| - |" in page({**origin, "results": {"tiny": found}})
 
 
+def test_new_heuristics_replace_the_old_ones_and_who_had_their_advice():
+    found = {"commit": "a, advised b, heuristics c, longer d", "learned": {}, "advised": {}, "heuristics": []}
+    assert conditions.with_new_bar(found, "e") == {"learned": {}, "commit": "a, longer d, heuristics e"}
+
+
 def test_what_was_measured_is_kept(tiny, monkeypatch, tmp_path, capsys):
     """A second call measures what is missing, and a named condition anew."""
     measured = []
