@@ -167,6 +167,7 @@ class OnPolicyTrainer(Trainer):
         """Continue from `snapshot_parts`."""
         own = {f"{NETWORKS}{name}": tensor for name, tensor in self._updates.network_tensors()}
         found = checked_tensors(own, tensors)
+        self._updates.require_moments({name.removeprefix(NETWORKS): tensor for name, tensor in found.items()})
         counts = {name: counter(state, name) for name in COUNTS}
         random, lag = restored_random(state.get("random")), finite(state, "sample_age")
         experience, following = (

@@ -15,7 +15,7 @@ those of the present value functions. `objective` says what the ratio's denomina
                min(pi_newest / pi_behaviour, 2), so steps of an older policy count as much as the others.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from common.config import LearnerConfig, OnPolicyConfig
+from common.errors import CheckpointError
 from common.team import Float32, TeamSpec
 from common.transitions import Rows
 from learner.data.array_tensors import as_tensor
@@ -274,6 +275,22 @@ class Updates:
             for name, stack in module.named_modules():
                 if isinstance(stack, Stack):
                     yield from self._stack_tensors(f"{owner}.{name}", stack)
+
+    def require_moments(self, found: Mapping[str, Tensor]) -> None:
+        """Raise CheckpointError unless moments of Adam are possible, and layers of a stack have one count of steps.
+
+        Args:
+            found: tensors by the names of `network_tensors`.
+        """
+        counts: dict[int, Tensor] = {}
+        for name, target in self.network_tensors():
+            if name.endswith(".step"):
+                count = found[name]
+                one = torch.equal(counts.setdefault(target.data_ptr(), count), count)
+                if not one or count < 0 or count != count.floor():
+                    raise CheckpointError(f"the checkpoint's {name} is no count of its network's updates.")
+            elif name.endswith(".exp_avg_sq") and bool((found[name] < 0.0).any()):
+                raise CheckpointError(f"the checkpoint's {name} holds a mean of squares below zero.")
 
     def _stack_tensors(self, name: str, stack: Stack) -> Iterator[tuple[str, Tensor]]:
         for index, layer in enumerate(stack.layers):

@@ -236,6 +236,20 @@ def test_a_forged_tensor_is_refused(saved):
             assert result is None or (harmless and forged.dtype == tensor.dtype), (name, forged)
 
 
+def test_forged_moments_are_refused(saved):
+    """A count of updates that differs within a network or is impossible, or a mean of squares below zero."""
+    tensors, state = saved
+    counts = [name for name in tensors if name.endswith(".step")]
+    squares = [name for name in tensors if name.endswith(".exp_avg_sq")]
+    assert outcome({**tensors, **{name: torch.tensor(5.0) for name in counts}}, state) is not None
+    for name in counts:
+        assert outcome({**tensors, name: tensors[name] + 1.0}, state) is None
+    for count in (-1.0, 2.5):
+        assert outcome({**tensors, **{name: torch.tensor(count) for name in counts}}, state) is None
+    for name in squares:
+        assert outcome({**tensors, name: tensors[name] - 1.0}, state) is None
+
+
 def test_a_forged_value_is_refused_or_harmless(saved):
     """Each value of the state becomes each of some odd ones; what is taken can be trained on and saved."""
     tensors, state = saved
