@@ -41,7 +41,7 @@ from common.transport.bus import Bus, Sample
 from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.commands.training.train import RUN
 from deploy.exit_codes import run_command
-from deploy.local.threads import thread_environment
+from deploy.local.threads import allowed_cores, thread_environment
 from deploy.reports.plots import DPI, OTHER_COLOURS
 from deploy.reports.provenance import provenance
 from rollout.policies import ActorPolicy, policy_of
@@ -142,11 +142,6 @@ def run_peer(program: Program, seed: int, bar: float, asked: argparse.Namespace)
         raise EiaSecError(f"{program.module} failed: {done.stderr.strip().rpartition(chr(10))[2]}")
     result = json.loads(done.stdout.strip().rpartition("\n")[2])
     return {**result["lines"][0], "versions": result["versions"]}
-
-
-def allowed_cores() -> int:
-    """Return on how many cores this process, and every one that it starts, may run."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def settings(config: RunConfig) -> dict[str, Any]:

@@ -1,4 +1,11 @@
-"""The number of compute threads of a process, set for every library through the environment."""
+"""How many cores there are, and how many compute threads a process has, for every library through the environment."""
+
+import os
+
+
+def allowed_cores() -> int:
+    """Return on how many cores this process, and every one that it starts, may run."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def thread_environment(threads: int) -> dict[str, str]:

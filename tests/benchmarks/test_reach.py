@@ -155,12 +155,3 @@ def test_peers_use_our_settings():
     assert parsed.iteration == reach.PEER_SETTINGS["iteration"]
     assert all(program.name.endswith(f" {program.algorithm.upper()}") for program in reach.PEERS)
     assert {program.algorithm for program in reach.PEERS} == {"ippo", "mappo"}
-
-
-def test_only_cores_that_may_be_used_count(monkeypatch):
-    """A measurement that is held to one of two cores gives peers one thread, and says one core."""
-    monkeypatch.setattr(reach.os, "cpu_count", lambda: 2)
-    monkeypatch.setattr(reach.os, "sched_getaffinity", lambda _: {1}, raising=False)
-    assert reach.allowed_cores() == 1
-    monkeypatch.delattr(reach.os, "sched_getaffinity")
-    assert reach.allowed_cores() == 2

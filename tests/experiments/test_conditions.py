@@ -100,6 +100,7 @@ def test_a_condition_is_trained_and_compared(tiny, tmp_path):
 
 
 def test_new_heuristics_replace_the_old_ones_and_who_had_their_advice():
+    """What the page says was measured where goes with them."""
     found = {"commit": "a, advised b, heuristics c, longer d", "learned": {}, "advised": {}, "heuristics": []}
     assert conditions.with_new_bar(found, "e") == {"learned": {}, "commit": "a, longer d, heuristics e"}
 

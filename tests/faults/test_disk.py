@@ -73,11 +73,11 @@ def test_a_full_disk(tmp_path, small_disk):
             fill_up = lambda: fill(small_disk / "ballast") + fill(log, 1)  # noqa: E731  # asked again and again
             size = fill_up()
             alarms = lambda: {text for report in heard() for text in report["alarms"]}  # noqa: E731  # asked twice
-            missing = lambda: [text for text in alarms() if "no checkpoint could be written" in text]  # noqa: E731  # short
+            missing = lambda: [text for text in alarms() if "no checkpoint could be written" in text]  # noqa: E731  # one expression
             until(lambda: not fill_up() and missing(), "an alarm", 60.0)
             before = len(heard())
             trained = lambda: [report["updates"] for report in heard()[before:]]  # noqa: E731  # asked twice
-            goes_on = lambda: len(trained()) > 4 and trained()[-1] > trained()[0]  # noqa: E731  # short
+            goes_on = lambda: len(trained()) > 4 and trained()[-1] > trained()[0]  # noqa: E731  # one expression
             until(lambda: not fill_up() and goes_on(), "training on a full disk", 60.0)
             complaints = len(alarms())
         found = files.load_latest(folder)

@@ -23,6 +23,7 @@ from common.transport.endpoint import Endpoint, free_endpoint
 from deploy.exit_codes import USAGE
 from deploy.local.run_directory import CONFIG, HISTORY, RunDirectory
 from deploy.local.supervisor import Supervisor
+from deploy.local.threads import allowed_cores
 from deploy.monitor.live_view import render, summary
 from deploy.monitor.run_monitor import RunMonitor
 from deploy.options import base_configuration, parse
@@ -52,8 +53,8 @@ class TrainArguments:
     """TOML file whose values override the preset's."""
     farm_file: Path | None = None
     """CSV or GeoJSON file with the sensor positions; they become part of the run's configuration."""
-    workers: int = 1
-    """Number of rollout workers."""
+    workers: int | None = None
+    """Number of rollout workers. Default: one, or two where UAVs see plans or advice and there are cores for them."""
     run_dir: Path | None = None
     """Run directory. Default: runs/PRESET-TIME."""
     resume: bool = False
@@ -76,14 +77,12 @@ def command(arguments: Sequence[str]) -> int:
     options = parse(TrainArguments, arguments, "train", TrainArguments(settings=base_configuration(arguments)))
     if options.lockstep and options.resume:
         raise ConfigError("a lockstep run cannot be resumed: its worker would restart with its first episode.")
-    within(1, 1024, workers=options.workers)
-    if options.lockstep and options.workers != 1:
-        raise ConfigError("--lockstep needs exactly one worker; leave --workers at 1.")
+    workers = worker_count(options)
     # What cannot be trained, or cannot be begun with, is refused before anything is made.
     team = environment_spec(options.settings).team
     start = () if options.resume else start_parameters(options.settings, team)
     _require_device(options.settings.learner.device)
-    endpoint = _endpoint(options)
+    endpoint = _endpoint(options, workers)
     endpoint.require_private(insecure=False)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     directory = RunDirectory(options.run_dir or Path("runs") / f"{options.preset}-{stamp}")
@@ -96,17 +95,33 @@ def command(arguments: Sequence[str]) -> int:
     console.print(f"run directory: {directory.path}; to watch it from another terminal:", highlight=False)
     own = "" if options.tls is None else f" --tls {options.tls / 'monitor.NAME'}"
     console.print(f"  eia-sec monitor --run {RUN} --connect {endpoint}{own}", highlight=False)
-    _Training(options, directory, endpoint, console).run()
+    _Training(options, workers, directory, endpoint, console).run()
     finished = directory.finished()
     if finished and options.report:
         from deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
 
         write_report(directory, options.settings, ["eia-sec", "train", *arguments], console)
     elif not finished:
-        more = f" --workers {options.workers}" if options.workers != 1 else ""
+        more = "" if options.workers is None else f" --workers {options.workers}"
         more += f" --env {options.settings.env.name}" if options.settings.env.is_third_party else ""
         console.print(f"stopped; resume with: eia-sec train --run-dir {directory.path} --resume{more}", highlight=False)
     return 0
+
+
+def worker_count(options: TrainArguments) -> int:
+    """Return the number of rollout workers.
+
+    Raises:
+        ConfigError: when it is not 1 to 1,024, or not 1 in lockstep.
+    """
+    if options.workers is None:
+        seen = options.settings.farm.observation
+        slow = not options.settings.env.is_third_party and (seen.plan > 0 or seen.advice != "")
+        return min(2, allowed_cores()) if slow and not options.lockstep else 1
+    within(1, 1024, workers=options.workers)
+    if options.lockstep and options.workers != 1:
+        raise ConfigError("--lockstep needs exactly one worker; leave --workers out.")
+    return options.workers
 
 
 def _require_device(name: str) -> None:
@@ -117,12 +132,12 @@ def _require_device(name: str) -> None:
         usable_device(name)
 
 
-def _endpoint(options: TrainArguments) -> Endpoint:
+def _endpoint(options: TrainArguments, workers: int) -> Endpoint:
     """Return where the learner listens, with the operator's certificate; raise when a certificate is missing."""
     where = options.endpoint or str(free_endpoint())
     if options.tls is None:
         return Endpoint.parse(where)
-    for index in range(options.workers):
+    for index in range(workers):
         load(options.tls / f"rollout.{index}")
     for process in (LEARNER, COORDINATOR):
         load(options.tls / process)
@@ -130,8 +145,11 @@ def _endpoint(options: TrainArguments) -> Endpoint:
 
 
 class _Training:
-    def __init__(self, options: TrainArguments, directory: RunDirectory, endpoint: Endpoint, console: Console) -> None:
-        self._options, self._directory, self._endpoint, self._console = options, directory, endpoint, console
+    def __init__(
+        self, options: TrainArguments, workers: int, directory: RunDirectory, endpoint: Endpoint, console: Console
+    ) -> None:
+        self._options, self._workers, self._directory = options, workers, directory
+        self._endpoint, self._console = endpoint, console
         self._stop = StopSignal()
         self._supervisor = Supervisor(directory.path / "logs")
         self._printed = 0.0
@@ -176,7 +194,7 @@ class _Training:
         joining = ["--run", RUN, "--connect", where, "--patience", str(JOIN_SECONDS)]
         self._supervisor.start("elite", ["elite", *joining, *self._tls(COORDINATOR)])
         allowed = ["--env", options.settings.env.name] if options.settings.env.is_third_party else []
-        for index in range(options.workers):
+        for index in range(self._workers):
             rollout = ["rollout", *joining, "--name", str(index), *allowed, *shared, *self._tls(f"rollout.{index}")]
             rollout += ["--history", str(self._directory.path / HISTORY / f"rollout-{index}.jsonl")]
             self._supervisor.start(f"rollout-{index}", rollout, options.settings.rollout.threads)

@@ -275,6 +275,7 @@ def test_a_tour_visits_all_its_stops():
 
 @pytest.mark.parametrize(("patches", "search"), [(0, (16, 32, 4)), (2, (24, 256, 4))])
 def test_horizon_searches_harder_where_there_can_be_stress(patches, search, monkeypatch):
+    """Monitors and collectors plan further and keep more paths there; elsewhere monitors sweep at first."""
     asked = []
 
     def best_path(grid, reward, start, levels, claimed, others, width, same):

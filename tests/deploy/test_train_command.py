@@ -1,0 +1,30 @@
+"""How many workers `eia-sec train` starts."""
+
+import pytest
+
+from common.config.presets import preset
+from common.errors import ConfigError
+from deploy.commands.training import train
+from deploy.commands.training.train import TrainArguments, worker_count
+
+
+@pytest.mark.parametrize(
+    ("name", "cores", "workers"),
+    [("default", 2, 1), ("long", 2, 2), ("long", 1, 1), ("long", 64, 2), ("connected", 2, 1), ("uneven", 2, 2)],
+)
+def test_a_slow_simulator_has_two_workers_where_there_are_cores(monkeypatch, name, cores, workers):
+    """Two where UAVs see plans and there are two cores or more, else one."""
+    monkeypatch.setattr(train, "allowed_cores", lambda: cores)
+    assert worker_count(TrainArguments(settings=preset(name))) == workers
+
+
+def test_who_asks_for_a_number_of_workers_gets_it(monkeypatch):
+    """Whatever the preset; lockstep has one, and numbers that cannot be are refused."""
+    monkeypatch.setattr(train, "allowed_cores", lambda: 2)
+    long = preset("long")
+    assert worker_count(TrainArguments(workers=1, settings=long)) == 1
+    assert worker_count(TrainArguments(workers=5)) == 5
+    assert worker_count(TrainArguments(lockstep=True, settings=long)) == 1
+    for number in (0, 1025):
+        with pytest.raises(ConfigError, match="workers must be"):
+            worker_count(TrainArguments(workers=number))
