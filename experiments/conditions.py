@@ -264,15 +264,16 @@ def cells_of(found: Scores, policy: str) -> list[str]:
 
 def page(data: dict[str, Any]) -> str:
     """Return the results as a page."""
-    ratios = [word for policy in POLICIES for word in (policy, "ratio")]
+    policies = [policy for policy in POLICIES if any(policy in found for found in data["results"].values())]
+    ratios = [word for policy in policies for word in (policy, "ratio")]
     head = ("farm", "best heuristic", "", "free", *ratios, "c, m, d: heuristic", "best policy", "commit")
     rows = ["", "| " + " | ".join(head) + " |", "|---|---:|---|" + "---:|" * (len(ratios) + 3) + "---|"]
     plain = data["results"].get("default")
     for name, found in data["results"].items():
-        bar, known = found["heuristics"][0], [found[policy] for policy in POLICIES if policy in found]
+        bar, known = found["heuristics"][0], [found[policy] for policy in policies if policy in found]
         free = plain["heuristics"][0]["reward"][0] / bar["reward"][0] if plain and name in FREE else None
         cells = [name, shown(bar["reward"]), bar["policy"], "" if free is None else f"{free:.3f}"]
-        for policy in POLICIES:
+        for policy in policies:
             cells += cells_of(found, policy)
         for scores in (bar, max(known, key=reward_of)):
             cells.append(types_of(scores))

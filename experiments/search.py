@@ -40,6 +40,12 @@ FORMS: Final = {
 """Who searches harder, and how hard; monitors otherwise fly as usual."""
 
 
+def forms(config: FarmConfig) -> list[str]:
+    """Return the forms that search harder on a farm than the heuristic does there, after it as it flies."""
+    width = horizon.effort_of(config).width
+    return [form for form, efforts in FORMS.items() if not efforts or efforts["collectors"].width > width]
+
+
 def fly(config: FarmConfig, form: str, farms: range) -> dict[str, Any]:
     """Fly a form on farms; return its rewards and metrics."""
     efforts, policy = FORMS[form], policy_of("horizon", config)
@@ -76,7 +82,7 @@ def main() -> int:
     farms, farm = arguments.farms, own_reward(preset(arguments.preset).farm)
     farm = replace(farm, battery=replace(farm.battery, failsafe=0.0))  # heuristics charge by themselves
     data = {**provenance("experiments.search"), "preset": arguments.preset, "farms": list(farms)}
-    data["results"] = [fly(farm, form, farms) for form in FORMS]
+    data["results"] = [fly(farm, form, farms) for form in forms(farm)]
     write_results(data, page, arguments.write)
     return 0
 

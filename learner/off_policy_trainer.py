@@ -10,7 +10,15 @@ from common.config import RunConfig
 from common.seeds import stream
 from common.team import Float32, TeamSpec
 from common.transitions import TRANSITION, Chunk
-from learner.checkpoint.trainer_state import checked_tensors, counter, finite, mapping, random_state, restored_random
+from learner.checkpoint.trainer_state import (
+    checked_tensors,
+    counter,
+    finite,
+    mapping,
+    random_state,
+    require_moments,
+    restored_random,
+)
 from learner.data.replay import LARGE, SMALL, Replay
 from learner.data.tensor_snapshot import Frozen
 from learner.diagnostics import RETURN_PERIOD, SHARE, RunningDiagnostics, newest_returns
@@ -127,6 +135,7 @@ class OffPolicyTrainer(Trainer):
         engine = self.engine
         own = {f"engine.{name}": tensor for name, tensor in engine.tensors().items()}
         found, means = checked_tensors(own, tensors), self.diagnostics.kept(tensors)
+        require_moments(found, "_steps", "_square")
         updates, comparisons = counter(state, "diagnostic_updates"), counter(state, "comparisons")
         random, noise = restored_random(state.get("random")), restored_random(state.get("update_noise"))
         age, oldest = finite(state, "sample_age"), finite(state, "sample_age_most")

@@ -1,4 +1,4 @@
-"""How many cores there are, and how many compute threads a process has, for every library through the environment."""
+"""On which cores a process may run, and the environment that sets its compute threads."""
 
 import os
 

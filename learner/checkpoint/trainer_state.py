@@ -50,6 +50,24 @@ def checked_tensors(targets: Mapping[str, Tensor], source: Mapping[str, Tensor])
     return {name: source[name] for name in targets}
 
 
+def require_moments(found: Mapping[str, Tensor], steps: str, squares: str) -> None:
+    """Check the counts of updates and the mean squares of gradients that an optimiser goes on from.
+
+    Args:
+        found: tensors by name.
+        steps: end of the names of counts.
+        squares: end of the names of mean squares.
+
+    Raises:
+        CheckpointError: when a count is negative or not whole, or a mean square negative.
+    """
+    for name, tensor in found.items():
+        if name.endswith(steps) and bool(((tensor < 0) | (tensor != tensor.floor())).any()):
+            raise CheckpointError(f"the checkpoint's {name} is no count of updates.")
+        if name.endswith(squares) and bool((tensor < 0).any()):
+            raise CheckpointError(f"the checkpoint's {name} holds a negative mean square.")
+
+
 def random_state(generator: np.random.Generator) -> dict[str, Any]:
     """Return a Philox generator's state as plain values."""
     state = generator.bit_generator.state

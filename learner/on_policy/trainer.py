@@ -19,7 +19,14 @@ from common.errors import CheckpointError
 from common.seeds import stream
 from common.team import Float32, TeamSpec
 from common.transitions import Chunk
-from learner.checkpoint.trainer_state import checked_tensors, counter, finite, random_state, restored_random
+from learner.checkpoint.trainer_state import (
+    checked_tensors,
+    counter,
+    finite,
+    random_state,
+    require_moments,
+    restored_random,
+)
 from learner.data.tensor_snapshot import Frozen
 from learner.on_policy.experience import Experience
 from learner.on_policy.updates import Updates
@@ -167,7 +174,8 @@ class OnPolicyTrainer(Trainer):
         """Continue from `snapshot_parts`."""
         own = {f"{NETWORKS}{name}": tensor for name, tensor in self._updates.network_tensors()}
         found = checked_tensors(own, tensors)
-        self._updates.require_moments({name.removeprefix(NETWORKS): tensor for name, tensor in found.items()})
+        require_moments(found, ".step", ".exp_avg_sq")
+        self._updates.require_one_count({name.removeprefix(NETWORKS): tensor for name, tensor in found.items()})
         counts = {name: counter(state, name) for name in COUNTS}
         random, lag = restored_random(state.get("random")), finite(state, "sample_age")
         experience, following = (

@@ -276,21 +276,18 @@ class Updates:
                 if isinstance(stack, Stack):
                     yield from self._stack_tensors(f"{owner}.{name}", stack)
 
-    def require_moments(self, found: Mapping[str, Tensor]) -> None:
-        """Raise CheckpointError unless moments of Adam are possible, and layers of a stack have one count of steps.
+    def require_one_count(self, found: Mapping[str, Tensor]) -> None:
+        """Raise CheckpointError unless the layers of each stack have the same count of Adam's steps.
 
         Args:
             found: tensors by the names of `network_tensors`.
         """
         counts: dict[int, Tensor] = {}
         for name, target in self.network_tensors():
-            if name.endswith(".step"):
-                count = found[name]
-                one = torch.equal(counts.setdefault(target.data_ptr(), count), count)
-                if not one or count < 0 or count != count.floor():
-                    raise CheckpointError(f"the checkpoint's {name} is no count of its network's updates.")
-            elif name.endswith(".exp_avg_sq") and bool((found[name] < 0.0).any()):
-                raise CheckpointError(f"the checkpoint's {name} holds a mean of squares below zero.")
+            if name.endswith(".step") and not torch.equal(
+                counts.setdefault(target.data_ptr(), found[name]), found[name]
+            ):
+                raise CheckpointError(f"the checkpoint's {name} differs within one network.")
 
     def _stack_tensors(self, name: str, stack: Stack) -> Iterator[tuple[str, Tensor]]:
         for index, layer in enumerate(stack.layers):

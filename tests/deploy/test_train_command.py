@@ -2,6 +2,7 @@
 
 import pytest
 
+from common.config.files import with_values
 from common.config.presets import preset
 from common.errors import ConfigError
 from deploy.commands.training import train
@@ -16,6 +17,20 @@ def test_a_slow_simulator_has_two_workers_where_there_are_cores(monkeypatch, nam
     """Two where UAVs see plans and there are two cores or more, else one."""
     monkeypatch.setattr(train, "allowed_cores", lambda: cores)
     assert worker_count(TrainArguments(settings=preset(name))) == workers
+
+
+def test_whoever_is_slow_for_another_reason(monkeypatch, tmp_path):
+    """Advice is slow, too; third-party environments are not ours to judge, and cores may be taken already."""
+    monkeypatch.setattr(train, "allowed_cores", lambda: 2)
+    advised = with_values(preset("default"), {"farm.observation.advice": "horizon"})
+    assert worker_count(TrainArguments(settings=advised)) == 2
+    third = with_values(preset("long"), {"env.name": "mpe2:simple_spread_v3"})
+    assert worker_count(TrainArguments(settings=third)) == 1
+    threaded = with_values(preset("long"), {"rollout.threads": 2})
+    assert worker_count(TrainArguments(settings=threaded)) == 1
+    assert worker_count(TrainArguments(settings=preset("long"), tls=tmp_path)) == 1
+    (tmp_path / "rollout.1").mkdir()
+    assert worker_count(TrainArguments(settings=preset("long"), tls=tmp_path)) == 2
 
 
 def test_who_asks_for_a_number_of_workers_gets_it(monkeypatch):

@@ -1,6 +1,7 @@
 """What a harder search gives."""
 
-from experiments.search import FORMS, fly, page
+from common.config.presets import preset
+from experiments.search import FORMS, fly, forms, page
 from rollout.heuristics.tasks.horizon import EFFORT
 from tests.rollout.heuristics.small_farm import SMALL
 
@@ -21,3 +22,9 @@ def test_a_harder_search_flies_otherwise(monkeypatch):
     assert "1.030 times" in text
     assert "farms 0..1 of the preset `uneven`" in text
     assert text.count("\n| ") == 3
+
+
+def test_only_forms_that_search_harder_are_flown():
+    """Where the heuristic itself keeps many paths, a form with as many shows nothing."""
+    assert forms(preset("study").farm) == list(FORMS)
+    assert forms(preset("uneven").farm) == [form for form in FORMS if form != "256 paths"]

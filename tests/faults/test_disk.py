@@ -69,7 +69,7 @@ def test_a_full_disk(tmp_path, small_disk):
         until(lambda: list(folder.glob("checkpoint-*")), "a checkpoint", 120.0)
         until(fleet.taken, "chunks", 120.0)
         with fleet.metrics("learner", "learner") as heard:
-            # A checkpoint half written when the disk filled up leaves its space behind, so fill it again and again.
+            # A checkpoint half written when the disk filled up is removed, which frees its space: fill that, too.
             fill_up = lambda: fill(small_disk / "ballast") + fill(log, 1)  # noqa: E731  # asked again and again
             size = fill_up()
             alarms = lambda: {text for report in heard() for text in report["alarms"]}  # noqa: E731  # asked twice

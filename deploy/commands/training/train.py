@@ -54,7 +54,8 @@ class TrainArguments:
     farm_file: Path | None = None
     """CSV or GeoJSON file with the sensor positions; they become part of the run's configuration."""
     workers: int | None = None
-    """Number of rollout workers. Default: one, or two where UAVs see plans or advice and there are cores for them."""
+    """Number of rollout workers. Default: one, or two where UAVs see plans or advice and there are cores for them (and,
+    with --tls, a certificate)."""
     run_dir: Path | None = None
     """Run directory. Default: runs/PRESET-TIME."""
     resume: bool = False
@@ -117,7 +118,9 @@ def worker_count(options: TrainArguments) -> int:
     if options.workers is None:
         seen = options.settings.farm.observation
         slow = not options.settings.env.is_third_party and (seen.plan > 0 or seen.advice != "")
-        return min(2, allowed_cores()) if slow and not options.lockstep else 1
+        certified = options.tls is None or (options.tls / "rollout.1").is_dir()
+        cores = allowed_cores() // options.settings.rollout.threads
+        return 2 if slow and certified and cores > 1 and not options.lockstep else 1
     within(1, 1024, workers=options.workers)
     if options.lockstep and options.workers != 1:
         raise ConfigError("--lockstep needs exactly one worker; leave --workers out.")

@@ -120,6 +120,18 @@ def restored_tensor(directory, found, key, forged):
         return None
 
 
+def test_forged_moments_are_refused(saved, tmp_path):
+    """Counts of updates and mean squares below zero; a count that may be is taken."""
+    found = files.load_latest(saved[0] / CHECKPOINTS)
+    counts = [name for name in found.tensors if name.startswith("engine.") and name.endswith("_steps")]
+    squares = [name for name in found.tensors if name.startswith("engine.") and name.endswith("_square")]
+    assert len(counts) == len(squares) > 1
+    for name in (*counts, *squares):
+        tensor = found.tensors[name]
+        assert restored_tensor(tmp_path, found, name, tensor - tensor.max() - 1) is None
+    assert restored_tensor(tmp_path, found, counts[0], found.tensors[counts[0]] + 7) is not None
+
+
 def test_rows_that_are_not_finite_are_refused_on_reading_as_well(saved):
     """A forger does not use our `save`."""
     found = files.load_latest(saved[0] / CHECKPOINTS)
