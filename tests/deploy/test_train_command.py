@@ -19,7 +19,7 @@ def test_a_slow_simulator_has_two_workers_where_there_are_cores(monkeypatch, nam
     assert worker_count(TrainArguments(settings=preset(name))) == workers
 
 
-def test_whoever_is_slow_for_another_reason(monkeypatch, tmp_path):
+def test_what_else_decides_the_number_of_workers(monkeypatch, tmp_path):
     """Advice is slow, too; third-party environments are not ours to judge, and cores may be taken already."""
     monkeypatch.setattr(train, "allowed_cores", lambda: 2)
     advised = with_values(preset("default"), {"farm.observation.advice": "horizon"})
