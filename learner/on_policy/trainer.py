@@ -29,7 +29,7 @@ from learner.checkpoint.trainer_state import (
 )
 from learner.data.tensor_snapshot import Frozen
 from learner.on_policy.experience import Experience
-from learner.on_policy.updates import Updates
+from learner.on_policy.updates import Updates, require_one_count
 from learner.trainer import Trainer, flushed_denormals
 
 NETWORKS = "networks."
@@ -175,7 +175,7 @@ class OnPolicyTrainer(Trainer):
         own = {f"{NETWORKS}{name}": tensor for name, tensor in self._updates.network_tensors()}
         found = checked_tensors(own, tensors)
         require_moments(found, ".step", ".exp_avg_sq")
-        self._updates.require_one_count({name.removeprefix(NETWORKS): tensor for name, tensor in found.items()})
+        require_one_count(found)
         counts = {name: counter(state, name) for name in COUNTS}
         random, lag = restored_random(state.get("random")), finite(state, "sample_age")
         experience, following = (

@@ -276,19 +276,6 @@ class Updates:
                 if isinstance(stack, Stack):
                     yield from self._stack_tensors(f"{owner}.{name}", stack)
 
-    def require_one_count(self, found: Mapping[str, Tensor]) -> None:
-        """Raise CheckpointError unless the layers of each stack have the same count of Adam's steps.
-
-        Args:
-            found: tensors by the names of `network_tensors`.
-        """
-        counts: dict[int, Tensor] = {}
-        for name, target in self.network_tensors():
-            if name.endswith(".step") and not torch.equal(
-                counts.setdefault(target.data_ptr(), found[name]), found[name]
-            ):
-                raise CheckpointError(f"the checkpoint's {name} differs within one network.")
-
     def _stack_tensors(self, name: str, stack: Stack) -> Iterator[tuple[str, Tensor]]:
         for index, layer in enumerate(stack.layers):
             yield f"{name}.layers.{index}", layer
@@ -339,6 +326,19 @@ class Updates:
         """Forget the iteration's rows, and which actors have stopped in it."""
         self._rows, self._seen, self._states = {}, NOTHING_SEEN, None
         self.stopped = [False] * len(self._team.groups)
+
+
+def require_one_count(found: Mapping[str, Tensor]) -> None:
+    """Raise CheckpointError unless the layers of each stack have the same count of Adam's steps.
+
+    Args:
+        found: tensors by the names of `Updates.network_tensors`, which may have a prefix.
+    """
+    counts: dict[str, Tensor] = {}
+    for name, count in found.items():
+        stack, _, layer = name.partition(".layers.")
+        if layer.endswith(".step") and not torch.equal(counts.setdefault(stack, count), count):
+            raise CheckpointError(f"the checkpoint's {name} differs within one network.")
 
 
 def credited(team: TeamSpec, reward: Float32, credit: str) -> Float32:
