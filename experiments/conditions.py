@@ -69,7 +69,7 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
     "patches of stress": ("uneven", ""),
     "batteries": ("battery", ""),
     "wind 3 m/s": ("default", "[farm.wind]\nspeed = 3.0\ngusts = 1.5\n[farm.observation]\nwind = true"),
-    "no-fly zones": ("default", "[farm.zones]\nrandom = 3\n[farm.observation]\nzones = true"),
+    "no-fly zones": ("long", "[farm.zones]\nrandom = 3\n[farm.observation]\nzones = true"),
     "all of them": ("field", ""),
     "clustered sensors": ("default", '[farm.world]\ndensity = "clustered"'),
 }

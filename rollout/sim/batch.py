@@ -106,8 +106,8 @@ class FarmBatch:
         self.spec: EnvironmentSpec = farm_environment(config)
         self.team: TeamSpec = self.spec.team
         shared = make_workspace(config, environments, hindsight)
-        plans = shared.constants.plans
-        scratches = (shared.scratch, *(make_scratch(config, plans) for _ in range(min(threads, environments) - 1)))
+        numbers = shared.constants
+        scratches = (shared.scratch, *(make_scratch(config, numbers) for _ in range(min(threads, environments) - 1)))
         self._arguments = [PackedArguments(shared._replace(scratch=scratch)) for scratch in scratches]
         borders = [environments * k // len(self._arguments) for k in range(len(self._arguments) + 1)]
         self._shares = list(itertools.pairwise(borders))

@@ -10,13 +10,13 @@ from common.farm import farm_team
 from rollout.sim.kernel.assignment.arrays import AssignmentScratch, make_assignment_scratch
 from rollout.sim.kernel.constants import Array, Constants, Indices, Int32
 from rollout.sim.kernel.plans.arrays import PlanScratch, make_plan_scratch
-from rollout.sim.kernel.plans.constants import PlanConstants
 from rollout.sim.kernel.views.arrays import ViewScratch, make_view_scratch
 from rollout.sim.layout import cell_counts
 
 Float32 = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 Site = NDArray[np.uint32]
+Steps = NDArray[np.uint16]
 
 REWARD_PARTS: Final = ("positioning", "energy", "risk", "boundary", "utility", "idle", "motivation", "relayed")
 """The weighted parts of a reward in storage order; the reward is their sum."""
@@ -77,6 +77,8 @@ class State(NamedTuple):
         wind: [E, T + 1, 2] wind of each step, m/s; [E, 0, 2] without wind.
         zone_side: [E, K, 4] sides of the no-fly zones, see `flight.airspace`.
         zone_box: [E, Z, 4] boxes around them.
+        barred: [E, K] barred steps from each lattice point, see `flight.ways`; [E, 0] if nothing leads round zones.
+        closed: [E, P] whether zones shut each plot off; [E, 0] without zones or sweep routes.
         plan_first: [E, S + 1] where the lattice points of each sensor begin in `plan_point`.
         plan_point: [E, M] lattice points at which a sensor is heard, see `plans.places`; [E, 0] without plans.
         plan_chance: [E, M] probability that its packets arrive there.
@@ -131,6 +133,8 @@ class State(NamedTuple):
     wind: Array
     zone_side: Array
     zone_box: Array
+    barred: Steps
+    closed: Flags
     plan_first: Int32
     plan_point: Site
     plan_chance: Float32
@@ -188,6 +192,8 @@ class Farm(NamedTuple):
     wind: Array
     zone_side: Array
     zone_box: Array
+    barred: Steps
+    closed: Flags
     plan_first: Int32
     plan_point: Site
     plan_chance: Float32
@@ -222,6 +228,8 @@ class Scratch(NamedTuple):
         nearest_square: [observed sensors] squares of the distances of the nearest, m^2.
         woken: [n_d] strongest sensor that each UAV wakes.
         power: [n_d] interference, mW.
+        way_steps: [K] steps of ways round zones, see `flight.ways`.
+        way_queue: [K] lattice points of these ways.
         item: [max(S, P)] sensors or plots served.
         share: [S] shares delivered.
         assigning: working memory of the assignment.
@@ -254,6 +262,8 @@ class Scratch(NamedTuple):
     nearest_square: Array
     woken: Indices
     power: Array
+    way_steps: Int32
+    way_queue: Int32
     item: Indices
     share: Array
     assigning: AssignmentScratch
@@ -262,12 +272,12 @@ class Scratch(NamedTuple):
     sensor_plan: PlanScratch
 
 
-def make_state(config: FarmConfig, plans: PlanConstants, environments: int, hindsight: bool) -> State:
+def make_state(config: FarmConfig, numbers: Constants, environments: int, hindsight: bool) -> State:
     """Allocate the environments, and what tracks visits if `hindsight` is set."""
     world, team = config.world, farm_team(config)
     count, uavs, sensors = environments, world.uavs, world.sensors
     plots, served = (world.plots_x, world.plots_y), world.monitoring_uavs + world.collection_uavs
-    stress, (columns, rows) = config.stress, cell_counts(world)
+    stress, (columns, rows), ways = config.stress, cell_counts(world), numbers.ways
     return State(
         key=np.zeros(count, np.uint64),
         time=np.full(count, -1, np.int64),
@@ -317,14 +327,16 @@ def make_state(config: FarmConfig, plans: PlanConstants, environments: int, hind
         wind=np.zeros((count, config.wind.some * (world.steps + 1), 2)),
         zone_side=np.zeros((count, sum(config.zones.corners), 4)),
         zone_box=np.zeros((count, len(config.zones.corners), 4)),
+        barred=np.zeros((count, ways.columns * ways.rows), np.uint16),
+        closed=np.zeros((count, len(ways.goal_start) - 1), np.bool_),
         plan_first=np.zeros((count, sensors + 1), np.int32),
-        plan_point=np.zeros((count, plans.pairs), np.uint32),
-        plan_chance=np.zeros((count, plans.pairs), np.float32),
+        plan_point=np.zeros((count, numbers.plans.pairs), np.uint32),
+        plan_chance=np.zeros((count, numbers.plans.pairs), np.float32),
         hindsight=np.zeros((count, hindsight * world.steps, uavs), np.float32),
     )
 
 
-def make_scratch(config: FarmConfig, plans: PlanConstants) -> Scratch:
+def make_scratch(config: FarmConfig, numbers: Constants) -> Scratch:
     """Allocate the working memory of one environment's step."""
     world = config.world
     uavs, sensors, collectors = world.uavs, world.sensors, world.collection_uavs
@@ -358,12 +370,14 @@ def make_scratch(config: FarmConfig, plans: PlanConstants) -> Scratch:
         nearest_square=np.zeros(config.observation.sensors),
         woken=np.zeros(collectors, np.int64),
         power=np.zeros(collectors),
+        way_steps=np.zeros(numbers.ways.columns * numbers.ways.rows, np.int32),
+        way_queue=np.zeros(numbers.ways.columns * numbers.ways.rows, np.int32),
         item=np.zeros(max(sensors, world.plots_x * world.plots_y), np.int64),
         share=np.zeros(sensors),
         assigning=make_assignment_scratch(served, relays, places),
         added=make_view_scratch(config),
-        plot_plan=make_plan_scratch(plans, world.plots_x * world.plots_y),
-        sensor_plan=make_plan_scratch(plans, sensors),
+        plot_plan=make_plan_scratch(numbers.plans, world.plots_x * world.plots_y),
+        sensor_plan=make_plan_scratch(numbers.plans, sensors),
     )
 
 

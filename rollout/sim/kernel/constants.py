@@ -18,6 +18,7 @@ from rollout.sim.kernel.event_constants import (
     stress_constants,
 )
 from rollout.sim.kernel.flight.airspace import AirspaceConstants, airspace
+from rollout.sim.kernel.flight.ways import WayConstants, way_constants
 from rollout.sim.kernel.link import RadioConstants, loss_at_one_metre, noise, radio_constants
 from rollout.sim.kernel.plans.constants import PlanConstants, plan_constants
 from rollout.sim.kernel.views.constants import ViewConstants, view_constants
@@ -236,6 +237,7 @@ class Constants(NamedTuple):
     airspace: AirspaceConstants
     chain: ChainConstants
     plans: PlanConstants
+    ways: WayConstants
 
 
 def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
@@ -279,6 +281,7 @@ def constants(config: FarmConfig, cells: tuple[int, int]) -> Constants:
         airspace(config),
         chain_constants(config),
         plan_constants(config, radio, camera.reach),
+        way_constants(config),
     )
     return Constants(*(_cast(part) for part in parts))
 

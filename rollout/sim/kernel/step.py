@@ -27,6 +27,7 @@ from rollout.sim.kernel.constants import Constants
 from rollout.sim.kernel.flight.battery import use_charge
 from rollout.sim.kernel.flight.failures import lose_uavs, show_places
 from rollout.sim.kernel.flight.motion import find_nearest, fly
+from rollout.sim.kernel.flight.ways import bar_steps, close_plots
 from rollout.sim.kernel.observation import see_plots, see_relays, see_sensors
 from rollout.sim.kernel.plans.places import list_points
 from rollout.sim.kernel.radio import interfere, send, update_age
@@ -100,6 +101,8 @@ def _farm(state: State, e: int) -> Farm:
         wind=state.wind[e],
         zone_side=state.zone_side[e],
         zone_box=state.zone_box[e],
+        barred=state.barred[e],
+        closed=state.closed[e],
         plan_first=state.plan_first[e],
         plan_point=state.plan_point[e],
         plan_chance=state.plan_chance[e],
@@ -114,6 +117,9 @@ def _start(c: Constants, farm: Farm, s: Scratch) -> None:
     tally_sensors(c.observation, farm.cell_start, farm.age, farm.age_below, farm.age_above, farm.waiting)
     if c.plans.steps > 0:
         list_points(c.fleet, c.plans, c.added, farm.sensor, farm.plan_first, farm.plan_point, farm.plan_chance)
+    if c.ways.some:
+        bar_steps(c.ways, c.airspace.first, farm.zone_side, farm.zone_box, farm.barred)
+        close_plots(c.ways, farm.barred, s.way_steps, s.way_queue, farm.closed)
     for k in range(len(farm.listed)):
         for rank in range(c.observation.sensors):
             farm.listed[k, rank] = rank

@@ -28,8 +28,8 @@ def make_workspace(config: FarmConfig, environments: int, hindsight: bool = Fals
     numbers = constants(config, cell_counts(config.world))
     return Workspace(
         numbers,
-        make_state(config, numbers.plans, environments, hindsight),
-        make_scratch(config, numbers.plans),
+        make_state(config, numbers, environments, hindsight),
+        make_scratch(config, numbers),
         action,
     )
 

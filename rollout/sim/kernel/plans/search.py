@@ -18,11 +18,14 @@ from numpy.typing import NDArray
 
 from rollout.sim.kernel.compiler.decorators import allocation_free
 from rollout.sim.kernel.constants import Array, Indices, Int32
+from rollout.sim.kernel.flight.ways import is_barred
 from rollout.sim.kernel.plans.arrays import PlanScratch
 from rollout.sim.kernel.plans.constants import DISCOUNT
 
 Float32 = NDArray[np.float32]
 Site = NDArray[np.uint32]
+Flags = NDArray[np.bool_]
+Steps = NDArray[np.uint16]
 
 ONE: Final = np.float32(1.0)
 
@@ -76,11 +79,12 @@ def _extend(
     site: Site,
     chance: Float32,
     costs: Array,
+    barred: Steps,
     level: Float32,
     worth: Array,
     end: Indices,
 ) -> int:
-    """Extend a plan by each of nine moves; return how many of them stay in the field.
+    """Extend a plan by each of nine moves; return how many of them stay in the field and outside no-fly zones.
 
     Writes what the extended plans are worth, in units, and the lattice points at which they end.
     """
@@ -92,6 +96,8 @@ def _extend(
         for move_y in range(-1, 2):
             y = row + turn_y * move_y
             if y < 0 or y >= rows:
+                continue
+            if len(barred) > 0 and is_barred(barred, column * rows + row, turn_x * move_x, turn_y * move_y):
                 continue
             units = _units(first, site, chance, level, x * rows + y)
             cost = costs[2 * (move_x & 1) + (move_y & 1)] + (costs[4] if units < NOTHING else 0.0)
@@ -174,6 +180,7 @@ def _begin(
     row: int,
     turn_x: int,
     turn_y: int,
+    stopped: Flags,
     sites: int,
     most: np.float32,
     plan: PlanScratch,
@@ -183,6 +190,8 @@ def _begin(
     for move in range(9):
         x = min(columns - 1, max(0, column + turn_x * (move // 3 - 1)))
         y = min(rows - 1, max(0, row + turn_y * (move % 3 - 1)))
+        if stopped[move]:
+            x, y = column, row
         to, level = x * rows + y, plan.level[0, move]
         _copy(sites, plan.own, level)
         units = _units(first, site, chance, level, to)
@@ -202,6 +211,7 @@ def _extend_all(
     turn_y: int,
     kept: int,
     factor: float,
+    barred: Steps,
     plan: PlanScratch,
 ) -> int:
     """Extend all plans by one step, and list the best; note the best of each first move; return how many are listed.
@@ -214,6 +224,7 @@ def _extend_all(
         turn_y: see `search`.
         kept: plans there are.
         factor: discount of the step.
+        barred: see `search`.
         plan: working memory.
     """
     listed = 0
@@ -233,6 +244,7 @@ def _extend_all(
             plan.site,
             plan.chance,
             plan.costs,
+            barred,
             plan.level[now, parent],
             plan.worth,
             plan.to,
@@ -276,6 +288,8 @@ def search(
     row: int,
     turn_x: int,
     turn_y: int,
+    stopped: Flags,
+    barred: Steps,
     sites: int,
     most: np.float32,
     plan: PlanScratch,
@@ -290,6 +304,8 @@ def search(
         row: of its lattice point.
         turn_x: 1 or -1, the direction of its own axis along x.
         turn_y: the same along y.
+        stopped: [9] whether a zone refuses each move, so that the UAV stays where it is; such plans are worth -inf.
+        barred: [K] barred steps from each lattice point, see `flight.ways`; [0] if there is none.
         sites: sites that matter.
         most: largest counter.
         plan: `own`, `rising`, `risen`, `first`, `site`, `chance` and `costs`; the function writes the rest.
@@ -297,9 +313,11 @@ def search(
     if steps == 0:
         plan.best[:] = 0.0
         return
-    _begin(columns, rows, column, row, turn_x, turn_y, sites, most, plan)
+    _begin(columns, rows, column, row, turn_x, turn_y, stopped, sites, most, plan)
     kept, factor = 9, 1.0
     for ahead in range(1, steps):
         factor *= DISCOUNT
-        listed = _extend_all(columns, rows, (ahead - 1) % 2, turn_x, turn_y, kept, factor, plan)
+        listed = _extend_all(columns, rows, (ahead - 1) % 2, turn_x, turn_y, kept, factor, barred, plan)
         kept = _renew(ahead, listed, sites, most, plan) if ahead + 1 < steps else 0
+    for move in range(9):
+        plan.best[move] = -math.inf if stopped[move] else plan.best[move]

@@ -130,7 +130,20 @@ def _put_best(c: Constants, farm: Farm, s: Scratch, u: int, sites: int, most: fl
     column = own_point(position[u, 0], sign[u, 0], fleet.width, fleet.per_width, plans.columns)
     row = own_point(position[u, 1], sign[u, 1], fleet.depth, fleet.per_depth, plans.rows)
     turn_x, turn_y = int(sign[u, 0]), int(sign[u, 1])
-    search(plans.columns, plans.rows, steps, column, row, turn_x, turn_y, sites, np.float32(most), plan)
+    search(
+        plans.columns,
+        plans.rows,
+        steps,
+        column,
+        row,
+        turn_x,
+        turn_y,
+        s.added.stopped,
+        farm.barred,
+        sites,
+        np.float32(most),
+        plan,
+    )
     return put_plan(plans.steps, most, plan.best, farm.observation, at)
 
 

@@ -17,9 +17,8 @@ from rollout.sim.kernel.plans.view import (
     sees_plans,
 )
 from rollout.sim.kernel.spatial.neighbours import cell_of
-from rollout.sim.kernel.spatial.tallies import total
 from rollout.sim.kernel.stress import put_stress
-from rollout.sim.kernel.views.airspace import put_airspace
+from rollout.sim.kernel.views.airspace import find_stopped, put_airspace
 from rollout.sim.kernel.views.constants import ViewConstants
 from rollout.sim.kernel.views.fields import put_field, share_points, weigh_points
 from rollout.sim.kernel.views.links import put_chain, put_joined, put_link, put_links
@@ -108,7 +107,7 @@ def _put_events(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     if view.charge:
         at = put_charge(c, farm, u, v.sign[u, 0], v.sign[u, 1], at)
     if view.wind or view.zones:
-        at = put_airspace(c, farm, u, v.sign[u, 0], v.sign[u, 1], v.go_x[u], v.go_y[u], farm.observation, at)
+        at = put_airspace(c, farm, v.stopped, v.sign[u, 0], v.sign[u, 1], farm.observation, at)
     return at
 
 
@@ -127,6 +126,7 @@ def _put_last(c: Constants, farm: Farm, s: Scratch, u: int, kind: int, count: in
 def add_relay(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     """Write the added observations of a relay; return where they end."""
     fleet, view, v, seen = c.fleet, c.added, s.added, farm.observation
+    find_stopped(c, farm, s, u)
     at = _put_others(c, s, u, 0, fleet.relays, False, seen, at)
     if view.phases:
         at = _put_left(fleet.steps - farm.step, seen, at)
@@ -159,6 +159,7 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
     """Write the added observations of a monitoring UAV over a plot; return where they end."""
     fleet, camera, view, v, seen, position = c.fleet, c.camera, c.added, s.added, farm.observation, farm.position
     sx, sy = v.sign[u, 0], v.sign[u, 1]
+    find_stopped(c, farm, s, u)
     at = _put_others(c, s, u, fleet.relays, fleet.collectors, True, seen, at)
     if view.units > 0:
         plan_images(fleet, camera, view, v, position, farm.level, u)
@@ -189,22 +190,7 @@ def add_monitor(c: Constants, farm: Farm, s: Scratch, u: int, column: int, row: 
         seen[at] = farm.step % camera.cycle / camera.cycle
         at = _put_left(fleet.steps - farm.step, seen, at + 1)
     if view.route:
-        at = put_route(
-            farm.sweep[u - fleet.relays],
-            view.route_box,
-            view.route_plot,
-            view.route_start,
-            farm.level,
-            total(farm.level_above) > 0.0,
-            position[u, 0],
-            position[u, 1],
-            sx,
-            sy,
-            v.go_x[u],
-            v.go_y[u],
-            seen,
-            at,
-        )
+        at = put_route(c, farm, s, u, at)
         if planned:
             mark_best(s.plot_plan.best, seen, at - ROUTE_NUMBERS)
     if view.link:
@@ -231,6 +217,7 @@ def add_collector(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     """Write the added observations of a data collection UAV; return where they end."""
     fleet, what, view, v, seen, position = c.fleet, c.observation, c.added, s.added, farm.observation, farm.position
     x, y, sx, sy = position[u, 0], position[u, 1], v.sign[u, 0], v.sign[u, 1]
+    find_stopped(c, farm, s, u)
     at = _put_others(c, s, u, fleet.collectors, fleet.uavs, True, seen, at)
     if view.units > 0:
         plan_packets(fleet, what, view, v, position, farm.sensor, farm.cell_start, farm.age, s.around, s.square, u)

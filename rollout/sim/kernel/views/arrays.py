@@ -11,6 +11,7 @@ from rollout.sim.layout import cell_counts
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 LANES: Final = 8
 """Rows of numbers are filled up to a multiple of this, so that vectorised loops have no rest."""
@@ -61,6 +62,8 @@ class ViewScratch(NamedTuple):
         sign: [n, 2] signs of the UAVs' axes.
         go_x: [n, 3] x after a move back, none and on along the UAV's own axis, m.
         go_y: [n, 3] the same along y, m.
+        stopped: [9] whether a zone would refuse each move.
+        away: [9] steps of the way round zones from each move's end to the next box of the route; 0 without zones.
         near: [64] UAVs of the own type, nearest first.
         near_square: [64] squares of their distances, m^2.
         risk: [2, 16] metres of risk of each move, for a peer that does anything and for one that flies on.
@@ -81,6 +84,8 @@ class ViewScratch(NamedTuple):
     sign: Array
     go_x: Array
     go_y: Array
+    stopped: Flags
+    away: Array
     near: Indices
     near_square: Array
     risk: Array
@@ -105,6 +110,8 @@ def make_view_scratch(config: FarmConfig) -> ViewScratch:
         sign=np.zeros((world.uavs, 2)),
         go_x=np.zeros((world.uavs, 3)),
         go_y=np.zeros((world.uavs, 3)),
+        stopped=np.zeros(9, np.bool_),
+        away=np.zeros(9),
         near=np.zeros(64, np.int64),
         near_square=np.zeros(64),
         risk=np.zeros((2, 16)),

@@ -1,8 +1,9 @@
 """The sweep route of a monitoring UAV: which of nine moves follows it, and where its next plots are.
 
 `sweep` holds a UAV's route and the box on it that comes next. The box counts as reached when the UAV is in it. A plot
-with VDF 0 is passed over, unless all plots have VDF 0. The suggested move comes nearest to the next box. Of several
-moves that reach it, the one nearest to the box after it is suggested; of equals, the shortest.
+with VDF 0 is passed over, unless all plots have VDF 0; so is one that no-fly zones shut off. The suggested move comes
+nearest to the next box, among zones by the steps of the way round them. Of several moves that reach it, the one nearest
+to the box after it is suggested; of equals, the shortest. A move that a zone refuses is never suggested.
 """
 
 import math
@@ -13,15 +14,21 @@ from numpy.typing import NDArray
 
 from common.farm import ROUTE_PLOTS
 from rollout.sim.boxes import ROUNDING
-from rollout.sim.kernel.compiler.decorators import allocation_free
-from rollout.sim.kernel.constants import Array, Indices, Int32
+from rollout.sim.kernel.arrays import Farm, Scratch
+from rollout.sim.kernel.compiler.decorators import allocation_free, inlined
+from rollout.sim.kernel.constants import Array, Constants, Indices, Int32
+from rollout.sim.kernel.flight.ways import UNKNOWN, WayConstants, steps_to_plot
+from rollout.sim.kernel.spatial.tallies import total
 
 Float32 = NDArray[np.float32]
+Flags = NDArray[np.bool_]
 
 STAY: Final = 4
 """The move that leads nowhere."""
 PER_GAP: Final = 1e3
 """Weight of a metre to the box after the next, beside a square metre of way; the next box has the square of it."""
+PER_STEP: Final = 1e12
+"""Weight of a step of the way round zones, beside the same."""
 PER_OFFSET: Final = 0.05
 """1 / offset to a plot that is observed as 1, 1/m (ours)."""
 MOST_OFFSET: Final = 2.0
@@ -39,76 +46,71 @@ def _gap(box: Array, x: float, y: float) -> float:
 
 @allocation_free
 def _advance(
-    sweep: Int32, box: Array, plot: Indices, first: int, count: int, level: Array, some: bool, x: float, y: float
+    sweep: Int32,
+    box: Array,
+    plot: Indices,
+    first: int,
+    count: int,
+    level: Array,
+    some: bool,
+    closed: Flags,
+    x: float,
+    y: float,
 ) -> None:
-    """Let the next box be the first one from the present next box on that is not done."""
+    """Let the next box be the first one from the present next box on that is not done and not shut off."""
     rows = level.shape[1]
     for turn in range(count):
         at = first + sweep[1]
-        fresh = some and level[plot[at] // rows, plot[at] % rows] == 0.0
-        if not fresh and not (turn == 0 and _gap(box[at], x, y) <= ROUNDING):
+        passed = some and level[plot[at] // rows, plot[at] % rows] == 0.0
+        if len(closed) > 0:
+            passed |= closed[plot[at]]
+        if not passed and not (turn == 0 and _gap(box[at], x, y) <= ROUNDING):
             return
         sweep[1] = (sweep[1] + 1) % count
 
 
 @allocation_free
-def _suggested(box: Array, onward: Array, x: float, y: float, go_x: Array, go_y: Array) -> int:
+def _count_steps(ways: WayConstants, steps: Int32, box: Array, go_x: Array, go_y: Array, away: Array) -> None:
+    """Write how many steps round zones each move leaves to a box, [9]."""
+    for move in range(9):
+        x, y = go_x[move // 3], go_y[move % 3]
+        found = steps[_point(ways, x, y)]
+        away[move] = len(steps) if found == UNKNOWN else found
+        if _gap(box, x, y) <= ROUNDING:
+            away[move] = 0.0
+
+
+@allocation_free
+def _point(ways: WayConstants, x: float, y: float) -> int:
+    """Return the lattice point in whose cell a place lies."""
+    column, row = min(ways.columns - 1, int(x / ways.width)), min(ways.rows - 1, int(y / ways.depth))
+    return column * ways.rows + row
+
+
+@allocation_free
+def _suggested(
+    box: Array, onward: Array, x: float, y: float, go_x: Array, go_y: Array, stopped: Flags, away: Array
+) -> int:
     """Return the move that follows the route."""
     least, chosen = math.inf, STAY
     for move in range(9):
+        if stopped[move]:
+            continue
         to_x, to_y = go_x[move // 3], go_y[move % 3]
         gap = _gap(box, to_x, to_y)
         cost = PER_GAP * _gap(onward, to_x, to_y) if gap <= ROUNDING else PER_GAP * PER_GAP * gap
         dx, dy = to_x - x, to_y - y
-        cost += dx * dx + dy * dy
+        cost += dx * dx + dy * dy + PER_STEP * away[move]
         if cost < least:
             least, chosen = cost, move
     return chosen
 
 
 @allocation_free
-def put_route(
-    sweep: Int32,
-    box: Array,
-    plot: Indices,
-    start: Indices,
-    level: Array,
-    some: bool,
-    x: float,
-    y: float,
-    sx: float,
-    sy: float,
-    go_x: Array,
-    go_y: Array,
-    seen: Float32,
-    at: int,
+def _put_offsets(
+    sweep: Int32, box: Array, first: int, count: int, x: float, y: float, sx: float, sy: float, seen: Float32, at: int
 ) -> int:
-    """Write which move follows the route, and the offsets to the next plots on it; return where they end.
-
-    Args:
-        sweep: [2] the UAV's route and the box that comes next; the function updates the latter.
-        box: [T, 4] the boxes of all routes: least and largest x, least and largest y, m.
-        plot: [T] their plots, row-major.
-        start: [R + 1] where each route begins.
-        level: [n_px, n_py] VDF.
-        some: whether any plot has a VDF above 0.
-        x: of the UAV, m.
-        y: of the UAV, m.
-        sx: sign of the UAV's own axis along x.
-        sy: the same along y.
-        go_x: [3] x after each move along the UAV's own axis, m.
-        go_y: [3] the same along y, m.
-        seen: row of observations.
-        at: where to begin in it.
-    """
-    first = start[sweep[0]]
-    count = start[sweep[0] + 1] - first
-    _advance(sweep, box, plot, first, count, level, some, x, y)
-    following = first + (sweep[1] + 1) % count
-    chosen = _suggested(box[first + sweep[1]], box[following], x, y, go_x, go_y)
-    for move in range(9):
-        seen[at + move] = 1.0 if move == chosen else 0.0
-    at += 9
+    """Write the offsets to the next plots on the route; return where they end."""
     for ahead in range(ROUTE_PLOTS):
         corners = box[first + (sweep[1] + ahead) % count]
         dx, dy = 0.5 * (corners[0] + corners[1]) - x, 0.5 * (corners[2] + corners[3]) - y
@@ -118,3 +120,26 @@ def put_route(
         )
         at += 2
     return at
+
+
+@inlined
+def put_route(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
+    """Write which move follows the route, and the offsets to the next plots on it; return where they end.
+
+    Updates the box that comes next.
+    """
+    view, v, ways, sweep = c.added, s.added, c.ways, farm.sweep[u - c.fleet.relays]
+    x, y, go_x, go_y = farm.position[u, 0], farm.position[u, 1], s.added.go_x[u], s.added.go_y[u]
+    box, plot, first = view.route_box, view.route_plot, view.route_start[sweep[0]]
+    count = view.route_start[sweep[0] + 1] - first
+    _advance(sweep, box, plot, first, count, farm.level, total(farm.level_above) > 0.0, farm.closed, x, y)
+    following, goal = first + (sweep[1] + 1) % count, first + sweep[1]
+    if ways.some:
+        steps_to_plot(ways, farm.barred, plot[goal], _point(ways, x, y), s.way_steps, s.way_queue)
+        _count_steps(ways, s.way_steps, box[goal], go_x, go_y, v.away)
+    chosen = _suggested(box[goal], box[following], x, y, go_x, go_y, v.stopped, v.away)
+    for move in range(9):
+        farm.observation[at + move] = 1.0 if move == chosen else 0.0
+    return _put_offsets(
+        sweep, box, first, count, x, y, s.added.sign[u, 0], s.added.sign[u, 1], farm.observation, at + 9
+    )

@@ -1,0 +1,184 @@
+"""Ways round no-fly zones over the points of the lattice, for sweep routes and plans.
+
+A step from one lattice point to one of its eight neighbours is barred if it leaves the field or if a zone refuses it,
+from the middle of the cell to that of the other. UAVs may stand elsewhere in a cell, so whether their very next move is
+refused is found out for its own places, see `find_stopped`.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from common.config import FarmConfig
+from common.farm import lattice_of
+from rollout.sim.boxes import ROUNDING
+from rollout.sim.kernel.compiler.decorators import allocation_free
+from rollout.sim.kernel.flight.airspace import refused
+from rollout.sim.sweep_routes import plot_boxes
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Int32 = NDArray[np.int32]
+Steps = NDArray[np.uint16]
+
+UNKNOWN: Final = -1
+"""Steps of a way that was not found."""
+
+
+class WayConstants(NamedTuple):
+    """The lattice of ways, which has no points if nothing needs them.
+
+    Attributes:
+        some: whether there are zones, and sweep routes or plans that lead round them.
+        columns: lattice points along x.
+        rows: lattice points along y.
+        width: distance between those along x, m.
+        depth: the same along y, m.
+        goal_start: [P + 1] where the points of each plot begin in `goal`.
+        goal: [M] points that lie in the box of a plot on a sweep route, and the one whose cell holds its middle.
+    """
+
+    some: bool
+    columns: int
+    rows: int
+    width: float
+    depth: float
+    goal_start: Int32
+    goal: Int32
+
+
+def way_constants(config: FarmConfig) -> WayConstants:
+    """Derive the numbers of ways."""
+    world, seen, lattice = config.world, config.observation, lattice_of(config.world)
+    some = config.zones.some and (seen.route or seen.plan > 0)
+    columns, rows = (lattice.columns, lattice.rows) if some else (0, 0)
+    size = np.array([world.field_x / lattice.columns, world.field_y / lattice.rows])
+    starts, goals = [0], [np.zeros(0, np.int32)]
+    if some and seen.route:
+        low, high = plot_boxes(config)
+        middle = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), axis=-1).reshape(-1, 2) + 0.5
+        place = middle * size
+        for least, most in zip(low, high, strict=True):
+            column, row = np.minimum(0.5 * (least + most) // size, (columns - 1, rows - 1)).astype(np.int64).tolist()
+            within = ((place >= least - ROUNDING) & (place <= most + ROUNDING)).all(axis=1)
+            within[column * rows + row] = True
+            goals.append(np.flatnonzero(within).astype(np.int32))
+            starts.append(starts[-1] + len(goals[-1]))
+    return WayConstants(
+        some=some,
+        columns=columns,
+        rows=rows,
+        width=float(size[0]),
+        depth=float(size[1]),
+        goal_start=np.array(starts, np.int32),
+        goal=np.concatenate(goals),
+    )
+
+
+@allocation_free
+def bar_steps(ways: WayConstants, first: NDArray[np.int64], side: Array, box: Array, barred: Steps) -> None:
+    """Find the barred steps.
+
+    Args:
+        ways: the lattice.
+        first: as for `refused`.
+        side: as for `refused`.
+        box: as for `refused`.
+        barred: [K] out: bit 3 (dx + 1) + dy + 1 of a point is 1 if the step by (dx, dy) is barred.
+    """
+    for column in range(ways.columns):
+        x = (column + 0.5) * ways.width
+        for row in range(ways.rows):
+            y, bits = (row + 0.5) * ways.depth, 0
+            for move in range(9):
+                to_column, to_row = column + move // 3 - 1, row + move % 3 - 1
+                stays = 0 <= to_column < ways.columns and 0 <= to_row < ways.rows
+                to_x, to_y = (to_column + 0.5) * ways.width, (to_row + 0.5) * ways.depth
+                if not stays or refused(first, side, box, x, y, to_x, to_y):
+                    bits |= 1 << move
+            barred[column * ways.rows + row] = bits
+
+
+@allocation_free
+def is_barred(barred: Steps, point: int, dx: int, dy: int) -> bool:
+    """Return whether the step from a point by (dx, dy) is barred."""
+    return (int(barred[point]) >> (3 * (dx + 1) + dy + 1)) & 1 == 1
+
+
+@allocation_free
+def close_plots(ways: WayConstants, barred: Steps, steps: Int32, queue: Int32, closed: Flags) -> None:
+    """Find the plots that no way leads to from most of the field.
+
+    Args:
+        ways: the lattice, and the points of each plot.
+        barred: [K] see `bar_steps`.
+        steps: [K] working memory.
+        queue: [K] working memory.
+        closed: [P] out.
+    """
+    points, most, seed = len(barred), 0, 0
+    steps[:] = UNKNOWN
+    for point in range(points):
+        if steps[point] == UNKNOWN:
+            steps[point], queue[0] = 0, point
+            found = spread(ways, barred, 1, UNKNOWN, steps, queue)
+            if found > most:
+                most, seed = found, point
+    steps[:] = UNKNOWN
+    steps[seed], queue[0] = 0, seed
+    spread(ways, barred, 1, UNKNOWN, steps, queue)
+    for plot in range(len(closed)):
+        closed[plot] = True
+        for entry in range(ways.goal_start[plot], ways.goal_start[plot + 1]):
+            closed[plot] &= steps[ways.goal[entry]] == UNKNOWN
+
+
+@allocation_free
+def steps_to_plot(ways: WayConstants, barred: Steps, plot: int, until: int, steps: Int32, queue: Int32) -> None:
+    """Count the steps from lattice points to a plot, until a point has its number; UNKNOWN where none is found.
+
+    Args:
+        ways: the lattice, and the points of each plot.
+        barred: [K] see `bar_steps`.
+        plot: the plot.
+        until: the point; its neighbours that are a step nearer have their numbers then, too.
+        steps: [K] out.
+        queue: [K] working memory.
+    """
+    steps[:] = UNKNOWN
+    first = ways.goal_start[plot]
+    count = ways.goal_start[plot + 1] - first
+    for entry in range(count):
+        steps[ways.goal[first + entry]], queue[entry] = 0, ways.goal[first + entry]
+    if steps[until] == UNKNOWN:
+        spread(ways, barred, count, until, steps, queue)
+
+
+@allocation_free
+def spread(ways: WayConstants, barred: Steps, count: int, until: int, steps: Int32, queue: Int32) -> int:
+    """Count the steps from the first `count` points of a queue to all others, breadth first; return how many are known.
+
+    Args:
+        ways: the lattice.
+        barred: [K] see `bar_steps`. Steps are barred both ways, but for those into and out of zones.
+        count: points in the queue.
+        until: where to stop; UNKNOWN to go on to the end.
+        steps: [K] steps to each point; those in the queue have theirs, and the others that have none are UNKNOWN.
+        queue: [K] the points; the function adds to it.
+    """
+    head = 0
+    while head < count:
+        point = queue[head]
+        head += 1
+        bits = int(barred[point])
+        for move in range(9):
+            if (bits >> move) & 1 == 1:
+                continue
+            to = point + (move // 3 - 1) * ways.rows + move % 3 - 1
+            if steps[to] == UNKNOWN:
+                steps[to], queue[count] = steps[point] + 1, to
+                count += 1
+                if to == until:
+                    return count
+    return count
