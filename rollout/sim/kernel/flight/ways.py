@@ -1,8 +1,9 @@
 """Ways round no-fly zones over the points of the lattice, for sweep routes and plans.
 
-A step from one lattice point to one of its eight neighbours is barred if it leaves the field or if a zone refuses it,
-from the middle of the cell to that of the other. UAVs may stand elsewhere in a cell, so whether their very next move is
-refused is found out for its own places, see `find_stopped`.
+A step from one lattice point to one of its eight neighbours is barred if it leaves the field, or if a zone refuses it.
+With an inset below 0.5 UAVs stand in a rectangle around a cell's middle, so the step is tried from each corner of the
+one rectangle to each of the other. Whether a UAV's very next move is refused is found out from where it stands, see
+`find_stopped`.
 """
 
 from typing import Final, NamedTuple
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from common.config import FarmConfig
-from common.farm import lattice_of
+from common.farm import COLLECTION, MONITORING, inset_of, lattice_of
 from rollout.sim.boxes import ROUNDING
 from rollout.sim.kernel.compiler.decorators import allocation_free
 from rollout.sim.kernel.flight.airspace import refused
@@ -35,6 +36,7 @@ class WayConstants(NamedTuple):
         rows: lattice points along y.
         width: distance between those along x, m.
         depth: the same along y, m.
+        corner: [C, 2] corners of the rectangle in which UAVs stand, from the cell's middle, m.
         goal_start: [P + 1] where the points of each plot begin in `goal`.
         goal: [M] points that lie in the box of a plot on a sweep route, and the one whose cell holds its middle.
     """
@@ -44,6 +46,7 @@ class WayConstants(NamedTuple):
     rows: int
     width: float
     depth: float
+    corner: Array
     goal_start: Int32
     goal: Int32
 
@@ -71,9 +74,17 @@ def way_constants(config: FarmConfig) -> WayConstants:
         rows=rows,
         width=float(size[0]),
         depth=float(size[1]),
+        corner=_corners(config) * size,
         goal_start=np.array(starts, np.int32),
         goal=np.concatenate(goals),
     )
+
+
+def _corners(config: FarmConfig) -> Array:
+    """Return the corners of the rectangle in which UAVs stand, as shares of a cell, [C, 2]; one if it is a point."""
+    away = 0.5 - min(inset_of(config, MONITORING), inset_of(config, COLLECTION))
+    corners = np.array([(-away, -away), (-away, away), (away, -away), (away, away)])
+    return corners if away > 0.0 else corners[:1]
 
 
 @allocation_free
@@ -88,16 +99,50 @@ def bar_steps(ways: WayConstants, first: NDArray[np.int64], side: Array, box: Ar
         barred: [K] out: bit 3 (dx + 1) + dy + 1 of a point is 1 if the step by (dx, dy) is barred.
     """
     for column in range(ways.columns):
-        x = (column + 0.5) * ways.width
         for row in range(ways.rows):
-            y, bits = (row + 0.5) * ways.depth, 0
+            near, bits = _is_near(ways, box, column, row), 0
             for move in range(9):
                 to_column, to_row = column + move // 3 - 1, row + move % 3 - 1
                 stays = 0 <= to_column < ways.columns and 0 <= to_row < ways.rows
-                to_x, to_y = (to_column + 0.5) * ways.width, (to_row + 0.5) * ways.depth
-                if not stays or refused(first, side, box, x, y, to_x, to_y):
+                if not stays or (near and _is_refused(ways, first, side, box, column, row, to_column, to_row)):
                     bits |= 1 << move
             barred[column * ways.rows + row] = bits
+
+
+@allocation_free
+def _is_near(ways: WayConstants, box: Array, column: int, row: int) -> bool:
+    """Return whether a cell or one beside it may touch a zone."""
+    west, east = (column - 1) * ways.width, (column + 2) * ways.width
+    south, north = (row - 1) * ways.depth, (row + 2) * ways.depth
+    for zone in range(len(box)):
+        if west <= box[zone, 2] and box[zone, 0] <= east and south <= box[zone, 3] and box[zone, 1] <= north:
+            return True
+    return False
+
+
+@allocation_free
+def _is_refused(
+    ways: WayConstants,
+    first: NDArray[np.int64],
+    side: Array,
+    box: Array,
+    column: int,
+    row: int,
+    to_column: int,
+    to_row: int,
+) -> bool:
+    """Return whether a zone refuses a step between lattice points, from any corner to any."""
+    if column == to_column and row == to_row:
+        return False
+    x, y = (column + 0.5) * ways.width, (row + 0.5) * ways.depth
+    to_x, to_y = (to_column + 0.5) * ways.width, (to_row + 0.5) * ways.depth
+    corner = ways.corner
+    for start in range(len(corner)):
+        for end in range(len(corner)):
+            left_x, left_y = x + corner[start, 0], y + corner[start, 1]
+            if refused(first, side, box, left_x, left_y, to_x + corner[end, 0], to_y + corner[end, 1]):
+                return True
+    return False
 
 
 @allocation_free
@@ -136,13 +181,13 @@ def close_plots(ways: WayConstants, barred: Steps, steps: Int32, queue: Int32, c
 
 @allocation_free
 def steps_to_plot(ways: WayConstants, barred: Steps, plot: int, until: int, steps: Int32, queue: Int32) -> None:
-    """Count the steps from lattice points to a plot, until a point has its number; UNKNOWN where none is found.
+    """Count the steps from lattice points to a plot, until a point's neighbours have theirs; UNKNOWN elsewhere.
 
     Args:
         ways: the lattice, and the points of each plot.
         barred: [K] see `bar_steps`.
         plot: the plot.
-        until: the point; its neighbours that are a step nearer have their numbers then, too.
+        until: the point.
         steps: [K] out.
         queue: [K] working memory.
     """
@@ -151,8 +196,7 @@ def steps_to_plot(ways: WayConstants, barred: Steps, plot: int, until: int, step
     count = ways.goal_start[plot + 1] - first
     for entry in range(count):
         steps[ways.goal[first + entry]], queue[entry] = 0, ways.goal[first + entry]
-    if steps[until] == UNKNOWN:
-        spread(ways, barred, count, until, steps, queue)
+    spread(ways, barred, count, until, steps, queue)
 
 
 @allocation_free
@@ -163,13 +207,15 @@ def spread(ways: WayConstants, barred: Steps, count: int, until: int, steps: Int
         ways: the lattice.
         barred: [K] see `bar_steps`. Steps are barred both ways, but for those into and out of zones.
         count: points in the queue.
-        until: where to stop; UNKNOWN to go on to the end.
+        until: the point whose neighbours are the last to count; UNKNOWN to go on to the end.
         steps: [K] steps to each point; those in the queue have theirs, and the others that have none are UNKNOWN.
         queue: [K] the points; the function adds to it.
     """
     head = 0
     while head < count:
         point = queue[head]
+        if until != UNKNOWN and steps[until] != UNKNOWN and steps[point] > steps[until]:
+            break
         head += 1
         bits = int(barred[point])
         for move in range(9):
@@ -179,6 +225,4 @@ def spread(ways: WayConstants, barred: Steps, count: int, until: int, steps: Int
             if steps[to] == UNKNOWN:
                 steps[to], queue[count] = steps[point] + 1, to
                 count += 1
-                if to == until:
-                    return count
     return count
