@@ -38,7 +38,7 @@ MOVES = NineMoves().adapt(np.zeros(0, np.float32), np.arange(9, dtype=np.float32
 def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     """Return the added observations of a UAV whose axes have these signs."""
     seen, kind = farm.config.observation, farm.kind[u]
-    worth = worths(farm, u, signs) if kind else np.zeros(9)
+    worth = worths(farm, u, signs, places(farm, u)) if kind else np.zeros(9)
     parts = [_peers(farm, u, signs)]
     parts += [velocity(farm, u) * signs] if seen.last_move else []
     if kind > 0:

@@ -24,6 +24,7 @@ from rollout.sim.reference.power import dbm_to_mw, flight_power, other_power
 from rollout.sim.reference.routes import advance, divide_again, first_sweep
 from rollout.sim.reference.stress import find, plot_cycles, sensor_cycles
 from rollout.sim.reference.views import observe
+from rollout.sim.reference.ways import ways_of
 from rollout.sim.stress import patches
 from rollout.sim.wind import wind_series
 
@@ -116,6 +117,7 @@ class ReferenceFarm:
         chance: [S] 1 - PLR of each sensor's packet in the last step.
         energy: [n] J; utility: [n]; parts: [n, K]; reward: [n]; all of the last step.
         observation: [O] float32.
+        ways: how sweep routes and plans lead round no-fly zones, if any do.
         sweep: [n_m, 2] sweep route of each monitoring UAV and the box on it that comes next, if seen.
         time: steps done.
     """
@@ -142,6 +144,7 @@ class ReferenceFarm:
         self.chance = np.zeros(world.sensors)
         self.energy, self.utility, self.reward = np.zeros(world.uavs), np.zeros(world.uavs), np.zeros(world.uavs)
         self.parts = np.zeros((world.uavs, 8))
+        self.ways = ways_of(config, layout.zones)
         self.sweep = first_sweep(self)
         self.crowded, self.outside = np.zeros(world.uavs, bool), np.zeros(world.uavs, bool)
         advance(self)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from common.actions.adapters import EDGE
 from common.config import FarmConfig
+from common.config.farm.polygons import refused
 from common.farm import lattice_of
 from rollout.sim.kernel.link import radio_constants, reach_of
 from rollout.sim.kernel.plans.constants import DISCOUNT, HEARD
@@ -54,7 +55,7 @@ class Planner:
         self._farm, self._monitors = farm, farm.kind[u] == 1
         world, reward, lattice = farm.config.world, farm.config.reward, lattice_of(farm.config.world)
         self.counts = lattice.columns, lattice.rows
-        self._size = world.field_x, world.field_y
+        self._size, self.ways = (world.field_x, world.field_y), farm.ways
         self._sites = farm.plot_xy if self._monitors else farm.layout.sensor_xy
         self.most = float(world.vdf_max if self._monitors else world.aoi_max)
         self._unit = float(reward.monitoring if self._monitors else reward.collection) * world.step_seconds
@@ -167,20 +168,30 @@ def _owner(farm: ReferenceFarm, u: int, site: Array) -> int:
     return int(mates[int(((site - farm.position[mates]) ** 2).sum(axis=1).argmin())])
 
 
-def worths(farm: ReferenceFarm, u: int, signs: Array) -> Array:
+def worths(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
     """Return what the best plan that begins with each of nine moves is worth, in units, [9].
 
-    Monitors who sweep along routes plan in the last steps only; before, their plans are worth nothing.
+    Monitors who sweep along routes plan in the last steps only; before, their plans are worth nothing. A plan whose
+    first move a zone refuses is worth -inf.
+
+    Args:
+        farm: the farm.
+        u: the UAV.
+        signs: [2] of its axes.
+        goals: [9, 2] where its moves lead, m.
     """
     seen, left = farm.config.observation, farm.config.world.steps - farm.time
     steps = min(seen.plan, left)
     if steps == 0 or not plans(farm, u):
         return np.zeros(9)
-    planner, start = Planner(farm, u), _start(farm, u, signs)
+    planner, start, zones = Planner(farm, u), _start(farm, u, signs), farm.layout.zones
+    stopped = refused(farm.position[u], goals, zones)
     turns = [(int(signs[0]) * x, int(signs[1]) * y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
     found: list[tuple[int, Plan]] = []
     for move, turn in enumerate(turns):
         column, row = np.clip(np.add(start, turn), 0, np.array(planner.counts) - 1).tolist()
+        if stopped[move]:
+            column, row = start
         plan = Plan(start, 0.0, planner.first_counters())
         found.append((move, planner.after(plan, (column, row), planner.step(plan, (column, row), 1.0), farm.time + 1)))
     factor = 1.0
@@ -190,7 +201,8 @@ def worths(farm: ReferenceFarm, u: int, signs: Array) -> Array:
             (move, planner.after(plan, end, worth, farm.time + ahead + 1))
             for worth, move, end, plan in _kept(_longer(planner, found, turns, factor), seen.plan_paths)
         ]
-    return np.array([max(plan.worth for first, plan in found if first == move) for move in range(9)])
+    best = [max(plan.worth for first, plan in found if first == move) for move in range(9)]
+    return np.where(stopped, -np.inf, best)
 
 
 def plans(farm: ReferenceFarm, u: int) -> bool:
@@ -205,7 +217,8 @@ def plan_view(farm: ReferenceFarm, u: int, worth: Array) -> Array:
         return np.zeros(10)
     most = float(farm.config.world.vdf_max if farm.kind[u] == 1 else farm.config.world.aoi_max)
     top = worth.max() / (most * farm.config.observation.plan)
-    return np.append(np.exp((worth - worth.max()) / (SHARE * most)), np.clip(top, -1.0, 1.0))
+    loss = np.where(np.isfinite(worth), worth.max() - np.where(np.isfinite(worth), worth, 0.0), np.inf)
+    return np.append(np.exp(-loss / (SHARE * most)), np.clip(top, -1.0, 1.0))
 
 
 Longer = tuple[float, int, Point, Plan]
@@ -213,12 +226,14 @@ Longer = tuple[float, int, Point, Plan]
 
 
 def _longer(planner: Planner, found: list[tuple[int, Plan]], turns: list[Point], factor: float) -> list[Longer]:
-    """Return all plans with one step more that stay in the field."""
+    """Return all plans with one step more that stay in the field and outside no-fly zones."""
     longer: list[Longer] = []
+    ways = planner.ways
     for move, plan in found:
         for x, y in turns:
             end = plan.point[0] + x, plan.point[1] + y
-            if 0 <= end[0] < planner.counts[0] and 0 <= end[1] < planner.counts[1]:
+            possible = 0 <= end[0] < planner.counts[0] and 0 <= end[1] < planner.counts[1]
+            if possible and (ways is None or ways.allows(plan.point, end)):
                 longer.append((planner.step(plan, end, factor), move, end, plan))
     return longer
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from common.config.farm.polygons import refused
 from common.farm import ROUTE_PLOTS
 from rollout.sim.boxes import ROUNDING, inside
-from rollout.sim.kernel.views.routes import MOST_OFFSET, PER_OFFSET
+from rollout.sim.kernel.views.routes import MOST_OFFSET, PER_OFFSET, STAY
 from rollout.sim.sweep_routes import all_routes, divided_among
 
 if TYPE_CHECKING:
@@ -57,20 +58,35 @@ def route_view(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array
     box, onward = route[:, at], route[:, (at + 1) % route.shape[1]]
     gap, then = _gaps(box, goals), _gaps(onward, goals)
     cost = np.where(gap <= ROUNDING, 1e3 * then, 1e6 * gap) + ((goals - farm.position[u]) ** 2).sum(axis=1)
+    cost[refused(farm.position[u], goals, farm.layout.zones)] = np.inf
+    if farm.ways and np.isfinite(cost).any():
+        steps = np.where(gap <= ROUNDING, 0.0, farm.ways.steps(int(_plots(farm, route)[at]), goals))
+        cost[steps > steps[np.isfinite(cost)].min()] = np.inf
     ahead = route[:, (at + np.arange(ROUTE_PLOTS)) % route.shape[1]].mean(axis=0)
     offset = np.clip((ahead - farm.position[u]) * PER_OFFSET, -MOST_OFFSET, MOST_OFFSET) * signs
-    return np.concatenate([np.arange(9) == cost.argmin(), offset.reshape(-1)])
+    chosen = cost.argmin() if np.isfinite(cost).any() else STAY
+    return np.concatenate([np.arange(9) == chosen, offset.reshape(-1)])
 
 
 def _next_box(farm: ReferenceFarm, route: Array, at: int, position: Array) -> int:
-    """Return the first box from `at` on that the UAV is not in and whose plot is not fresh while others are not."""
-    size, count = np.array([farm.config.world.field_x, farm.config.world.field_y]) / farm.vdf.shape, route.shape[1]
-    column, row = (route.mean(axis=0) // size).astype(np.int64).T
-    fresh = (farm.vdf[column, row] == 0.0) & bool(farm.vdf.any())
-    done = fresh.copy()
+    """Return the first box from `at` on that is not done, and whose plot zones do not shut off.
+
+    It is done if the UAV is in it, or if its plot is fresh while others are not.
+    """
+    count, plots = route.shape[1], _plots(farm, route)
+    done = (farm.vdf.reshape(-1)[plots] == 0.0) & bool(farm.vdf.any())
     done[at] |= bool(inside(position, route[:, at]))
+    if farm.ways:
+        done |= np.array([farm.ways.shut(plot) for plot in plots.tolist()])
     ahead = (at + np.arange(count)) % count
     return int(ahead[int(done[ahead].argmin())])
+
+
+def _plots(farm: ReferenceFarm, route: Array) -> NDArray[np.int64]:
+    """Return the plots of a route's boxes, row-major."""
+    size = np.array([farm.config.world.field_x, farm.config.world.field_y]) / farm.vdf.shape
+    column, row = (route.mean(axis=0) // size).astype(np.int64).T
+    return np.asarray(column * farm.vdf.shape[1] + row)
 
 
 def _gaps(box: Array, places: Array) -> Array:

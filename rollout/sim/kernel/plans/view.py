@@ -151,7 +151,8 @@ def _put_best(c: Constants, farm: Farm, s: Scratch, u: int, sites: int, most: fl
 def put_plan(steps: int, most: float, best: Array, seen: Float32, at: int) -> int:
     """Write how near each move's best plan comes to the best of all, and the worth of that; return where they end.
 
-    A plan that is worth SHARE of a full item less than the best of all is marked with 1/e.
+    A plan that is worth SHARE of a full item less than the best of all is marked with 1/e, one that cannot be flown
+    with 0.
 
     Args:
         steps: H.
@@ -164,6 +165,6 @@ def put_plan(steps: int, most: float, best: Array, seen: Float32, at: int) -> in
     for move in range(9):
         top = max(top, best[move])
     for move in range(9):
-        seen[at + move] = math.exp((best[move] - top) / (SHARE * most))
+        seen[at + move] = math.exp((best[move] - top) / (SHARE * most)) if best[move] > -math.inf else 0.0
     seen[at + 9] = min(1.0, max(-1.0, top / (most * steps)))
     return at + NUMBERS

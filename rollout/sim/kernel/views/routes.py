@@ -27,8 +27,6 @@ STAY: Final = 4
 """The move that leads nowhere."""
 PER_GAP: Final = 1e3
 """Weight of a metre to the box after the next, beside a square metre of way; the next box has the square of it."""
-PER_STEP: Final = 1e12
-"""Weight of a step of the way round zones, beside the same."""
 PER_OFFSET: Final = 0.05
 """1 / offset to a plot that is observed as 1, 1/m (ours)."""
 MOST_OFFSET: Final = 2.0
@@ -92,7 +90,7 @@ def _suggested(
     box: Array, onward: Array, x: float, y: float, go_x: Array, go_y: Array, stopped: Flags, away: Array
 ) -> int:
     """Return the move that follows the route."""
-    least, chosen = math.inf, STAY
+    nearest, least, chosen = math.inf, math.inf, STAY
     for move in range(9):
         if stopped[move]:
             continue
@@ -100,9 +98,9 @@ def _suggested(
         gap = _gap(box, to_x, to_y)
         cost = PER_GAP * _gap(onward, to_x, to_y) if gap <= ROUNDING else PER_GAP * PER_GAP * gap
         dx, dy = to_x - x, to_y - y
-        cost += dx * dx + dy * dy + PER_STEP * away[move]
-        if cost < least:
-            least, chosen = cost, move
+        cost += dx * dx + dy * dy
+        if away[move] < nearest or (away[move] == nearest and cost < least):
+            nearest, least, chosen = away[move], cost, move
     return chosen
 
 

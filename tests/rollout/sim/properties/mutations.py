@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[4]
 PAGE = ROOT / "docs" / "reference" / "simulator_properties.md"
-EVENTS = ("failures", "links", "stress", "battery", "airspace")
+EVENTS = ("failures", "links", "stress", "battery", "airspace", "ways")
 NAMES = ("flight", "counters", "symmetry", "batch", "added", "reference", "hindsight", *EVENTS)
 PROPERTIES = [f"test_properties_{name}.py" for name in NAMES]
 """The reference, which notices almost everything, comes after all that need none; hindsight needs it, too."""
@@ -214,6 +214,24 @@ MUTATIONS = (
         "sim/kernel/flight/battery.py",
         "- energy[u] + charged",
         "- energy[u] + 2.0 * charged",
+    ),
+    one(
+        "a route suggests moves that zones refuse",
+        "sim/kernel/views/routes.py",
+        "if stopped[move]:",
+        "if stopped[move] and move < 0:",
+    ),
+    one(
+        "plans lead through zones",
+        "sim/kernel/plans/search.py",
+        "if len(barred) > 0 and is_barred(",
+        "if len(barred) > len(worth) * columns * rows and is_barred(",
+    ),
+    one(
+        "a route waits for plots that zones shut off",
+        "sim/kernel/views/routes.py",
+        "passed |= closed[plot[at]]",
+        "passed |= closed[plot[at]] and count == 0",
     ),
     one("sums of the last episode stay after a reset", "sim/batch.py", "state.returns, state.sums)", "state.returns)"),
 )
