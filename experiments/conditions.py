@@ -47,8 +47,9 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
     "failures, 2 an hour": ("failing", "[farm.failures]\nper_hour = 2.0"),
     "failures, 6 an hour": ("failing", ""),
     "links 70 m, failures, 2 an hour": (
-        "connected",
-        "[farm.relay]\nlink_range = 70.0\n[farm.failures]\nper_hour = 2.0",
+        "failing",
+        "[farm.relay]\nrequire_link = true\nlink_range = 70.0\n[farm.failures]\nper_hour = 2.0\n"
+        "[farm.observation]\nlink = true\n[farm.reward]\nrelayed = 0.2",
     ),
     "team 2 + 2 + 2": (
         "default",
@@ -69,7 +70,7 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
     "patches of stress": ("uneven", ""),
     "batteries": ("battery", ""),
     "wind 3 m/s": ("default", "[farm.wind]\nspeed = 3.0\ngusts = 1.5\n[farm.observation]\nwind = true"),
-    "no-fly zones": ("long", "[farm.zones]\nrandom = 3\n[farm.observation]\nzones = true"),
+    "no-fly zones": ("default", "[farm.zones]\nrandom = 3\n[farm.observation]\nzones = true"),
     "all of them": ("field", ""),
     "clustered sensors": ("default", '[farm.world]\ndensity = "clustered"'),
 }
@@ -88,6 +89,8 @@ FREE: Final = ("links 150 m", "links 100 m", "links 70 m", "links 50 m", "batter
 """Conditions that a good enough policy might not feel: nobody is lost, and the task is the default farm's."""
 POLICIES: Final = ("learned", "longer", "advised")
 """Policies of a condition as far as they were trained, in the page's order."""
+LONGER: Final = {"default": "long"}
+"""The preset of a condition's policy that learns longer, where it is not the condition's own."""
 Scores = dict[str, Any]
 
 
@@ -96,7 +99,7 @@ class Episodes(NamedTuple):
 
     Attributes:
         learned: of the policy that learns from nothing.
-        longer: of the same, for as long as the preset says.
+        longer: of the one that learns for as long as its preset says, see LONGER.
         advised: of the one that learns from a heuristic on.
     """
 
@@ -109,6 +112,17 @@ def configuration(name: str, episodes: int, seed: int) -> RunConfig:
     """Return the run of a condition."""
     base, changes = CONDITIONS[name]
     return replace(from_toml(changes, preset(base)), episodes=episodes, seed=seed)
+
+
+def longer_configuration(name: str, seed: int) -> RunConfig:
+    """Return the run of a condition's policy that learns longer."""
+    return replace(from_toml(CONDITIONS[name][1], preset(longer_preset(name))), seed=seed)
+
+
+def longer_preset(name: str) -> str:
+    """Return the preset of a condition's policy that learns longer."""
+    base = CONDITIONS[name][0]
+    return LONGER.get(base, base)
 
 
 def own_reward(farm: FarmConfig) -> FarmConfig:
@@ -189,7 +203,8 @@ def compare(name: str, found: Scores, episodes: Episodes, seed: int, farms: rang
     if "learned" not in found:
         found["learned"] = trained(config, farms, "learned", files["learned"])
     if "longer" not in found and episodes.longer > 0:
-        found["longer"] = trained(replace(config, episodes=episodes.longer), farms, "longer", files["longer"])
+        run = replace(longer_configuration(name, seed), episodes=episodes.longer)
+        found["longer"] = trained(run, farms, "longer", files["longer"])
     if "advised" not in found and episodes.advised > 0:
         advice = found["heuristics"][0]["policy"]
         run = with_advice(config, advice, episodes.advised)
@@ -322,9 +337,9 @@ def options() -> argparse.Namespace:
 
 def another(name: str, arguments: argparse.Namespace, commit: str) -> Scores:
     """Return the results of a condition with a policy of one more seed."""
-    policy = "longer" if arguments.longer else "learned"
-    episodes = preset(CONDITIONS[name][0]).episodes if arguments.longer else arguments.episodes
-    scores = trained(configuration(name, episodes, arguments.another), arguments.farms, policy)
+    policy, seed = "longer" if arguments.longer else "learned", arguments.another
+    config = longer_configuration(name, seed) if arguments.longer else configuration(name, arguments.episodes, seed)
+    scores = trained(config, arguments.farms, policy)
     # Another call may have written more about the condition meanwhile.
     return with_another(kept(arguments.write)[name], policy, {**scores, "commit": commit})
 
@@ -334,7 +349,7 @@ def measured(name: str, arguments: argparse.Namespace, commit: str) -> Scores:
     if arguments.another is not None:
         return another(name, arguments, commit)
     found = kept(arguments.write).get(name, {})
-    longer = preset(CONDITIONS[name][0]).episodes if arguments.longer else 0
+    longer = preset(longer_preset(name)).episodes if arguments.longer else 0
     episodes = Episodes(arguments.episodes, longer, 0 if arguments.no_advice else arguments.advised)
     if name in arguments.name:
         found = renewed(found, commit, arguments.heuristics, arguments.longer)

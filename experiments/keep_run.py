@@ -26,9 +26,10 @@ from deploy.reports.run_report import read_metrics
 from experiments.conditions import (
     CONDITIONS,
     Scores,
-    configuration,
     flown,
     kept,
+    longer_configuration,
+    longer_preset,
     page,
     require_another,
     with_another,
@@ -100,7 +101,7 @@ def keep_for_condition(arguments: Arguments, folder: Path) -> None:
     store_results(data, page, folder)
     sys.stdout.write(f"{name}: {scores['reward'][0]:.0f} with seed {config.seed}\n")
     if arguments.ship:
-        base = CONDITIONS[name][0]
+        base = longer_preset(name)
         command = f"eia-sec train --preset {base} --seed {config.seed} --episodes {config.episodes}"
         origin = {"command": command, "commit": arguments.commit, "seed": config.seed, "episodes": last["episodes"]}
         metadata = {key: str(value) for key, value in origin.items()}
@@ -117,7 +118,7 @@ def require_fitting(arguments: Arguments, config: RunConfig, results: dict[str, 
     name, run = arguments.condition, arguments.run_dir
     if name not in CONDITIONS or name not in results:
         raise UsageError(f"the results hold no condition {name!r}; they hold {', '.join(results) or 'none'}.")
-    if config != configuration(name, config.episodes, config.seed):
+    if config != replace(longer_configuration(name, config.seed), episodes=config.episodes):
         raise UsageError(f"the run {run} has other settings than {name!r}.")
     if arguments.add:
         require_another(name, results[name], "longer", config.seed)
