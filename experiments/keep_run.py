@@ -11,7 +11,7 @@ python -m experiments.keep_run runs/battery-... --commit abc1234 --condition bat
 import json
 import shutil
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
