@@ -91,6 +91,15 @@ POLICIES: Final = ("learned", "longer", "advised")
 """Policies of a condition as far as they were trained, in the page's order."""
 LONGER: Final = {"default": "long"}
 """The preset of a condition's policy that learns longer, where it is not the condition's own."""
+AFRESH: Final = {
+    "no-fly zones": """
+episodes = 2000
+[algorithm]
+start_policy = ""
+entropy_scales = "communication=0.05, collection=0.1"
+"""
+}
+"""Settings of a policy that learns longer, and would begin as one that does harm there: it flies into zones."""
 Scores = dict[str, Any]
 
 
@@ -116,7 +125,8 @@ def configuration(name: str, episodes: int, seed: int) -> RunConfig:
 
 def longer_configuration(name: str, seed: int) -> RunConfig:
     """Return the run of a condition's policy that learns longer."""
-    return replace(from_toml(CONDITIONS[name][1], preset(longer_preset(name))), seed=seed)
+    config = from_toml(CONDITIONS[name][1], preset(longer_preset(name)))
+    return replace(from_toml(AFRESH.get(name, ""), config), seed=seed)
 
 
 def longer_preset(name: str) -> str:
@@ -349,7 +359,7 @@ def measured(name: str, arguments: argparse.Namespace, commit: str) -> Scores:
     if arguments.another is not None:
         return another(name, arguments, commit)
     found = kept(arguments.write).get(name, {})
-    longer = preset(longer_preset(name)).episodes if arguments.longer else 0
+    longer = longer_configuration(name, 0).episodes if arguments.longer else 0
     episodes = Episodes(arguments.episodes, longer, 0 if arguments.no_advice else arguments.advised)
     if name in arguments.name:
         found = renewed(found, commit, arguments.heuristics, arguments.longer)

@@ -2,19 +2,20 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from common.config import RunConfig
 from common.config.files import to_toml
-from common.config.presets import PRESETS
+from common.config.presets import PRESETS, preset
 from common.errors import UsageError
 from common.farm import farm_team
 from common.policy_file import load_policy, save_policy
 from deploy.local.run_directory import METRICS, POLICY
 from experiments import keep_run
-from experiments.conditions import CONDITIONS, configuration
+from experiments.conditions import CONDITIONS, configuration, longer_configuration
 from learner.on_policy.trainer import OnPolicyTrainer
 from rollout.policies import SHIPPED
 
@@ -84,11 +85,26 @@ REFUSED = {
 def test_mistakes_are_one_sentence_and_change_nothing(results, tmp_path, monkeypatch, words, seed, sentence):
     """The results stay as they are, and no policy ships."""
     before = (results / "results.json").read_bytes()
-    config = configuration("default", 2, 0) if seed is None else configuration("tiny", 2, seed)
+    tiny = replace(longer_configuration("tiny", seed or 0), episodes=2)
+    config = configuration("default", 2, 0) if seed is None else tiny
     run = finished_run(tmp_path / "run", config)
     with pytest.raises(UsageError, match=sentence):
         call(monkeypatch, run, "--commit", "new", "--output", results, *words)
     assert (results / "results.json").read_bytes() == before
+
+
+def test_where_the_farm_is_the_defaults_the_longer_policy_has_the_preset_long(results, tmp_path, monkeypatch):
+    """A run of the preset long becomes it, and one of the default preset is refused."""
+    found = longer_configuration("tiny", 4)
+    assert found == replace(preset("long"), farm=replace(preset("long").farm, world=found.farm.world), seed=4)
+    for config, fits in ((replace(found, episodes=2), True), (configuration("tiny", 2, 4), False)):
+        run = finished_run(tmp_path / str(fits), config)
+        words = run, "--commit", "new", "--condition", "tiny", "--output", results
+        if fits:
+            assert call(monkeypatch, *words) == 0
+        else:
+            with pytest.raises(UsageError, match="other settings"):
+                call(monkeypatch, *words)
 
 
 def test_a_run_that_has_recorded_nothing_is_refused(results, tmp_path, monkeypatch):
