@@ -10,10 +10,11 @@ import sys
 import tokenize
 import tomllib
 import zipfile
-from importlib.metadata import packages_distributions
+from importlib.metadata import distributions, packages_distributions
 from pathlib import Path
 
 import pytest
+from packaging.specifiers import SpecifierSet
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {
@@ -280,3 +281,15 @@ def test_constraints_pin_every_direct_dependency():
     pins = dict(line.split("==") for line in lines if line and not line.startswith("#"))
     assert all(re.fullmatch(r"[0-9.]+", version) for version in pins.values())
     assert {re.split(r"[<>=]", text)[0] for text in direct} - set(pins) == set()
+
+
+def test_pinned_packages_run_on_the_oldest_python_that_is_promised():
+    """Nothing that is installed here needs a later one, so that setting up does not fail there."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    oldest = project["requires-python"].removeprefix(">=") + ".0"
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pinned = {line.partition("==")[0] for line in lines if not line.startswith("#")}
+    found = {each.name.lower(): each.metadata.get("Requires-Python") for each in distributions()}
+    needs = {name: need for name, need in found.items() if name in pinned and need}
+    assert {"torch", "numpy", "pytest"} <= set(needs)
+    assert [name for name, need in needs.items() if not SpecifierSet(need).contains(oldest)] == []
