@@ -1,12 +1,15 @@
-"""How many workers `eia-sec train` starts."""
+"""How many workers `eia-sec train` starts, and what it says of itself."""
+
+from dataclasses import replace
 
 import pytest
 
+from common.config import EnvConfig, RunConfig
 from common.config.files import with_values
 from common.config.presets import preset
 from common.errors import ConfigError
 from deploy.commands.training import train
-from deploy.commands.training.train import TrainArguments, worker_count
+from deploy.commands.training.train import TrainArguments, command_line, resuming, worker_count
 
 
 @pytest.mark.parametrize(
@@ -43,3 +46,18 @@ def test_who_asks_for_a_number_of_workers_gets_it(monkeypatch):
     for number in (0, 1025):
         with pytest.raises(ConfigError, match="workers must be"):
             worker_count(TrainArguments(workers=number))
+
+
+def test_the_report_says_how_many_workers_there_were():
+    """Where the number was left to the machine, the command that is kept has it; one that was given stands once."""
+    assert command_line(["--preset", "long"], None, 2) == ["eia-sec", "train", "--preset", "long", "--workers", "2"]
+    assert command_line(["--workers", "3"], 3, 3) == ["eia-sec", "train", "--workers", "3"]
+
+
+def test_the_hint_how_to_resume_names_what_the_run_needs_again(tmp_path):
+    """A number of workers that was given, and the environment, which no configuration file may choose by itself."""
+    farm, other = RunConfig(), replace(RunConfig(), env=EnvConfig("games:make", "{}"))
+    begun = f"eia-sec train --run-dir {tmp_path} --resume"
+    assert resuming(TrainArguments(settings=farm), tmp_path) == begun
+    assert resuming(TrainArguments(workers=4, settings=farm), tmp_path) == f"{begun} --workers 4"
+    assert resuming(TrainArguments(settings=other), tmp_path) == f"{begun} --env games:make"

@@ -101,12 +101,23 @@ def command(arguments: Sequence[str]) -> int:
     if finished and options.report:
         from deploy.reports.run_report import write_report  # noqa: PLC0415  (loading the plots would delay the processes)
 
-        write_report(directory, options.settings, ["eia-sec", "train", *arguments], console)
+        write_report(directory, options.settings, command_line(arguments, options.workers, workers), console)
     elif not finished:
-        more = "" if options.workers is None else f" --workers {options.workers}"
-        more += f" --env {options.settings.env.name}" if options.settings.env.is_third_party else ""
-        console.print(f"stopped; resume with: eia-sec train --run-dir {directory.path} --resume{more}", highlight=False)
+        console.print(f"stopped; resume with: {resuming(options, directory.path)}", highlight=False)
     return 0
+
+
+def command_line(arguments: Sequence[str], given: int | None, workers: int) -> list[str]:
+    """Return the command that made a run, with the number of workers where it was left to the machine."""
+    counted = ["--workers", str(workers)] if given is None else []
+    return ["eia-sec", "train", *arguments, *counted]
+
+
+def resuming(options: TrainArguments, run: Path) -> str:
+    """Return the command that goes on with a run as it was begun."""
+    more = "" if options.workers is None else f" --workers {options.workers}"
+    more += f" --env {options.settings.env.name}" if options.settings.env.is_third_party else ""
+    return f"eia-sec train --run-dir {run} --resume{more}"
 
 
 def worker_count(options: TrainArguments) -> int:
