@@ -19,7 +19,8 @@ from common.seeds import derive, stream
 from common.team import Float32, TeamSpec
 from common.transitions import EpisodeSummary
 from rollout.sim.failures import NEVER, failure_steps
-from rollout.sim.kernel.arrays import REWARD_PARTS, make_scratch
+from rollout.sim.kernel.allocation import make_scratch
+from rollout.sim.kernel.arrays import REWARD_PARTS
 from rollout.sim.kernel.compiler.argument_pack import PackedArguments, make_workspace
 from rollout.sim.kernel.flight.airspace import zone_sides
 from rollout.sim.kernel.step import NOT_FINITE, OUT_OF_TIME, begin_episode, check_step, step_range

@@ -16,7 +16,8 @@ from numba.extending import intrinsic
 from common.config import FarmConfig
 from common.errors import SimulationError
 from common.farm import farm_team
-from rollout.sim.kernel.arrays import Workspace, make_scratch, make_state
+from rollout.sim.kernel.allocation import make_scratch, make_state
+from rollout.sim.kernel.arrays import Workspace
 from rollout.sim.kernel.compiler.decorators import allocation_free_entry
 from rollout.sim.kernel.constants import constants
 from rollout.sim.layout import cell_counts

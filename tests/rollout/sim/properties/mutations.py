@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[4]
 PAGE = ROOT / "docs" / "reference" / "simulator_properties.md"
-EVENTS = ("failures", "links", "stress", "battery", "airspace", "ways")
+EVENTS = ("failures", "links", "stress", "battery", "airspace")
 NAMES = ("flight", "counters", "symmetry", "batch", "added", "reference", "hindsight", *EVENTS)
 PROPERTIES = [f"test_properties_{name}.py" for name in NAMES]
 """The reference, which notices almost everything, comes after all that need none; hindsight needs it, too."""
