@@ -4,8 +4,9 @@
         [--another SEED] [--write docs/results/conditions] [--keep FOLDER]
 
 A second policy sees the advice of the best heuristic and begins with following it (`farm.observation.advice`);
-`--no-advice` leaves it out. `--longer` trains one for all of the preset's episodes. What stands in the results already
-stays as it is, unless its farm is named; with `--longer` or `--heuristics`, only that part is measured anew.
+`--no-advice` leaves it out. `--longer` trains one for all episodes of its preset, which is `long` where the farm is
+like the default one. What stands in the results already stays as it is, unless its farm is named; with `--longer` or
+`--heuristics`, only that part is measured anew.
 `--another SEED` adds a policy of another seed to those of the named farms: a longer one with `--longer`. Policies of
 other seeds go with the first one when that is trained anew.
 """
@@ -24,12 +25,12 @@ import torch
 
 from common.config import FarmConfig, RunConfig
 from common.config.files import from_toml
-from common.config.presets import preset
 from common.errors import UsageError
 from common.policy_file import save_policy
 from deploy.exit_codes import run_command
 from deploy.local.in_process import train_in_process
 from deploy.reports.provenance import provenance
+from experiments.condition_farms import CONDITIONS, configuration, longer_configuration
 from experiments.heuristics import interval
 from experiments.reporting import farm_range, filled, write_results
 from experiments.studies.analysis.verdicts import shown
@@ -38,43 +39,6 @@ from rollout.heuristics.registry import TASKS
 from rollout.policies import ActorPolicy, Policy, policy_of
 
 TEMPLATE: Final = Path(__file__).with_suffix(".md")
-CONDITIONS: Final[dict[str, tuple[str, str]]] = {
-    "default": ("default", ""),
-    "links 150 m": ("connected", "[farm.relay]\nlink_range = 150.0"),
-    "links 100 m": ("connected", ""),
-    "links 70 m": ("connected", "[farm.relay]\nlink_range = 70.0"),
-    "links 50 m": ("connected", "[farm.relay]\nlink_range = 50.0"),
-    "failures, 2 an hour": ("failing", "[farm.failures]\nper_hour = 2.0"),
-    "failures, 6 an hour": ("failing", ""),
-    "links 70 m, failures, 2 an hour": (
-        "failing",
-        "[farm.relay]\nrequire_link = true\nlink_range = 70.0\n[farm.failures]\nper_hour = 2.0\n"
-        "[farm.observation]\nlink = true\n[farm.reward]\nrelayed = 0.2",
-    ),
-    "team 2 + 2 + 2": (
-        "default",
-        "[farm.world]\ncommunication_uavs = 2\nmonitoring_uavs = 2\ncollection_uavs = 2",
-    ),
-    "team 8 + 8 + 8": (
-        "default",
-        "[farm.world]\ncommunication_uavs = 8\nmonitoring_uavs = 8\ncollection_uavs = 8",
-    ),
-    "280 m by 280 m": (
-        "default",
-        "[farm.world]\nfield_x = 280.0\nfield_y = 280.0\nplots_x = 14\nplots_y = 14\nsensors = 200",
-    ),
-    "560 m by 560 m": (
-        "default",
-        "[farm.world]\nfield_x = 560.0\nfield_y = 560.0\nplots_x = 28\nplots_y = 28\nsensors = 800",
-    ),
-    "patches of stress": ("uneven", ""),
-    "batteries": ("battery", ""),
-    "wind 3 m/s": ("default", "[farm.wind]\nspeed = 3.0\ngusts = 1.5\n[farm.observation]\nwind = true"),
-    "no-fly zones": ("default", "[farm.zones]\nrandom = 3\n[farm.observation]\nzones = true"),
-    "all of them": ("field", ""),
-    "clustered sensors": ("default", '[farm.world]\ndensity = "clustered"'),
-}
-"""Each farm by its name: a preset, and what differs from it."""
 ADVISED: Final = """
 [algorithm]
 start_policy = ""
@@ -89,17 +53,6 @@ FREE: Final = ("links 150 m", "links 100 m", "links 70 m", "links 50 m", "batter
 """Conditions that a good enough policy might not feel: nobody is lost, and the task is the default farm's."""
 POLICIES: Final = ("learned", "longer", "advised")
 """Policies of a condition as far as they were trained, in the page's order."""
-LONGER: Final = {"default": "long"}
-"""The preset of a condition's policy that learns longer, where it is not the condition's own."""
-AFRESH: Final = {
-    "no-fly zones": """
-episodes = 2000
-[algorithm]
-start_policy = ""
-entropy_scales = "communication=0.05, collection=0.1"
-"""
-}
-"""Settings of a policy that learns longer, and would begin as one that does harm there: it flies into zones."""
 Scores = dict[str, Any]
 
 
@@ -115,24 +68,6 @@ class Episodes(NamedTuple):
     learned: int
     longer: int
     advised: int
-
-
-def configuration(name: str, episodes: int, seed: int) -> RunConfig:
-    """Return the run of a condition."""
-    base, changes = CONDITIONS[name]
-    return replace(from_toml(changes, preset(base)), episodes=episodes, seed=seed)
-
-
-def longer_configuration(name: str, seed: int) -> RunConfig:
-    """Return the run of a condition's policy that learns longer."""
-    config = from_toml(CONDITIONS[name][1], preset(longer_preset(name)))
-    return replace(from_toml(AFRESH.get(name, ""), config), seed=seed)
-
-
-def longer_preset(name: str) -> str:
-    """Return the preset of a condition's policy that learns longer."""
-    base = CONDITIONS[name][0]
-    return LONGER.get(base, base)
 
 
 def own_reward(farm: FarmConfig) -> FarmConfig:
@@ -328,7 +263,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, default=1600)
     parser.add_argument("--advised", type=int, default=600, help="episodes of the policy with advice")
     parser.add_argument("--no-advice", action="store_true", help="leave the policy with advice out")
-    parser.add_argument("--longer", action="store_true", help="train one for all of the preset's episodes")
+    parser.add_argument("--longer", action="store_true", help="train one for all episodes of its preset")
     parser.add_argument("--heuristics", action="store_true", help="fly heuristics anew beside policies that are known")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--another", type=int, metavar="SEED", help="add a policy of this seed to the named conditions")

@@ -23,13 +23,11 @@ from deploy.exit_codes import run_command
 from deploy.local.run_directory import METRICS, POLICY, RunDirectory
 from deploy.reports.provenance import provenance
 from deploy.reports.run_report import read_metrics
+from experiments.condition_farms import CONDITIONS, longer_configuration, longer_preset
 from experiments.conditions import (
-    CONDITIONS,
     Scores,
     flown,
     kept,
-    longer_configuration,
-    longer_preset,
     page,
     require_another,
     with_another,
@@ -61,7 +59,7 @@ class Arguments:
     """Make its policy one that ships with the package, in 16-bit numbers."""
     policy: str = "trained"
     """Name of the policy that it then is; trained:long for a run of the preset long. With a condition it is that of the
-    condition's preset."""
+    preset of its longer policy."""
 
 
 def main() -> int:

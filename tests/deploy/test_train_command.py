@@ -9,7 +9,7 @@ from common.config.files import with_values
 from common.config.presets import preset
 from common.errors import ConfigError
 from deploy.commands.training import train
-from deploy.commands.training.train import TrainArguments, command_line, resuming, worker_count
+from deploy.commands.training.train import TrainArguments, command_line, resume_command, worker_count
 
 
 @pytest.mark.parametrize(
@@ -54,10 +54,13 @@ def test_the_report_says_how_many_workers_there_were():
     assert command_line(["--workers", "3"], 3, 3) == ["eia-sec", "train", "--workers", "3"]
 
 
-def test_the_hint_how_to_resume_names_what_the_run_needs_again(tmp_path):
-    """A number of workers that was given, and the environment, which no configuration file may choose by itself."""
+def test_the_hint_how_to_resume_names_what_no_configuration_holds(tmp_path):
+    """A number of workers that was given, keys, shared memory, and the environment, which no file may choose."""
     farm, other = RunConfig(), replace(RunConfig(), env=EnvConfig("games:make", "{}"))
     begun = f"eia-sec train --run-dir {tmp_path} --resume"
-    assert resuming(TrainArguments(settings=farm), tmp_path) == begun
-    assert resuming(TrainArguments(workers=4, settings=farm), tmp_path) == f"{begun} --workers 4"
-    assert resuming(TrainArguments(settings=other), tmp_path) == f"{begun} --env games:make"
+    assert resume_command(TrainArguments(settings=farm), tmp_path) == begun
+    assert resume_command(TrainArguments(workers=4, settings=farm), tmp_path) == f"{begun} --workers 4"
+    keys = tmp_path / "keys"
+    assert resume_command(TrainArguments(tls=keys, settings=farm), tmp_path) == f"{begun} --tls {keys}"
+    shared = TrainArguments(shared_memory=True, settings=other)
+    assert resume_command(shared, tmp_path) == f"{begun} --shared-memory --env games:make"

@@ -12,14 +12,13 @@ from common.errors import UsageError
 from common.farm import farm_team
 from common.policy_file import load_policy
 from deploy.local.in_process import train_in_process
-from experiments import conditions
+from experiments import condition_farms, conditions
+from experiments.condition_farms import CONDITIONS, configuration, longer_configuration
 from experiments.conditions import (
-    CONDITIONS,
     POLICIES,
     Episodes,
     best_heuristics,
     compare,
-    configuration,
     flown,
     kept,
     main,
@@ -53,10 +52,11 @@ def test_heuristics_charge_by_themselves(monkeypatch):
 def test_every_condition_is_a_run():
     """Each can be configured and begun, with advice always afresh; the range of links is what its name says."""
     for name in CONDITIONS:
-        config = configuration(name, 7, 3)
-        assert (config.episodes, config.seed) == (7, 3)
-        found = start_parameters(config, farm_team(config.farm))
-        assert any(flat is not None for flat in found) == bool(config.on_policy.start_policy)
+        config, longer = configuration(name, 7, 3), longer_configuration(name, 3)
+        assert (config.episodes, config.seed, longer.seed) == (7, 3, 3)
+        for run in (config, longer):
+            found = start_parameters(run, farm_team(run.farm))
+            assert any(flat is not None for flat in found) == bool(run.on_policy.start_policy)
         advised = with_advice(config, "horizon", 7)
         assert start_parameters(advised, farm_team(advised.farm)) == ()
         if name.startswith("links"):
@@ -75,7 +75,8 @@ def test_pay_for_links_does_not_count():
 @pytest.fixture
 def tiny(monkeypatch):
     """Replace the conditions by one that takes a second, and the heuristics by one."""
-    monkeypatch.setattr(conditions, "CONDITIONS", {"tiny": ("connected", TINY), "other": ("default", TINY)})
+    for module in (conditions, condition_farms):
+        monkeypatch.setattr(module, "CONDITIONS", {"tiny": ("connected", TINY), "other": ("default", TINY)})
     monkeypatch.setattr(conditions, "TASKS", ("greedy",))
 
 

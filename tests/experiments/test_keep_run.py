@@ -15,7 +15,7 @@ from common.farm import farm_team
 from common.policy_file import load_policy, save_policy
 from deploy.local.run_directory import METRICS, POLICY
 from experiments import keep_run
-from experiments.conditions import CONDITIONS, configuration, longer_configuration
+from experiments.condition_farms import CONDITIONS, configuration, longer_configuration
 from learner.on_policy.trainer import OnPolicyTrainer
 from rollout.policies import SHIPPED
 

@@ -103,7 +103,7 @@ def command(arguments: Sequence[str]) -> int:
 
         write_report(directory, options.settings, command_line(arguments, options.workers, workers), console)
     elif not finished:
-        console.print(f"stopped; resume with: {resuming(options, directory.path)}", highlight=False)
+        console.print(f"stopped; resume with: {resume_command(options, directory.path)}", highlight=False)
     return 0
 
 
@@ -113,9 +113,11 @@ def command_line(arguments: Sequence[str], given: int | None, workers: int) -> l
     return ["eia-sec", "train", *arguments, *counted]
 
 
-def resuming(options: TrainArguments, run: Path) -> str:
-    """Return the command that goes on with a run as it was begun."""
+def resume_command(options: TrainArguments, run: Path) -> str:
+    """Return the command that goes on with a run, with what no configuration holds: workers, keys and environment."""
     more = "" if options.workers is None else f" --workers {options.workers}"
+    more += "" if options.tls is None else f" --tls {options.tls}"
+    more += " --shared-memory" if options.shared_memory else ""
     more += f" --env {options.settings.env.name}" if options.settings.env.is_third_party else ""
     return f"eia-sec train --run-dir {run} --resume{more}"
 

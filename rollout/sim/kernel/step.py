@@ -119,7 +119,8 @@ def _start(c: Constants, farm: Farm, s: Scratch) -> None:
         list_points(c.fleet, c.plans, c.added, farm.sensor, farm.plan_first, farm.plan_point, farm.plan_chance)
     if c.ways.some:
         bar_steps(c.ways, c.airspace.first, farm.zone_side, farm.zone_box, farm.barred)
-        close_plots(c.ways, farm.barred, s.way_steps, s.way_queue, farm.closed)
+        if c.added.route:
+            close_plots(c.ways, farm.barred, s.way_steps, s.way_queue, farm.closed)
     for k in range(len(farm.listed)):
         for rank in range(c.observation.sensors):
             farm.listed[k, rank] = rank

@@ -18,6 +18,7 @@ from common.farm import COLLECTION, MONITORING, advice_sizes, inset_of, lattice_
 from rollout.sim.kernel.link import radio_constants
 from rollout.sim.kernel.views.constants import PIECES, RATIO, chance_table, field_range
 from rollout.sim.kernel.views.fields import FLOOR, SCALE
+from rollout.sim.kernel.views.routes import STAY
 from rollout.sim.kernel.views.units import MOST
 from rollout.sim.reference.airspace import airspace_view
 from rollout.sim.reference.axes import place_of, signs_of
@@ -50,7 +51,11 @@ def added_view(farm: ReferenceFarm, u: int, signs: Array) -> Array:
     parts += [_phases(farm, u)] if seen.phases else []
     if seen.route and kind == 1:
         route = route_view(farm, u, signs, places(farm, u))
-        parts += [np.append(np.arange(9) == worth.argmax(), route[9:]) if plans(farm, u) else route]
+        parts += [
+            np.append(np.arange(9) == (worth.argmax() if np.isfinite(worth).any() else STAY), route[9:])
+            if plans(farm, u)
+            else route
+        ]
     parts += [_service(farm, u, signs)] if seen.service and kind == 0 else []
     if seen.link:
         parts += [

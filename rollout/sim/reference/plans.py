@@ -171,8 +171,8 @@ def _owner(farm: ReferenceFarm, u: int, site: Array) -> int:
 def worths(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
     """Return what the best plan that begins with each of nine moves is worth, in units, [9].
 
-    Monitors who sweep along routes plan in the last steps only; before, their plans are worth nothing. A plan whose
-    first move a zone refuses is worth -inf.
+    Monitors who sweep along routes plan in the last steps only; before, their plans are worth nothing. None begins with
+    a move that a zone refuses, whose worth is -inf.
 
     Args:
         farm: the farm.
@@ -182,16 +182,16 @@ def worths(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
     """
     seen, left = farm.config.observation, farm.config.world.steps - farm.time
     steps = min(seen.plan, left)
-    if steps == 0 or not plans(farm, u):
+    if not plans(farm, u):
         return np.zeros(9)
     planner, start, zones = Planner(farm, u), _start(farm, u, signs), farm.layout.zones
     stopped = refused(farm.position[u], goals, zones)
+    if steps == 0 or stopped.all():
+        return np.where(stopped, -np.inf, 0.0)
     turns = [(int(signs[0]) * x, int(signs[1]) * y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
     found: list[tuple[int, Plan]] = []
-    for move, turn in enumerate(turns):
-        column, row = np.clip(np.add(start, turn), 0, np.array(planner.counts) - 1).tolist()
-        if stopped[move]:
-            column, row = start
+    for move in np.flatnonzero(~stopped).tolist():
+        column, row = np.clip(np.add(start, turns[move]), 0, np.array(planner.counts) - 1).tolist()
         plan = Plan(start, 0.0, planner.first_counters())
         found.append((move, planner.after(plan, (column, row), planner.step(plan, (column, row), 1.0), farm.time + 1)))
     factor = 1.0
@@ -201,8 +201,8 @@ def worths(farm: ReferenceFarm, u: int, signs: Array, goals: Array) -> Array:
             (move, planner.after(plan, end, worth, farm.time + ahead + 1))
             for worth, move, end, plan in _kept(_longer(planner, found, turns, factor), seen.plan_paths)
         ]
-    best = [max(plan.worth for first, plan in found if first == move) for move in range(9)]
-    return np.where(stopped, -np.inf, best)
+    best = [max((plan.worth for first, plan in found if first == move), default=-np.inf) for move in range(9)]
+    return np.array(best)
 
 
 def plans(farm: ReferenceFarm, u: int) -> bool:
@@ -247,10 +247,10 @@ def _kept(longer: list[Longer], count: int) -> list[Longer]:
     for found in sorted(longer, key=lambda found: -found[0]):  # equal ones stay in their order
         best.setdefault((found[1], found[2]), found)
     unique = list(best.values())
-    leads = [next(found for found in unique if found[1] == move) for move in range(9)]
+    leads = [next(found for found in unique if found[1] == move) for move in sorted({found[1] for found in unique})]
     is_lead = [any(found is lead for lead in leads) for found in unique[:count]]
     others = np.cumsum(np.logical_not(is_lead))
-    listed = [found for k, found in enumerate(unique[:count]) if is_lead[k] or others[k] <= count - 9]
+    listed = [found for k, found in enumerate(unique[:count]) if is_lead[k] or others[k] <= count - len(leads)]
     return [*listed, *(lead for lead in leads if not any(lead is found for found in unique[:count]))]
 
 

@@ -54,7 +54,7 @@ class Ways:
 
     def _corners(self) -> Array:
         away = 0.5 - min(inset_of(self._config, MONITORING), inset_of(self._config, COLLECTION))
-        corners: Array = np.array([(x, y) for x in (-away, away) for y in (-away, away)]) * self._cell
+        corners: Array = np.array([(x, y) for x in {-away, away} for y in {-away, away}]) * self._cell
         return corners
 
     def allows(self, start: Point, end: Point) -> bool:

@@ -7,9 +7,10 @@ import pytest
 
 from common.config import FarmConfig, ObservationConfig, WindConfig, WorldConfig, ZoneConfig
 from common.errors import ConfigError
-from common.farm import farm_environment
+from common.farm import farm_environment, lattice_of
 from rollout.sim.batch import REWARD_PARTS, FarmBatch
 from rollout.sim.layout import make_layout
+from rollout.sim.reference.farm import ReferenceFarm
 from rollout.sim.reference.power import flight_power, other_power
 from rollout.sim.wind import wind_series
 from tests.rollout.sim.properties.strategies import placed
@@ -106,3 +107,62 @@ def test_what_no_farm_can_have_is_refused(change, message):
     """Before any memory is taken."""
     with pytest.raises(ConfigError, match=message):
         change()
+
+
+WALL = ((13.0, -1.0), (13.4, -1.0), (13.4, 69.0), (13.0, 69.0))
+WALLED = FarmConfig(
+    world=WorldConfig(
+        communication_uavs=1,
+        monitoring_uavs=1,
+        collection_uavs=1,
+        field_x=60.0,
+        field_y=80.0,
+        plots_x=3,
+        plots_y=4,
+        sensors=12,
+        sensor_spacing=0.0,
+    ),
+    observation=ObservationConfig(zones=True, mirrored=False),
+    zones=ZoneConfig((WALL,)),
+)
+
+
+@pytest.mark.parametrize("y", [5.0, 15.0, 25.0, 45.0, 75.0])
+def test_beside_a_wall_through_their_cells_monitors_are_led_round_it(y):
+    """The middle of the UAV's cell lies beyond the wall, so that its own point says nothing of its way."""
+    layout, place = make_layout(WALLED, 0), np.array([(50.0, 50.0), (12.0, y), (50.0, 20.0)])
+    batch = FarmBatch(WALLED, 1)
+    with placed(layout, place):
+        batch.reset(0, 0, 0)
+        reference = ReferenceFarm(WALLED, layout, 0)
+    np.testing.assert_allclose(batch.observation[0], reference.observation, atol=1e-6)
+
+
+def test_a_monitor_that_follows_its_route_flies_round_a_zone():
+    """From south of the box to the plot north of it: no move is refused, and the UAV gets there."""
+    names = farm_environment(ZONED).tensor_names["monitoring"].observation
+    first = names.index("route_move_-1_-1")
+    batch = FarmBatch(ZONED, 1)
+    with placed(make_layout(ZONED, 0), np.array([(300.0, 300.0), (115.0, 85.0), (200.0, 20.0)])):
+        batch.reset(0, 0, 0)
+    lattice, seen = lattice_of(ZONED.world), []
+    for _ in range(400):
+        row = batch.team.split_observations(batch.observation[0])[1][0]
+        move = int(row[first : first + 9].argmax())
+        place = (2.0 * batch.position[0, 1] / (400.0, 400.0) - 1.0).astype(np.float32)
+        command = lattice.velocity(place, np.array([move // 3 - 1, move % 3 - 1], np.float32))
+        batch.step(np.array([[0.0, 0.0, *command, 0.0, 0.0]], np.float32))
+        assert batch.parts[0, 1, BOUNDARY] == 0.0
+        seen.append(batch.position[0, 1].copy())
+    around = np.array(seen)
+    assert (around[:, 1] > 140.0).any()
+    assert ((around[:, 1] < 100.0) & (np.abs(around[:, 0] - 120.0) < 20.0)).any()
+
+
+def test_ways_over_more_points_than_can_be_searched_are_refused():
+    """One sentence says that steps are too short; without zones there is nothing to search."""
+    world = replace(BASE.world, speed_x_max=0.5, speed_y_max=0.5)
+    slow = replace(ZONED, world=world)
+    with pytest.raises(ConfigError, match="at most 262144 lattice points"):
+        FarmBatch(slow, 1)
+    FarmBatch(replace(slow, zones=ZoneConfig()), 1)

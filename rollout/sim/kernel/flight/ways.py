@@ -6,12 +6,15 @@ one rectangle to each of the other. Whether a UAV's very next move is refused is
 `find_stopped`.
 """
 
+import functools
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from common.actions.adapters import Lattice
 from common.config import FarmConfig
+from common.errors import ConfigError
 from common.farm import COLLECTION, MONITORING, inset_of, lattice_of
 from rollout.sim.boxes import ROUNDING
 from rollout.sim.kernel.compiler.decorators import allocation_free
@@ -25,6 +28,8 @@ Steps = NDArray[np.uint16]
 
 UNKNOWN: Final = -1
 """Steps of a way that was not found."""
+MOST_POINTS: Final = 2**18
+"""Most lattice points; a way is sought over all of them in each step."""
 
 
 class WayConstants(NamedTuple):
@@ -52,32 +57,52 @@ class WayConstants(NamedTuple):
 
 
 def way_constants(config: FarmConfig) -> WayConstants:
-    """Derive the numbers of ways."""
-    world, seen, lattice = config.world, config.observation, lattice_of(config.world)
+    """Derive the numbers of ways.
+
+    Raises:
+        ConfigError: there are more lattice points than ways are sought over.
+    """
+    seen, lattice = config.observation, lattice_of(config.world)
     some = config.zones.some and (seen.route or seen.plan > 0)
     columns, rows = (lattice.columns, lattice.rows) if some else (0, 0)
-    size = np.array([world.field_x / lattice.columns, world.field_y / lattice.rows])
-    starts, goals = [0], [np.zeros(0, np.int32)]
-    if some and seen.route:
-        low, high = plot_boxes(config)
-        middle = np.stack(np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"), axis=-1).reshape(-1, 2) + 0.5
-        place = middle * size
-        for least, most in zip(low, high, strict=True):
-            column, row = np.minimum(0.5 * (least + most) // size, (columns - 1, rows - 1)).astype(np.int64).tolist()
-            within = ((place >= least - ROUNDING) & (place <= most + ROUNDING)).all(axis=1)
-            within[column * rows + row] = True
-            goals.append(np.flatnonzero(within).astype(np.int32))
-            starts.append(starts[-1] + len(goals[-1]))
+    if columns * rows > MOST_POINTS:
+        raise ConfigError(
+            f"with farm.zones, farm.observation.route and plan are for at most {MOST_POINTS} lattice points; "
+            "here steps are too short for the field."
+        )
+    starts, goals = _goals(config) if some and seen.route else (np.zeros(1, np.int32), np.zeros(0, np.int32))
+    cell = _cell(config, lattice)
     return WayConstants(
         some=some,
         columns=columns,
         rows=rows,
-        width=float(size[0]),
-        depth=float(size[1]),
-        corner=_corners(config) * size,
-        goal_start=np.array(starts, np.int32),
-        goal=np.concatenate(goals),
+        width=float(cell[0]),
+        depth=float(cell[1]),
+        corner=_corners(config) * cell,
+        goal_start=starts,
+        goal=goals,
     )
+
+
+def _cell(config: FarmConfig, lattice: Lattice) -> Array:
+    """Return the size of a cell, [2] m."""
+    return np.array([config.world.field_x / lattice.columns, config.world.field_y / lattice.rows])
+
+
+@functools.lru_cache(maxsize=8)
+def _goals(config: FarmConfig) -> tuple[Int32, Int32]:
+    """Return where the points of each plot begin, [P + 1], and the points, [M]; see `WayConstants`."""
+    lattice = lattice_of(config.world)
+    cell, starts, goals = _cell(config, lattice), [0], []
+    x, y = ((np.arange(count) + 0.5) * side for count, side in zip((lattice.columns, lattice.rows), cell, strict=True))
+    for least, most in zip(*plot_boxes(config), strict=True):
+        column, row = np.minimum(0.5 * (least + most) // cell, (lattice.columns - 1, lattice.rows - 1)).astype(np.int64)
+        across = np.flatnonzero((x >= least[0] - ROUNDING) & (x <= most[0] + ROUNDING))
+        along = np.flatnonzero((y >= least[1] - ROUNDING) & (y <= most[1] + ROUNDING))
+        within = (across[:, None] * lattice.rows + along).reshape(-1)
+        goals.append(np.union1d(within, column * lattice.rows + row))
+        starts.append(starts[-1] + len(goals[-1]))
+    return np.array(starts, np.int32), np.concatenate(goals).astype(np.int32)
 
 
 def _corners(config: FarmConfig) -> Array:
@@ -153,7 +178,7 @@ def is_barred(barred: Steps, point: int, dx: int, dy: int) -> bool:
 
 @allocation_free
 def close_plots(ways: WayConstants, barred: Steps, steps: Int32, queue: Int32, closed: Flags) -> None:
-    """Find the plots that no way leads to from most of the field.
+    """Find the plots that no way leads to from most of the field, the largest part whose points ways connect.
 
     Args:
         ways: the lattice, and the points of each plot.
@@ -167,12 +192,12 @@ def close_plots(ways: WayConstants, barred: Steps, steps: Int32, queue: Int32, c
     for point in range(points):
         if steps[point] == UNKNOWN:
             steps[point], queue[0] = 0, point
-            found = spread(ways, barred, 1, UNKNOWN, steps, queue)
+            found = _spread(ways, barred, 1, queue[:0], steps, queue)
             if found > most:
                 most, seed = found, point
     steps[:] = UNKNOWN
     steps[seed], queue[0] = 0, seed
-    spread(ways, barred, 1, UNKNOWN, steps, queue)
+    _spread(ways, barred, 1, queue[:0], steps, queue)
     for plot in range(len(closed)):
         closed[plot] = True
         for entry in range(ways.goal_start[plot], ways.goal_start[plot + 1]):
@@ -180,14 +205,14 @@ def close_plots(ways: WayConstants, barred: Steps, steps: Int32, queue: Int32, c
 
 
 @allocation_free
-def steps_to_plot(ways: WayConstants, barred: Steps, plot: int, until: int, steps: Int32, queue: Int32) -> None:
-    """Count the steps from lattice points to a plot, until a point's neighbours have theirs; UNKNOWN elsewhere.
+def steps_to_plot(ways: WayConstants, barred: Steps, plot: int, ends: Int32, steps: Int32, queue: Int32) -> None:
+    """Count the steps from lattice points to a plot; UNKNOWN where no way leads, and beyond the farthest of some ends.
 
     Args:
         ways: the lattice, and the points of each plot.
         barred: [K] see `bar_steps`.
-        plot: the plot.
-        until: the point.
+        plot: the plot, row-major.
+        ends: [9] points whose steps are wanted.
         steps: [K] out.
         queue: [K] working memory.
     """
@@ -196,26 +221,28 @@ def steps_to_plot(ways: WayConstants, barred: Steps, plot: int, until: int, step
     count = ways.goal_start[plot + 1] - first
     for entry in range(count):
         steps[ways.goal[first + entry]], queue[entry] = 0, ways.goal[first + entry]
-    spread(ways, barred, count, until, steps, queue)
+    _spread(ways, barred, count, ends, steps, queue)
 
 
 @allocation_free
-def spread(ways: WayConstants, barred: Steps, count: int, until: int, steps: Int32, queue: Int32) -> int:
-    """Count the steps from the first `count` points of a queue to all others, breadth first; return how many are known.
+def _spread(ways: WayConstants, barred: Steps, count: int, ends: Int32, steps: Int32, queue: Int32) -> int:
+    """Count the steps from the first `count` points of a queue to others, breadth first; return how many are known.
 
     Args:
         ways: the lattice.
-        barred: [K] see `bar_steps`. Steps are barred both ways, but for those into and out of zones.
+        barred: [K] see `bar_steps`.
         count: points in the queue.
-        until: the point whose neighbours are the last to count; UNKNOWN to go on to the end.
+        ends: [N] points after which to stop; none to go on to the last one.
         steps: [K] steps to each point; those in the queue have theirs, and the others that have none are UNKNOWN.
         queue: [K] the points; the function adds to it.
     """
-    head = 0
+    head, level = 0, UNKNOWN
     while head < count:
         point = queue[head]
-        if until != UNKNOWN and steps[until] != UNKNOWN and steps[point] > steps[until]:
-            break
+        if steps[point] != level:
+            level = steps[point]
+            if _all_known(ends, steps):
+                break
         head += 1
         bits = int(barred[point])
         for move in range(9):
@@ -226,3 +253,12 @@ def spread(ways: WayConstants, barred: Steps, count: int, until: int, steps: Int
                 steps[to], queue[count] = steps[point] + 1, to
                 count += 1
     return count
+
+
+@allocation_free
+def _all_known(ends: Int32, steps: Int32) -> bool:
+    """Return whether there are ends and all have their steps."""
+    for k in range(len(ends)):
+        if steps[ends[k]] == UNKNOWN:
+            return False
+    return len(ends) > 0

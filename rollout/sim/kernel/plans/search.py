@@ -5,6 +5,7 @@ from there, less what the step costs: energy, and P_M or P_C if it brings next t
 own, which fall where it serves them and rise when they are due. A site belongs to the UAV of the type that is nearest
 to it now, and plans leave out what belongs to others; so a UAV need not know what they plan. The search
 keeps the best plan of each first move, and of all others the best; no two have the same first move and the same end.
+Plans lead round no-fly zones, and none begins with a move that a zone refuses.
 
 Source: receding-horizon control with beam search over a grid, as in informative path planning (Binney and Sukhatme
 2012). That an agent sees what a search found is as in imagination-augmented agents (Racaniere et al. 2017).
@@ -84,7 +85,7 @@ def _extend(
     worth: Array,
     end: Indices,
 ) -> int:
-    """Extend a plan by each of nine moves; return how many of them stay in the field and outside no-fly zones.
+    """Extend a plan by each of nine moves; return how many of them stay in the field and are not barred.
 
     Writes what the extended plans are worth, in units, and the lattice points at which they end.
     """
@@ -142,7 +143,7 @@ def _rank(worth: float, name: int, parent: int, count: int, value: Array, names:
 
 
 @allocation_free
-def _choose(plan: PlanScratch, count: int, worth: Array) -> int:
+def _choose(plan: PlanScratch, count: int, stopped: Flags, worth: Array) -> int:
     """Choose the best plan of each first move, and the best others from the list, in this order; return how many.
 
     Best plans that are not listed come last.
@@ -150,9 +151,12 @@ def _choose(plan: PlanScratch, count: int, worth: Array) -> int:
     Args:
         plan: `value`, `names`, `parents`, `best` and `lead`; the function writes `chosen`.
         count: plans that are listed.
+        stopped: [9] moves with which no plan begins.
         worth: [W] out: what the chosen plans are worth.
     """
-    others, kept, led = len(worth) - 9, 0, 0
+    others, kept, led = len(worth), 0, 0
+    for move in range(9):
+        others -= 0 if stopped[move] else 1
     for place in range(count):
         mark = 1 << (plan.names[place] % MOVES)
         if led & mark == 0:
@@ -165,7 +169,7 @@ def _choose(plan: PlanScratch, count: int, worth: Array) -> int:
         worth[kept] = plan.value[place]
         kept += 1
     for move in range(9):
-        if led & (1 << move) == 0:
+        if led & (1 << move) == 0 and not stopped[move]:
             plan.chosen[0, kept], plan.chosen[1, kept] = plan.lead[0, move], plan.lead[1, move]
             worth[kept] = plan.best[move]
             kept += 1
@@ -184,22 +188,29 @@ def _begin(
     sites: int,
     most: np.float32,
     plan: PlanScratch,
-) -> None:
-    """Make a plan of one step for each of nine moves; arguments as for `search`."""
+) -> int:
+    """Make a plan of one step for each of nine moves that no zone refuses, and return how many these are.
+
+    Arguments are as for `search`.
+    """
     first, site, chance = plan.first, plan.site, plan.chance
+    count = 0
     for move in range(9):
+        if stopped[move]:
+            plan.best[move] = -math.inf
+            continue
         x = min(columns - 1, max(0, column + turn_x * (move // 3 - 1)))
         y = min(rows - 1, max(0, row + turn_y * (move % 3 - 1)))
-        if stopped[move]:
-            x, y = column, row
-        to, level = x * rows + y, plan.level[0, move]
+        to, level = x * rows + y, plan.level[0, count]
         _copy(sites, plan.own, level)
         units = _units(first, site, chance, level, to)
         cost = plan.costs[2 * abs(x - column) + abs(y - row)] + (plan.costs[4] if units < NOTHING else 0.0)
-        plan.move[0, move], plan.end[0, move], plan.score[0, move] = move, to, units - cost
+        plan.move[0, count], plan.end[0, count], plan.score[0, count] = move, to, units - cost
         plan.best[move] = units - cost
         _rise(plan.rising[0], plan.risen[0], most, level)
         _serve(first, site, chance, level, to)
+        count += 1
+    return count
 
 
 @allocation_free
@@ -258,18 +269,19 @@ def _extend_all(
 
 
 @allocation_free
-def _renew(ahead: int, listed: int, sites: int, most: np.float32, plan: PlanScratch) -> int:
+def _renew(ahead: int, listed: int, stopped: Flags, sites: int, most: np.float32, plan: PlanScratch) -> int:
     """Replace all plans by the best longer ones, whose counters rise and fall; return how many there are.
 
     Args:
         ahead: steps that the plans had.
         listed: longer plans that are listed.
+        stopped: see `search`.
         sites: sites that matter.
         most: largest counter.
         plan: working memory.
     """
     now, then = (ahead - 1) % 2, ahead % 2
-    kept = _choose(plan, listed, plan.score[then])
+    kept = _choose(plan, listed, stopped, plan.score[then])
     for k in range(kept):
         end, level = plan.chosen[0, k] // MOVES, plan.level[then, k]
         plan.move[then, k], plan.end[then, k] = plan.chosen[0, k] % MOVES, end
@@ -304,20 +316,19 @@ def search(
         row: of its lattice point.
         turn_x: 1 or -1, the direction of its own axis along x.
         turn_y: the same along y.
-        stopped: [9] whether a zone refuses each move, so that the UAV stays where it is; such plans are worth -inf.
+        stopped: [9] whether a zone refuses each move; no plan begins with such a move, and its worth is -inf.
         barred: [K] barred steps from each lattice point, see `flight.ways`; [0] if there is none.
         sites: sites that matter.
         most: largest counter.
         plan: `own`, `rising`, `risen`, `first`, `site`, `chance` and `costs`; the function writes the rest.
     """
     if steps == 0:
-        plan.best[:] = 0.0
+        for move in range(9):
+            plan.best[move] = -math.inf if stopped[move] else 0.0
         return
-    _begin(columns, rows, column, row, turn_x, turn_y, stopped, sites, most, plan)
-    kept, factor = 9, 1.0
+    kept = _begin(columns, rows, column, row, turn_x, turn_y, stopped, sites, most, plan)
+    factor = 1.0
     for ahead in range(1, steps):
         factor *= DISCOUNT
         listed = _extend_all(columns, rows, (ahead - 1) % 2, turn_x, turn_y, kept, factor, barred, plan)
-        kept = _renew(ahead, listed, sites, most, plan) if ahead + 1 < steps else 0
-    for move in range(9):
-        plan.best[move] = -math.inf if stopped[move] else plan.best[move]
+        kept = _renew(ahead, listed, stopped, sites, most, plan) if ahead + 1 < steps else 0

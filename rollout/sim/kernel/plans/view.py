@@ -16,6 +16,7 @@ from rollout.sim.kernel.plans.constants import PlanConstants
 from rollout.sim.kernel.plans.links import find_linked
 from rollout.sim.kernel.plans.search import search
 from rollout.sim.kernel.views.places import own_point
+from rollout.sim.kernel.views.routes import STAY
 
 Float32 = NDArray[np.float32]
 
@@ -86,10 +87,12 @@ def sees_plans(route: bool, steps: int, left: int) -> bool:
 
 @allocation_free
 def mark_best(best: Array, seen: Float32, at: int) -> None:
-    """Mark the first move of the best plan with 1 and all others with 0."""
+    """Mark the first move of the best plan with 1 and all others with 0; if no move is possible, that of staying."""
     top = 0
     for move in range(9):
         top = move if best[move] > best[top] else top
+    if best[top] == -math.inf:
+        top = STAY
     for move in range(9):
         seen[at + move] = 1.0 if move == top else 0.0
 

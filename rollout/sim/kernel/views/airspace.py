@@ -14,9 +14,9 @@ Flags = NDArray[np.bool_]
 
 @inlined
 def find_stopped(c: Constants, farm: Farm, s: Scratch, u: int) -> None:
-    """Find which of nine moves of a UAV a zone would refuse; without zones none ever is."""
+    """Find which of nine moves of a UAV a zone would refuse, where something is to see of it; without zones none is."""
     v, x, y = s.added, farm.position[u, 0], farm.position[u, 1]
-    if c.airspace.zones:
+    if c.airspace.zones and (c.added.zones or c.ways.some):
         for move in range(9):
             to_x, to_y = v.go_x[u, move // 3], v.go_y[u, move % 3]
             v.stopped[move] = refused(c.airspace.first, farm.zone_side, farm.zone_box, x, y, to_x, to_y)

@@ -11,6 +11,7 @@ from rollout.sim.layout import cell_counts
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Indices = NDArray[np.int64]
+Int32 = NDArray[np.int32]
 Flags = NDArray[np.bool_]
 
 LANES: Final = 8
@@ -63,6 +64,7 @@ class ViewScratch(NamedTuple):
         go_x: [n, 3] x after a move back, none and on along the UAV's own axis, m.
         go_y: [n, 3] the same along y, m.
         stopped: [9] whether a zone would refuse each move.
+        ends: [9] lattice points in whose cells the moves end, where zones are.
         away: [9] steps of the way round zones from each move's end to the next box of the route; 0 without zones.
         near: [64] UAVs of the own type, nearest first.
         near_square: [64] squares of their distances, m^2.
@@ -85,6 +87,7 @@ class ViewScratch(NamedTuple):
     go_x: Array
     go_y: Array
     stopped: Flags
+    ends: Int32
     away: Array
     near: Indices
     near_square: Array
@@ -111,6 +114,7 @@ def make_view_scratch(config: FarmConfig) -> ViewScratch:
         go_x=np.zeros((world.uavs, 3)),
         go_y=np.zeros((world.uavs, 3)),
         stopped=np.zeros(9, np.bool_),
+        ends=np.zeros(9, np.int32),
         away=np.zeros(9),
         near=np.zeros(64, np.int64),
         near_square=np.zeros(64),

@@ -55,7 +55,20 @@ def _advance(
     x: float,
     y: float,
 ) -> None:
-    """Let the next box be the first one from the present next box on that is not done and not shut off."""
+    """Let the next box be the first one from the present next box on that is not done and not closed.
+
+    Args:
+        sweep: [2] the UAV's route and the box that comes next; the function updates the latter.
+        box: [T, 4] the boxes of all routes, m.
+        plot: [T] their plots, row-major.
+        first: first box of the route.
+        count: boxes of the route.
+        level: [n_px, n_py] VDF.
+        some: whether any plot has a VDF above 0.
+        closed: [P] whether zones shut each plot off; [0] without zones.
+        x: of the UAV, m.
+        y: of the UAV, m.
+    """
     rows = level.shape[1]
     for turn in range(count):
         at = first + sweep[1]
@@ -68,13 +81,33 @@ def _advance(
 
 
 @allocation_free
-def _count_steps(ways: WayConstants, steps: Int32, box: Array, go_x: Array, go_y: Array, away: Array) -> None:
-    """Write how many steps round zones each move leaves to a box, [9]."""
+def _find_ends(ways: WayConstants, go_x: Array, go_y: Array, stopped: Flags, ends: Int32) -> None:
+    """Write the lattice points in whose cells the moves end, [9]; of a move that a zone refuses that of another one."""
+    possible = 0
     for move in range(9):
-        x, y = go_x[move // 3], go_y[move % 3]
-        found = steps[_point(ways, x, y)]
+        if not stopped[move]:
+            possible = move
+    for move in range(9):
+        flown = possible if stopped[move] else move
+        ends[move] = _point(ways, go_x[flown // 3], go_y[flown % 3])
+
+
+@allocation_free
+def _count_steps(steps: Int32, ends: Int32, box: Array, go_x: Array, go_y: Array, away: Array) -> None:
+    """Write how many steps of the way round zones each move leaves to a box.
+
+    Args:
+        steps: [K] steps from each lattice point to the box's plot.
+        ends: [9] points in whose cells the moves end.
+        box: [4] least and largest x, least and largest y, m.
+        go_x: [3] x after each move along the UAV's own axis, m.
+        go_y: [3] the same along y, m.
+        away: [9] out.
+    """
+    for move in range(9):
+        found = steps[ends[move]]
         away[move] = len(steps) if found == UNKNOWN else found
-        if _gap(box, x, y) <= ROUNDING:
+        if _gap(box, go_x[move // 3], go_y[move % 3]) <= ROUNDING:
             away[move] = 0.0
 
 
@@ -89,7 +122,18 @@ def _point(ways: WayConstants, x: float, y: float) -> int:
 def _suggested(
     box: Array, onward: Array, x: float, y: float, go_x: Array, go_y: Array, stopped: Flags, away: Array
 ) -> int:
-    """Return the move that follows the route."""
+    """Return the move that follows the route.
+
+    Args:
+        box: [4] the next box on the route: least and largest x, least and largest y, m.
+        onward: [4] the box after it.
+        x: of the UAV, m.
+        y: of the UAV, m.
+        go_x: [3] x after each move along the UAV's own axis, m.
+        go_y: [3] the same along y, m.
+        stopped: [9] whether a zone refuses each move.
+        away: [9] steps of the way round zones from each move's end to the next box; 0 without zones.
+    """
     nearest, least, chosen = math.inf, math.inf, STAY
     for move in range(9):
         if stopped[move]:
@@ -133,8 +177,9 @@ def put_route(c: Constants, farm: Farm, s: Scratch, u: int, at: int) -> int:
     _advance(sweep, box, plot, first, count, farm.level, total(farm.level_above) > 0.0, farm.closed, x, y)
     following, goal = first + (sweep[1] + 1) % count, first + sweep[1]
     if ways.some:
-        steps_to_plot(ways, farm.barred, plot[goal], _point(ways, x, y), s.way_steps, s.way_queue)
-        _count_steps(ways, s.way_steps, box[goal], go_x, go_y, v.away)
+        _find_ends(ways, go_x, go_y, v.stopped, v.ends)
+        steps_to_plot(ways, farm.barred, plot[goal], v.ends, s.way_steps, s.way_queue)
+        _count_steps(s.way_steps, v.ends, box[goal], go_x, go_y, v.away)
     chosen = _suggested(box[goal], box[following], x, y, go_x, go_y, v.stopped, v.away)
     for move in range(9):
         farm.observation[at + move] = 1.0 if move == chosen else 0.0

@@ -102,7 +102,7 @@ MUTATIONS = (
         "relays take one UAV more than their capacity",
         (
             ("sim/kernel/constants.py", f"capacity={CAPACITY}", f"capacity={CAPACITY} + 1"),
-            ("sim/kernel/arrays.py", "config.relay.capacity_for(world)", "(config.relay.capacity_for(world) + 1)"),
+            ("sim/kernel/allocation.py", "config.relay.capacity_for(world)", "(config.relay.capacity_for(world) + 1)"),
         ),
     ),
     one(

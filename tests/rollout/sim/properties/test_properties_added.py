@@ -48,11 +48,12 @@ SMALL = worlds(st.one_of(st.integers(1, 4), st.integers(1, 10)), 90)
 
 
 def with_plans_that_fit(config: FarmConfig) -> FarmConfig:
-    """Return the farm, without plans where so short steps have too many places for them."""
+    """Return the farm, without plans where so short steps have too many places for them; with zones, without routes."""
     try:
         constants(config, cell_counts(config.world))
     except ConfigError:
-        return replace(config, observation=replace(config.observation, plan=0))
+        route = config.observation.route and not config.zones.some
+        return replace(config, observation=replace(config.observation, plan=0, route=route))
     return config
 
 
