@@ -40,7 +40,7 @@ def polygons(draw: st.DrawFn, world: WorldConfig) -> tuple[tuple[float, float], 
 
 
 def with_coarse_lattice(config: FarmConfig) -> FarmConfig:
-    """Return the farm with steps of at least a twentieth of the field: the reference tries every step for every zone."""
+    """Return the farm with steps of a twentieth of the field at least; the reference tries each step for each zone."""
     world = config.world
     x, y = (side / (MOST_CELLS * world.step_seconds) for side in (world.field_x, world.field_y))
     return replace(
