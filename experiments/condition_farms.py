@@ -47,19 +47,12 @@ CONDITIONS: Final[dict[str, tuple[str, str]]] = {
 """Each farm by its name: a preset, and what differs from it."""
 LONGER: Final = {"default": "long"}
 """The preset of a condition's policy that learns longer, where it is not the condition's own."""
-AFRESH: Final = {
-    "team 2 + 2 + 2": """
+_FRESH: Final = """
 [algorithm]
 start_policy = ""
 entropy_scales = "communication=0.05, collection=0.1"
-""",
-    "no-fly zones": """
-episodes = 2000
-[algorithm]
-start_policy = ""
-entropy_scales = "communication=0.05, collection=0.1"
-""",
-}
+"""
+AFRESH: Final = {"team 2 + 2 + 2": _FRESH, "no-fly zones": f"episodes = 2000{_FRESH}"}
 """Settings of longer policies that begin afresh: what the preset begins as does not fit a small team, and flies into
 zones."""
 

@@ -77,7 +77,7 @@ def _next_box(farm: ReferenceFarm, route: Array, at: int, position: Array) -> in
     done = (farm.vdf.reshape(-1)[plots] == 0.0) & bool(farm.vdf.any())
     done[at] |= bool(inside(position, route[:, at]))
     if farm.ways:
-        done |= np.array([farm.ways.shut(plot) for plot in plots.tolist()])
+        done |= np.array([farm.ways.is_closed(plot) for plot in plots.tolist()])
     ahead = (at + np.arange(count)) % count
     return int(ahead[int(done[ahead].argmin())])
 

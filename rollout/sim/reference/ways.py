@@ -73,7 +73,7 @@ class Ways:
         steps: Array = np.where(np.isfinite(found), found, len(found))[self._cells(places) @ (self._counts[1], 1)]
         return steps
 
-    def shut(self, plot: int) -> bool:
+    def is_closed(self, plot: int) -> bool:
         """Return whether no way leads to a plot from most of the field."""
         return not bool((self._component[self._goals(plot)] == np.bincount(self._component).argmax()).any())
 
