@@ -13,7 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from common.actions.adapters import CENTRE, ActionAdapter, Lattice, MirroredAxes, adapter_from_dict, adapter_to_dict
+from common.actions.adapters import CENTRE, ActionAdapter, Lattice, MirroredAxes
+from common.actions.descriptions import adapter_from_dict, adapter_to_dict
 from common.config.checks import within
 from common.errors import ConfigError, SchemaError
 from common.names import check_name

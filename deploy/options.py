@@ -23,7 +23,6 @@ from common.config.presets import preset
 from common.errors import ConfigError, UsageError
 from common.farm import require_farm
 from deploy.local.run_directory import RunDirectory
-from rollout.farm_files import read_farm
 
 T = TypeVar("T")
 
@@ -60,6 +59,8 @@ def base_configuration(arguments: Sequence[str], default: str = "default") -> Ru
 
 def with_farm_file(config: RunConfig, path: Path) -> RunConfig:
     """Return the configuration with the sensors and the field of a farm file; raise ConfigError for its mistakes."""
+    from rollout.farm_files import read_farm  # noqa: PLC0415  (loads the simulator, which most commands do without)
+
     return replace(config, farm=read_farm(path).on(require_farm(config, NO_FARM)))
 
 

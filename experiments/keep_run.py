@@ -35,7 +35,8 @@ from experiments.conditions import (
 )
 from experiments.reporting import last_status, store_results
 from rollout.evaluation import evaluate
-from rollout.policies import SHIPPED, policy_of
+from rollout.policies import policy_of
+from rollout.shipped_policies import SHIPPED
 
 CURVE_POINTS = 400
 """Episode records of a curve that are kept."""

@@ -31,8 +31,8 @@ from deploy.monitor.web.server import WebServer
 from deploy.monitor.web.source import Source
 from deploy.policies.replay import Comparison, scenes_of
 from deploy.reports.provenance import provenance
-from rollout.policies import shipped_file
 from rollout.rendering.side_by_side import SideBySidePicture
+from rollout.shipped_policies import shipped_file
 from rollout.worker.collector import Collector
 from rollout.worker.view_service import ViewService
 

@@ -16,7 +16,7 @@ from common.farm import farm_environment, farm_of
 from common.names import NAME
 from common.policy_file import load_policy
 from common.team import Float32, GroupSpec, TeamSpec
-from rollout.policies import SHIPPED, policy_path, preset_of
+from rollout.shipped_policies import SHIPPED, policy_path, preset_of
 
 MISFIT: Final = (
     'Observations, actions or networks differ. Leave the option empty ("") to begin with fresh actors, '

@@ -4,15 +4,14 @@
 output is the action. Replay stores the actor's output, and the environment gets the adapted action. Workers,
 evaluation, exported models and flight nodes all read the adapters from the team's description, so they act alike.
 
-An adapter is a frozen dataclass with the members of `ActionAdapter`. A new one also needs an entry in ADAPTERS and its
-nodes in `deploy.policies.onnx_actions`. It may read anything in the agent's own observation, for instance a mask of
-allowed actions.
+An adapter is a frozen dataclass with the members of `ActionAdapter`. A new one also needs an entry in
+`common.actions.descriptions` and its nodes in `deploy.policies.onnx_actions`. It may read anything in the agent's own
+observation, for instance a mask of allowed actions.
 """
 
 import math
 import sys
-from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, ClassVar, Final, Protocol
 
@@ -34,6 +33,8 @@ EDGE: Final = 1e-4
 """Rounding tolerance, as a share of a cell: an agent this close below the next cell counts as inside it."""
 LATER: Final = "later"
 """Marks fields that earlier versions did not have."""
+HINT: Final = "hint"
+"""Marks fields that only fresh policies need. They are no part of a description, for files and for the wire."""
 CENTRE: Final = 0.5
 """Inset of a lattice whose steps end at the cells' centres."""
 NEAR: Final = 1e-6
@@ -208,6 +209,9 @@ class NineMoves:
     Attributes:
         suggestion: index of the first of nine numbers of the observation, 0 to 1, that mark the moves which the
             environment suggests; -1 if it suggests none. Fresh policies favour them as far as they are marked.
+        worth: index of the first of nine numbers of the observation that say what each move is worth, about 0 to 1; -1
+            if there are none. Without a suggestion, fresh policies favour what is worth more.
+        harm: index of the first of nine numbers that say what harm each move does.
     """
 
     kind: ClassVar[str] = "nine moves"
@@ -215,13 +219,18 @@ class NineMoves:
     options: ClassVar[int] = 9
 
     suggestion: int = -1
+    worth: int = field(default=-1, compare=False, metadata={HINT: True})
+    harm: int = field(default=-1, compare=False, metadata={HINT: True})
 
     def require(self, observation_size: int, action_size: int) -> None:
-        """Raise ConfigError unless the action is one index and observations hold the suggestion."""
+        """Raise ConfigError unless the action is one index and observations hold the suggestion and the hints."""
         if action_size != 1:
             raise ConfigError("nine moves are chosen by one index.")
-        if self.suggestion != -1 and not 0 <= self.suggestion <= observation_size - self.options:
+        last = observation_size - self.options
+        if self.suggestion != -1 and not 0 <= self.suggestion <= last:
             raise ConfigError("the observation is too short for the suggested move.")
+        if self.worth != -1 and not (0 <= self.worth <= last and 0 <= self.harm <= last):
+            raise ConfigError("the observation is too short for the worth and the harm of moves.")
 
     def output_size(self, action_size: int) -> int:
         """Return 2."""
@@ -256,6 +265,9 @@ class Headings:
         fast: the highest speed.
         reach: distance that full speed along x covers in a step, as a share of the field's width.
         suggestion: index of the first of 25 numbers of the observation that mark the suggested option; see `NineMoves`.
+        potential: index of the first of nine numbers of the observation, by which each of nine moves raises a potential
+            that is low at best when the episode ends; -1 if there are none. Fresh policies lower it in the last steps.
+        time_left: index of the number of the observation that falls from 1 to 0 in these steps.
     """
 
     kind: ClassVar[str] = "headings"
@@ -274,6 +286,8 @@ class Headings:
     fast: float
     reach: float
     suggestion: int = field(default=-1, metadata={LATER: True})
+    potential: int = field(default=-1, compare=False, metadata={HINT: True})
+    time_left: int = field(default=-1, compare=False, metadata={HINT: True})
 
     def __post_init__(self) -> None:
         """Refuse speeds outside 0..1, and agents that cannot move."""
@@ -287,6 +301,10 @@ class Headings:
             raise ConfigError("headings need x and y in the observation, and are chosen by one index.")
         if self.suggestion != -1 and not 0 <= self.suggestion <= observation_size - self.options:
             raise ConfigError("the observation is too short for the suggested heading.")
+        if self.potential != -1:
+            inside = 0 <= self.potential <= observation_size - NineMoves.options
+            if not (inside and 0 <= self.time_left < observation_size):
+                raise ConfigError("the observation is too short for the potential of moves and the time left.")
 
     def output_size(self, action_size: int) -> int:
         """Return 2."""
@@ -343,45 +361,6 @@ def _clipped(values: Float32, low: Float32 | np.float32, high: Float32 | np.floa
     """Return values between bounds; `np.clip` takes several times as long for the few numbers of a step."""
     clipped: Float32 = np.minimum(np.maximum(values, low), high)
     return clipped
-
-
-ADAPTERS: Final[dict[str, type[Lattice] | type[MirroredAxes] | type[NineMoves] | type[Headings]]] = {
-    Lattice.kind: Lattice,
-    MirroredAxes.kind: MirroredAxes,
-    NineMoves.kind: NineMoves,
-    Headings.kind: Headings,
-}
-"""Every kind of adapter by its name."""
-
-
-def adapter_to_dict(adapter: ActionAdapter) -> dict[str, Any]:
-    """Return a plain description for the wire and for files.
-
-    Fields marked LATER are left out at their defaults, so that teams of earlier versions keep their digests.
-    """
-    values: dict[str, Any] = asdict(adapter)  # type: ignore[call-overload]  # every adapter is a dataclass
-    later = {each.name: each.default for each in fields(ADAPTERS[adapter.kind]) if LATER in each.metadata}
-    return {"kind": adapter.kind, **{name: value for name, value in values.items() if value != later.get(name)}}
-
-
-def adapter_from_dict(data: Any) -> ActionAdapter:
-    """Return the adapter in the output of `adapter_to_dict`.
-
-    Raises:
-        ConfigError: when `data` describes no adapter.
-    """
-    if not isinstance(data, Mapping) or (kind := ADAPTERS.get(str(data.get("kind")))) is None:
-        raise ConfigError("the description of an action adapter names an unknown kind.")
-    wanted = {each.name: int if each.type is int else float for each in fields(kind)}
-    needed = {each.name for each in fields(kind) if each.default is MISSING}
-    values = {name: value for name, value in data.items() if name != "kind"}
-    if not needed <= values.keys() <= wanted.keys():
-        raise ConfigError(f"a {kind.kind} takes {', '.join(wanted) or 'no values'}.")
-    for name, value in values.items():
-        if type(value) is not wanted[name] and not (wanted[name] is float and type(value) is int):
-            raise ConfigError(f"{name} of a {kind.kind} must be {wanted[name].__name__}.")
-    numbers: dict[str, Any] = {name: wanted[name](value) for name, value in values.items()}
-    return kind(**numbers)
 
 
 def fewest(reach: float, parts: int = 1) -> int:

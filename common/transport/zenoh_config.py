@@ -16,6 +16,11 @@ LEASE_MS: Final = 4000
 """A peer that is silent for this long counts as gone."""
 CONNECT_MS: Final = 1000
 """Time limit of one attempt to connect."""
+RETRY: Final = {"period_init_ms": 100, "period_max_ms": 4000, "period_increase_factor": 1.2}
+"""Pauses between two tries to connect, within an attempt and after a connection is lost.
+
+Zenoh's own first pause takes a whole attempt, so that a process joined up to 1.2 s after the learner listened.
+"""
 ACCEPT_MS: Final = 4000
 """Time that a connection has to become a session, after its TLS handshake."""
 ACCEPT_PENDING: Final = 1000
@@ -85,6 +90,7 @@ def connecting(endpoint: Endpoint, lane: Lane) -> Values:
         "connect/endpoints": [endpoint.locator(lane)],
         "connect/timeout_ms": CONNECT_MS,
         "connect/exit_on_failure": True,
+        "connect/retry": RETRY,
     }
     credentials = endpoint.credentials
     if credentials is not None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from safetensors.numpy import save
 
-from common.actions.adapters import ADAPTERS
+from common.actions.descriptions import ADAPTERS
 from common.actors import TeamActors, actor_outputs, parameter_views
 from common.config import RunConfig
 from common.config.files import digest

@@ -16,8 +16,9 @@ from common.config.presets import preset
 from common.farm import farm_team
 from docs.tools.blocks import Block
 from rollout.envs.spaces import Part, observation_parts
-from rollout.policies import policy_of, preset_of
+from rollout.policies import policy_of
 from rollout.rendering.render import Renderer
+from rollout.shipped_policies import preset_of
 from rollout.sim.batch import FarmBatch
 
 TIMINGS: Final = Path("docs/results/environment.json")

@@ -12,20 +12,15 @@ from torch import Tensor, nn
 
 from common.actors import Head, TeamActors, actor_outputs
 from common.config import OnPolicyConfig
-from common.errors import ConfigError
 from common.team import Float32, GroupSpec, TeamSpec
 from learner.on_policy.distributions import evaluate
 from learner.on_policy.networks import Stack
+from learner.on_policy.preferences import FOLLOW, prefer
 from learner.on_policy.recurrent import make_stack
 from learner.on_policy.sequences import Sequences
 
 HEAD: Head = "gaussian"
 """Head of types with continuous actions."""
-FAVOUR = 2.5
-"""Logit of a resting option in a fresh policy; all others have about 0."""
-FOLLOW = 4.0
-"""Logit of an option that is marked with 1 in a fresh policy unless `suggestion_logits` names another. If all others
-are marked with 0, the policy follows the mark seven times in eight (of nine)."""
 LAST_GAIN = 0.01
 """Gain of the actors' last layer, so that a fresh policy is nearly uniform."""
 
@@ -69,12 +64,7 @@ class Policies(nn.Module):
         count = 1 if config.parameters == "shared" else group.count
         names = initialisation_names("actor", group, count, seed, per_type=config.initialisation == "type")
         stack = make_stack(config, count, group.observation_size, actor_outputs(group, HEAD), LAST_GAIN, names)
-        for adapter in group.adapters[:1]:
-            if (option := getattr(adapter, "resting", None)) is not None:
-                stack.layers[-1][:, option] = FAVOUR
-            if config.memory == "none" and (first := getattr(adapter, "suggestion", -1)) >= 0:
-                logit = config.type_suggestion_logits().get(group.name, FOLLOW)
-                favour_suggestion(stack, first, group.choices[0], logit)
+        prefer(stack, group, config.type_suggestion_logits().get(group.name, FOLLOW))
         return stack
 
     def loss(
@@ -126,32 +116,6 @@ class Policies(nn.Module):
         """Replace the actors' parameters, [n_v or 1, P_v] for each type."""
         for stack, parameters in zip(self.stacks, flat, strict=True):
             stack.load(parameters)
-
-
-def favour_suggestion(stack: Stack, first: int, options: int, logit: float) -> None:
-    """Let fresh networks without memory favour options as far as their input marks them, from 0 to 1.
-
-    A unit of each hidden layer for each option hands its mark on, and gives the option a logit of about `logit` times
-    the mark.
-
-    Args:
-        stack: the networks.
-        first: index of the first of the marks in an input.
-        options: number of marks, and of outputs.
-        logit: of an option that is marked with 1.
-
-    Raises:
-        ConfigError: the hidden layers are too narrow.
-    """
-    w1, b1, w2, b2, w3, _ = stack.layers
-    if w1.shape[2] < options:
-        raise ConfigError(f"algorithm.hidden must be at least {options} where the environment suggests a move.")
-    eye = torch.eye(options)
-    w1[:, :, :options], w2[:, :, :options], w3[:, :options] = 0.0, 0.0, 0.0
-    b1[:, :options], b2[:, :options] = 0.0, 0.0
-    w1[:, first : first + options, :options] = eye
-    w2[:, :options, :options] = eye
-    w3[:, :options, :options] = logit * eye
 
 
 def initialisation_names(

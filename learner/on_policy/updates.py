@@ -17,7 +17,7 @@ those of the present value functions. `objective` says what the ratio's denomina
 
 from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -33,6 +33,7 @@ from learner.networks.device import product_dtype
 from learner.on_policy.advantages import advantages
 from learner.on_policy.diagnostics import IterationDiagnostics
 from learner.on_policy.experience import Observations, split_actions, step_rows
+from learner.on_policy.fused_adam import FusedAdam
 from learner.on_policy.iteration_states import IterationStates
 from learner.on_policy.networks import Stack
 from learner.on_policy.policies import Policies
@@ -80,7 +81,6 @@ class Updates:
     Attributes:
         policies: the actors.
         values: the value functions, one module for each type.
-        optimiser: Adam of all networks.
         diagnostics: what the newest iteration's updates measured.
     """
 
@@ -88,20 +88,15 @@ class Updates:
         self._config, self._team, self._device = config, team, (device := learner.device)
         most = min(learner.update_threads, 2 * len(team.groups))
         self._side_by_side = SideBySide(most if device == "cpu" else 1)
-        self._rates = config.actor_rate, config.critic_rate
         self._dtype = product_dtype(config.precision, device)
         # The last layers' narrow products have float32 results; rounding their factors makes them several times faster.
         torch.set_float32_matmul_precision("medium" if self._dtype == torch.bfloat16 else "highest")
         self.policies = Policies(config, team, seed).to(device)
         self.values = [value.to(device) for value in make_values(config, team, seed)]
         self._all_networks = (("actors", self.policies), ("values", nn.ModuleList(self.values)))
-        self.optimiser = torch.optim.Adam(
-            [
-                {"params": list(networks.parameters()), "lr": rate}
-                for (_, networks), rate in zip(self._all_networks, self._rates, strict=True)
-            ],
-            eps=1e-5,
-            fused=True,
+        rates = config.actor_rate, config.critic_rate
+        self._adam = FusedAdam(
+            (networks.parameters(), rate) for (_, networks), rate in zip(self._all_networks, rates, strict=True)
         )
         self.diagnostics = IterationDiagnostics(team)
         self._groups = list(zip(team.groups, team.agent_slices(), strict=True))
@@ -205,17 +200,16 @@ class Updates:
     def update(self, samples: NDArray[np.int64], progress: float) -> None:
         """Do one update from a minibatch; `progress` is the finished share of the run, 0 to 1."""
         config = self._config
-        self._set_rates(1.0 + (config.rate_end - 1.0) * progress)
         weight = config.entropy_start + (config.entropy_end - config.entropy_start) * progress
         places, sequences = self._gathered(samples)
         tensors = {name: tensor.index_select(0, places) for name, tensor in self._rows.items()}
         team = self._seen.team if config.sees_team else self._seen.team[:, :0]
         batch = Minibatch(places, tensors, team.index_select(0, places), sequences, weight)
-        self.optimiser.zero_grad(set_to_none=True)
+        self._adam.forget_gradients()
         kinds = range(len(self._groups))
         gradients = self._actor_gradient, self._value_gradient
         found = self._side_by_side.run([partial(gradient, kind, batch) for gradient in gradients for kind in kinds])
-        self.optimiser.step()
+        self._adam.step(1.0 + (config.rate_end - 1.0) * progress)
         self.diagnostics.add([found[kind] | found[len(kinds) + kind] for kind in kinds])
 
     def _own(self, kind: int, places: Tensor) -> Tensor:
@@ -256,10 +250,6 @@ class Updates:
             if 0.0 < self._config.target_kl < kl:
                 self.stopped[kind] = True
 
-    def _set_rates(self, share: float) -> None:
-        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
-            group["lr"] = rate * share
-
     def _clipped(self, networks: nn.Module) -> Tensor:
         """Limit the gradient of some networks; return its norm before."""
         limit = self._config.gradient_clip or float("inf")
@@ -279,18 +269,10 @@ class Updates:
     def _stack_tensors(self, name: str, stack: Stack) -> Iterator[tuple[str, Tensor]]:
         for index, layer in enumerate(stack.layers):
             yield f"{name}.layers.{index}", layer
-        for moment, tensor in self._moments(stack.flat).items():
+        for moment, tensor in self._adam.moments[stack.flat]._asdict().items():
             parts = [tensor] * len(stack.layers) if moment == "step" else stack.layers_of(tensor)
             for index, part in enumerate(parts):
                 yield f"{name}.layers.{index}.{moment}", part
-
-    def _moments(self, parameter: nn.Parameter) -> dict[str, Tensor]:
-        state: dict[str, Any] = self.optimiser.state[parameter]
-        if not state:
-            state["step"] = torch.zeros((), dtype=torch.float32, device=parameter.device)
-            state["exp_avg"] = torch.zeros_like(parameter)
-            state["exp_avg_sq"] = torch.zeros_like(parameter)
-        return {name: state[name] for name in ("step", "exp_avg", "exp_avg_sq")}
 
     @property
     def value_states(self) -> int:

@@ -14,16 +14,18 @@ from common.config.action_kinds import discrete_algorithms
 from common.config.environment import FARM
 from common.environment import EnvironmentSpec
 from common.errors import ConfigError
+from common.farm import farm_environment, farm_of
 from common.protocol.message_sizes import require_frames
 from common.team import TeamSpec
 from rollout.envs.base import Environments
-from rollout.heuristics.farms import make_farms
 
 Factory = Callable[[RunConfig, int, bool], Environments]
 """Makes the given number of environments for a run; True asks for `Environments.hindsight`, where there is any."""
 
 
 def _farms(config: RunConfig, count: int, hindsight: bool) -> Environments:
+    from rollout.heuristics.farms import make_farms  # noqa: PLC0415  (loads the simulator)
+
     return make_farms(config.farm, count, config.rollout.threads, hindsight)
 
 
@@ -68,10 +70,23 @@ def environment_spec(config: RunConfig) -> EnvironmentSpec:
         ConfigError: as for `make_environments`; the algorithm cannot train these actions; or a chunk, the actors or an
             evaluation would not fit into a message.
     """
-    with closing(make_environments(config, 1)) as environments:
-        _require_actions(config, environments.team)
-        require_frames(config, environments.spec)
-        return environments.spec
+    spec = _spec(config)
+    _require_actions(config, spec.team)
+    require_frames(config, spec)
+    return spec
+
+
+def _spec(config: RunConfig) -> EnvironmentSpec:
+    """Return the description of a run's environment; that of plain farms without loading their simulator."""
+    farm = farm_of(config)
+    if farm is None or farm.observation.advice or farm.battery.watched:
+        with closing(make_environments(config, 1)) as environments:
+            return environments.spec
+    from rollout.sim.kernel.constants import constants  # noqa: PLC0415  (loads the compiler)
+    from rollout.sim.layout import cell_counts  # noqa: PLC0415  (loads the compiler)
+
+    constants(farm, cell_counts(farm.world))
+    return farm_environment(farm)
 
 
 def _require_actions(config: RunConfig, team: TeamSpec) -> None:

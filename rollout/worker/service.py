@@ -31,6 +31,7 @@ from rollout.worker.evaluation_service import EvaluationService
 from rollout.worker.learner_link import LearnerLink
 from rollout.worker.sender import ANSWER_SECONDS, LOCKSTEP_ANSWER_SECONDS, Sender
 from rollout.worker.view_service import ViewService
+from rollout.worker.warm_up import warm_up
 
 REPORT_SECONDS = 1.0
 DRAIN_SECONDS = 5.0
@@ -284,6 +285,8 @@ def serve(options: WorkerOptions) -> None:
     """
     stop = StopSignal()
     stop.install()
+    if options.env is None:
+        warm_up()
     with connect(options.endpoint, "control", stop, options.patience) as control:
         answer = fetch_configuration(control, options.run, options.name, lambda: not stop, 5.0)
         if answer is None:

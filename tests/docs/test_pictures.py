@@ -4,7 +4,7 @@ import json
 
 from common.policy_file import load_policy
 from experiments.pictures import FOLDER, SHOWN
-from rollout.policies import shipped_file
+from rollout.shipped_policies import shipped_file
 
 
 def test_the_pictures_are_of_the_policy_that_ships():

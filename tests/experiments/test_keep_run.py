@@ -17,7 +17,7 @@ from deploy.local.run_directory import METRICS, POLICY
 from experiments import keep_run
 from experiments.condition_farms import CONDITIONS, configuration, longer_configuration
 from learner.on_policy.trainer import OnPolicyTrainer
-from rollout.policies import SHIPPED
+from rollout.shipped_policies import SHIPPED
 
 
 def scores(policy, reward):

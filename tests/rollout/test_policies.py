@@ -12,7 +12,7 @@ from common.farm import farm_team
 from common.policy_file import save_policy
 from deploy.commands.policies.evaluate import EvaluateArguments
 from docs.tools.configuration_tables import field_docs
-from rollout import policies
+from rollout import shipped_policies
 from rollout.evaluation import evaluate
 from rollout.heuristics.registry import HEURISTICS, RELAYS, TASKS, default_relays
 from rollout.policies import POLICIES, ActorPolicy, policy_of
@@ -85,7 +85,7 @@ def test_a_policy_file_is_a_policy(tmp_path):
 def test_the_trained_policy_is_that_of_the_package(tmp_path, monkeypatch):
     """The name `trained` loads the shipped file, and says so when there is none or when the team differs."""
     file = tmp_path / "default.safetensors"
-    monkeypatch.setitem(policies.SHIPPED, "trained", ("default", file))
+    monkeypatch.setitem(shipped_policies.SHIPPED, "trained", ("default", file))
     with pytest.raises(PolicyError, match="no trained policy of the preset default is part of this installation"):
         policy_of("trained", SMALL)
     save_policy(file, TeamActors.initial(farm_team(SMALL), 16, 3), {})
@@ -94,10 +94,10 @@ def test_the_trained_policy_is_that_of_the_package(tmp_path, monkeypatch):
         policy_of("trained", FarmConfig())
 
 
-@pytest.mark.parametrize("name", [name for name in policies.SHIPPED if name != "trained:eia-sec"])
+@pytest.mark.parametrize("name", [name for name in shipped_policies.SHIPPED if name != "trained:eia-sec"])
 def test_every_shipped_policy_flies_its_farm_better_than_greedy(name):
     """On farms of its preset, which training never saw; the policy of `eia-sec` has a test of its own."""
-    farm = preset(policies.preset_of(name)).farm
+    farm = preset(shipped_policies.preset_of(name)).farm
     found = [
         evaluate(farm, policy_of(policy, farm), range(1500, 1502), 1, name=policy).total.reward
         for policy in (name, "greedy")
@@ -110,7 +110,7 @@ def test_the_policy_of_eia_sec_ships_too():
     assert isinstance(policy_of("trained:eia-sec", preset("eia-sec").farm), ActorPolicy)
     with pytest.raises(PolicyError, match="this environment has 4 communication agents"):
         policy_of("trained:eia-sec", FarmConfig())
-    assert [policies.preset_of(name) for name in ("trained", "trained:eia-sec", "greedy", None)] == [
+    assert [shipped_policies.preset_of(name) for name in ("trained", "trained:eia-sec", "greedy", None)] == [
         "default",
         "eia-sec",
         "default",

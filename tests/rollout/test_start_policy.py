@@ -11,7 +11,7 @@ from common.config.presets import preset
 from common.errors import PolicyError
 from common.farm import farm_environment, farm_team
 from common.policy_file import load_policy, save_policy
-from rollout.policies import TRAINED
+from rollout.shipped_policies import TRAINED
 from rollout.start_policy import start_parameters, start_sentence
 
 NAMES = ("communication", "monitoring", "collection")

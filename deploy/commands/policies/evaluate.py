@@ -18,7 +18,8 @@ from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from deploy.options import parse, require_env, with_farm_file
 from deploy.reports.comparison_tables import comparison_table
 from rollout.evaluation import Evaluation, evaluate_run
-from rollout.policies import preset_of, run_policy
+from rollout.policies import run_policy
+from rollout.shipped_policies import preset_of
 
 MAX_FARMS: Final = 100_000
 

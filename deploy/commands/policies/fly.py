@@ -19,7 +19,8 @@ from deploy.flight.node import FlightNode, NodeOptions
 from deploy.flight.pilot import Limits, Pilot
 from deploy.local.run_directory import CONFIG, POLICY, RunDirectory
 from deploy.options import parse
-from rollout.policies import fitted, policy_path, preset_of
+from rollout.policies import fitted
+from rollout.shipped_policies import policy_path, preset_of
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from deploy.local.run_directory import own_folder
 from deploy.options import parse
 from deploy.policies.replay import Comparison, film, paper_pictures
 from deploy.reports.film import find_ffmpeg
-from rollout.policies import SHIPPED
+from rollout.shipped_policies import SHIPPED
 
 FOLDER: Final = "replay"
 """Output folder in the run directory or the current directory."""

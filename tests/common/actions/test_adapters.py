@@ -13,10 +13,9 @@ from common.actions.adapters import (
     SIGNS,
     Lattice,
     MirroredAxes,
-    adapter_from_dict,
-    adapter_to_dict,
     fewest,
 )
+from common.actions.descriptions import adapter_from_dict, adapter_to_dict
 from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
 from common.config.presets import preset
 from common.errors import ConfigError, SchemaError

@@ -2,17 +2,20 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.actions.adapters import Headings, MirroredAxes, NineMoves, adapter_from_dict, adapter_to_dict
+from common.actions.adapters import Headings, MirroredAxes, NineMoves
+from common.actions.descriptions import adapter_from_dict, adapter_to_dict
 from common.actors import TeamActors
 from common.config import ControlConfig, FarmConfig, ObservationConfig, WorldConfig
+from common.config.presets import preset
 from common.errors import ConfigError, SchemaError
-from common.farm import HEADING_SPEEDS, farm_team
+from common.farm import HEADING_SPEEDS, farm_environment, farm_team
 from common.team import GroupSpec, TeamSpec
 from rollout.sim.batch import FarmBatch
 from rollout.sim.layout import make_layout
@@ -35,6 +38,65 @@ def test_nine_moves_of_older_files_suggest_none():
     GroupSpec("a", 1, 16, 1, (NineMoves(7),), (9,))
     with pytest.raises(ConfigError, match="too short for the suggested move"):
         GroupSpec("a", 1, 15, 1, (NineMoves(7),), (9,))
+
+
+def test_hints_for_fresh_policies_are_no_part_of_a_description():
+    """Files, messages and digests do not change with them, but they must lie in the observation."""
+    hinted = replace(HEADINGS, potential=7, time_left=2)
+    assert (hinted.potential, hinted.time_left) == (7, 2)
+    assert adapter_to_dict(hinted) == adapter_to_dict(HEADINGS)
+    assert hinted == HEADINGS
+    groups = [GroupSpec("a", 1, 16, 1, (headings,), (25,)) for headings in (hinted, HEADINGS)]
+    assert TeamSpec((groups[0],)).digest == TeamSpec((groups[1],)).digest
+    with pytest.raises(ConfigError, match="headings takes"):
+        adapter_from_dict({**adapter_to_dict(HEADINGS), "potential": 7})
+    for potential, time_left in ((8, 2), (7, 16), (7, -1)):
+        with pytest.raises(ConfigError, match="too short for the potential"):
+            GroupSpec("a", 1, 16, 1, (replace(HEADINGS, potential=potential, time_left=time_left),), (25,))
+
+
+def test_hints_of_moves_are_no_part_of_a_description_either():
+    """They are left out in the same way, and must lie in the observation, too."""
+    hinted = NineMoves(worth=7, harm=0)
+    assert adapter_to_dict(hinted) == adapter_to_dict(NineMoves())
+    assert hinted == NineMoves()
+    GroupSpec("a", 1, 16, 1, (hinted,), (9,))
+    for worth, harm in ((8, 0), (7, 8), (7, -1)):
+        with pytest.raises(ConfigError, match="too short for the worth and the harm"):
+            GroupSpec("a", 1, 16, 1, (NineMoves(worth=worth, harm=harm),), (9,))
+
+
+def test_uavs_with_a_task_are_hinted_at_what_moves_serve():
+    """Served units are worth it, and the way to others is the harm, where both are seen."""
+    default = preset("default").farm
+    names = farm_environment(default).tensor_names
+    for group in farm_team(default).groups[1:]:
+        seen, moves = names[group.name].observation, group.adapters[0]
+        assert seen[moves.worth] == "units_2_move_-1_-1"
+        assert seen[moves.harm] == "risk_any_move_-1_-1"
+    for lacking in ({"units": 0}, {"closing": False}):
+        farm = replace(default, observation=replace(default.observation, **lacking))
+        moves = farm_team(farm).groups[2].adapters[0]
+        assert (moves.worth, moves.harm) == (-1, -1)
+
+
+def test_relays_are_hinted_at_what_lowers_their_service_distance():
+    """Where they see it, and where their reward is charged with it."""
+    default = preset("default").farm
+    names = farm_environment(default).tensor_names["communication"].observation
+    relays = farm_team(default).groups[0].adapters[0]
+    assert names[relays.potential : relays.potential + 9] == tuple(
+        f"service_move_{x}_{y}" for x in (-1, 0, 1) for y in (-1, 0, 1)
+    )
+    assert names[relays.time_left] == "left_25"
+    for farm in (
+        replace(default, reward=replace(default.reward, positioning_sign="printed")),
+        replace(default, reward=replace(default.reward, positioning=0.0)),
+        replace(default, observation=replace(default.observation, service=False)),
+        replace(default, observation=replace(default.observation, phases=False)),
+    ):
+        relays = farm_team(farm).groups[0].adapters[0]
+        assert (relays.potential, relays.time_left) == (-1, -1)
 
 
 @given(x=PLACES, y=PLACES)

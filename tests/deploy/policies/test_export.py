@@ -11,7 +11,8 @@ import onnxruntime
 import pytest
 from safetensors.numpy import load_file
 
-from common.actions.adapters import ADAPTERS, SIGNS, MirroredAxes
+from common.actions.adapters import SIGNS, MirroredAxes
+from common.actions.descriptions import ADAPTERS
 from common.actions.sampling import best_options
 from common.actors import TeamActors
 from common.config import ControlConfig, EnvConfig, FarmConfig, MasacConfig, ObservationConfig, ReplayConfig, RunConfig

@@ -4,14 +4,18 @@ import numpy as np
 import pytest
 import torch
 
-from common.actions.adapters import NineMoves
+from common.actions.adapters import Headings, NineMoves
 from common.config import IppoConfig
 from common.errors import ConfigError
+from common.farm import HEADING_SPEEDS
 from common.team import GroupSpec, TeamSpec
 from learner.on_policy.policies import Policies
 
 FIRST = 5
 TEAM = TeamSpec((GroupSpec("a", 3, 16, 1, (NineMoves(FIRST),), (9,)),))
+TIME_LEFT = 2
+RELAY = Headings(*HEADING_SPEEDS, 0.025, potential=FIRST, time_left=TIME_LEFT)
+RELAYS = TeamSpec((GroupSpec("a", 3, 16, 1, (RELAY,), (25,)),))
 
 
 @pytest.mark.parametrize("parameters", ["shared", "separate"])
@@ -42,3 +46,52 @@ def test_hidden_layers_must_hold_the_suggestion():
     """One unit for each move, or one clear sentence."""
     with pytest.raises(ConfigError, match=r"algorithm\.hidden must be at least 9"):
         Policies(IppoConfig(hidden=8), TEAM, 0)
+
+
+def test_a_fresh_policy_favours_moves_that_serve_much_and_lead_to_nobody():
+    """Without a suggestion. With one, it follows that."""
+    worth, harm = 0, 9
+    observation = torch.from_numpy(np.random.default_rng(0).uniform(0.0, 1.0, (40, 3, 18)).astype(np.float32))
+    for first, wanted in (
+        (-1, 4.0 * observation[..., :9] - 8.0 * observation[..., 9:]),
+        (3, 4.0 * observation[..., 3:12]),
+    ):
+        moves = NineMoves(first, worth=worth, harm=harm)
+        team = TeamSpec((GroupSpec("a", 3, 18, 1, (moves,), (9,)),))
+        with torch.no_grad():
+            outputs = Policies(IppoConfig(hidden=32), team, 0).stacks[0](observation)
+        assert outputs.numpy() == pytest.approx(wanted.numpy(), abs=0.1)
+        narrow = Policies(IppoConfig(hidden=17), team, 0).stacks[0].layers[-2]
+        assert (narrow.abs().max() > 1.0) == (first >= 0)
+
+
+def options_of(hidden: int, observation: torch.Tensor, **settings) -> torch.Tensor:
+    policies = Policies(IppoConfig(hidden=hidden, **settings), RELAYS, 0)
+    with torch.no_grad():
+        return policies.stacks[0](observation)[0, 0]
+
+
+@pytest.mark.parametrize("parameters", ["shared", "separate"])
+def test_a_fresh_relay_flies_where_a_potential_falls_as_time_runs_out(parameters):
+    """It rests until then. At the end it flies fast on the heading of the best move, for every heading."""
+    for heading in range(8):
+        x, y = np.rint(np.cos(heading * np.pi / 4)), np.rint(np.sin(heading * np.pi / 4))
+        observation = torch.zeros(1, 3, 16)
+        observation[..., FIRST : FIRST + 9] = 0.3
+        observation[..., FIRST + int(3 * (x + 1) + y + 1)] = -0.5
+        observation[..., TIME_LEFT] = 1.0
+        assert options_of(16, observation, parameters=parameters).argmax() == 0
+        observation[..., TIME_LEFT] = 0.2
+        outputs = options_of(16, observation, parameters=parameters)
+        assert outputs.argmax() == 1 + 8 * 2 + heading
+        assert outputs[1 + 8 * 2 + heading].item() == pytest.approx(20.0 * (0.5 - 0.2), abs=0.1)
+        assert outputs[1 + 8 + heading].item() == pytest.approx(0.9 * 20.0 * (0.5 - 0.2), abs=0.1)
+
+
+@pytest.mark.parametrize("settings", [{"hidden": 8}, {"hidden": 16, "memory": "gru", "sequence_steps": 4}])
+def test_a_relay_without_room_for_it_rests(settings):
+    """Narrow networks, and networks with memory, begin without that preference."""
+    policies = Policies(IppoConfig(**settings), RELAYS, 0)
+    layers = policies.stacks[0].layers
+    assert layers[-1][0, 0].item() == 2.5
+    assert layers[-2].abs().max().item() < 0.1

@@ -1,0 +1,54 @@
+"""Plain descriptions of action adapters, for the wire and for files."""
+
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, asdict, fields
+from typing import Any, Final
+
+from common.actions.adapters import HINT, LATER, ActionAdapter, Headings, Lattice, MirroredAxes, NineMoves
+from common.errors import ConfigError
+
+ADAPTERS: Final[dict[str, type[Lattice] | type[MirroredAxes] | type[NineMoves] | type[Headings]]] = {
+    Lattice.kind: Lattice,
+    MirroredAxes.kind: MirroredAxes,
+    NineMoves.kind: NineMoves,
+    Headings.kind: Headings,
+}
+"""Every kind of adapter by its name."""
+
+
+def adapter_to_dict(adapter: ActionAdapter) -> dict[str, Any]:
+    """Return a plain description for the wire and for files.
+
+    Fields marked LATER are left out at their defaults, so that teams of earlier versions keep their digests. Fields
+    marked HINT are left out always.
+    """
+    described = {each.name for each in _described(ADAPTERS[adapter.kind])}
+    everything = asdict(adapter)  # type: ignore[call-overload]  # every adapter is a dataclass
+    values: dict[str, Any] = {name: value for name, value in everything.items() if name in described}
+    later = {each.name: each.default for each in fields(ADAPTERS[adapter.kind]) if LATER in each.metadata}
+    return {"kind": adapter.kind, **{name: value for name, value in values.items() if value != later.get(name)}}
+
+
+def _described(kind: Any) -> list[Field[Any]]:
+    """Return the fields of a kind of adapter that its description holds."""
+    return [each for each in fields(kind) if HINT not in each.metadata]
+
+
+def adapter_from_dict(data: Any) -> ActionAdapter:
+    """Return the adapter in the output of `adapter_to_dict`.
+
+    Raises:
+        ConfigError: when `data` describes no adapter.
+    """
+    if not isinstance(data, Mapping) or (kind := ADAPTERS.get(str(data.get("kind")))) is None:
+        raise ConfigError("the description of an action adapter names an unknown kind.")
+    wanted = {each.name: int if each.type is int else float for each in _described(kind)}
+    needed = {each.name for each in fields(kind) if each.default is MISSING}
+    values = {name: value for name, value in data.items() if name != "kind"}
+    if not needed <= values.keys() <= wanted.keys():
+        raise ConfigError(f"a {kind.kind} takes {', '.join(wanted) or 'no values'}.")
+    for name, value in values.items():
+        if type(value) is not wanted[name] and not (wanted[name] is float and type(value) is int):
+            raise ConfigError(f"{name} of a {kind.kind} must be {wanted[name].__name__}.")
+    numbers: dict[str, Any] = {name: wanted[name](value) for name, value in values.items()}
+    return kind(**numbers)

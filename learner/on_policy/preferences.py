@@ -1,0 +1,134 @@
+"""What fresh actors prefer before they have learned anything, as the environment's action adapter says.
+
+A fresh policy is nearly uniform otherwise. It takes options that the environment suggests, or else moves that are worth
+much and do little harm; it rests where it may, and in the last steps flies where a potential falls. Preferences are
+weights of the networks, so training can unlearn them.
+"""
+
+from typing import Final
+
+import numpy as np
+import torch
+
+from common.actions.adapters import Headings, NineMoves
+from common.errors import ConfigError
+from common.team import GroupSpec
+from learner.on_policy.networks import Stack
+
+REST: Final = 2.5
+"""Logit of a resting option in a fresh policy; all others have about 0."""
+FOLLOW: Final = 4.0
+"""Logit of an option that is marked with 1 in a fresh policy unless `suggestion_logits` names another. If all others
+are marked with 0, the policy follows the mark seven times in eight (of nine)."""
+WORTH: Final = 4.0
+"""Logit of a move for each unit of its worth."""
+HARM: Final = 8.0
+"""By how much each unit of harm lowers that."""
+DESCENT: Final = 20.0
+"""Logit that a move has for each unit by which the potential falls beyond the share of the last steps that is left."""
+HEADINGS: Final = 8
+"""Headings of each speed of `Headings`, 45 degrees apart."""
+DESCENT_SPEEDS: Final = (0.0, 0.9, 1.0)
+"""Shares of that logit that slow, medium and fast flight on the move's heading have."""
+
+
+def prefer(stack: Stack, group: GroupSpec, logit: float) -> None:
+    """Let fresh networks of a type prefer what its action adapter says.
+
+    Args:
+        stack: the networks.
+        group: the type.
+        logit: of a suggested option that is marked with 1.
+
+    Raises:
+        ConfigError: the hidden layers are too narrow for the suggestion.
+    """
+    adapter = group.adapters[0] if group.adapters else None
+    if isinstance(adapter, Headings):
+        stack.layers[-1][:, adapter.resting] = REST
+    if stack.memory != "none" or not isinstance(adapter, Headings | NineMoves):
+        return
+    if adapter.suggestion >= 0:
+        favour_suggestion(stack, adapter.suggestion, group.choices[0], logit)
+    elif isinstance(adapter, Headings) and adapter.potential >= 0:
+        favour_descent(stack, adapter.potential, adapter.time_left)
+    elif isinstance(adapter, NineMoves) and adapter.worth >= 0:
+        favour_worth(stack, adapter.worth, adapter.harm)
+
+
+def favour_suggestion(stack: Stack, first: int, options: int, logit: float) -> None:
+    """Let fresh networks without memory favour options as far as their input marks them, from 0 to 1.
+
+    A unit of each hidden layer for each option hands its mark on, and gives the option a logit of about `logit` times
+    the mark.
+
+    Args:
+        stack: the networks.
+        first: index of the first of the marks in an input.
+        options: number of marks, and of outputs.
+        logit: of an option that is marked with 1.
+
+    Raises:
+        ConfigError: the hidden layers are too narrow.
+    """
+    if stack.layers[0].shape[2] < options:
+        raise ConfigError(f"algorithm.hidden must be at least {options} where the environment suggests a move.")
+    w1, w2, w3 = _cleared(stack, options)
+    eye = torch.eye(options)
+    w1[:, first : first + options, :options] = eye
+    w2[:, :options, :options] = eye
+    w3[:, :options, :options] = logit * eye
+
+
+def favour_worth(stack: Stack, worth: int, harm: int) -> None:
+    """Let fresh networks without memory favour moves of `NineMoves` by WORTH times their worth minus HARM times harm.
+
+    Networks narrower than eighteen units have no room for it and stay as they are. Negative numbers count as 0.
+
+    Args:
+        stack: the networks; their outputs are the nine moves.
+        worth: index of the first of nine numbers in an input.
+        harm: index of the first of nine more.
+    """
+    moves = NineMoves.options
+    if stack.layers[0].shape[2] < 2 * moves:
+        return
+    w1, w2, w3 = _cleared(stack, 2 * moves)
+    eye = torch.eye(moves)
+    w1[:, worth : worth + moves, :moves] = eye
+    w1[:, harm : harm + moves, moves : 2 * moves] = eye
+    w2[:, : 2 * moves, : 2 * moves] = torch.eye(2 * moves)
+    w3[:, : 2 * moves] = torch.cat([WORTH * eye, -HARM * eye])
+
+
+def favour_descent(stack: Stack, potential: int, time_left: int) -> None:
+    """Let fresh networks without memory fly on `Headings` where a potential falls, in the last steps.
+
+    The logit of a heading is about DESCENT max(0, how far the move lowers the potential - time_left), times the speed's
+    share. Networks narrower than nine units have no room for it and stay as they are.
+
+    Args:
+        stack: the networks; their outputs are the options of `Headings`.
+        potential: index of the first of nine numbers in an input, by which each of nine moves raises the potential.
+        time_left: index of the number that falls from 1 to 0.
+    """
+    if stack.layers[0].shape[2] < NineMoves.options:
+        return
+    w1, w2, w3 = _cleared(stack, NineMoves.options)
+    angles = np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS
+    moves = 3 * np.rint(1.0 + np.cos(angles)).astype(int) + np.rint(1.0 + np.sin(angles)).astype(int)
+    w1[:, time_left, HEADINGS] = 1.0
+    w2[:, HEADINGS, :HEADINGS] = -DESCENT
+    for heading, move in enumerate(moves.tolist()):
+        w1[:, potential + move, heading] = -1.0
+        w2[:, heading, heading] = DESCENT
+        for speed, share in enumerate(DESCENT_SPEEDS):
+            w3[:, heading, 1 + HEADINGS * speed + heading] = share
+
+
+def _cleared(stack: Stack, units: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the weights of all layers, with the first units of the hidden ones cut off from all others."""
+    w1, b1, w2, b2, w3, _ = stack.layers
+    w1[:, :, :units], w2[:, :, :units], w3[:, :units] = 0.0, 0.0, 0.0
+    b1[:, :units], b2[:, :units] = 0.0, 0.0
+    return w1, w2, w3

@@ -1,0 +1,36 @@
+"""The trained policies that ship with this package, by name."""
+
+from pathlib import Path
+from typing import Final
+
+from common.errors import PolicyError
+
+_SHIPPED: Final = Path(__file__).parent / "trained"
+TRAINED: Final = _SHIPPED / "default.safetensors"
+"""The policy of the default preset that ships with this package."""
+_OTHERS: Final = ("long", "connected", "failing", "uneven", "battery", "field", "eia-sec")
+SHIPPED: Final = {
+    "trained": ("default", TRAINED),
+    **{f"trained:{preset}": (preset, _SHIPPED / f"{preset}.safetensors") for preset in _OTHERS},
+}
+"""Every policy that ships: its preset and its file by its name."""
+
+
+def shipped_file(name: str) -> Path:
+    """Return the file of a policy that ships; raise PolicyError when this installation lacks it."""
+    preset, path = SHIPPED[name]
+    if not path.exists():
+        raise PolicyError(
+            f"no trained policy of the preset {preset} is part of this installation; train one, or name another policy."
+        )
+    return path
+
+
+def policy_path(name: str) -> Path:
+    """Return the file of a policy that ships, or the path that the name is; raise PolicyError as `shipped_file`."""
+    return shipped_file(name) if name in SHIPPED else Path(name)
+
+
+def preset_of(policy: str | None) -> str:
+    """Return the preset on whose farm a policy flies unless a configuration is given."""
+    return SHIPPED[policy][0] if policy in SHIPPED else "default"

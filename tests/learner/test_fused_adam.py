@@ -1,0 +1,48 @@
+"""Adam is torch's own, without what torch's class loads."""
+
+import subprocess
+import sys
+
+import torch
+
+from learner.on_policy.fused_adam import EPSILON, FusedAdam
+
+RATES = 1e-3, 3e-4
+
+
+def test_steps_are_those_of_torch():
+    """Bit by bit, with rates that fall, and with a tensor that has no gradient in some steps."""
+    torch.manual_seed(0)
+    own = [torch.nn.Parameter(torch.randn(2, 1000)) for _ in range(3)]
+    other = [torch.nn.Parameter(parameter.detach().clone()) for parameter in own]
+    adam = FusedAdam([(own[:2], RATES[0]), (own[2:], RATES[1])])
+    reference = torch.optim.Adam([{"params": other[:2]}, {"params": other[2:]}], eps=EPSILON, fused=True)
+    for step in range(20):
+        share = 1.0 - step / 40
+        for group, rate in zip(reference.param_groups, RATES, strict=True):
+            group["lr"] = rate * share
+        for index, (mine, theirs) in enumerate(zip(own, other, strict=True)):
+            theirs.grad = None if index == 1 and step % 3 == 1 else torch.randn_like(theirs)
+            mine.grad = None if theirs.grad is None else theirs.grad.clone()
+        adam.step(share)
+        reference.step()
+    for mine, theirs in zip(own, other, strict=True):
+        assert torch.equal(mine, theirs)
+        for name, moment in adam.moments[mine]._asdict().items():
+            assert torch.equal(moment, reference.state[theirs][name])
+    adam.forget_gradients()
+    assert all(parameter.grad is None for parameter in own)
+
+
+def test_a_learner_does_without_the_compiler_of_torch():
+    """It takes as long to load as torch itself."""
+    program = (
+        "import sys\n"
+        "from learner.trainers import make_trainer\n"
+        "from tests.learner.on_policy.small_runs import TEAM, chunk, configured\n"
+        "trainer = make_trainer(configured(), TEAM)\n"
+        "trainer.absorb(chunk(trainer.actors(), 0, ((40, 0),)))\n"
+        "trainer.train(trainer.updates_due())\n"
+        "sys.exit('torch._dynamo' in sys.modules or trainer.updates == 0)"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
