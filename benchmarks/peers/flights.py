@@ -15,6 +15,8 @@ from rollout.policies import Policy
 
 Point = dict[str, float]
 FARM: Final = preset("default").farm
+LOOK_SHARE: Final = 0.1
+"""Least time between two looks, as a share of the time since the command."""
 
 
 class FarmOfChoices(FarmParallelEnv):
@@ -56,7 +58,7 @@ def farm_options(software: str) -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--began", type=float, required=True, help="when the clock started, seconds since 1970")
     parser.add_argument("--limit", type=float, required=True, help="seconds of training at most")
-    parser.add_argument("--every", type=float, required=True, help="seconds of training between two looks")
+    parser.add_argument("--every", type=float, required=True, help="least seconds of training between two looks")
     parser.add_argument("--reward", type=float, required=True, help="what is wanted, per agent")
     parser.add_argument("--farms", type=int, nargs="+", required=True, help="seeds of the farms that are looked at")
     parser.add_argument("--threads", type=int, required=True)
@@ -108,7 +110,7 @@ class Course:
         looked = time.time()
         reward = reward_of(policy, self._options.farms)
         self._paused += time.time() - looked
-        self._next = seconds + self._options.every
+        self._next = seconds + max(self._options.every, LOOK_SHARE * seconds)
         self.points.append({"seconds": round(seconds, 2), "steps": steps, "updates": updates, "reward": reward})
         return reward >= self._options.reward or seconds >= self._options.limit
 

@@ -58,7 +58,7 @@ PEERS: Final = (
 )
 PEER_SETTINGS: Final = {"environments": 8, "iteration": 4000, "epochs": 10, "minibatch": 500}
 """What peers have instead of the default preset's environments, iteration, epochs and minibatches."""
-LOOK_SECONDS: Final = 2.0
+LOOK_SECONDS: Final = 0.5
 """Least time between two looks at ours; looking costs it nothing."""
 LOOK_SHARE: Final = 0.03
 """Time between two looks at ours, as a share of the time since the command: each is flown on all farms afterwards. Our
@@ -194,6 +194,22 @@ def steps_per_second(data: Line) -> dict[str, float]:
     return {software: median(rates) for software, rates in found.items()}
 
 
+def fresh_actors(data: Line) -> str:
+    """Return what ours has before it learns, and so which times are those of its start."""
+    first = [run["points"][0] for run in data["runs"] if run["software"] == OURS]
+    before = [point["reward"] / data["bar"] for point in first if point["steps"] == 0]
+    prior = (
+        "Fresh actors of ours follow the route that monitors observe, and take the moves that they see to be worth\n"
+        "most; those of the peers have to learn that."
+    )
+    if not before:
+        return prior
+    return (
+        f"{prior} So ours has {median(before):.0%} of the {BAR}'s reward before it\n"
+        "learns anything, and its times for smaller parts are those of its start."
+    )
+
+
 def page(data: Line) -> str:
     """Return the results as Markdown."""
     rows = []
@@ -214,12 +230,11 @@ def page(data: Line) -> str:
         f"{data['cores']} cores. Ours is `eia-sec train`, the default preset; the peers train on the same farm as a\n"
         "PettingZoo environment, with the same observations, discrete moves, widths, rate, discount and clip range;\n"
         f"their iterations are shorter ({PEER_SETTINGS['iteration']:,} steps, {PEER_SETTINGS['epochs']} epochs), "
-        "because their environments are slower. Fresh actors\n"
-        "of ours follow the route that monitors observe; those of the peers have to learn that.\n"
+        f"because their environments are slower.\n{fresh_actors(data)}\n"
         "AgileRL sees each type as one agent in as many environments as there are UAVs of it, because it learns\n"
         "nothing from groups of agents (`experiments/LOG.md`). Ours is ended after "
         f"{data['seconds']:.0f} s, a peer after {data['limit']:.0f} s\n"
-        f"of training; it is looked at every {data['every']:g} s at most.\n"
+        f"of training; it is looked at every {data['every']:g} s, later at every tenth more time.\n"
     )
     rates = ", ".join(f"{software} {rate:,.0f}" for software, rate in steps_per_second(data).items())
     seen = ", ".join(f"{software} {reward:.0f}" for software, reward in best.items())
@@ -264,7 +279,9 @@ def options(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=400.0, help="time that ours gets")
     parser.add_argument("--limit", type=float, default=600.0, help="time that a peer gets")
-    parser.add_argument("--every", type=float, default=15.0, help="seconds of training between two looks at a peer")
+    parser.add_argument(
+        "--every", type=float, default=5.0, help="least seconds of training between two looks at a peer"
+    )
     parser.add_argument("--only", nargs="+", metavar="NAME", help="only these peers")
     parser.add_argument("--venvs", type=Path, default=ROOT / "benchmarks" / ".venvs")
     parser.add_argument("--pip-args", default="", help="added to pip install")

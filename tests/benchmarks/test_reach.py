@@ -1,6 +1,7 @@
 """When a training has reached what is wanted: the clock, the farm that all programs fly, and the page."""
 
 import argparse
+import itertools
 import json
 
 import numpy as np
@@ -109,6 +110,26 @@ def test_who_never_got_there_took_longer_than_it_was_given():
         {"EIA-SEC": 0.0155, "AgileRL": 0.0034, "BenchMARL": 0.0028}, rel=0.02
     )
     assert len(reach.picture(a_result()).axes[0].lines) == 6
+
+
+def test_looks_at_a_peer_become_rarer(monkeypatch):
+    """Each waits for a tenth more time at least, because looking at slow actors takes longer than training them."""
+    course, clock = a_course(monkeypatch, [1.0] * 99, limit=200.0)
+    while not course.over(None, 0, 0):
+        clock[0] += 1.0
+    at = [p["seconds"] for p in course.points]
+    assert at[:10] == [5.0 * n for n in range(1, 11)]
+    assert all(later - at >= 0.1 * at for at, later in itertools.pairwise(at[10:-1]))
+    assert len(at) < 28
+
+
+def test_the_page_says_what_ours_has_before_it_learns():
+    """Its times for smaller parts are then no times of learning."""
+    data = a_result()
+    assert "before it" not in reach.page(data)
+    for run in data["runs"][:2]:
+        run["points"][0] |= {"steps": 0, "reward": 910.0}
+    assert "ours has 91% of the lawnmower's reward before it\nlearns anything" in reach.page(data)
 
 
 def test_a_seed_that_fails_leaves_those_before_it(monkeypatch, tmp_path):

@@ -42,7 +42,7 @@ def flown(policy, reward, aoi):
 
 def reach(*runs):
     points = [
-        {"software": software, "points": [{"seconds": at, "reward": reward} for at, reward in course]}
+        {"software": software, "points": [{"seconds": at, "steps": 1, "reward": reward} for at, reward in course]}
         for software, course in runs
     ]
     return {"bar": 1000.0, "runs": points}
@@ -102,6 +102,15 @@ def test_sooner_means_ten_times():
     assert "ours not within 20 s" in text
     short = ("BenchMARL", [(60.0, 400.0)])
     assert verdicts(targets_block(None, None, reach(ours, short)), "than BenchMARL")[0] == "undecided"
+
+
+def test_times_of_fresh_actors_are_marked():
+    """What ours earns before it learns is no time of learning."""
+    found = reach(("EIA-SEC", [(3.0, 800.0), (20.0, 1000.0)]), ("AgileRL", [(150.0, 1000.0)]))
+    assert "before it learned" not in targets_block(None, None, found)
+    found["runs"][0]["points"][0]["steps"] = 0
+    lines = [line for line in targets_block(None, None, found).splitlines() if "than AgileRL" in line]
+    assert [", before it learned" in line for line in lines] == [True, True, False, False]
 
 
 def test_the_slowest_of_ours_and_the_fastest_of_theirs_decide():
