@@ -1,5 +1,6 @@
 """The four deliveries over a real Zenoh session on loopback."""
 
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -158,6 +159,30 @@ def test_a_taken_address_and_a_dead_one_are_endpoint_errors() -> None:
         Bus.connect(endpoint, "control")
     with Bus.listen(endpoint, "control"), pytest.raises(EndpointError, match="in use"):
         Bus.listen(endpoint, "control")
+
+
+def test_a_process_that_comes_too_early_tries_again_soon() -> None:
+    """Several times within one attempt to connect, so that it need not wait for the next one."""
+    endpoint, doors = free_endpoint(), 0
+    with socket.create_server(("127.0.0.1", endpoint.port)) as door:
+
+        def hang_up() -> None:
+            nonlocal doors
+            try:
+                while True:
+                    door.accept()[0].close()
+                    doors += 1
+            except OSError:
+                pass
+
+        host = threading.Thread(target=hang_up)
+        host.start()
+        with pytest.raises(EndpointError):
+            Bus.connect(endpoint, "control", wait=0.0)
+        door.shutdown(socket.SHUT_RDWR)
+    host.join()
+    # One is the attempt's first; one may be ours, which looks why it failed.
+    assert doors > 3
 
 
 @pytest.mark.parametrize("text", ["", "127.0.0.1:7447", "tcp/127.0.0.1", "tcp/127.0.0.1:0", "udp/h:1", "tcp/h:65535"])
